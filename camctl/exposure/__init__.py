@@ -1,0 +1,1 @@
+"""Which exposures to combine: pure mathematics that knows no camera."""

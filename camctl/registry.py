@@ -1,0 +1,70 @@
+"""Cameras and panels are found through entry points, the built-in ones like anybody else's.
+
+A package adds a camera by naming a `CameraRoad` class in the entry-point group ``camctl.cameras``; the
+entry point's name is what stands before the colon of a camera id (``v4l2:/dev/video0``).  Panels are
+callables in ``camctl.panels``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Protocol
+
+from camctl.camera import Camera, CameraInfo
+from camctl.errors import CamctlError, UsageError, unknown_name
+
+CAMERAS = "camctl.cameras"
+PANELS = "camctl.panels"
+
+
+class CameraRoad(Protocol):
+    """One way to reach cameras: a bus, a protocol, or a simulation."""
+
+    def discover(self) -> Sequence[CameraInfo]:
+        """Return the cameras that can be opened now, within a second."""
+        ...
+
+    def open(self, address: str, options: Mapping[str, str]) -> Camera:
+        """Open the camera at `address`, what stands behind the colon of its id ("" where none does).
+
+        `options` holds what the user said beside the id, by option name; a road raises `UsageError`
+        for one that it cannot use, so that nothing is ignored silently.
+        """
+        ...
+
+
+def _found(group: str) -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=group)}
+
+
+def load(group: str, kind: str, name: str) -> Any:
+    """Return what the entry point `name` of `group` names; `kind` is the word for it in errors."""
+    found = _found(group)
+    if name not in found:
+        raise unknown_name(kind, name, found)
+    try:
+        return found[name].load()
+    except ImportError as error:
+        raise UsageError(
+            f"{kind} '{name}' cannot be loaded: {error}", hint="install what it needs"
+        ) from error
+
+
+def open_camera(camera_id: str, options: Mapping[str, str] | None = None) -> Camera:
+    """Open a camera by its id: the name of its road, and an address after a colon."""
+    road_name, _, address = camera_id.partition(":")
+    road: CameraRoad = load(CAMERAS, "camera", road_name)()
+    return road.open(address, options or {})
+
+
+def discover_cameras() -> tuple[list[CameraInfo], list[str]]:
+    """Return all cameras that can be opened now, and a line for each road that could not look."""
+    cameras: list[CameraInfo] = []
+    problems: list[str] = []
+    for name in sorted(_found(CAMERAS)):
+        try:
+            cameras.extend(load(CAMERAS, "camera", name)().discover())
+        except CamctlError as error:
+            problems.append(f"{name}: {error}")
+    return cameras, problems

@@ -1,0 +1,1 @@
+"""Real cameras, each behind the interface of `camctl.camera`."""

@@ -1,0 +1,1 @@
+"""Front panels: what a person sees and presses."""

@@ -1,0 +1,1 @@
+"""Simulated cameras: scenes, sensors, and a camera that looks at them."""
