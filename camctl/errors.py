@@ -7,6 +7,7 @@
     ├── DataError                   a file says something that cannot be used
     ├── StorageError                a result could not be written (disk full, no permission)
     ├── CaptureError                a capture could not be planned or completed
+    │   └── InterruptedCaptureError somebody stopped it; what was shot is kept  exit status 130
     └── CameraError                 something between us and the camera
         ├── CameraNotFoundError     no such camera
         ├── CameraBusyError         another process holds it, or it is still working
@@ -51,6 +52,12 @@ class StorageError(CamctlError):
 
 class CaptureError(CamctlError):
     """A capture could not be planned or completed."""
+
+
+class InterruptedCaptureError(CaptureError):
+    """A person stopped the capture; what was shot is kept."""
+
+    exit_status = 130
 
 
 class CameraError(CamctlError):

@@ -1,8 +1,8 @@
 """Cameras and panels are found through entry points, the built-in ones like anybody else's.
 
-A package adds a camera by naming a `CameraRoad` class in the entry-point group ``camctl.cameras``; the
-entry point's name is what stands before the colon of a camera id (``v4l2:/dev/video0``).  Panels are
-callables in ``camctl.panels``.
+A package adds a camera by naming a `CameraRoad` class in the entry-point group ``camctl.cameras``;
+the entry point's name is what stands before the colon of a camera id (``v4l2:/dev/video0``).
+Panels are callables in ``camctl.panels``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class CameraRoad(Protocol):
         ...
 
     def open(self, address: str, options: Mapping[str, str]) -> Camera:
-        """Open the camera at `address`, what stands behind the colon of its id ("" where none does).
+        """Open the camera at `address`, what follows the colon of its id ("" if nothing does).
 
         `options` holds what the user said beside the id, by option name; a road raises `UsageError`
         for one that it cannot use, so that nothing is ignored silently.

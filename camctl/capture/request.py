@@ -1,0 +1,90 @@
+"""What a person asks of a capture, and what was decided from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from camctl.camera import ExposureSetting
+
+
+@dataclass(frozen=True)
+class CaptureRequest:
+    """What a person picks; everything else is looked up, metered or measured.
+
+    Attributes:
+        response: desired response, "linear", "gamma" or "log"
+        dynamic_range: desired dynamic range, > 1
+        count: number of exposures
+        ratios: exposures given instead of looked up, relative to the shortest; then `count` is theirs
+        base_s: shutter time of the shortest exposure, s; None: metered
+        compensation_stops: shift of the shortest exposure, in stops
+        levels_wanted: number of levels G of the desired camera; None: as many as the frames hold
+        use_aperture: let the aperture take part where time and gain do not reach
+        mains_hz: frequency of the mains that the lamps hang on (50 or 60), None: daylight
+        spend_shutter: meter with full exposures on a camera that has no preview
+    """
+
+    response: str = "log"
+    dynamic_range: float = 1000.0
+    count: int = 3
+    ratios: tuple[float, ...] | None = None
+    base_s: float | None = None
+    compensation_stops: float = 0.0
+    levels_wanted: float | None = None
+    use_aperture: bool = False
+    mains_hz: float | None = None
+    spend_shutter: bool = False
+
+
+@dataclass(frozen=True)
+class Metering:
+    """The metered exposure of the highlights.
+
+    Attributes:
+        setting: the exposure at which the highlights lie just below saturation
+        highlight: brightness of the highlights there, as a share of white minus black
+        clipped: share of the samples that are saturated there
+        frames: previews or actuations that it took
+    """
+
+    setting: ExposureSetting
+    highlight: float
+    clipped: float
+    frames: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The very exposures that will be shot, and what they should give.
+
+    Attributes:
+        request: what was asked for
+        ratios: the exposures wanted, relative to the shortest
+        settings: what the camera will be set to, in the order of shooting
+        exposures: the exposures of `settings` relative to the smallest, same order
+        xi: levels missing against the desired camera, for `exposures`
+        levels_wanted: number of levels G of the desired camera
+        effective_levels: how many equal steps in the desired response are as accurate
+        metering: how the shortest exposure was found; None where it was given
+        warnings: what a person should know before pressing the button, one line each
+    """
+
+    request: CaptureRequest
+    ratios: tuple[float, ...]
+    settings: tuple[ExposureSetting, ...]
+    exposures: tuple[float, ...]
+    xi: float
+    levels_wanted: float
+    effective_levels: float
+    metering: Metering | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def base_s(self) -> float:
+        """Shutter time of the smallest exposure, s."""
+        return min(self.settings, key=lambda setting: setting.exposure).time_s
+
+    @property
+    def shutter_s(self) -> float:
+        """Time that the shutter is open in all, s."""
+        return sum(setting.time_s for setting in self.settings)
