@@ -1,0 +1,91 @@
+"""Real cameras as their measured irradiance levels."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import DataError, UsageError
+
+FloatArray: TypeAlias = NDArray[np.float64]
+
+MAX_BITS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class RealResponse:
+    """A real camera: brightness is how many of its levels are <= the irradiance.
+
+    Attributes:
+        levels: (M,) float64, not decreasing, irradiance E_1..E_M; E = 1 is where level M + 1 lies
+        name: what a person calls it
+        notes: what had to be repaired in a measured curve, one line each
+    """
+
+    levels: FloatArray
+    name: str
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        levels = np.array(self.levels, dtype=np.float64)
+        if levels.ndim != 1 or levels.size == 0:
+            raise DataError(f"{self.name}: a camera needs a list of one or more levels")
+        if not np.all(np.isfinite(levels)):
+            raise DataError(f"{self.name}: a level is not a finite number")
+        if np.any(np.diff(levels) < 0) or levels[0] < 0 or levels[-1] <= 0:
+            raise DataError(f"{self.name}: levels must be >= 0 and must not decrease")
+        levels.setflags(write=False)
+        object.__setattr__(self, "levels", levels)
+
+    @property
+    def M(self) -> int:
+        """Number of levels: white minus black."""
+        return int(self.levels.size)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """First 16 hex digits of the sha256 of the levels as little-endian float64."""
+        return hashlib.sha256(self.levels.astype("<f8").tobytes()).hexdigest()[:16]
+
+
+def check_quantiser(bits: int, phase: float, levels: int | None) -> int:
+    """Return the number of levels M of a quantiser; raise `UsageError` if it cannot be."""
+    if not 1 <= bits <= MAX_BITS:
+        raise UsageError(f"{bits} bits", hint=f"a camera has 1 to {MAX_BITS}")
+    if not (math.isfinite(phase) and 0 <= phase < 1):
+        raise UsageError(
+            f"quantiser phase {phase}", hint="it lies in [0, 1): 0 is floor, 0.5 is rounding"
+        )
+    count = 2**bits - 1 if levels is None else levels
+    if not 1 <= count <= 2**MAX_BITS - 1:
+        raise UsageError(
+            f"a camera of {count} levels", hint=f"levels (white - black) lie in 1..{2**16 - 1}"
+        )
+    return count
+
+
+def quantiser_name(kind: str, bits: int, phase: float, count: int) -> str:
+    """Return how a person calls a response behind a quantiser."""
+    size = f"{bits} bit" if count == 2**bits - 1 else f"{bits} bit, {count} levels"
+    return f"{kind} {size}" + (f", phase {phase:g}" if phase else "")
+
+
+def linear_response(
+    bits: int = 8, *, phase: float = 0.0, levels: int | None = None
+) -> RealResponse:
+    """Return a linear camera: E_k = (k - phase) / (M + 1), k = 1..M.
+
+    `levels` is M = white - black where there is a black level; without it M = 2^bits - 1.
+
+    >>> linear_response(2).levels.tolist()
+    [0.25, 0.5, 0.75]
+    """
+    count = check_quantiser(bits, phase, levels)
+    ladder = (np.arange(1, count + 1, dtype=np.float64) - phase) / (count + 1)
+    return RealResponse(ladder, quantiser_name("linear", bits, phase, count))
