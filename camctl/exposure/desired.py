@@ -56,7 +56,7 @@ class DesiredResponse(ABC):
 
     @abstractmethod
     def u(self, E: ArrayLike) -> FloatArray:
-        """Return u(E), clamped to 0..1 outside [e_min, 1]."""
+        """Return u at E, clamped to 0..1 outside [e_min, 1]."""
 
     @abstractmethod
     def inverse(self, u: ArrayLike) -> FloatArray:
@@ -89,7 +89,7 @@ class LinearDesired(DesiredResponse):
         return f"linear, range 1:{self.dynamic_range:g}"
 
     def u(self, E: ArrayLike) -> FloatArray:
-        """Return u(E), clamped."""
+        """Return u at E, clamped."""
         return (self._clamp(E) - self.e_min) / (1 - self.e_min)
 
     def inverse(self, u: ArrayLike) -> FloatArray:
@@ -123,7 +123,7 @@ class GammaDesired(DesiredResponse):
         return f"gamma {self.q:g}, range 1:{self.dynamic_range:g}"
 
     def u(self, E: ArrayLike) -> FloatArray:
-        """Return u(E), clamped."""
+        """Return u at E, clamped."""
         E = self._clamp(E)
         return self.rise(np.full_like(E, self.e_min), E)
 
@@ -172,7 +172,7 @@ class LogDesired(DesiredResponse):
         return f"constant contrast, range 1:{self.dynamic_range:g}"
 
     def u(self, E: ArrayLike) -> FloatArray:
-        """Return u(E), clamped."""
+        """Return u at E, clamped."""
         E = self._clamp(E)
         return self.rise(np.full_like(E, self.e_min), E)
 
@@ -227,13 +227,17 @@ class TabulatedDesired(DesiredResponse):
         return f"{self.name}, {self._E.size} points, range 1:{self.dynamic_range:g}"
 
     def u(self, E: ArrayLike) -> FloatArray:
-        """Return u(E), clamped."""
-        return np.interp(np.asarray(E, dtype=np.float64), self._E, self._u)
+        """Return u at E, clamped."""
+        return np.asarray(np.interp(np.asarray(E, dtype=np.float64), self._E, self._u))
 
     def inverse(self, u: ArrayLike) -> FloatArray:
         """Return E with u(E) = u; on a flat run, its left end."""
-        rising = np.concatenate([[True], np.diff(self._u) > 0])
-        return np.interp(np.asarray(u, dtype=np.float64), self._u[rising], self._E[rising])
+        wanted = np.clip(np.asarray(u, dtype=np.float64), 0.0, 1.0)
+        right = np.maximum(np.searchsorted(self._u, wanted, side="left"), 1)
+        left = right - 1
+        height = self._u[right] - self._u[left]
+        share = (wanted - self._u[left]) / np.where(height > 0, height, 1.0)
+        return np.asarray(self._E[left] + share * (self._E[right] - self._E[left]))
 
     def rise(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Return u(b) - u(a); exact to rounding within one piece of the table."""
@@ -242,7 +246,7 @@ class TabulatedDesired(DesiredResponse):
 
     def slope(self, E: FloatArray) -> FloatArray:
         """Return du/dE, on a knot that of the right side."""
-        return self._slopes[self._piece(E)]
+        return np.asarray(self._slopes[self._piece(E)])
 
     def _piece(self, E: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
         last = self._slopes.size - 1

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from camctl.errors import DataError, UsageError
 
@@ -44,7 +44,7 @@ class RealResponse:
         object.__setattr__(self, "levels", levels)
 
     @property
-    def M(self) -> int:
+    def M(self) -> int:  # noqa: N802 - the field's letter
         """Number of levels: white minus black."""
         return int(self.levels.size)
 
@@ -52,6 +52,19 @@ class RealResponse:
     def fingerprint(self) -> str:
         """First 16 hex digits of the sha256 of the levels as little-endian float64."""
         return hashlib.sha256(self.levels.astype("<f8").tobytes()).hexdigest()[:16]
+
+    def slope(self, E: ArrayLike) -> FloatArray:
+        """Return the local slope of brightness, levels per unit of irradiance, in E's shape.
+
+        It is one level per gap (m levels where m coincide); below the first level that of the gap
+        above it.  Saturation is the caller's to know.
+        """
+        distinct, counts = np.unique(self.levels, return_counts=True)
+        if distinct.size == 1:
+            return np.full(np.shape(E), counts[0] / distinct[0])
+        steepness = counts[1:] / np.diff(distinct)
+        gap = np.searchsorted(distinct, np.asarray(E, dtype=np.float64), side="right") - 1
+        return np.asarray(steepness[np.clip(gap, 0, steepness.size - 1)])
 
 
 def check_quantiser(bits: int, phase: float, levels: int | None) -> int:
