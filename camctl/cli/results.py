@@ -1,0 +1,91 @@
+"""How a finished capture is told to a person."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from camctl.cli.output import duration, fields, number, range_name, table
+
+if TYPE_CHECKING:
+    from camctl.capture.report import CaptureReport
+
+
+def percent(share: float) -> str:
+    """Return a share as per cent; a little is never called nothing."""
+    if 0 < share < 0.0001:
+        return "< 0.01 %"
+    return f"{share * 100:.2f} %" if share < 0.1 else f"{share * 100:.1f} %"
+
+
+def capture_lines(report: CaptureReport, directory: Path) -> str:
+    """Return what was planned, what was shot, how good it is, and where it is."""
+    plan = report.plan
+    request = plan.request
+    frames = [frame for frame in report.frames if frame is not None]
+    rows = [
+        ("camera", f"{report.camera.make} {report.camera.model} ({report.camera.id})"),
+        (
+            "wanted",
+            f"{request.response}, {range_name(request.dynamic_range)}, "
+            f"in {len(plan.settings)} exposures",
+        ),
+        ("shortest exposure", f"{duration(plan.base_s)}, {_metered(report)}"),
+    ]
+    parts = [fields(rows), "", _frames(report), ""]
+    rows = []
+    if report.achieved is not None:
+        achieved = report.achieved
+        rows += [
+            (
+                "effective levels",
+                f"{number(achieved.effective_levels, 4)} "
+                f"(planned {number(plan.effective_levels, 4)})",
+            ),
+            (
+                "wanted levels missing",
+                f"{number(achieved.xi, 5)} of {number(plan.levels_wanted)} (xi)",
+            ),
+            (
+                "outside the range",
+                f"{percent(achieved.saturated_fraction)} saturated in every exposure, "
+                f"{percent(achieved.dark_fraction)} too dark",
+            ),
+        ]
+    rows += [("files", f"in {directory}{'' if len(frames) else ' (nothing)'}")]
+    rows += [("", name) for name in _file_names(report)]
+    return "\n".join([*parts, fields(rows)])
+
+
+def _metered(report: CaptureReport) -> str:
+    metering = report.plan.metering
+    if metering is None:
+        return "as given"
+    return (
+        f"metered in {metering.frames} frames: highlights at {percent(metering.highlight)} "
+        f"of full scale, {percent(metering.clipped)} of the samples clipped"
+    )
+
+
+def _frames(report: CaptureReport) -> str:
+    heads = ("exposure", "wanted", "time", "gain", "saturated")
+    wanted = sorted(report.plan.ratios)
+    lines: list[Sequence[str]] = []
+    frames = [frame for frame in report.frames if frame is not None]
+    by_exposure = sorted(frames, key=lambda frame: frame.exposure)
+    for frame, ratio in zip(by_exposure, wanted, strict=False):
+        lines.append(
+            (
+                number(frame.exposure),
+                number(ratio),
+                duration(frame.applied_s),
+                number(frame.applied.gain, 4),
+                percent(frame.saturated_fraction),
+            )
+        )
+    return table(heads, lines, right=range(len(heads)))
+
+
+def _file_names(report: CaptureReport) -> list[str]:
+    return list(dict.fromkeys(report.files.values()))
