@@ -1,0 +1,95 @@
+"""What the menu has done for it: the job port and the data that goes through it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from camctl.capture.request import Plan
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a person picked.
+
+    Attributes:
+        response: desired response, one of `camctl.exposure.response.RESPONSES`
+        dynamic_range: desired dynamic range, brightest over darkest
+        count: number of exposures
+    """
+
+    response: str
+    dynamic_range: float
+    count: int
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one number of exposures costs and gives.
+
+    Attributes:
+        count: number of exposures
+        exposures: relative to the shortest, ascending
+        shutter_time: time that the shutter is open in all, in units of the shortest exposure
+        effective_levels: how many equal steps in the desired response are as accurate
+    """
+
+    count: int
+    exposures: tuple[float, ...]
+    shutter_time: float
+    effective_levels: float
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far some work is: `done` of `total` of whatever `stage` names."""
+
+    done: int
+    total: int
+    stage: str
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a capture gave.
+
+    Attributes:
+        effective_levels: achieved with the exposures that the camera applied
+        saturated: share of the samples that no exposure caught below saturation, 0 to 1
+        folder: where the files are
+        notes: what else a person should know, one line each
+    """
+
+    effective_levels: float
+    saturated: float
+    folder: str
+    notes: tuple[str, ...] = ()
+
+
+class Job(Protocol):
+    """The work behind the menu.  Methods are called from one worker thread, one at a time.
+
+    All raise `camctl.errors.CamctlError` where something cannot be done.
+    """
+
+    def predict(self, response: str, dynamic_range: float) -> Sequence[Cost]:
+        """Return what each number of exposures costs, ascending by number, at least one."""
+        ...
+
+    def plan(self, choice: Choice) -> Plan:
+        """Return the very settings that will be shot for `choice`, metered where need be."""
+        ...
+
+    def shoot(
+        self,
+        plan: Plan,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Summary:
+        """Shoot exactly the settings of `plan`.
+
+        Once `cancelled` returns True it stops, keeps what was shot, and raises
+        `camctl.errors.InterruptedCaptureError` with one line that says where that is.
+        """
+        ...
