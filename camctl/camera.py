@@ -1,8 +1,8 @@
 """The exposure-setting interface: all that the controller knows of a camera.
 
 A camera says what it can set (`ExposureControls`), takes a whole list of settings at once
-(`Camera.shoot`) and hands over frames that say which exposure they really had (`Frame`).  Values are
-SI: seconds, linear gain, f-number; true times, never the labels on a dial.
+(`Camera.shoot`) and hands over frames that say which exposure they really had (`Frame`).  Values
+are SI: seconds, linear gain, f-number; true times, never the labels on a dial.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class CameraInfo:
 
 @dataclass(frozen=True)
 class ExposureSetting:
-    """One exposure: shutter time in s, linear gain, and f-number (None: the lens is not ours to set)."""
+    """One exposure: shutter time in s, linear gain, f-number (None: the lens is not ours)."""
 
     time_s: float
     gain: float = 1.0
@@ -165,9 +165,9 @@ class ExposureControls:
         delay_frames: frames from setting an exposure to the frame that has it; None where that is
             not constant, so that the stream settles for each exposure
         frame_interval_s: least time from frame to frame, s
-        sensitivity: full scales (white - black + 1) that one second at gain 1 (and f/1 where there is
-            an aperture) gives for each unit of the scene's irradiance; None where that is unknown,
-            and irradiance is then relative
+        sensitivity: full scales (white - black + 1) that one second at gain 1 (and f/1 where there
+            is an aperture) gives for each unit of the scene's irradiance; None where that is
+            unknown, and irradiance is then relative
         tolerance: relative error up to which a setting counts as met
     """
 
@@ -246,6 +246,14 @@ class Frame:
     original: OriginalFile | None = None
 
 
+class FrameStream(Iterator[Frame], Protocol):
+    """Frames as they come; any generator of frames is one."""
+
+    def close(self) -> None:
+        """Cancel what is left."""
+        ...
+
+
 @runtime_checkable
 class Camera(Protocol):
     """What every camera, real or simulated, stands behind.
@@ -269,13 +277,14 @@ class Camera(Protocol):
         """The clock of its timestamps."""
         ...
 
-    def shoot(self, settings: Sequence[ExposureSetting]) -> Iterator[Frame]:
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
         """Take the settings in their order and yield one frame for each.
 
         The whole list is checked before the first frame: a setting that cannot be met within
-        `ExposureControls.tolerance` raises `RefusedSettingError` from this call, and nothing is shot.
-        A frame is yielded only if the camera can say which exposure it had.  Closing the iterator
-        cancels what is left.  With a constant control delay of d frames, n settings take n + d frames.
+        `ExposureControls.tolerance` raises `RefusedSettingError` from this call, and nothing is
+        shot.  A frame is yielded only if the camera can say which exposure it had; it is then the
+        caller's to keep.  Closing the iterator cancels what is left.  With a constant control delay
+        of d frames, n settings take n + d frames.
 
         Raises:
             RefusedSettingError: a setting cannot be met

@@ -15,7 +15,7 @@ class CaptureRequest:
         response: desired response, "linear", "gamma" or "log"
         dynamic_range: desired dynamic range, > 1
         count: number of exposures
-        ratios: exposures given instead of looked up, relative to the shortest; then `count` is theirs
+        ratios: exposures given instead of looked up, relative to each other; `count` is then theirs
         base_s: shutter time of the shortest exposure, s; None: metered
         compensation_stops: shift of the shortest exposure, in stops
         levels_wanted: number of levels G of the desired camera; None: as many as the frames hold
@@ -38,15 +38,17 @@ class CaptureRequest:
 
 @dataclass(frozen=True)
 class Metering:
-    """The metered exposure of the highlights.
+    """How much light there is.
 
     Attributes:
-        setting: the exposure at which the highlights lie just below saturation
+        limit_s: shutter time at which the highlights would lie just below saturation, s
+        setting: the setting nearest to it that was looked through
         highlight: brightness of the highlights there, as a share of white minus black
         clipped: share of the samples that are saturated there
         frames: previews or actuations that it took
     """
 
+    limit_s: float
     setting: ExposureSetting
     highlight: float
     clipped: float
@@ -58,33 +60,29 @@ class Plan:
     """The very exposures that will be shot, and what they should give.
 
     Attributes:
-        request: what was asked for
+        response: desired response
+        dynamic_range: desired dynamic range
         ratios: the exposures wanted, relative to the shortest
-        settings: what the camera will be set to, in the order of shooting
+        settings: what the camera will be set to, in the order of shooting, ascending exposure
         exposures: the exposures of `settings` relative to the smallest, same order
-        xi: levels missing against the desired camera, for `exposures`
+        base_s: shutter time of the smallest exposure, s
+        shutter_s: time that the shutter is open in all, s
         levels_wanted: number of levels G of the desired camera
+        xi: how many of them are missing with `exposures`
         effective_levels: how many equal steps in the desired response are as accurate
         metering: how the shortest exposure was found; None where it was given
         warnings: what a person should know before pressing the button, one line each
     """
 
-    request: CaptureRequest
+    response: str
+    dynamic_range: float
     ratios: tuple[float, ...]
     settings: tuple[ExposureSetting, ...]
     exposures: tuple[float, ...]
-    xi: float
+    base_s: float
+    shutter_s: float
     levels_wanted: float
+    xi: float
     effective_levels: float
     metering: Metering | None = None
     warnings: tuple[str, ...] = ()
-
-    @property
-    def base_s(self) -> float:
-        """Shutter time of the smallest exposure, s."""
-        return min(self.settings, key=lambda setting: setting.exposure).time_s
-
-    @property
-    def shutter_s(self) -> float:
-        """Time that the shutter is open in all, s."""
-        return sum(setting.time_s for setting in self.settings)

@@ -1,0 +1,73 @@
+"""Handing over: the results of a capture, and what it achieved."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.camera import ExposureControls
+from camctl.capture.pictures import Tables, shares, write_pictures, write_sum
+from camctl.capture.plan import relative
+from camctl.capture.report import Achieved, CaptureReport, Irradiance
+from camctl.exposure.effective import EffectiveCamera, effective_levels
+from camctl.exposure.objective import xi
+from camctl.exposure.response import desired_response
+
+
+def hand_over(
+    report: CaptureReport,
+    total: NDArray[np.unsignedinteger],
+    controls: ExposureControls,
+    directory: Path,
+) -> None:
+    """Write the sum and the pictures into `directory`, and complete the report.
+
+    The effective camera is that of the applied exposures, not of the wanted ones.
+
+    Args:
+        report: of a capture that has all its frames; changed in place and written
+        total: sum of its frames, black included
+        controls: of the camera
+        directory: the capture's folder
+
+    Raises:
+        StorageError: a file could not be written
+
+    """
+    began = time.perf_counter()
+    plan = report.plan
+    applied = [record.applied for record in report.frames if record is not None]
+    effective = EffectiveCamera.of(controls.levels, relative(applied))
+    desired = desired_response(plan.response, plan.dynamic_range)
+    full_scale_exposure = min(setting.exposure for setting in applied)
+    if controls.sensitivity is not None:
+        full_scale_exposure *= controls.sensitivity
+    tables = Tables.of(effective, desired, report.black_total, full_scale_exposure)
+    outside = shares(total, tables)
+    report.achieved = Achieved(
+        xi=xi(effective, desired, plan.levels_wanted),
+        effective_levels=effective_levels(effective, desired),
+        levels=effective.levels_total,
+        levels_distinct=effective.levels_distinct,
+        saturated_fraction=outside.saturated,
+        dark_fraction=outside.dark,
+    )
+    report.irradiance = Irradiance(
+        unit="full scales per second" if controls.sensitivity is None else "as the scene",
+        full_scale_exposure=full_scale_exposure,
+    )
+    write_sum(total, directory / "sum.tiff")
+    write_pictures(total, controls.layout, tables, desired, full_scale_exposure, directory)
+    report.files = {
+        "sum": "sum.tiff",
+        "image": "image.tiff",
+        "radiance": "radiance.exr",
+        "preview": "preview.png",
+    }
+    report.warnings = [*plan.warnings, *report.warnings]
+    report.timing["writing_s"] = time.perf_counter() - began
+    report.status = "complete"
+    report.write(directory)

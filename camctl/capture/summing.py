@@ -1,0 +1,124 @@
+"""The sum of the frames, taken while they arrive.
+
+By the paper's theorem 1 the plain sum keeps all that the single frames know.  Each frame is cut
+at its white level first: saturated samples that still vary would otherwise add their noise to the
+highlights.  Black stays in; it is taken off once, from the sum, as a signed number, since cutting
+each frame at black would bias the dark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.camera import Pixels
+from camctl.errors import CaptureError, UsageError
+
+#: Samples a tile: long enough that the interpreter's lock is no cost, short enough for the cache.
+_TILE = 1 << 20
+_THREADS = 2
+
+
+def sum_dtype(count: int, white: int) -> np.dtype[np.unsignedinteger]:
+    """Return the narrowest unsigned type that holds the sum of `count` samples of up to `white`.
+
+    Raises:
+        UsageError: 32 bits are not enough
+    """
+    for kind in (np.uint16, np.uint32):
+        if count * white <= np.iinfo(kind).max:
+            return np.dtype(kind)
+    raise UsageError(
+        f"the sum of {count} exposures of up to {white} does not fit in 32 bits",
+        hint=f"take at most {np.iinfo(np.uint32).max // white} exposures",
+    )
+
+
+class Accumulator:
+    """The running sum of `min(frame, white)`.
+
+    Args:
+        shape: of a frame, (rows, columns) or (rows, columns, 3)
+        dtype: of a frame, uint8 or uint16
+        count: how many frames the sum is to hold
+        white: brightness at which each frame is cut, DN
+
+    A context manager: it holds two threads.  `total` is the sum, in the frames' shape.
+
+    """
+
+    def __init__(
+        self, shape: tuple[int, ...], dtype: np.dtype[np.unsignedinteger], count: int, white: int
+    ) -> None:
+        self.total: NDArray[np.unsignedinteger] = np.zeros(shape, sum_dtype(count, white))
+        self.white = white
+        self._dtype = np.dtype(dtype)
+        self._clips = white < np.iinfo(self._dtype).max
+        # numpy's minimum is vectorised between arrays but not against a scalar: 9 times faster.
+        self._ceiling = np.full(min(_TILE, self.total.size), white if self._clips else 0, dtype)
+        self._scratch = [
+            (np.empty_like(self._ceiling), np.empty(self._ceiling.size, self.total.dtype))
+            for _ in range(_THREADS)
+        ]
+        self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="camctl-sum")
+
+    def accumulate(self, pixels: Pixels) -> None:
+        """Add one frame, cut at white.
+
+        Raises:
+            CaptureError: the frame's shape or type is not that of the others
+
+        """
+        self._each_tile(pixels, np.add)
+
+    def withdraw(self, pixels: Pixels) -> None:
+        """Take a frame out again that was added before, exactly."""
+        self._each_tile(pixels, np.subtract)
+
+    def _each_tile(self, pixels: Pixels, operation: Callable[..., object]) -> None:
+        if pixels.shape != self.total.shape or pixels.dtype != self._dtype:
+            raise CaptureError(
+                f"a frame of {pixels.shape} {pixels.dtype} came after frames of "
+                f"{self.total.shape} {self._dtype}",
+                hint="keep the camera's format fixed during a capture",
+            )
+        source, total = np.ascontiguousarray(pixels).reshape(-1), self.total.reshape(-1)
+
+        def span(worker: int) -> None:
+            narrow, wide = self._scratch[worker]
+            share = -(-total.size // _THREADS)
+            for start in range(worker * share, min((worker + 1) * share, total.size), _TILE):
+                stop = min(start + _TILE, (worker + 1) * share, total.size)
+                tile, cut, cast = source[start:stop], narrow[: stop - start], wide[: stop - start]
+                if self._clips:
+                    np.minimum(tile, self._ceiling[: stop - start], out=cut)
+                    tile = cut
+                if tile.dtype != total.dtype:
+                    # One widening copy and a same-type sum beat a sum of mixed types.
+                    np.copyto(cast, tile)
+                    tile = cast
+                operation(total[start:stop], tile, out=total[start:stop])
+
+        list(self._pool.map(span, range(_THREADS)))
+
+    def close(self) -> None:
+        """End the threads; the sum stays."""
+        self._pool.shutdown()
+
+    def __enter__(self) -> Self:
+        """Return the accumulator itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the threads."""
+        self.close()
