@@ -1,0 +1,200 @@
+"""The conformance suite: all that `camctl.camera.Camera` promises, checked on any camera.
+
+A driver's own test module subclasses it and says how to open a camera that looks at a steady scene::
+
+    class TestMyCamera(CameraConformance):
+        def open_camera(self):
+            return MyCamera("/dev/mine0")
+
+The scene must be neither black nor white at `middle_s`, the shutter time that the suite starts
+from; override that, too, where the default does not fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from camctl.camera import Camera, Choices, ExposureSetting, Frame, Layout, PreviewingCamera
+from camctl.errors import CameraError, RefusedSettingError, UsageError
+
+
+class CameraConformance:
+    """Subclass it, override `open_camera`, and let pytest collect the subclass."""
+
+    #: Relative difference granted to measured ratios of light.
+    light_tolerance = 0.1
+
+    def open_camera(self) -> Camera:
+        """Return an open camera before a steady scene."""
+        raise NotImplementedError
+
+    def middle_s(self, camera: Camera) -> float:
+        """Return a shutter time, s, at which the scene is neither black nor white."""
+        time = camera.controls.time_s
+        return time.nearest((time.minimum * time.maximum) ** 0.5)
+
+    @pytest.fixture
+    def camera(self) -> Iterator[Camera]:
+        """The camera under test, closed afterwards."""
+        with self.open_camera() as camera:
+            yield camera
+
+    def times(self, camera: Camera, factors: Sequence[float]) -> list[ExposureSetting]:
+        """Return settings the camera has near these multiples of `middle_s`."""
+        control, gain = camera.controls.time_s, camera.controls.gain.nearest(1.0)
+        middle = self.middle_s(camera)
+        return [ExposureSetting(control.nearest(middle * factor), gain) for factor in factors]
+
+    def shoot(self, camera: Camera, settings: Sequence[ExposureSetting]) -> list[Frame]:
+        """Return all frames of one call."""
+        with closing(camera.shoot(settings)) as frames:
+            return list(frames)
+
+    def light(self, camera: Camera, frame: Frame) -> float:
+        """Return the mean irradiance of the samples of a frame, relative, black removed."""
+        levels = camera.controls.levels.levels
+        edges = np.concatenate(([0.0], levels, levels[-1:]))
+        middle = (edges[:-1] + edges[1:]) / 2
+        brightness = np.clip(frame.pixels.astype(np.intp) - frame.black, 0, levels.size)
+        return float(middle[brightness].mean())
+
+    def test_it_says_who_it_is(self, camera: Camera) -> None:
+        """A person finds it again by its id, and knows what it is."""
+        info = camera.info
+        assert info.id
+        assert info.model
+        assert info.driver
+
+    def test_controls_are_what_frames_are(self, camera: Camera) -> None:
+        """Shape, layout, type, black and white of a frame are as announced."""
+        controls = camera.controls
+        (frame,) = self.shoot(camera, self.times(camera, [1]))
+        colours = (3,) if controls.layout is Layout.RGB else ()
+        assert frame.pixels.shape == (*controls.shape, *colours)
+        assert frame.pixels.dtype == (np.uint8 if controls.bits <= 8 else np.uint16)
+        assert int(frame.pixels.max()) < 2**controls.bits
+        assert (frame.black, frame.white) == (controls.black, controls.white)
+
+    def test_one_frame_for_each_setting_in_order(self, camera: Camera) -> None:
+        """Every setting gives one frame, with what was asked for and what was applied."""
+        settings = self.times(camera, [1, 2, 0.5, 1])
+        frames = self.shoot(camera, settings)
+        assert [frame.requested for frame in frames] == settings
+        assert [frame.index for frame in frames] == [0, 1, 2, 3]
+        for frame in frames:
+            tolerance = max(camera.controls.tolerance, 1e-12)
+            assert frame.applied.time_s == pytest.approx(frame.requested.time_s, rel=tolerance)
+            assert frame.applied.gain == pytest.approx(frame.requested.gain, rel=tolerance)
+
+    def test_timestamps_rise(self, camera: Camera) -> None:
+        """Time goes on from frame to frame."""
+        stamps = [f.timestamp_s for f in self.shoot(camera, self.times(camera, [1, 1, 2]))]
+        assert stamps == sorted(set(stamps))
+
+    def test_no_settings_no_frames(self, camera: Camera) -> None:
+        """An empty list is no error."""
+        assert self.shoot(camera, []) == []
+
+    def test_light_follows_the_exposure(self, camera: Camera) -> None:
+        """Frames of different exposures differ as their exposures do: none of them is stale."""
+        settings = self.times(camera, [1, 0.25, 1, 0.5, 0.25])
+        frames = self.shoot(camera, settings)
+        light = [self.light(camera, frame) for frame in frames]
+        for frame, seen in zip(frames, light, strict=True):
+            expected = light[0] * frame.applied.exposure / frames[0].applied.exposure
+            slack = self.light_tolerance * expected + 1.0 / camera.controls.levels.M
+            assert abs(seen - expected) <= slack
+
+    def test_a_setting_out_of_reach_is_refused_before_the_first_frame(self, camera: Camera) -> None:
+        """The call itself raises, and names the nearest setting, which works."""
+        good = self.times(camera, [1])[0]
+        beyond = ExposureSetting(camera.controls.time_s.maximum * 3, good.gain)
+        with pytest.raises(RefusedSettingError) as refusal:
+            camera.shoot([good, beyond])
+        assert refusal.value.control == "time_s"
+        assert refusal.value.nearest == pytest.approx(camera.controls.time_s.maximum)
+        assert len(self.shoot(camera, [good])) == 1
+
+    def test_a_setting_between_steps_is_refused_not_snapped(self, camera: Camera) -> None:
+        """No camera snaps silently."""
+        control = camera.controls.time_s
+        if isinstance(control, Choices):
+            if len(control.values) < 2:
+                pytest.skip("the camera has one shutter time")
+            first, second = control.values[:2]
+        elif control.step == 0:
+            pytest.skip("the camera's shutter time is continuous")
+        else:
+            first = control.minimum
+            second = first + control.step
+        if (second - first) / first < 8 * camera.controls.tolerance:
+            pytest.skip("the camera's steps are finer than its tolerance")
+        between = ExposureSetting((first + second) / 2, camera.controls.gain.nearest(1.0))
+        with pytest.raises(RefusedSettingError) as refusal:
+            camera.shoot([between])
+        assert refusal.value.nearest in (pytest.approx(first), pytest.approx(second))
+
+    @pytest.mark.parametrize("time_s", [0.0, -1.0, float("nan"), float("inf")])
+    def test_a_setting_that_makes_no_sense_is_a_usage_error(
+        self, camera: Camera, time_s: float
+    ) -> None:
+        """Zero, negative and not finite are the caller's mistakes."""
+        with pytest.raises(UsageError):
+            camera.shoot([ExposureSetting(time_s)])
+
+    def test_closing_the_stream_cancels(self, camera: Camera) -> None:
+        """A cancelled sequence leaves a camera that works, and shows no frame of the old list."""
+        first, second = self.times(camera, [1, 0.25])
+        frames = camera.shoot([first, first, first])
+        next(frames)
+        frames.close()
+        (frame,) = self.shoot(camera, [second])
+        (again,) = self.shoot(camera, [second])
+        ratio = self.light(camera, frame) / self.light(camera, again)
+        assert ratio == pytest.approx(1, rel=self.light_tolerance)
+
+    def test_frames_are_the_callers_to_keep(self, camera: Camera) -> None:
+        """A later frame does not overwrite an earlier one."""
+        stream = camera.shoot(self.times(camera, [1, 0.25]))
+        with closing(stream) as frames:
+            first = next(frames)
+            copy = first.pixels.copy()
+            next(frames)
+        assert np.array_equal(first.pixels, copy)
+
+    def test_constant_delay_costs_n_plus_d_frames(self, camera: Camera) -> None:
+        """The stream does not settle for each exposure where the delay is constant."""
+        controls = camera.controls
+        if controls.delay_frames is None:
+            pytest.skip("the camera's control delay is not constant")
+        settings = self.times(camera, [1, 0.5, 1, 0.5, 1, 0.5])
+        before = camera.clock.now()
+        frames = self.shoot(camera, settings)
+        slot_s = max(controls.frame_interval_s, *(setting.time_s for setting in settings))
+        # The frame that is under way when the list arrives may have to end first.
+        slots = len(settings) + controls.delay_frames + 1
+        assert frames[-1].timestamp_s - before <= slots * slot_s * 1.02
+
+    def test_preview_shows_the_setting_asked_for(self, camera: Camera) -> None:
+        """Metering must not read a stale frame either."""
+        if not isinstance(camera, PreviewingCamera):
+            pytest.skip("the camera has no preview")
+        long, short = self.times(camera, [1, 0.25])
+        bright, dim = (self.light(camera, camera.preview(s)) for s in (long, short))
+        expected = bright * short.exposure / long.exposure
+        assert (
+            abs(dim - expected) <= self.light_tolerance * expected + 1.0 / camera.controls.levels.M
+        )
+
+    def test_a_closed_camera_says_so(self) -> None:
+        """Closing twice is harmless; using a closed camera is a typed error."""
+        camera = self.open_camera()
+        setting = self.times(camera, [1])
+        camera.close()
+        camera.close()
+        with pytest.raises(CameraError):
+            self.shoot(camera, setting)
