@@ -1,0 +1,227 @@
+"""The simulated camera: a driver on simulated hardware, behind the interface of all cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from camctl.camera import CameraInfo, ExposureControls, ExposureSetting, Frame
+from camctl.clock import Clock, VirtualClock
+from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraTimeoutError
+from sim.device import Buffer, SimulatedDevice
+from sim.render import Renderer, light_on
+from sim.scene import Scene
+from sim.sensor import Sensor
+
+SILENCE_S = 5.0
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What goes wrong, as it does with real hardware.
+
+    Frames are counted from 0 as `shoot` hands them over, since the camera was opened.
+
+    Attributes:
+        unplug_after: the cable is pulled after so many frames
+        freeze_after: the stream falls silent after so many frames
+        busy_calls: so many first calls of shoot or preview find the camera busy
+        wrong_exposure: frame number to the factor by which its light is not what `applied` says
+    """
+
+    unplug_after: int | None = None
+    freeze_after: int | None = None
+    busy_calls: int = 0
+    wrong_exposure: Mapping[int, float] = field(default_factory=dict)
+
+
+class SimulatedCamera:
+    """A camera with `sensor` before `scene`; implements `camctl.camera.PreviewingCamera`.
+
+    Args:
+        scene: what it looks at; the frame has the scene's size
+        sensor: see `sim.sensor.Sensor`
+        clock: virtual by default, so that nothing waits
+        seed: of all noise; the same seed, settings and calls give the same frames
+        faults: what goes wrong
+        threads: that render a frame (1 or 2); the frame is the same
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        sensor: Sensor,
+        *,
+        clock: Clock | None = None,
+        seed: int = 0,
+        faults: Faults | None = None,
+        threads: int = 2,
+    ) -> None:
+        self.scene = scene
+        self.sensor = sensor
+        self._clock = clock if clock is not None else VirtualClock()
+        self._controls = sensor.controls(
+            scene.shape, is_coloured=scene.is_coloured, photons_per_unit=scene.photons_per_unit
+        )
+        light = light_on(scene, self._controls.layout)
+        renderer = Renderer(light, sensor, seed=seed, threads=threads)
+        self.device = SimulatedDevice(sensor, renderer.frame, self._clock, seed=seed)
+        self._faults = faults or Faults()
+        self._busy_calls = self._faults.busy_calls
+        self._handed_over = 0
+        self._is_shooting = False
+        self._is_open = True
+
+    @property
+    def info(self) -> CameraInfo:
+        """Who it is; its serial number is the sensor's name, which its profile belongs to."""
+        return CameraInfo("sim", "camctl", f"simulated {self.sensor.name}", self.sensor.name, "sim")
+
+    @property
+    def controls(self) -> ExposureControls:
+        """What it can set."""
+        return self._controls
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of its timestamps."""
+        return self._clock
+
+    @property
+    def frames_lost(self) -> int:
+        """Frames that the device dropped because nobody took them in time."""
+        return self.device.lost
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> Iterator[Frame]:
+        """Take the settings in their order; see `camctl.camera.Camera.shoot`."""
+        wanted = tuple(settings)
+        self._check_ready()
+        for setting in wanted:
+            self._controls.check(setting)
+        return self._shoot(wanted)
+
+    def preview(self, setting: ExposureSetting) -> Frame:
+        """Return one frame at `setting`; it counts as none of `Faults`."""
+        self._check_ready()
+        self._controls.check(setting)
+        return next(self._stream((setting,), is_preview=True))
+
+    def close(self) -> None:
+        """Let go of the device; every call but this one then raises `CameraDisconnectedError`."""
+        self._is_open = False
+
+    def __enter__(self) -> Self:
+        """Return the camera itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the camera."""
+        self.close()
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise CameraDisconnectedError("the simulated camera is closed", hint="open it again")
+
+    def _check_ready(self) -> None:
+        self._check_open()
+        if self._busy_calls > 0:
+            self._busy_calls -= 1
+            raise CameraBusyError(
+                "the simulated camera is busy", hint="close what else uses it and try again"
+            )
+        if self._is_shooting:
+            raise CameraBusyError(
+                "the simulated camera is still shooting", hint="finish or close that shot first"
+            )
+
+    def _shoot(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        if self._is_shooting:
+            raise CameraBusyError(
+                "the simulated camera is still shooting", hint="finish or close that shot first"
+            )
+        self._is_shooting = True
+        try:
+            yield from self._stream(settings, is_preview=False)
+        finally:
+            self._is_shooting = False
+
+    def _stream(
+        self, settings: tuple[ExposureSetting, ...], *, is_preview: bool
+    ) -> Iterator[Frame]:
+        """Yield a frame for each setting, each from a slot that is known to have had it.
+
+        With a constant delay of d frames one setting is written a slot, so that setting i is in
+        force from slot w_i + d until setting i + 1 is, w_i the first slot that had not begun when i
+        was written: the stream never stops, and n settings take n + d slots.  Where the delay is
+        not constant, setting i + 1 is written only when the frame of i is there.  A frame that was
+        lost because the consumer was late is shot again from its setting on.
+        """
+        steady = self.sensor.delay_jitter_frames == 0
+        settled = self.sensor.delay_frames + self.sensor.delay_jitter_frames
+        written: list[tuple[int, ExposureSetting]] = []  # of settings[done:], as the device said
+        done = 0
+        while done < len(settings):
+            self._check_open()
+            next_one = done + len(written)
+            if next_one < len(settings) and (
+                not written or (steady and self.device.upcoming > written[-1][0])
+            ):
+                written.append(self.device.write(settings[next_one]))
+            buffer = self._dequeue(is_preview)
+            first = written[0][0] + settled
+            if buffer.sequence < first:
+                continue
+            if len(written) > 1 and buffer.sequence >= written[1][0] + settled:
+                written.clear()
+                continue
+            # The next control change goes out before the frame, which may be held for long.
+            next_one = done + len(written)
+            if steady and next_one < len(settings) and self.device.upcoming > written[-1][0]:
+                written.append(self.device.write(settings[next_one]))
+            applied = written.pop(0)[1]
+            frame = self._read_out(buffer, settings[done], applied, done, is_preview)
+            done += 1
+            yield frame
+
+    def _dequeue(self, is_preview: bool) -> Buffer:
+        if not is_preview:
+            if self._handed_over == self._faults.unplug_after:
+                self.device.unplug()
+            if self._handed_over == self._faults.freeze_after:
+                self.device.freeze()
+        buffer = self.device.dequeue(SILENCE_S)
+        if buffer is None:
+            raise CameraTimeoutError(
+                f"no frame from the simulated camera for {SILENCE_S:g} s",
+                hint="unplug it, plug it in again and resume",
+            )
+        return buffer
+
+    def _read_out(
+        self,
+        buffer: Buffer,
+        requested: ExposureSetting,
+        applied: ExposureSetting,
+        index: int,
+        is_preview: bool,
+    ) -> Frame:
+        light = 1.0
+        if not is_preview:
+            light = self._faults.wrong_exposure.get(self._handed_over, 1.0)
+            self._handed_over += 1
+        return Frame(
+            pixels=self.device.read_out(buffer, light=light),
+            requested=requested,
+            applied=applied,
+            timestamp_s=buffer.timestamp_s,
+            index=index,
+            black=self._controls.black,
+            white=self._controls.white,
+        )
