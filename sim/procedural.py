@@ -161,7 +161,7 @@ def room(rows: int, columns: int) -> Light:
     wl, wr, wt, wb = 0.44 * aspect, 0.66 * aspect, 0.27, 0.54
     wu, wv = (wl + wr) / 2, (wt + wb) / 2
     near = (u - wu) ** 2 + (v - wv) ** 2
-    glow = np.float32(9e-4) * depth**3 / (1 + 9 * near) + np.float32(2.2e-5)
+    glow = np.float32(3.6e-3) * depth**3 / (1 + 9 * near) + np.float32(9e-5)
     patch_u = cu + (u - cu) * depth
     plank = np.abs(np.modf(patch_u / aspect * 34)[0])
     lane = np.clip(1 - np.abs((patch_u - wu - 0.05 * (1 - depth)) / (0.115 * aspect)), 0, 1)

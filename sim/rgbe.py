@@ -3,30 +3,36 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError
+from sim.rgbe_repair import repair, was_sent_as_text
 
 _SIZE = re.compile(rb"([-+])([XY]) +(\d+) +([-+])([XY]) +(\d+)\s*$")
 _HEADER_LINES = 200
 _LINE_BYTES = 4096
+_DAMAGED = "the file is damaged, fetch it again"
 
 
-def read_header(path: Path) -> tuple[int, bool, tuple[int, int, int]]:
-    """Return (offset of the pixels, whether rows run bottom up, (rows, columns, 3)).
+@dataclass(frozen=True)
+class _Header:
+    pixels_at: int
+    rows: int
+    columns: int
+    is_bottom_up: bool
 
-    Raises:
-        DataError: not a Radiance picture, or one in XYZ or with columns first
-    """
+
+def _header(path: Path) -> _Header:
     with path.open("rb") as file:
         lines = [file.readline(_LINE_BYTES)]
-        # Some writers put a line before the signature; blank line and size end the header.
+        # Some writers put lines before the signature; a blank line and the size end the header.
         while lines[-1].strip():
             if len(lines) > _HEADER_LINES:
-                raise DataError(f"{path}: no end of the Radiance header", hint="is it damaged?")
+                raise DataError(f"{path}: no end of the Radiance header", hint=_DAMAGED)
             lines.append(file.readline(_LINE_BYTES))
         if not any(line.startswith((b"#?RADIANCE", b"#?RGBE")) for line in lines):
             raise DataError(f"{path}: not a Radiance picture", hint="its header lacks #?RADIANCE")
@@ -35,55 +41,64 @@ def read_header(path: Path) -> tuple[int, bool, tuple[int, int, int]]:
         size = _SIZE.match(file.readline(_LINE_BYTES))
         if size is None or size[2] != b"Y" or size[5] != b"X" or size[4] != b"+":
             raise DataError(f"{path}: rows do not run as -Y rows +X columns", hint="flip it first")
-        return file.tell(), size[1] == b"+", (int(size[3]), int(size[6]), 3)
+        return _Header(file.tell(), int(size[3]), int(size[6]), size[1] == b"+")
 
 
 def rgbe_shape(path: Path) -> tuple[int, int, int]:
-    """Return (rows, columns, 3); raises `DataError` as `read_header` does."""
-    return read_header(path)[2]
+    """Return (rows, columns, 3).
+
+    Raises:
+        DataError: not a Radiance picture, or one in XYZ or with columns first
+    """
+    header = _header(path)
+    return header.rows, header.columns, 3
 
 
 def read_rgbe(path: Path) -> tuple[NDArray[np.float32], tuple[str, ...]]:
     """Return (rows, columns, 3) float32, linear RGB, and what had to be repaired.
 
     Raises:
-        DataError: as `read_header`, or the pixels end too early or are nonsense
+        DataError: as `rgbe_shape`, or the pixels end too early or are nonsense
     """
-    offset, bottom_up, (rows, columns, _) = read_header(path)
-    data = path.read_bytes()
-    rgbe = np.empty((rows, 4, columns), dtype=np.uint8)
-    position = offset
-    try:
-        for row in range(rows):
+    header = _header(path)
+    data = path.read_bytes()[header.pixels_at :]
+    notes: tuple[str, ...] = ()
+    if was_sent_as_text(data) and (whole := repair(data, header.rows, header.columns)):
+        data = whole
+        notes = (
+            f"{path.name} was damaged by a transfer as text: its bytes 10 and 13 were told apart"
+            " by the run lengths; dark channels can be a few percent of the brightest one off",
+        )
+    rgbe = np.empty((header.rows, 4, header.columns), dtype=np.uint8)
+    position = 0
+    for row in range(header.rows):
+        try:
             position = _read_row(data, position, rgbe[row])
-    except IndexError as error:
-        raise DataError(
-            f"{path}: ends in row {row} of {rows}", hint="the file is damaged, fetch it again"
-        ) from error
-    except ValueError as error:
-        raise DataError(
-            f"{path}: row {row} of {rows} is nonsense", hint="the file is damaged, fetch it again"
-        ) from error
-    if bottom_up:
+        except IndexError as error:
+            raise DataError(f"{path}: ends in row {row} of {header.rows}", hint=_DAMAGED) from error
+        except ValueError as error:
+            raise DataError(
+                f"{path}: row {row} of {header.rows} is nonsense", hint=_DAMAGED
+            ) from error
+    if header.is_bottom_up:
         rgbe = rgbe[::-1]
     # Radiance: value = (mantissa + 1/2) 2^(exponent - 136), and exponent 0 is black.
     exponent = rgbe[:, 3, :].astype(np.int32)
     scale = np.ldexp(np.float32(1), exponent - 136)
     scale[exponent == 0] = 0
-    picture = np.empty((rows, columns, 3), dtype=np.float32)
+    picture = np.empty((header.rows, header.columns, 3), dtype=np.float32)
     for channel in range(3):
         np.multiply(rgbe[:, channel, :] + np.float32(0.5), scale, out=picture[..., channel])
-    return picture, ()
+    return picture, notes
 
 
 def _read_row(data: bytes, position: int, row: NDArray[np.uint8]) -> int:
     """Read one scan line into `row` (4, columns); return where the next one starts."""
-    columns = row.shape[1]
+    columns = int(row.shape[1])
     start = data[position : position + 4]
     if len(start) < 4:
         raise IndexError
-    is_coded = start[0] == 2 and start[1] == 2 and start[2] < 128
-    if not (is_coded and 8 <= columns < 2**15):
+    if not (8 <= columns < 2**15 and start[:2] == b"\x02\x02" and start[2] < 128):
         size = 4 * columns
         if position + size > len(data):
             raise IndexError
@@ -92,23 +107,21 @@ def _read_row(data: bytes, position: int, row: NDArray[np.uint8]) -> int:
     if (start[2] << 8 | start[3]) != columns:
         raise ValueError
     position += 4
-    for channel in range(4):
+    for channel in row:
         filled = 0
         while filled < columns:
             count = data[position]
+            length = count - 128 if count > 128 else count
+            if length == 0 or filled + length > columns:
+                raise ValueError
             if count > 128:
-                count -= 128
-                row[channel, filled : filled + count] = data[position + 1]
+                channel[filled : filled + length] = data[position + 1]
                 position += 2
             else:
-                literal = data[position + 1 : position + 1 + count]
-                if len(literal) < count or count == 0:
+                literal = data[position + 1 : position + 1 + length]
+                if len(literal) < length:
                     raise IndexError
-                if filled + count > columns:
-                    raise ValueError
-                row[channel, filled : filled + count] = np.frombuffer(literal, np.uint8)
-                position += 1 + count
-            filled += count
-        if filled != columns:
-            raise ValueError
+                channel[filled : filled + length] = np.frombuffer(literal, np.uint8)
+                position += 1 + length
+            filled += length
     return position
