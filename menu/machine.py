@@ -42,11 +42,19 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Face:
-    """What a state is: its kind, title, the keys it tells of, its actions, and its effect."""
+    """What a state is.
+
+    Attributes:
+        kind: how it is shown
+        title: its first line
+        help: what its keys do, what matters most first
+        actions: what it offers
+        effect: what is to be done on coming here
+    """
 
     kind: Kind
     title: str
-    help: str
+    help: tuple[str, ...]
     actions: tuple[Action, ...] = ()
     effect: Callable[[Model], Effect] | None = None
 
@@ -61,32 +69,34 @@ def _shoot(model: Model) -> Effect:
     return Shoot(model.ticket, model.plan)
 
 
-_PICK = "up/down: select  enter: next  exit: back"
-_READ = "left/right: select  enter: do it  up/down: scroll"
+_PICK = ("enter: next", "exit: back", "up/down: select")
+_READ = ("enter: do it", "left/right: select", "up/down: scroll", "exit: back")
 _WAY_ON = (Action.RETRY, Action.BACK, Action.QUIT)
 
 STATES: dict[State, Face] = {
-    State.RESPONSE: Face(Kind.LIST, "Desired response", "up/down: select  enter: next  exit: quit"),
+    State.RESPONSE: Face(
+        Kind.LIST, "Desired response", ("enter: next", "exit: quit", "up/down: select")
+    ),
     State.RANGE: Face(Kind.LIST, "Dynamic range", _PICK),
-    State.PREDICTING: Face(Kind.WAIT, "Counting costs", "exit: back", effect=_predict),
+    State.PREDICTING: Face(Kind.WAIT, "Working out costs", ("exit: back",), effect=_predict),
     State.PREDICTION_FAILED: Face(Kind.PAGE, "No costs", _READ, _WAY_ON),
     State.EXPOSURES: Face(Kind.LIST, "Exposures: cost", _PICK),
     State.PLANNING: Face(
         Kind.WAIT,
         "Metering",
-        "exit: back",
+        ("exit: back",),
         effect=lambda model: MakePlan(model.ticket, model.choice),
     ),
     State.PLAN_FAILED: Face(Kind.PAGE, "No plan", _READ, _WAY_ON),
     State.REVIEW: Face(Kind.PAGE, "Review", _READ, (Action.SHOOT, Action.BACK, Action.QUIT)),
-    State.SHOOTING: Face(Kind.WAIT, "Shooting", "exit: cancel", effect=_shoot),
+    State.SHOOTING: Face(Kind.WAIT, "Shooting", ("exit: cancel",), effect=_shoot),
     State.CANCELLING: Face(
-        Kind.WAIT, "Cancelling", "exit: quit now", effect=lambda model: Cancel(model.ticket)
+        Kind.WAIT, "Cancelling", ("exit: quit now",), effect=lambda model: Cancel(model.ticket)
     ),
     State.CANCELLED: Face(Kind.PAGE, "Cancelled", _READ, _WAY_ON),
     State.SHOT_FAILED: Face(Kind.PAGE, "Failed", _READ, _WAY_ON),
     State.RESULT: Face(Kind.PAGE, "Done", _READ, (Action.AGAIN, Action.MENU, Action.QUIT)),
-    State.QUIT: Face(Kind.WAIT, "Good-bye", "", effect=lambda model: Quit()),
+    State.QUIT: Face(Kind.WAIT, "Good-bye", (), effect=lambda model: Quit()),
 }
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, StrEnum, auto
 
-from camctl.capture.request import Plan
-from menu.work import Choice, Cost, Progress, Summary
+from menu.work import Choice, Cost, Plan, Progress, Summary
 
 
 class State(StrEnum):

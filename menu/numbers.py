@@ -16,11 +16,13 @@ def exact_time(time_s: float) -> str:
 
 
 def short_time(time_s: float) -> str:
-    """Return a time to three digits, in at most seven characters up to an hour.
+    """Return a time to three digits, in at most seven characters up to a year.
 
     >>> short_time(0.32747)
     '327 ms'
     """
+    if time_s >= 9999.5:
+        return f"{_digits(time_s / 3600, 3)} h"
     factor, unit = _unit(time_s)
     return f"{_digits(time_s / factor, 3)} {unit}"
 
@@ -37,9 +39,11 @@ def multiple(ratio: float) -> str:
 def times(ratio: float) -> str:
     """Return how many times something is to three digits, whole from a hundred on.
 
-    >>> times(1460.2)
-    '1460'
+    >>> times(1460.2), times(2.5e6)
+    ('1460', '2500k')
     """
+    if ratio >= 99999.5:
+        return f"{ratio / 1e3:.0f}k"
     return _digits(ratio, 3)
 
 

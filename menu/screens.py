@@ -11,12 +11,11 @@ import unicodedata
 from dataclasses import dataclass, replace
 
 from camctl.camera import ExposureSetting
-from camctl.capture.request import Plan
 from menu.machine import STATES, Kind
 from menu.model import RANGES, RESPONSES, Model, State
 from menu.numbers import count_of, exact_time, multiple, share, short_time, times
 from menu.panel import Highlight
-from menu.work import Cost
+from menu.work import Cost, Plan
 
 _WIDE = 40  # columns from which there is room for words beside numbers
 _HELPFUL = 6  # rows from which the keys are told at the bottom
@@ -93,8 +92,17 @@ def _bottom(model: Model, columns: int, rows: int) -> list[str]:
             )
         )
     if rows >= _HELPFUL:
-        lines += [""] * (rows >= _ROOMY) + [face.help]
+        lines += [""] * (rows >= _ROOMY) + [_help(face.help, columns)]
     return lines
+
+
+def _help(keys: tuple[str, ...], columns: int) -> str:
+    """Return what the keys do, as far as it fits."""
+    line = ""
+    for key in keys:
+        longer = f"{line}  {key}" if line else key
+        line = longer if len(longer) <= columns else line
+    return line
 
 
 def _picked(model: Model) -> str:
@@ -137,7 +145,8 @@ def _body(model: Model, columns: int, rows: int) -> list[str]:
             lines = [_cost(cost, model.base_s, columns) for cost in model.costs]
             return _marked(lines, _cursor(model))
         case State.PREDICTING | State.PLANNING | State.SHOOTING | State.CANCELLING:
-            return [*_progress(model, columns), *[STATES[model.state].help] * (rows < _HELPFUL)]
+            keys = [] if rows >= _HELPFUL else [_help(STATES[model.state].help, columns)]
+            return [*_progress(model, columns), *keys]
         case State.REVIEW:
             return [] if model.plan is None else _wrapped(_plan_lines(model.plan), columns)
         case State.RESULT:
@@ -145,7 +154,7 @@ def _body(model: Model, columns: int, rows: int) -> list[str]:
         case State.QUIT:
             return []
         case _:
-            return _wrapped([model.trouble], columns)
+            return _wrapped([model.trouble], columns, indent="")
 
 
 def _marked(lines: list[str], cursor: int) -> list[str]:
@@ -206,7 +215,7 @@ def _summary_lines(model: Model) -> list[str]:
 def _progress(model: Model, columns: int) -> list[str]:
     progress = model.progress
     if progress is None:
-        return _wrapped([_WAITING[model.state]], columns)
+        return _wrapped([_WAITING[model.state]], columns, indent="")
     part = min(1.0, progress.done / progress.total) if progress.total > 0 else 0.0
     width = columns - 2
     filled = int(part * width)
@@ -214,10 +223,10 @@ def _progress(model: Model, columns: int) -> list[str]:
     return [f"{progress.done}/{progress.total} {progress.stage}", bar]
 
 
-def _wrapped(paragraphs: list[str], columns: int) -> list[str]:
+def _wrapped(paragraphs: list[str], columns: int, indent: str = " ") -> list[str]:
     lines: list[str] = []
     for paragraph in paragraphs:
-        lines += textwrap.wrap(paragraph, columns, subsequent_indent=" ") or [""]
+        lines += textwrap.wrap(paragraph, columns, subsequent_indent=indent) or [""]
     return lines
 
 

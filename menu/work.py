@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from camctl.capture.request import Plan
+from camctl.capture import Plan, Progress
+
+__all__ = ["Choice", "Cost", "Job", "Plan", "Progress", "Summary"]
 
 
 @dataclass(frozen=True)
@@ -39,15 +41,6 @@ class Cost:
     exposures: tuple[float, ...]
     shutter_time: float
     effective_levels: float
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far some work is: `done` of `total` of whatever `stage` names."""
-
-    done: int
-    total: int
-    stage: str
 
 
 @dataclass(frozen=True)
