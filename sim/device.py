@@ -120,6 +120,7 @@ class SimulatedDevice:
     def freeze(self) -> None:
         """Stop handing over frames, without a word."""
         self._advance()
+        self._finished.clear()
         self._frozen = True
 
     def thaw(self) -> None:

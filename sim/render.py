@@ -21,6 +21,7 @@ from sim.sensor import Sensor
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)  # ITU-R BT.709
 _CHANNEL = {"r": 0, "g": 1, "b": 2}
+_BLINDING = np.float32(1e25)  # photons a second: saturates any exposure, overflows none
 _MAX_THREADS = 2
 _CURVE_BINS = 1 << 14
 
@@ -47,7 +48,9 @@ def light_on(scene: Scene, layout: Layout) -> NDArray[np.float32]:
         light = mosaic
     elif not scene.is_coloured and layout is Layout.RGB:
         light = np.repeat(light[..., np.newaxis], 3, axis=2)
-    return np.ascontiguousarray(light * np.float32(scene.photons_per_unit))
+    with np.errstate(over="ignore"):
+        photons = np.ascontiguousarray(light * np.float32(scene.photons_per_unit))
+    return np.minimum(photons, _BLINDING, out=photons)
 
 
 @dataclass(frozen=True, eq=False)

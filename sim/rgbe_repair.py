@@ -16,7 +16,8 @@ _LF, _CR = 10, 13
 _LINE_END = -1  # one CR LF of the damaged file
 _MOST_PAIRS = 12  # CR LF that were two bytes, in one scan line
 
-_Chain: TypeAlias = "tuple[_Chain | None, list[int]] | None"
+_Run: TypeAlias = tuple[list[int], int]  # tokens as they stand, and how many CR LF are two bytes
+_Chain: TypeAlias = "tuple[_Chain | None, _Run] | None"
 
 
 def was_sent_as_text(data: bytes) -> bool:
@@ -72,7 +73,7 @@ def _scan_line(
     start = [2, 2, columns >> 8, columns & 255]
     if not _matches(tokens[position : position + 4], start):
         return None
-    stack: list[tuple[_State, _Chain]] = [(_State(position + 4, 0, 0, pairs), (None, start))]
+    stack: list[tuple[_State, _Chain]] = [(_State(position + 4, 0, 0, pairs), (None, (start, 0)))]
     seen: set[_State] = set()
     while stack:
         state, chain = stack.pop()
@@ -99,8 +100,8 @@ def _matches(tokens: list[int], wanted: list[int]) -> bool:
 def _joined(chain: _Chain) -> bytes:
     runs = []
     while chain is not None:
-        chain, run = chain
-        runs.append(bytes(run))
+        chain, (tokens, pairs) = chain
+        runs.append(bytes(_settled(tokens, pairs)))
     return b"".join(reversed(runs))
 
 
@@ -122,7 +123,7 @@ def _next_byte(tokens: list[int], state: _State) -> Iterator[tuple[int, _State]]
         yield _CR, _State(position + 1, channel, filled, pairs - 1, has_lf=True)
 
 
-def _next_run(tokens: list[int], state: _State, columns: int) -> Iterator[tuple[_State, list[int]]]:
+def _next_run(tokens: list[int], state: _State, columns: int) -> Iterator[tuple[_State, _Run]]:
     """Yield what the next run can be, and the state after it."""
     for count, inside in _next_byte(tokens, state):
         length = count - 128 if count > 128 else count
@@ -132,7 +133,7 @@ def _next_run(tokens: list[int], state: _State, columns: int) -> Iterator[tuple[
         if count > 128:
             for value, after in _next_byte(tokens, inside):
                 ahead = _State(after.position, state.channel, filled, after.pairs, after.has_lf)
-                yield ahead.ended(columns), [count, value]
+                yield ahead.ended(columns), ([count, value], 0)
             continue
         first = [_LF] if inside.has_lf else []
         for pairs in range(inside.pairs + 1):
@@ -141,7 +142,7 @@ def _next_run(tokens: list[int], state: _State, columns: int) -> Iterator[tuple[
             if end > len(tokens) or literal.count(_LINE_END) < pairs:
                 break
             ahead = _State(end, state.channel, filled, inside.pairs - pairs)
-            yield ahead.ended(columns), [count, *_settled(first + literal, pairs)]
+            yield ahead.ended(columns), ([count, *first, *literal], pairs)
 
 
 def _settled(literal: list[int], pairs: int) -> list[int]:

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from camctl.camera import Choices, Control, ExposureControls, Layout, Steps
-from camctl.errors import DataError, unknown_name
+from camctl.errors import CamctlError, DataError, unknown_name
 from camctl.exposure.response import FloatArray, RealResponse, tabulated_response
 from sim.noise import largest_noise
 
@@ -121,6 +121,9 @@ class Sensor(BaseModel):
             raise ValueError("read_noise_e is as large as the well")
         if self.curve != "linear" and self.white < 2**self.bits - 1:
             raise ValueError("a sensor with a curve needs a well beyond the ADC's range")
+        if self.curve != "linear" and self.black:
+            raise ValueError("a sensor with a curve has no black level: leave black at 0")
+        _ = self.response  # a bad curve is refused here and not in the middle of a shot
         if self.time_minimum_s > self.time_maximum_s:
             raise ValueError("time_minimum_s is above time_maximum_s")
         lines = self.time_minimum_s / self.line_s
@@ -142,8 +145,8 @@ class Sensor(BaseModel):
         pixel reads at least white, and what it reads beyond white means nothing.
         """
         full_e = self.full_well_e - largest_noise() * self.read_noise_e
-        # Half a part in a million against rounding in float32.
-        full = self.black + self.phase + full_e / self.electrons_per_dn * (1 + 5e-7)
+        # Half a part in a million lower, against rounding in float32.
+        full = self.black + self.phase + full_e / self.electrons_per_dn * (1 - 5e-7)
         return min((1 << self.bits) - 1, math.floor(full))
 
     @property
@@ -265,6 +268,8 @@ def read_sensor(text: str, *, source: str) -> Sensor:
         return Sensor.model_validate(json.loads(text))
     except json.JSONDecodeError as error:
         raise DataError(f"{source}: not JSON, line {error.lineno}: {error.msg}") from error
+    except CamctlError as error:
+        raise DataError(f"{source}: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]
         # For a union the last part names the branch that was tried: nothing a user wrote.
