@@ -169,6 +169,7 @@ class ExposureControls:
             is an aperture) gives for each unit of the scene's irradiance; None where that is
             unknown, and irradiance is then relative
         tolerance: relative error up to which a setting counts as met
+        notes: what a person should know of its pictures, one line each
     """
 
     time_s: Control
@@ -185,6 +186,7 @@ class ExposureControls:
     frame_interval_s: float = 0.0
     sensitivity: float | None = None
     tolerance: float = 1e-6
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not (1 <= self.bits <= 16 and 0 <= self.black < self.white < 2**self.bits):

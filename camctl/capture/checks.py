@@ -18,6 +18,9 @@ USELESS = 0.5
 _SAMPLES = 1 << 18
 _BLOCKS = 64
 _ENOUGH = 64
+#: Levels that the light is wanted to reach in the shorter frame, and the pixels that suffice.
+_LEAST_LEVELS = (16, 4, 1)
+_PLENTY = 2000
 
 
 class NeighbourCheck:
@@ -58,11 +61,15 @@ class NeighbourCheck:
         """
         light, then = self._middle[before], self._middle[after]
         high = 0.9 * float(self._middle[-1])
-        # Light that either frame alone says must be readable in both.
-        told_before = (light >= self._lit) & (light * expected <= 0.7 * high)
         one_level = float(self._middle[min(1, self._top)])
-        told_after = (then <= high) & (light <= high) & (then / expected >= one_level)
-        use = told_before | told_after
+        # Light that either frame alone says must be readable in both; the brighter the better.
+        told_before = (light >= self._lit) & (light * expected <= 0.7 * high)
+        below_white = (then <= high) & (light <= high)
+        readable = [
+            told_before | (below_white & (then / expected >= least * one_level))
+            for least in _LEAST_LEVELS
+        ]
+        use = next((mask for mask in readable if np.count_nonzero(mask) >= _PLENTY), readable[-1])
         nothing = RatioCheck(
             expected=expected, measured=None, tolerance=USELESS, agrees=True, moved=0.0
         )
@@ -85,7 +92,11 @@ class NeighbourCheck:
         slack = self._half[before] * measured + self._half[after]
         change = np.abs(then - light * measured)
         noise = 3 * (1 + measured) * one_level + 0.1 * then
-        moved = float(np.count_nonzero((change > slack + noise) & use)) / np.count_nonzero(use)
+        moved = np.count_nonzero((change > slack + noise) & readable[-1])
         return RatioCheck(
-            expected=expected, measured=measured, tolerance=tolerance, agrees=agrees, moved=moved
+            expected=expected,
+            measured=measured,
+            tolerance=tolerance,
+            agrees=agrees,
+            moved=moved / np.count_nonzero(readable[-1]),
         )

@@ -55,7 +55,7 @@ def plan_capture(camera: Camera, request: CaptureRequest) -> Plan:
         ratios = tuple(entry.exposures)
     levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
     metering = None
-    warnings: list[str] = []
+    warnings = [*controls.notes, *real.notes]
     if request.base_s is None:
         metering = meter(
             camera, spend_shutter=request.spend_shutter, small_aperture=request.use_aperture

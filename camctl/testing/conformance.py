@@ -1,6 +1,6 @@
 """The conformance suite: all that `camctl.camera.Camera` promises, checked on any camera.
 
-A driver's own test module subclasses it and says how to open a camera that looks at a steady scene::
+A driver's own test module subclasses it and says how to open a camera before a steady scene::
 
     class TestMyCamera(CameraConformance):
         def open_camera(self):

@@ -1,0 +1,61 @@
+"""Files appear whole or not at all, and a full disk is said in one line."""
+
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from camctl.capture.files import whole, write_array, write_bytes
+from camctl.errors import StorageError
+
+
+def test_a_file_that_fails_leaves_what_was_there(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+
+    def fail():
+        with whole(path) as part:
+            part.write_bytes(b"half of the ne")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_arrays_are_read_back_by_numpy(tmp_path):
+    array = np.arange(12, dtype=np.uint16).reshape(3, 4)[:, ::2]
+    write_array(tmp_path / "a.npy", array)
+    assert np.array_equal(np.load(tmp_path / "a.npy"), array)
+
+
+def test_a_folder_that_is_a_file_is_named(tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(StorageError, match=r"cannot write .*file/a: a part of the path is a file"):
+        write_bytes(tmp_path / "file" / "a", b"x")
+
+
+def test_a_file_that_cannot_grow_is_said_in_one_line_and_leaves_nothing(tmp_path):
+    # A limit on file size fails exactly where a full disk does: in the middle of a write.
+    script = f"""
+        import resource, signal
+        from pathlib import Path
+        import numpy as np
+        from camctl.capture.files import write_array
+        from camctl.errors import StorageError
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        try:
+            write_array(Path({str(tmp_path)!r}) / "a.npy", np.zeros(1_000_000, np.uint8))
+        except StorageError as error:
+            print(error)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.count("\n") == 1
+    assert "grows beyond the limit" in done.stdout
+    assert list(tmp_path.iterdir()) == []
