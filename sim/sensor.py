@@ -99,11 +99,17 @@ class Sensor(BaseModel):
     @classmethod
     def _fill_in_gain(cls, data: object) -> object:
         if isinstance(data, dict) and data.get("electrons_per_dn") is None:
-            try:
-                levels = 2 ** int(data["bits"]) - int(data.get("black", 0))
-                return {**data, "electrons_per_dn": float(data["full_well_e"]) / levels}
-            except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError):
-                pass  # the fields themselves say what is wrong
+            bits, black, well = (data.get(key) for key in ("bits", "black", "full_well_e"))
+            black = 0 if black is None else black
+            # Anything else is left for the fields themselves to refuse.
+            if (
+                isinstance(bits, int)
+                and isinstance(black, int)
+                and isinstance(well, int | float)
+                and 1 <= bits <= 16
+                and black < 2**bits
+            ):
+                return {**data, "electrons_per_dn": well / (2**bits - black)}
         return data
 
     @model_validator(mode="after")
