@@ -125,6 +125,17 @@ def test_what_is_on_the_screen_is_what_is_shot(
     )
 
 
+def test_a_page_scrolls_back_at_the_first_press() -> None:
+    panel = ScriptedPanel(TO_REVIEW)
+    before: list[tuple[str, ...]] = []
+    panel.script += [("Review", Key.DOWN)] * 20
+    panel.script += [("Review", lambda: before.append(panel.lines)), ("Review", Key.UP)]
+    panel.script += [("Review", lambda: before.append(panel.lines)), *leave("Review")]
+    run(panel, FakeJob())
+    assert before[0][0].endswith("^ ")
+    assert before[1][0].endswith("^v")
+
+
 def test_cancel_while_shooting_keeps_and_offers_to_go_on() -> None:
     job = FakeJob()
     job.frame_may_end.clear()
@@ -256,11 +267,12 @@ def test_a_panel_that_goes_away_cancels_the_shot() -> None:
 
 def test_leaving_does_not_wait_for_a_prediction() -> None:
     job = FakeJob()
-    hold = threading.Event()
-    job.before["predict"] = lambda: hold.wait(20)
+    hold, begun = threading.Event(), threading.Event()
+    job.before["predict"] = lambda: (begun.set(), hold.wait(20))
     script: Script = [
         ("Desired", Key.ENTER),
         ("Dynamic", Key.ENTER),
+        ("Working", lambda: begun.wait(5)),
         ("Working", Key.EXIT),
         ("Dynamic", Key.EXIT),
         ("Desired", Key.EXIT),

@@ -176,6 +176,7 @@ def test_every_step_agrees_with_the_table(
         entered = after.state is not model.state
         expected = EFFECTS.get(after.state) if entered else None
         assert type(effect) is (expected or type(None))
+        assert not entered or after.action == after.offset == 0
         assert after.ticket == model.ticket + (entered and after.state in WORKING)
 
 
