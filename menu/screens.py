@@ -77,7 +77,14 @@ def _top(model: Model, columns: int, rows: int) -> list[str]:
         title = f"{title}: {count_of(model.plan.effective_levels)} {word}"
     if rows < _ROOMY:
         return [title]
-    return [title, _picked(model), ""]
+    return [title, _picked(model), _heads(model, columns)]
+
+
+def _heads(model: Model, columns: int) -> str:
+    """Return what stands in the columns of a list, where that needs saying."""
+    if model.state is not State.EXPOSURES or columns < _WIDE:
+        return ""
+    return f"{'n':>3}{'shutter open':>14}{'effective':>14}   exposures"
 
 
 def _bottom(model: Model, columns: int, rows: int) -> list[str]:

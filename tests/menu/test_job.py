@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from tests.menu.panel_fakes import ScriptedPanel
-from tests.menu.test_screens import settings_on
 
 from camctl.camera import ExposureSetting, Frame
 from camctl.capture import CaptureRequest, read_report, resume
@@ -21,6 +19,8 @@ from menu.work import Choice
 from sim.camera import Faults, SimulatedCamera
 from sim.scene import load_scene
 from sim.sensor import load_sensor
+from tests.menu.panel_fakes import ScriptedPanel
+from tests.menu.test_screens import settings_on
 
 SIZE = (60, 16)
 Script = list[tuple[str, Key | Callable[[], object]]]

@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camctl.camera import ExposureSetting
@@ -68,6 +68,7 @@ def models(draw: st.DrawFn) -> Model:
     )
 
 
+@settings(deadline=None)
 @given(models(), sizes)
 def test_a_screen_is_as_large_as_the_panel(model: Model, size: tuple[int, int]) -> None:
     columns, rows = size
@@ -77,6 +78,7 @@ def test_a_screen_is_as_large_as_the_panel(model: Model, size: tuple[int, int]) 
     assert grid.lines[0].strip()
 
 
+@settings(deadline=None)
 @given(models(), sizes)
 def test_the_selected_entry_is_on_the_panel(model: Model, size: tuple[int, int]) -> None:
     grid = screen(model, *size)
@@ -96,6 +98,7 @@ def test_the_selected_entry_is_on_the_panel(model: Model, size: tuple[int, int])
         assert shown == f"[{face.actions[model.action].value}]"
 
 
+@settings(deadline=None)
 @given(models(), sizes)
 def test_scrolling_shows_all_and_comes_back_at_once(model: Model, size: tuple[int, int]) -> None:
     if STATES[model.state].kind is not Kind.PAGE:
@@ -142,6 +145,7 @@ def settings_on(model: Model, columns: int, rows: int) -> list[ExposureSetting]:
     ]
 
 
+@settings(deadline=None)
 @given(plans, sizes)
 def test_the_review_names_the_settings_of_the_plan(plan: Plan, size: tuple[int, int]) -> None:
     model = Model(state=State.REVIEW, plan=plan, count=len(plan.settings), costs=COSTS)
@@ -170,6 +174,7 @@ def test_costs_on_the_smallest_panel() -> None:
     assert wide == "> 3 99.3 x base 392 levels 1 9.91 88.38"
 
 
+@settings(deadline=None)
 @given(cost_lists, st.none() | st.floats(1e-6, 3))
 def test_costs_are_never_cut(costs: list[Cost], base_s: float | None) -> None:
     for columns in (20, 40, 60):
