@@ -15,7 +15,7 @@ from camctl.exposure.response import RealResponse
 TOLERANCE = 0.03
 #: A check that could not tell a frame from one twice as bright is no check.
 USELESS = 0.5
-_SAMPLES = 1 << 18
+_SAMPLES = 1 << 16
 _BLOCKS = 64
 _ENOUGH = 64
 #: Levels that the light is wanted to reach in the shorter frame, and the pixels that suffice.

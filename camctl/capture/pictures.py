@@ -165,7 +165,8 @@ def write_pictures(
             row = 0
             for strip in _strips(total, layout, tables, desired, full_scale_exposure, rows):
                 exr.write(strip.irradiance, strip.mask)
-                preview.append(strip.code[-row % step :: step, ::step])
+                # A copy: a view would keep the whole strip.
+                preview.append(strip.code[-row % step :: step, ::step].copy())
                 row += strip.code.shape[0]
                 yield strip.code
 

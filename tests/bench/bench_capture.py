@@ -1,0 +1,152 @@
+"""What a whole capture costs: memory, frame slots, and frames lost in real time.
+
+    python tests/bench/bench_capture.py [--megapixels 24]
+
+Memory is the peak of the process while `capture` runs, less what it held when all was imported and
+the camera was open; a camera that makes its frames from a few rows stands in, so that it counts the
+controller and not a simulator.  Each measurement runs in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Generator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from camctl.camera import CameraInfo, ExposureControls, ExposureSetting, Frame, Layout, Steps
+from camctl.capture import CaptureRequest, capture
+from camctl.clock import RealClock, VirtualClock
+
+RATIOS = (1.0, 3.98, 16.0, 64.2, 305.4, 1130.0)
+
+
+class RowsCamera:
+    """Frames of any size from one row of light, 8 bits."""
+
+    def __init__(self, shape: tuple[int, int], layout: Layout) -> None:
+        self.info = CameraInfo("rows", "bench", "rows", "0", "bench")
+        self.controls = ExposureControls(
+            Steps(1e-5, 10.0, 1e-6), shape, layout, 8, white=250, delay_frames=0
+        )
+        self.clock = VirtualClock()
+        colours = (3,) if layout is Layout.RGB else ()
+        light = np.geomspace(1e3, 1.0, shape[1])
+        self._row = np.broadcast_to(light.reshape(-1, *[1] * len(colours)), (shape[1], *colours))
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> Generator[Frame, None, None]:
+        """Yield a frame for each setting."""
+        for index, setting in enumerate(settings):
+            row = np.clip(self._row * setting.time_s * 250, 0, 255).astype(np.uint8)
+            pixels = np.empty((self.controls.shape[0], *row.shape), np.uint8)
+            pixels[:] = row
+            self.clock.sleep_until(self.clock.now() + setting.time_s)
+            yield Frame(pixels, setting, setting, self.clock.now(), index, 0, 250)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def __enter__(self) -> RowsCamera:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def memory(layout: Layout, megapixels: float) -> None:
+    """Print the peak memory of one capture."""
+    import cv2  # noqa: F401  what a capture imports belongs to the base line
+    import Imath  # noqa: F401
+    import OpenEXR  # noqa: F401
+    import tifffile  # noqa: F401
+
+    columns = round((megapixels * 1e6 * 1.5) ** 0.5) // 2 * 2
+    rows = round(megapixels * 1e6 / columns) // 2 * 2
+    request = CaptureRequest("log", 16000.0, ratios=RATIOS, base_s=1e-3)
+    with RowsCamera((rows, columns), layout) as camera, tempfile.TemporaryDirectory() as folder:
+        samples = rows * columns * (3 if layout is Layout.RGB else 1)
+        before = resident_mb()
+        capture(camera, request, Path(folder) / "out")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    allowed = (2 * samples + 3 * samples) / 1e6 + 100
+    print(
+        f"memory {layout.value:5} {megapixels:g} MP, n = {len(RATIOS)}: {peak - before:6.0f} MB "
+        f"above {before:.0f} MB; accumulator + 3 frames + 100 MB = {allowed:.0f} MB; "
+        f"ratio {(peak - before) / allowed:.2f}"
+    )
+
+
+def resident_mb() -> float:
+    """Return what the process holds now, MB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def slots() -> None:
+    """Print the time of captures in virtual time, in frame slots."""
+    from sim.camera import SimulatedCamera
+    from sim.scene import load_scene
+    from sim.sensor import load_sensor
+
+    scene = load_scene("tile-floor", (60, 80))
+    for delay in range(6):
+        sensor = load_sensor("standard").model_copy(update={"delay_frames": delay})
+        ratios = tuple(1 + 0.1 * k for k in range(6))
+        request = CaptureRequest("linear", 256.0, ratios=ratios, base_s=0.01)
+        with SimulatedCamera(scene, sensor) as camera, tempfile.TemporaryDirectory() as folder:
+            report = capture(camera, request, Path(folder) / "out")
+        spent, wanted = report.timing["shooting_s"] / sensor.frame_interval_s, 6 + delay
+        print(f"slots  delay {delay}: {spent:.3f} for n + d = {wanted}, ratio {spent / wanted:.3f}")
+
+
+def real_time() -> None:
+    """Print frames lost at 30 frames a second, 2 megapixels, with everything written to disk."""
+    from sim.camera import SimulatedCamera
+    from sim.scene import load_scene
+    from sim.sensor import load_sensor
+
+    scene = load_scene("tile-floor", (1080, 1920))
+    ratios = tuple(1 + 0.01 * k for k in range(16))
+    request = CaptureRequest("linear", 256.0, ratios=ratios, base_s=0.02)
+    with (
+        SimulatedCamera(scene, load_sensor("standard"), clock=RealClock()) as camera,
+        tempfile.TemporaryDirectory(dir=Path.cwd()) as folder,
+    ):
+        before = camera.frames_lost
+        report = capture(camera, request, Path(folder) / "out")
+        lost = camera.frames_lost - before
+        wanted = (len(ratios) + camera.sensor.delay_frames) * camera.sensor.frame_interval_s
+    print(
+        f"real   {len(ratios)} frames of 2 MP at 30 a second: {lost} lost, "
+        f"{report.timing['shooting_s']:.3f} s for n + d slots of {wanted:.3f} s, "
+        f"ratio {report.timing['shooting_s'] / wanted:.2f}"
+    )
+
+
+def main() -> None:
+    """Run each measurement in a fresh process."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--megapixels", type=float, default=24)
+    parser.add_argument("--only", help=argparse.SUPPRESS)
+    chosen = parser.parse_args()
+    parts = {
+        **{f"memory-{kind}": kind for kind in (Layout.MONO, Layout.RGGB, Layout.RGB)},
+        "slots": slots,
+        "real": real_time,
+    }
+    if chosen.only:
+        part = parts[chosen.only]
+        memory(part, chosen.megapixels) if isinstance(part, Layout) else part()
+        return
+    for name in parts:
+        command = [sys.executable, __file__, "--only", name, "--megapixels", str(chosen.megapixels)]
+        subprocess.run(command, check=True)
+
+
+if __name__ == "__main__":
+    main()
