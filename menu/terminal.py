@@ -5,6 +5,7 @@ from __future__ import annotations
 import curses
 import locale
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -119,7 +120,7 @@ class TerminalPanel:
             raise UsageError(
                 f"the terminal TERM='{name}' cannot be drawn on", hint="use another, or set TERM"
             )
-        columns, rows = os.get_terminal_size(sys.stdout.fileno())
+        columns, rows = shutil.get_terminal_size()  # curses asks COLUMNS and LINES first, too
         least = (SMALLEST[0] + 2 * _FRAME, SMALLEST[1] + 2 * _FRAME)
         if columns < least[0] or rows < least[1]:
             raise UsageError(
@@ -164,7 +165,8 @@ class TerminalPanel:
         frame = screen.derwin(rows + 2 * _FRAME, columns + 2 * _FRAME, top, left)
         frame.box()
         frame.addstr(0, 2, _TITLE, curses.A_BOLD)
-        for row, line in enumerate(lines):
+        for row, text in enumerate(lines):
+            line = text.encode(screen.encoding, "replace").decode(screen.encoding)
             frame.addstr(row + _FRAME, _FRAME, line, curses.A_BOLD if row == 0 else 0)
         if highlight is not None:
             row, column, count = highlight.row, highlight.column, highlight.width

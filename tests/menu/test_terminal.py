@@ -34,6 +34,16 @@ print("gave", run(TerminalPanel(), FakeJob()))
 HOLD = MENU.replace("FakeJob())", "job)").replace(
     "print", "job = FakeJob(); job.frame_may_end.clear()\nprint"
 )
+FOREIGN = """
+from camctl.errors import CaptureError
+from tests.menu.panel_fakes import FakeJob
+from menu.app import run
+from menu.terminal import TerminalPanel
+class Foreign(FakeJob):
+    def predict(self, response, dynamic_range):
+        raise CaptureError("nichts für uns")
+run(TerminalPanel(), Foreign())
+"""
 REFUSED = """
 from camctl.errors import CamctlError
 from menu.terminal import TerminalPanel
@@ -47,10 +57,20 @@ UP, DOWN, RIGHT, LEFT = "\x1bOA", "\x1bOB", "\x1bOC", "\x1bOD"
 FULL_SCREEN, NORMAL_SCREEN = "\x1b[?1049h", "\x1b[?1049l"
 
 
+_ENVIRONMENT = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
+
+
 class Terminal:
     """A program on a pseudo-terminal."""
 
-    def __init__(self, code: str, columns: int = 80, rows: int = 24, kind: str = "xterm") -> None:
+    def __init__(
+        self,
+        code: str,
+        columns: int = 80,
+        rows: int = 24,
+        kind: str = "xterm",
+        locale: str = "C.UTF-8",
+    ) -> None:
         self.master, self.slave = pty.openpty()
         self.resize(columns, rows)
         self.before = termios.tcgetattr(self.slave)
@@ -61,7 +81,7 @@ class Terminal:
             stdout=self.slave,
             stderr=self.slave,
             cwd=ROOT,
-            env={**os.environ, "TERM": kind, "LC_ALL": "C.UTF-8", "PYTHONPATH": _python_path()},
+            env={**_ENVIRONMENT, "TERM": kind, "LC_ALL": locale, "PYTHONPATH": _python_path()},
             start_new_session=True,
         )
 
@@ -184,6 +204,15 @@ def test_it_follows_the_size_of_the_terminal(start: Any) -> None:
     terminal.resize(100, 40)
     os.kill(terminal.process.pid, signal.SIGWINCH)
     terminal.wait_for("equal steps of contrast")
+
+
+@pytest.mark.parametrize(("locale", "shown"), [("C.UTF-8", "für"), ("C", "f?r")])
+def test_what_the_terminal_cannot_write_is_replaced(start: Any, locale: str, shown: str) -> None:
+    terminal = start(FOREIGN, locale=locale)
+    for words in (">Constant", "Dynamic range"):
+        terminal.wait_for(words)
+        terminal.type("\r")
+    terminal.wait_for(f"nichts {shown} uns")
 
 
 @pytest.mark.parametrize("how", ["quit", signal.SIGINT, signal.SIGTERM])
