@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Self
 
-from camctl.camera import CameraInfo, ExposureControls, ExposureSetting, Frame
+from camctl.camera import CameraInfo, ExposureControls, ExposureSetting, Frame, FrameStream
 from camctl.clock import Clock, VirtualClock
 from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraTimeoutError
 from sim.device import Buffer, SimulatedDevice
@@ -94,7 +94,7 @@ class SimulatedCamera:
         """Frames that the device dropped because nobody took them in time."""
         return self.device.lost
 
-    def shoot(self, settings: Sequence[ExposureSetting]) -> Iterator[Frame]:
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
         """Take the settings in their order; see `camctl.camera.Camera.shoot`."""
         wanted = tuple(settings)
         self._check_ready()
@@ -141,7 +141,7 @@ class SimulatedCamera:
                 "the simulated camera is still shooting", hint="finish or close that shot first"
             )
 
-    def _shoot(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+    def _shoot(self, settings: tuple[ExposureSetting, ...]) -> Generator[Frame, None, None]:
         if self._is_shooting:
             raise CameraBusyError(
                 "the simulated camera is still shooting", hint="finish or close that shot first"
@@ -192,10 +192,7 @@ class SimulatedCamera:
 
     def _dequeue(self, is_preview: bool) -> Buffer:
         if not is_preview:
-            if self._handed_over == self._faults.unplug_after:
-                self.device.unplug()
-            if self._handed_over == self._faults.freeze_after:
-                self.device.freeze()
+            self._strike()
         buffer = self.device.dequeue(SILENCE_S)
         if buffer is None:
             raise CameraTimeoutError(
@@ -203,6 +200,15 @@ class SimulatedCamera:
                 hint="unplug it, plug it in again and resume",
             )
         return buffer
+
+    def _strike(self) -> None:
+        """Let the fault happen whose time has come, once."""
+        if self._handed_over == self._faults.unplug_after:
+            self._faults = replace(self._faults, unplug_after=None)
+            self.device.unplug()
+        if self._handed_over == self._faults.freeze_after:
+            self._faults = replace(self._faults, freeze_after=None)
+            self.device.freeze()
 
     def _read_out(
         self,

@@ -45,8 +45,9 @@ def cloth(rows: int, columns: int) -> Light:
     """Return a white cloth in soft folds under light from the upper left (paper, figure 7)."""
     aspect = np.float32(columns / rows)
     # One pixel more on each side, for the slopes.
-    u = (np.arange(-1, columns + 1, dtype=np.float32) + np.float32(0.5)) / columns * aspect
-    v = (np.arange(-1, rows + 1, dtype=np.float32)[:, np.newaxis] + np.float32(0.5)) / rows
+    x, y = _grid(rows + 2, columns + 2)
+    u = (x * np.float32(columns + 2) - 1) / np.float32(columns) * aspect
+    v = (y * np.float32(rows + 2) - 1) / np.float32(rows)
     # Folds hang from the top: nearly vertical, bent by a slow sway, deeper towards the hem.
     sway = np.float32(0.12) * _waves(u, v, 3, 5, 1.5, 5.0)
     along = u + np.float32(0.18) * v + sway

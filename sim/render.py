@@ -22,6 +22,7 @@ from sim.sensor import Sensor
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)  # ITU-R BT.709
 _CHANNEL = {"r": 0, "g": 1, "b": 2}
 _BLINDING = np.float32(1e25)  # photons a second: saturates any exposure, overflows none
+_NO_LIMIT = np.float32(-3e38)
 _MAX_THREADS = 2
 _CURVE_BINS = 1 << 14
 
@@ -142,7 +143,8 @@ class Renderer:
         np.multiply(light, np.float32(electrons_per_photon_s), out=electrons)
         if sensor.photon_noise:
             noise.add_photon_noise(electrons, self._seed, number, tile)
-        np.minimum(electrons, np.float32(sensor.full_well_e), out=electrons)
+        # clip with a lower end that nothing reaches: numpy's minimum takes twice as long.
+        np.clip(electrons, _NO_LIMIT, np.float32(sensor.full_well_e), out=electrons)
         if sensor.read_noise_e:
             noise.add_read_noise(electrons, sensor.read_noise_e, self._seed, number, tile)
         if self._curve is not None:
