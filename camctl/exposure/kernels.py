@@ -137,7 +137,10 @@ class BatchScore:
         excess *= steepness
         excess -= 1
         np.maximum(excess, 0, out=excess)
-        return excess if p == 1 else np.asarray(excess**p * width ** low.dtype.type(1 - p))
+        if p == 1:
+            return excess
+        power: Work = excess**p * width ** low.dtype.type(1 - p)
+        return power
 
     def _log(self, low: Work, high: Work, work: list[Work]) -> Work:
         k = low.dtype.type(self.goal.levels_wanted / np.log(self.desired.dynamic_range))

@@ -19,7 +19,7 @@ from camctl.errors import UsageError
 from camctl.exposure.desired import DesiredResponse
 from camctl.exposure.effective import MAX_EXPOSURES, EffectiveCamera, effective_levels
 from camctl.exposure.goal import Goal, NoiseTerm
-from camctl.exposure.kernels import BatchScore
+from camctl.exposure.kernels import FINEST_FLOAT32, BatchScore
 from camctl.exposure.moves import Moves
 from camctl.exposure.real import FloatArray, RealResponse
 
@@ -33,6 +33,8 @@ EFFORT = {2: 20_000, 3: 50_000, 4: 160_000, 5: 220_000, 6: 330_000}
 MOST_EFFORT = 400_000
 MOST_LEVELS = 2.5e9
 """Levels sorted in one search, at most: what many-bit cameras are held to (about 15 s)."""
+
+MOST_FLOAT64_LEVELS = 1e9
 
 MOST_FINISH_LEVELS = 5e8
 COARSE = 255
@@ -113,13 +115,14 @@ class _Search:
         ladder = response.levels
         darkest = max(desired.e_min, float(ladder[ladder > 0][0]) / MAX_EXPOSURES)
         self.moves = Moves(np.random.default_rng(seed), n, response.M, -math.log(darkest))
-        most = MOST_LEVELS / (n * response.M * len(goal.draws(n)))
+        most = MOST_LEVELS if response.M <= FINEST_FLOAT32 else MOST_FLOAT64_LEVELS
+        most /= n * response.M * len(goal.draws(n))
         budget = effort * min(EFFORT.get(n, MOST_EFFORT), most)
         self.budget = max(budget, 20.0 * STARTS)
         self.finishing = int(max(20.0, MOST_FINISH_LEVELS / (n * response.M)))
 
     def run(self, known: FloatArray | None = None) -> tuple[float, ...]:
-        """Return the best exposures; `known` (K, n) logarithms are starts beside the random ones."""
+        """Return the best exposures; `known` (K, n) logarithms are starts beside random ones."""
         starts = self._affordable(self.moves.starts(8 * STARTS))
         if known is not None:
             starts[: len(known)] = self._affordable(self.moves.inside(known))
@@ -202,8 +205,9 @@ def _from_coarse(
     limit: float,
     effort: float,
 ) -> FloatArray:
-    """Return (2, n) starts from a camera with `COARSE` of the levels: as they are, and with the
-    small ratios, which interleave levels, shrunk as the levels are.
+    """Return (2, n) starts from the solution for a camera with `COARSE` of the levels.
+
+    One as it is, one with the small ratios, which interleave levels, shrunk as the levels are.
     """
     kept = np.arange(1, COARSE + 1) * (response.M + 1) // (COARSE + 1) - 1
     coarse = RealResponse(response.levels[kept], f"{response.name}, {COARSE} of its levels")
