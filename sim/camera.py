@@ -13,7 +13,7 @@ from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraTimeou
 from sim.device import Buffer, SimulatedDevice
 from sim.render import Renderer, light_on
 from sim.scene import Scene
-from sim.sensor import Sensor
+from sim.sensor import Sensor, SensorEffect
 
 SILENCE_S = 5.0
 
@@ -63,7 +63,10 @@ class SimulatedCamera:
         self.sensor = sensor
         self._clock = clock if clock is not None else VirtualClock()
         self._controls = sensor.controls(
-            scene.shape, is_coloured=scene.is_coloured, photons_per_unit=scene.photons_per_unit
+            scene.shape,
+            is_coloured=scene.is_coloured,
+            photons_per_unit=scene.photons_per_unit,
+            notes=scene.notes,
         )
         light = light_on(scene, self._controls.layout)
         renderer = Renderer(light, sensor, seed=seed, threads=threads)
@@ -88,6 +91,11 @@ class SimulatedCamera:
     def clock(self) -> Clock:
         """The clock of its timestamps."""
         return self._clock
+
+    @property
+    def effects(self) -> tuple[SensorEffect, ...]:
+        """Which effects of the sensor its frames have."""
+        return self.sensor.effects_for(self._controls.layout)
 
     @property
     def frames_lost(self) -> int:

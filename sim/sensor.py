@@ -47,6 +47,15 @@ class SensorNoise:
     read_noise_levels: float
 
 
+@dataclass(frozen=True)
+class SensorEffect:
+    """One effect of a sensor, whether its frames have it, and why or how much."""
+
+    name: str
+    ran: bool
+    why: str
+
+
 class Sensor(BaseModel):
     """One sensor; a JSON file with these fields is one too.
 
@@ -175,8 +184,32 @@ class Sensor(BaseModel):
     @property
     def noise(self) -> SensorNoise:
         """What predicts the noise of its frames at gain 1."""
-        per_level = self.electrons_per_dn if self.photon_noise else math.inf
-        return SensorNoise(per_level, self.read_noise_e / self.electrons_per_dn)
+        return self.noise_at(1.0)
+
+    def noise_at(self, gain: float) -> SensorNoise:
+        """Return what predicts the noise of its frames at a linear `gain`."""
+        per_dn = self.electrons_per_dn / gain
+        return SensorNoise(per_dn if self.photon_noise else math.inf, self.read_noise_e / per_dn)
+
+    def effects_for(self, layout: Layout) -> tuple[SensorEffect, ...]:
+        """Return the effects in the order of the light's way, and whether each is simulated."""
+        gain = f"{self.electrons_per_dn:g} e-/DN at gain 1"
+        mosaic = f"one colour a pixel, {layout.value}" if layout.is_mosaic else "no colour filters"
+        read = f"{self.read_noise_e:g} e-" if self.read_noise_e else "the sensor has none"
+        curve = f"{self.curve}" if isinstance(self.curve, str | float) else "tabulated"
+        return (
+            SensorEffect("colour mosaic", layout.is_mosaic, mosaic),
+            SensorEffect(
+                "photon noise",
+                self.photon_noise,
+                gain if self.photon_noise else "the sensor has none",
+            ),
+            SensorEffect("full well", True, f"{self.full_well_e:g} e-"),
+            SensorEffect("read noise", self.read_noise_e > 0, read),
+            SensorEffect("response curve", self.curve != "linear", curve),
+            SensorEffect("black level", self.black > 0, f"{self.black} DN"),
+            SensorEffect("quantisation", True, f"{self.bits} bits, phase {self.phase:g}"),
+        )
 
     @property
     def times(self) -> Steps:
@@ -195,11 +228,17 @@ class Sensor(BaseModel):
         return self.layout or (Layout.RGB if is_coloured else Layout.MONO)
 
     def controls(
-        self, shape: tuple[int, int], *, is_coloured: bool, photons_per_unit: float
+        self,
+        shape: tuple[int, int],
+        *,
+        is_coloured: bool,
+        photons_per_unit: float,
+        notes: tuple[str, ...] = (),
     ) -> ExposureControls:
         """Return what a camera with this sensor says of itself before a scene.
 
-        `photons_per_unit` is photons a pixel a second for one unit of the scene's irradiance.
+        `photons_per_unit` is photons a pixel a second for one unit of the scene's irradiance;
+        `notes` are what there is to say of the scene.
         """
         return ExposureControls(
             time_s=self.times,
@@ -214,6 +253,7 @@ class Sensor(BaseModel):
             delay_frames=None if self.delay_jitter_frames else self.delay_frames,
             frame_interval_s=self.frame_interval_s,
             sensitivity=photons_per_unit * self.quantum_efficiency / self.full_scale_e,
+            notes=notes,
         )
 
 

@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_np
 
 from camctl.errors import CamctlError, DataError
+from sim.camera import SimulatedCamera
 from sim.radiance import SUFFIXES
 from sim.rgbe import read_rgbe
 from sim.scene import load_scene
+from sim.sensor import load_sensor
 
 MEMORIAL = Path(__file__).parents[3] / "shared/data/memorial/memorial.hdr"
 
@@ -96,6 +98,8 @@ def test_hdr_sent_as_text_is_brought_back(tmp_path: Path) -> None:
     (tmp_path / "sent.hdr").write_bytes(damaged)
     scene = load_scene(tmp_path / "sent.hdr")
     assert "transfer as text" in scene.notes[0]
+    with SimulatedCamera(scene, load_sensor("standard")) as camera:
+        assert camera.controls.notes == scene.notes
     brightest = expected.max(axis=2, keepdims=True)
     off = np.abs(scene.irradiance - expected) / brightest
     assert off.max() < 0.06

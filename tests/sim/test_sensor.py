@@ -54,6 +54,26 @@ def test_the_standard_sensor_has_the_levels_of_the_shipped_table() -> None:
     assert load_sensor("standard").noise.read_noise_levels == pytest.approx(3 * 256 / 10_000)
 
 
+def test_noise_grows_with_gain_in_levels() -> None:
+    plain, high = load_sensor("phone").noise_at(1.0), load_sensor("phone").noise_at(4.0)
+    assert high.electrons_per_level == pytest.approx(plain.electrons_per_level / 4)
+    assert high.read_noise_levels == pytest.approx(plain.read_noise_levels * 4)
+
+
+def test_effects_are_told_as_they_are() -> None:
+    def ran(name: str) -> set[str]:
+        sensor = load_sensor(name)
+        return {
+            effect.name for effect in sensor.effects_for(sensor.layout_for(False)) if effect.ran
+        }
+
+    always = {"full well", "quantisation"}
+    assert ran("ideal-8") == always
+    assert ran("standard") == always | {"photon noise", "read noise"}
+    assert ran("phone") == ran("standard") | {"colour mosaic", "black level"}
+    assert ran("consumer") == ran("standard") | {"response curve"}
+
+
 def test_layout_follows_the_scene_unless_the_sensor_says() -> None:
     assert load_sensor("standard").layout_for(True) is Layout.RGB
     assert load_sensor("standard").layout_for(False) is Layout.MONO
