@@ -27,7 +27,7 @@ from menu.signals import (
     Quit,
     Shoot,
 )
-from menu.work import Job, Progress, Summary
+from menu.work import Cost, Job, Progress, Summary
 
 _log = logging.getLogger(__name__)
 
@@ -175,7 +175,13 @@ class _Worker:
     def _done(self, task: Predict | MakePlan | Shoot) -> Event:
         match task:
             case Predict(ticket=ticket, response=response, dynamic_range=dynamic_range):
-                return Predicted(ticket, tuple(self._job.predict(response, dynamic_range)))
+                costs: list[Cost] = []
+                for cost in self._job.predict(response, dynamic_range):
+                    costs.append(cost)
+                    if ticket != self._asked or self._stopped.is_set():
+                        break
+                    self._reporter(ticket)(Progress(len(costs), 0, "counts done"))
+                return Predicted(ticket, tuple(costs))
             case MakePlan(ticket=ticket, choice=choice):
                 return Planned(ticket, self._job.plan(choice))
             case Shoot(ticket=ticket, plan=plan):

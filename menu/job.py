@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,8 @@ from camctl.errors import CaptureError
 from camctl.exposure.response import desired_response
 from camctl.exposure.tradeoff import predict
 from menu.work import Choice, Cost, Plan, Progress, Summary
+
+COUNTS = range(1, 7)
 
 
 class CameraJob:
@@ -36,13 +38,12 @@ class CameraJob:
         self._request = replace(request or CaptureRequest(), ratios=None)
         self._source = source
 
-    def predict(self, response: str, dynamic_range: float) -> Sequence[Cost]:
-        """Return what one to six exposures cost, with the levels of this camera."""
+    def predict(self, response: str, dynamic_range: float) -> Iterator[Cost]:
+        """Yield what one to six exposures cost, with the levels of this camera."""
         desired = desired_response(response, dynamic_range)
-        return [
-            Cost(row.n, row.exposures, row.total_exposure, row.effective_levels)
-            for row in predict(self._camera.controls.levels, desired)
-        ]
+        for count in COUNTS:
+            for row in predict(self._camera.controls.levels, desired, [count]):
+                yield Cost(row.n, row.exposures, row.total_exposure, row.effective_levels)
 
     def plan(self, choice: Choice) -> Plan:
         """Meter, look up, and choose among the settings that the camera has."""

@@ -142,7 +142,11 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
     State.PREDICTING: _wait(
         State.PREDICTING,
         exit=State.RANGE,
-        events={Predicted: State.EXPOSURES, Failed: State.PREDICTION_FAILED},
+        events={
+            Progressed: State.PREDICTING,
+            Predicted: State.EXPOSURES,
+            Failed: State.PREDICTION_FAILED,
+        },
     ),
     State.PREDICTION_FAILED: _page(
         State.PREDICTION_FAILED,

@@ -223,7 +223,9 @@ def _progress(model: Model, columns: int) -> list[str]:
     progress = model.progress
     if progress is None:
         return _wrapped([_WAITING[model.state]], columns, indent="")
-    part = min(1.0, progress.done / progress.total) if progress.total > 0 else 0.0
+    if progress.total <= 0:
+        return [f"{progress.done} {progress.stage}"]
+    part = min(1.0, progress.done / progress.total)
     width = columns - 2
     filled = int(part * width)
     bar = f"[{'#' * filled}{'.' * (width - filled)}]"

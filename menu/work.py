@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -66,8 +66,12 @@ class Job(Protocol):
     All raise `camctl.errors.CamctlError` where something cannot be done.
     """
 
-    def predict(self, response: str, dynamic_range: float) -> Sequence[Cost]:
-        """Return what each number of exposures costs, ascending by number, at least one."""
+    def predict(self, response: str, dynamic_range: float) -> Iterable[Cost]:
+        """Return what each number of exposures costs, ascending by number, at least one.
+
+        Where they take time, an iterator that yields each as it is found lets the menu show how far
+        it is, and stop when nobody waits any more.
+        """
         ...
 
     def plan(self, choice: Choice) -> Plan:

@@ -85,7 +85,7 @@ class FakeJob:
 
 
 class ScriptedPanel:
-    """Presses each key once the title starts as expected; fails where that never comes.
+    """Presses each key once certain words are shown; fails where they never come.
 
     A callable in place of a key is called then.
     """
@@ -125,7 +125,7 @@ class ScriptedPanel:
         assert time.monotonic() < self._deadline, f"waits for {self.script[:1]} at {self.lines}"
         if self.typed_ahead:
             return self.typed_ahead.pop(0)
-        if timeout_s == 0 or not self.script or not self.lines[0].startswith(self.script[0][0]):
+        if timeout_s == 0 or not self.script or self.script[0][0] not in " ".join(self.lines):
             time.sleep(min(timeout_s, 0.002))
             return None
         _, key = self.script.pop(0)

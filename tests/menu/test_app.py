@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import pytest
 from hypothesis import given, settings
@@ -17,7 +17,7 @@ from menu.app import run
 from menu.model import RANGES, RESPONSES, Model, State
 from menu.panel import Highlight, Key
 from menu.screens import screen
-from menu.work import Choice, Plan
+from menu.work import Choice, Cost, Plan
 from tests.menu.panel_fakes import COSTS, FakeJob, ScriptedPanel, plan_of
 from tests.menu.test_screens import settings_on
 
@@ -300,6 +300,42 @@ def test_questions_taken_back_are_not_worked_on() -> None:
     script += [("Exposures", Key.EXIT), ("Dynamic", Key.EXIT), ("Desired", Key.EXIT)]
     run(ScriptedPanel(script), job)
     assert job.predicted == [("log", 1000.0), ("log", 16000.0)]
+
+
+class SlowCosts(FakeJob):
+    """Finds one number of exposures after the other, each when it is told to."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[int] = []
+        self.may_find = threading.Semaphore(0)
+
+    def predict(self, response: str, dynamic_range: float) -> Iterator[Cost]:
+        self.predicted.append((response, dynamic_range))
+        for cost in COSTS:
+            self.may_find.acquire(timeout=20)
+            self.found.append(cost.count)
+            yield cost
+
+
+def test_costs_that_take_time_show_how_far_they_are() -> None:
+    job = SlowCosts()
+    script: Script = [("Desired", Key.ENTER), ("Dynamic", Key.ENTER)]
+    script += [("Working", job.may_find.release)] * 2
+    script += [("2 counts done", Key.EXIT), ("Dynamic", Key.EXIT), ("Desired", Key.EXIT)]
+    assert run(ScriptedPanel(script), job) is None
+    assert job.found == [1, 2]
+
+
+def test_costs_that_nobody_waits_for_are_left() -> None:
+    job = SlowCosts()
+    script: Script = [("Desired", Key.ENTER), ("Dynamic", Key.ENTER)]
+    script += [("Working", job.may_find.release), ("1 counts done", Key.EXIT)]
+    script += [("Dynamic", Key.UP), ("Dynamic", Key.ENTER)]
+    script += [("Working", job.may_find.release)] * 7
+    script += [("Exposures", Key.EXIT), ("Dynamic", Key.EXIT), ("Desired", Key.EXIT)]
+    run(ScriptedPanel(script), job)
+    assert job.found == [1, 2, 1, 2, 3, 4, 5, 6]
 
 
 def test_a_panel_that_is_too_small_is_refused() -> None:

@@ -102,7 +102,7 @@ def test_what_was_reviewed_is_what_was_shot(
 
 def test_each_number_of_exposures_costs_what_its_exposures_add_up_to(folders: Folders) -> None:
     with WatchedCamera() as camera:
-        costs = CameraJob(camera, folders).predict("log", 1000.0)
+        costs = list(CameraJob(camera, folders).predict("log", 1000.0))
     assert [cost.count for cost in costs] == [1, 2, 3, 4, 5, 6]
     for cost in costs:
         assert len(cost.exposures) == cost.count
