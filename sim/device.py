@@ -86,9 +86,7 @@ class SimulatedDevice:
         )
         jitter = int(self._jitter.integers(0, self._sensor.delay_jitter_frames, endpoint=True))
         lands = upcoming + self._sensor.delay_frames + jitter
-        # A later write wins over an earlier one that would land with it or after it.
-        while self._pending and self._pending[-1][0] >= lands:
-            self._pending.pop()
+        # Writes land in their order: of several that are due the last one stays.
         self._pending.append((lands, applied))
         return upcoming, applied
 
@@ -145,9 +143,6 @@ class SimulatedDevice:
         self._check_plug()
         now = self._clock.now()
         while not self._frozen:
-            # A slot that begins at this very instant can still be written to.
-            if self._start_s >= now:
-                return
             end_s = self._start_s + self._slot_s()
             if end_s > now:
                 return

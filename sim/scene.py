@@ -24,7 +24,8 @@ HIGHLIGHT_PHOTONS_S = 1e6
 brightest diffuse part of a built-in scene has: about 20 ms to fill the standard sensor."""
 
 _HIGHLIGHT_SHARE = 0.999
-_DRAWING_BYTES = 40  # a pixel, scene and working arrays together
+_DRAWING_BYTES = 112  # a pixel, scene and working arrays together, in the most costly one
+_READING_BYTES = 48
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +147,7 @@ def load_scene(name_or_path: str | Path, shape: tuple[int, int] | None = None) -
     rows, columns = shape or (480, 640)
     if rows < 1 or columns < 1:
         raise UsageError(f"a scene of {columns}x{rows} pixels", hint="both must be 1 or more")
-    _check_memory(name, (rows, columns, 3))
+    _check_memory(name, (rows, columns), _DRAWING_BYTES)
     # The drawings' brightest diffuse part is 1.
     light = BUILT_IN[name](rows, columns)
     light *= np.float32(HIGHLIGHT_PHOTONS_S)
@@ -154,7 +155,7 @@ def load_scene(name_or_path: str | Path, shape: tuple[int, int] | None = None) -
 
 
 def _from_file(path: Path) -> Scene:
-    _check_memory(str(path), read_shape(path))
+    _check_memory(str(path), read_shape(path), _READING_BYTES)
     values, notes = read_map(path)
     light = _checked(str(path), values)
     channel = light if light.ndim == 2 else light.max(axis=2)
@@ -163,8 +164,8 @@ def _from_file(path: Path) -> Scene:
     return Scene(path.name, light, RELATIVE, HIGHLIGHT_PHOTONS_S / highlight, notes)
 
 
-def _check_memory(name: str, shape: tuple[int, ...]) -> None:
-    needed = math.prod(shape[:2]) * _DRAWING_BYTES
+def _check_memory(name: str, shape: tuple[int, ...], bytes_a_pixel: int) -> None:
+    needed = math.prod(shape[:2]) * bytes_a_pixel
     free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     # Free pages leave out what the system would give back from its file cache.

@@ -172,6 +172,20 @@ def test_the_delay_of_a_jittering_camera_does_jitter() -> None:
     assert landed == {1, 2, 3}
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_of_two_writes_in_one_slot_the_later_one_stays(seed: int) -> None:
+    with open_steady(1, 3, seed=seed) as camera:
+        (first, second) = lines(10, 30)
+        camera.device.write(first)
+        upcoming, _ = camera.device.write(second)
+        for _ in range(12):
+            buffer = camera.device.dequeue(1.0)
+            assert buffer is not None
+            dn = int(camera.device.read_out(buffer)[0, 0])
+            if buffer.sequence >= upcoming + 1 + 3:
+                assert abs(dn - expected_dn(camera, second)) <= 1
+
+
 @st.composite
 def errands(draw: st.DrawFn) -> tuple[str, list[int], list[float], int]:
     """A call, its exposures, the consumer's pauses after each frame, and where it gives up."""
