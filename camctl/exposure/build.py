@@ -152,7 +152,8 @@ def _solve_all(
     try:
         while pending:
             finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in finished:
+            # rows that are done are kept before a failed one ends the build
+            for future in sorted(finished, key=lambda future: future.exception() is not None):
                 keep(futures[future], future.result())
     finally:
         for future in pending:

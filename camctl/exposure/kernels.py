@@ -132,8 +132,8 @@ class BatchScore:
     def _linear(self, low: Work, high: Work, work: list[Work]) -> Work:
         p = self.goal.p
         steepness = low.dtype.type(self.goal.levels_wanted / (1 - self.desired.e_min))
-        excess = np.subtract(high, low, out=work[0])
-        width = np.maximum(excess, 1 / steepness, out=work[1])  # narrower gaps count 0
+        excess: Work = np.subtract(high, low, out=work[0])
+        width: Work = np.maximum(excess, 1 / steepness, out=work[1])  # narrower gaps count 0
         excess *= steepness
         excess -= 1
         np.maximum(excess, 0, out=excess)
@@ -169,7 +169,7 @@ class BatchScore:
         stop *= stop
         np.minimum(stop, high, out=stop)
         np.maximum(stop, low, out=stop)
-        rise = np.sqrt(stop, out=work[2])
+        rise: Work = np.sqrt(stop, out=work[2])
         if self.goal.p == 2:
             return self._root_squared(low, stop, width)
         stop -= low
