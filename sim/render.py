@@ -49,8 +49,11 @@ def light_on(scene: Scene, layout: Layout) -> NDArray[np.float32]:
         light = mosaic
     elif not scene.is_coloured and layout is Layout.RGB:
         light = np.repeat(light[..., np.newaxis], 3, axis=2)
+    scale = scene.photons_per_unit
+    if scale > float(_BLINDING):  # a map in units so large that the scale itself is beyond float32
+        return np.minimum(light * np.float64(scale), float(_BLINDING)).astype(np.float32)
     with np.errstate(over="ignore"):
-        photons = np.ascontiguousarray(light * np.float32(scene.photons_per_unit))
+        photons = np.ascontiguousarray(light * np.float32(scale))
     return np.minimum(photons, _BLINDING, out=photons)
 
 

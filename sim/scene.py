@@ -166,10 +166,7 @@ def _from_file(path: Path) -> Scene:
 
 def _check_memory(name: str, shape: tuple[int, ...], bytes_a_pixel: int) -> None:
     needed = math.prod(shape[:2]) * bytes_a_pixel
-    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    # Free pages leave out what the system would give back from its file cache.
-    available = max(free, total // 2)
+    available = _memory_there()
     if needed > available:
         size = " x ".join(str(n) for n in reversed(shape[:2]))
         raise DataError(
@@ -177,3 +174,14 @@ def _check_memory(name: str, shape: tuple[int, ...], bytes_a_pixel: int) -> None
             f" {available / 2**30:.1f} GiB are there",
             hint="ask for a smaller size",
         )
+
+
+def _memory_there() -> float:
+    """Return bytes of memory that can be had; infinite where the system does not say."""
+    try:
+        page = os.sysconf("SC_PAGE_SIZE")
+        free, total = os.sysconf("SC_AVPHYS_PAGES"), os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return math.inf
+    # Free pages leave out what the system would give back from its file cache.
+    return float(page * max(free, total // 2))

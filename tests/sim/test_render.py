@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -117,6 +119,19 @@ def test_a_mosaic_samples_its_own_colour(layout: Layout, shape: tuple[int, int])
         for column in range(shape[1]):
             letter = layout.value[2 * (row % 2) + column % 2]
             assert light[row, column] == picture[row, column, "rgb".index(letter)]
+
+
+@pytest.mark.parametrize("unit", [1e-43, 1e-30, 1e30, 3e38])
+def test_a_map_may_be_in_any_unit(unit: float, tmp_path: Path) -> None:
+    light = np.float32(unit) * np.linspace(0, 1, 200, dtype=np.float32).reshape(10, 20)
+    np.save(tmp_path / "map.npy", light)
+    np.save(tmp_path / "plain.npy", np.linspace(0, 1, 200, dtype=np.float32).reshape(10, 20))
+    seen, plain = (
+        simulate_frame(load_scene(tmp_path / name), load_sensor("ideal-8"), 0.01).pixels.astype(int)
+        for name in ("map.npy", "plain.npy")
+    )
+    # Where float32 itself is that coarse the map is, too.
+    assert np.abs(seen - plain).max() <= (4 if unit < 1e-40 else 1)
 
 
 def test_rendering_leaves_the_scene_alone() -> None:
