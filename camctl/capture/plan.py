@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from camctl.camera import Camera, ExposureSetting
@@ -36,8 +36,13 @@ def check_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
     return tuple(value / values[0] for value in values)
 
 
-def plan_capture(camera: Camera, request: CaptureRequest) -> Plan:
+def plan_capture(
+    camera: Camera, request: CaptureRequest, progress: Callable[[float], None] | None = None
+) -> Plan:
     """Meter where needed, look the ratios up, and choose among the settings the camera has.
+
+    Ratios that no table holds for this camera's levels are solved once and kept, which takes
+    seconds; `progress` is then told the share done, 0 to 1.
 
     Raises:
         UsageError: the request makes no sense
@@ -51,7 +56,13 @@ def plan_capture(camera: Camera, request: CaptureRequest) -> Plan:
     else:
         if request.count < 1:
             raise UsageError(f"{request.count} exposures", hint="take at least one")
-        entry = look_up(real, desired, request.count, levels_wanted=request.levels_wanted)
+        entry = look_up(
+            real,
+            desired,
+            request.count,
+            levels_wanted=request.levels_wanted,
+            progress=progress,
+        )
         ratios = tuple(entry.exposures)
     levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
     metering = None

@@ -33,9 +33,10 @@ from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptu
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a capture is: `done` of `total` frames, in one of its stages.
+    """How far a capture is: `done` of `total` in one of its stages.
 
-    The stages are "metering" (and planning), "shooting" and "writing".
+    The stages are "metering", "solving" (in percent; where no table holds the exposures),
+    "shooting" (in frames) and "writing".
     """
 
     done: int
@@ -81,7 +82,9 @@ def capture(
     started = time.perf_counter()
     tell(Progress(0, len(request.ratios or ()) or request.count, "metering"))
     if plan is None:
-        plan = plan_capture(camera, request)
+        plan = plan_capture(
+            camera, request, lambda share: tell(Progress(round(100 * share), 100, "solving"))
+        )
     controls = camera.controls
     sum_dtype(len(plan.settings), controls.white)
     archive = Archive.create(directory, overwrite=overwrite)
