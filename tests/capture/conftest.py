@@ -1,6 +1,5 @@
 """A small simulated camera for the tests of the capture."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +7,6 @@ import pytest
 from sim.camera import Faults, SimulatedCamera
 from sim.scene import Scene
 from sim.sensor import Sensor, load_sensor
-
-MEMORIAL = Path(__file__).parents[3] / "shared" / "data" / "memorial" / "memorial.hdr"
 
 
 def gradient(rows=60, columns=80, low=1e-3, colours=1):

@@ -20,7 +20,6 @@ from sim.rgbe import read_rgbe
 from sim.scene import load_scene
 from sim.sensor import load_sensor
 
-MEMORIAL = Path(__file__).parents[3] / "shared/data/memorial/memorial.hdr"
 
 
 def colours(rows: int = 20, columns: int = 30) -> np.ndarray:
@@ -106,9 +105,8 @@ def test_hdr_sent_as_text_is_brought_back(tmp_path: Path) -> None:
     assert np.mean(off > 0.005) < 0.05
 
 
-@pytest.mark.skipif(not MEMORIAL.exists(), reason="no memorial.hdr beside the project")
-def test_the_memorial_church() -> None:
-    scene = load_scene(MEMORIAL)
+def test_the_memorial_church(real_data: Path) -> None:
+    scene = load_scene(real_data / "memorial" / "memorial.hdr")
     assert scene.shape == (768, 512)
     assert scene.is_coloured
     assert scene.dynamic_range > 1e5
