@@ -20,17 +20,22 @@ _REASONS = {
     errno.EACCES: ("no permission to write", "choose another folder with -o"),
     errno.EPERM: ("no permission to write", "choose another folder with -o"),
     errno.EROFS: ("the file system is read-only", "choose another folder with -o"),
+    errno.ENOENT: ("no file can be made there", "choose another folder with -o"),
     errno.ENOTDIR: ("a part of the path is a file", "choose another folder with -o"),
     errno.EEXIST: ("a file of that name is in the way", "choose another folder with -o"),
 }
 
+#: How numpy and OpenEXR tell of a write that the disk cut short, without an error number.
+_SHORT_WRITES = ("requested and", "No space left on device")
+
 
 def storage_error(path: Path, error: OSError) -> StorageError:
     """Return what went wrong at `path` in one line, with what to do."""
-    what, hint = _REASONS.get(
-        error.errno or 0,
-        (error.strerror or str(error), "see to the disk, or choose another folder"),
-    )
+    reason = error.errno or 0
+    if any(words in str(error) for words in _SHORT_WRITES):
+        reason = errno.ENOSPC
+    unforeseen = (error.strerror or str(error), "see to the disk, or choose another folder")
+    what, hint = _REASONS.get(reason, unforeseen)
     return StorageError(f"cannot write {path}: {what}", hint=hint)
 
 

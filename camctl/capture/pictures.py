@@ -8,7 +8,7 @@ afterwards, so that interpolation works on light.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import Layout
 from camctl.capture.colour import demosaic, spread
-from camctl.capture.files import whole, write_bytes
+from camctl.capture.files import storage_error, whole, write_bytes
 from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.response import DesiredResponse
 
@@ -157,9 +157,8 @@ def write_pictures(
     preview: list[NDArray[np.uint16]] = []
     names = "Y" if colours == 1 else "RGB"
     with ExitStack() as stack:
+        exr = stack.enter_context(_radiance(directory / "radiance.exr", width, height, names))
         tiff = stack.enter_context(whole(directory / "image.tiff"))
-        exr_part = stack.enter_context(whole(directory / "radiance.exr"))
-        exr = stack.enter_context(_RadianceFile(exr_part, width, height, names))
 
         def codes() -> Iterator[NDArray[np.uint16]]:
             row = 0
@@ -192,10 +191,20 @@ def _png(code: NDArray[np.uint16], desired: DesiredResponse) -> bytes:
     return cv2.imencode(".png", eight[..., ::-1] if eight.ndim == 3 else eight)[1].tobytes()
 
 
+@contextmanager
+def _radiance(path: Path, width: int, height: int, names: str) -> Iterator[_RadianceFile]:
+    with whole(path) as part:
+        file = _RadianceFile(part, path, width, height, names)
+        try:
+            yield file
+        finally:
+            file.close()
+
+
 class _RadianceFile:
     """An OpenEXR file written strip by strip: light in float32, marks in unsigned integers."""
 
-    def __init__(self, path: Path, width: int, height: int, names: str) -> None:
+    def __init__(self, path: Path, named: Path, width: int, height: int, names: str) -> None:
         import Imath
         import OpenEXR
 
@@ -206,8 +215,9 @@ class _RadianceFile:
             for prefix, kind in kinds.items()
             for name in names
         }
-        self._names = names
+        self._names, self._named = names, named
         self._file = OpenEXR.OutputFile(str(path), header)
+        self.close = self._file.close
 
     def write(self, irradiance: NDArray[np.float32], mask: NDArray[np.uint8]) -> None:
         """Append a strip, (rows, columns) or (rows, columns, 3)."""
@@ -216,10 +226,8 @@ class _RadianceFile:
             part = (..., index) if irradiance.ndim == 3 else ...
             channels[name] = np.ascontiguousarray(irradiance[part]).tobytes()
             channels["mask." + name] = mask[part].astype(np.uint32).tobytes()
-        self._file.writePixels(channels, irradiance.shape[0])
-
-    def __enter__(self) -> _RadianceFile:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
+        try:
+            self._file.writePixels(channels, irradiance.shape[0])
+        except OSError as error:
+            # Told here, since the file that is written around this one would claim it.
+            raise storage_error(self._named, error) from error

@@ -1,6 +1,5 @@
 """A small simulated camera for the tests of the capture."""
 
-
 import numpy as np
 import pytest
 

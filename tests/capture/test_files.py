@@ -59,3 +59,39 @@ def test_a_file_that_cannot_grow_is_said_in_one_line_and_leaves_nothing(tmp_path
     assert done.stdout.count("\n") == 1
     assert "grows beyond the limit" in done.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("limit", "failing", "there"),
+    [
+        (10_000, "frames/frame-01.npy", {"frames", "report.json"}),
+        (40_000, "sum.tiff", {"frames", "report.json"}),
+        (70_000, "radiance.exr", {"frames", "report.json", "sum.tiff"}),
+    ],
+)
+def test_a_result_that_does_not_fit_is_not_there_and_the_frames_are(
+    tmp_path, limit, failing, there
+):
+    script = f"""
+        import resource, signal
+        from pathlib import Path
+        from camctl.capture import CaptureRequest, capture
+        from camctl.errors import StorageError
+        from sim.camera import SimulatedCamera
+        from sim.scene import load_scene
+        from sim.sensor import load_sensor
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        camera = SimulatedCamera(load_scene("tile-floor", (120, 200)), load_sensor("standard"))
+        resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+        try:
+            capture(camera, CaptureRequest(ratios=(1.0, 2.0)), Path({str(tmp_path)!r}) / "out")
+        except StorageError as error:
+            print(error)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith(f"cannot write {tmp_path}/out/{failing}: ")
+    assert done.stdout.count("\n") == 1
+    assert {path.name for path in (tmp_path / "out").iterdir()} == there
+    assert not list((tmp_path / "out").rglob(".*"))
