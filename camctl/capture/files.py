@@ -25,15 +25,18 @@ _REASONS = {
     errno.EEXIST: ("a file of that name is in the way", "choose another folder with -o"),
 }
 
-#: How numpy and OpenEXR tell of a write that the disk cut short, without an error number.
-_SHORT_WRITES = ("requested and", "No space left on device")
+#: How numpy and OpenEXR tell of a write that was cut short, without an error number.
+_WORDS = {
+    "requested and": errno.ENOSPC,
+    os.strerror(errno.ENOSPC): errno.ENOSPC,
+    os.strerror(errno.EFBIG): errno.EFBIG,
+}
 
 
 def storage_error(path: Path, error: OSError) -> StorageError:
     """Return what went wrong at `path` in one line, with what to do."""
-    reason = error.errno or 0
-    if any(words in str(error) for words in _SHORT_WRITES):
-        reason = errno.ENOSPC
+    told = (number for words, number in _WORDS.items() if words in str(error))
+    reason = error.errno or next(told, 0)
     unforeseen = (error.strerror or str(error), "see to the disk, or choose another folder")
     what, hint = _REASONS.get(reason, unforeseen)
     return StorageError(f"cannot write {path}: {what}", hint=hint)
