@@ -121,8 +121,8 @@ class BatchScore:
             return self._log(low, high, work)
         if isinstance(desired, GammaDesired) and desired.q == 0.5 and p in (1, 2):
             return self._root(low, high, work)
-        rise = desired.rise(low.astype(np.float64), high.astype(np.float64))
-        excess = np.maximum(self.goal.levels_wanted * rise - 1, 0.0)
+        heights = self.goal.levels_wanted * desired.u(np.append(low, high[:, -1:], axis=1))
+        excess = np.maximum(np.diff(heights, axis=1) - 1, 0.0)
         if p == 1:
             return excess
         return np.asarray(
