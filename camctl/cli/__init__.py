@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import click
 
+import camctl
 from camctl.cli.commands import UNDER_DEBUG, LazyGroup, one_line
-from camctl.cli.output import ClosedOutputError
+from camctl.cli.output import ClosedOutputError, say
 from camctl.errors import CamctlError, UsageError
 
 COMMANDS = ("shoot", "menu", "cameras", "simulate", "solve", "evaluate", "table")
@@ -32,9 +33,27 @@ cli = LazyGroup(
         ("camctl COMMAND --help", "what a command can do, with examples"),
     ),
     epilog=(
-        'For completion of commands and options with the Tab key in bash: eval "$(_CAMCTL_COMPLETE='
-        'bash_source camctl)"; for zsh and fish write zsh_source, fish_source.'
+        "\b\nCompletion with the Tab key in bash (zsh and fish: zsh_source, fish_source):\n"
+        '  eval "$(_CAMCTL_COMPLETE=bash_source camctl)"'
     ),
+)
+
+
+def _show_version(context: click.Context, _option: click.Parameter, value: bool) -> None:
+    if value:
+        say(f"camctl {camctl.__version__}")
+        context.exit()
+
+
+cli.params.append(
+    click.Option(
+        ["--version"],
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=_show_version,
+        help="Show the version.",
+    )
 )
 
 

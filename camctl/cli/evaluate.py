@@ -8,8 +8,8 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.output import fields, number, range_name, say, say_json, warn
-from camctl.cli.solve import missing
+from camctl.cli.output import fields, number, say, say_json, warn
+from camctl.cli.solve import desired_name, objective_line
 
 
 @command(
@@ -30,13 +30,7 @@ from camctl.cli.solve import missing
 @options.dynamic_range
 @options.real_camera
 @options.levels_wanted
-@click.option(
-    "--p",
-    type=options.Number("a number of at least 1", least=1),
-    default=1.0,
-    metavar="1|2",
-    help="Power of the objective; 1 counts missing levels.",
-)
+@options.objective
 @options.as_json
 def evaluate(
     ratios: tuple[float, ...],
@@ -47,6 +41,10 @@ def evaluate(
     curve: Path | None,
     levels_wanted: float | None,
     p: float,
+    noise: float | None,
+    noise_weight: float,
+    noise_kind: str,
+    jitter: float,
     as_json: bool,
 ) -> None:
     """Tell how good given exposures are.
@@ -55,7 +53,7 @@ def evaluate(
     effective levels are better; a longer open shutter is the price.
     """
     from camctl.exposure.effective import EffectiveCamera, effective_levels
-    from camctl.exposure.objective import xi
+    from camctl.exposure.goal import Goal
     from camctl.exposure.response import desired_response
 
     real = options.real_response(bits, phase, curve)
@@ -64,12 +62,13 @@ def evaluate(
     desired = desired_response(response, dynamic_range)
     camera = EffectiveCamera.of(real, ratios)
     wanted = float(camera.levels_total) if levels_wanted is None else levels_wanted
-    value = xi(camera, desired, wanted, p=p)
+    goal = Goal(wanted, p, options.noise_term(noise, noise_weight, noise_kind), jitter)
+    xi = goal.score(real, ratios, desired)
     accuracy = effective_levels(camera, desired)
     if as_json:
         say_json(
             {
-                "xi": value,
+                "xi": xi,
                 "levels_wanted": wanted,
                 "levels": camera.levels_total,
                 "levels_distinct": camera.levels_distinct,
@@ -79,19 +78,18 @@ def evaluate(
                 "response": response,
                 "dynamic_range": dynamic_range,
                 "camera": real.name,
-                "p": p,
             }
         )
         return
     lost = camera.levels_total - camera.levels_distinct
-    objective = missing(value, wanted) if p == 1 else f"xi = {number(value)} for p = {number(p)}"
+    plain = p == 1 and noise is None and jitter == 0
     say(
         fields(
             [
-                ("wanted", f"{response}, {range_name(dynamic_range)}"),
+                ("wanted", desired_name(response, dynamic_range, len(ratios))),
                 ("camera", real.name),
                 ("exposures", "  ".join(number(ratio) for ratio in ratios)),
-                ("wanted levels missing" if p == 1 else "objective", objective),
+                objective_line(xi, wanted, plain=plain),
                 ("effective levels", number(accuracy, 4)),
                 (
                     "levels",

@@ -8,11 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from camctl.errors import UsageError, unknown_name
 
 if TYPE_CHECKING:
+    from camctl.exposure.goal import NoiseTerm
     from camctl.exposure.response import RealResponse
+
+    AnyType = click.ParamType[Any]
+else:
+    AnyType = click.ParamType  # generic only since click 8.3, and only for type checkers
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Decorator: TypeAlias = Callable[[Function], Function]
@@ -20,12 +26,10 @@ Decorator: TypeAlias = Callable[[Function], Function]
 PATH = click.Path(path_type=Path)
 
 
-class _Kind(click.ParamType):
+class _Kind(AnyType):
     """A kind of value that says which option was off."""
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Any:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the value of the words; anything that is not text is a value already."""
         if not isinstance(value, str):
             return value
@@ -205,7 +209,11 @@ class Size(_Kind):
 
 RESPONSES = ("linear", "gamma", "log")
 
+NOISE_KINDS = ("paper", "time", "aperture", "gain")
+
 RESPONSE = Name("response", RESPONSES)
+
+COUNT = Whole("a whole number of exposures, 1 to 16", least=1, most=16)
 
 
 def all_of(*decorators: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -240,7 +248,7 @@ count = click.option(
     "-n",
     "--exposures",
     "count",
-    type=Whole("a whole number of exposures, 1 to 16", least=1, most=16),
+    type=COUNT,
     default=3,
     metavar="N",
     help="Number of exposures.",
@@ -294,6 +302,66 @@ real_camera = all_of(
 )
 
 
+objective = all_of(
+    click.option(
+        "--p",
+        type=Number("a number of at least 1", least=1),
+        default=1.0,
+        metavar="1|2",
+        help="Power of the objective; only 1 counts missing levels.",
+    ),
+    click.option(
+        "--noise",
+        type=Number("a number from 0", least=0),
+        metavar="SIGMA",
+        help="Add what noise costs: its standard deviation at exposure 1, full scale being 1.",
+    ),
+    click.option(
+        "--noise-weight",
+        type=Number("a number from 0", least=0),
+        default=1.0,
+        metavar="C",
+        help="What a squared full scale of noise costs, in levels.",
+    ),
+    click.option(
+        "--noise-kind",
+        type=Name("noise term", NOISE_KINDS),
+        default="paper",
+        metavar="|".join(NOISE_KINDS),
+        help="How noise goes with exposure: as the paper has it, or as read noise does where "
+        "exposure is shutter time, aperture or gain.",
+    ),
+    click.option(
+        "--jitter",
+        type=Number("a fraction from 0", least=0),
+        default=0.0,
+        metavar="FRACTION",
+        help="Average over exposures that come out wrong by this fraction, for example 0.01.",
+    ),
+)
+
+
+def noise_term(sigma: float | None, weight: float, kind: str) -> NoiseTerm | None:
+    """Return the noise term that `objective`'s options describe."""
+    from camctl.exposure.goal import NoiseTerm
+
+    return None if sigma is None else NoiseTerm(sigma, weight, kind)
+
+
+def given(context: click.Context) -> set[str]:
+    """Return the names of the parameters that the user gave."""
+    return {
+        name
+        for name in context.params
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+    }
+
+
+def spelling(context: click.Context, name: str) -> str:
+    """Return how a parameter is spelt on the command line."""
+    return next(each.opts[-1] for each in context.command.params if each.name == name)
+
+
 def real_response(bits: int, phase: float, curve: Path | None) -> RealResponse:
     """Return the camera that `real_camera`'s options describe."""
     from camctl.exposure.response import linear_response, read_curve
@@ -302,14 +370,13 @@ def real_response(bits: int, phase: float, curve: Path | None) -> RealResponse:
         return linear_response(bits, phase=phase)
     return read_curve(curve, bits=bits, phase=phase)
 
-camera = all_of(
-    click.option(
-        "--camera",
-        "camera_id",
-        default="sim",
-        metavar="ID",
-        help="Which camera; `camctl cameras` lists the ids.",
-    ),
+
+camera = click.option(
+    "--camera",
+    "camera_id",
+    default="sim",
+    metavar="ID",
+    help="Which camera; `camctl cameras` lists the ids.",
 )
 
 scene = click.option(
@@ -373,10 +440,20 @@ shooting = all_of(
 )
 
 
-def camera_options(**given: object) -> dict[str, str]:
+def camera_options(
+    scene: str | None = None,
+    sensor: str | None = None,
+    size: str | None = None,
+    seed: int | None = None,
+    *,
+    real_time: bool = False,
+) -> dict[str, str]:
     """Return, as words, the options for the camera that the user gave."""
-    return {
-        name.replace("_", "-"): str(value)
-        for name, value in given.items()
-        if value is not None and value is not False
+    words = {
+        "scene": scene,
+        "sensor": sensor,
+        "size": size,
+        "seed": seed,
+        "time": "real" if real_time else None,
     }
+    return {name: str(word) for name, word in words.items() if word is not None}

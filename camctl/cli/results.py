@@ -22,14 +22,11 @@ def percent(share: float) -> str:
 def capture_lines(report: CaptureReport, directory: Path) -> str:
     """Return what was planned, what was shot, how good it is, and where it is."""
     plan = report.plan
-    request = plan.request
-    frames = [frame for frame in report.frames if frame is not None]
     rows = [
         ("camera", f"{report.camera.make} {report.camera.model} ({report.camera.id})"),
         (
             "wanted",
-            f"{request.response}, {range_name(request.dynamic_range)}, "
-            f"in {len(plan.settings)} exposures",
+            f"{plan.response}, {range_name(plan.dynamic_range)}, in {len(plan.settings)} exposures",
         ),
         ("shortest exposure", f"{duration(plan.base_s)}, {_metered(report)}"),
     ]
@@ -53,9 +50,21 @@ def capture_lines(report: CaptureReport, directory: Path) -> str:
                 f"{percent(achieved.dark_fraction)} too dark",
             ),
         ]
-    rows += [("files", f"in {directory}{'' if len(frames) else ' (nothing)'}")]
-    rows += [("", name) for name in _file_names(report)]
+    rows += [
+        ("time", _timing(report)),
+        ("result", str(directory)),
+        *(("", name) for name in [*report.files.values(), "report.json", "frames/"]),
+    ]
     return "\n".join([*parts, fields(rows)])
+
+
+def _timing(report: CaptureReport) -> str:
+    told = {"planning_s": "planning", "shooting_s": "shooting", "writing_s": "writing"}
+    return ", ".join(
+        f"{name} {duration(report.timing[key])}"
+        for key, name in told.items()
+        if key in report.timing
+    )
 
 
 def _metered(report: CaptureReport) -> str:
@@ -85,7 +94,3 @@ def _frames(report: CaptureReport) -> str:
             )
         )
     return table(heads, lines, right=range(len(heads)))
-
-
-def _file_names(report: CaptureReport) -> list[str]:
-    return list(dict.fromkeys(report.files.values()))

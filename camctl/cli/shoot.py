@@ -1,0 +1,182 @@
+"""`camctl shoot`: meter, look up, shoot, sum, write the result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from camctl.cli import options
+from camctl.cli.commands import command
+from camctl.cli.output import say, say_json, warn
+from camctl.cli.progress import capture_progress
+from camctl.cli.results import capture_lines
+from camctl.cli.source import fresh_directory, source_of
+from camctl.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    from camctl.capture.report import CaptureReport
+    from camctl.capture.request import CaptureRequest
+
+WITH_RESUME = frozenset({"resume_directory", "as_json"})
+
+
+@command(
+    examples=(
+        ("camctl shoot", "the simulated camera: tile floor, equal contrast, 3 exposures"),
+        ("camctl shoot --camera v4l2:/dev/video0 --range high -n 4 -o hall", "a real one"),
+        ("camctl shoot --scene memorial.hdr --response gamma", "any radiance map as the scene"),
+        ("camctl shoot --ratios 1,2,4 --base 1/500", "exposures of your own"),
+        ("camctl shoot --resume hall", "go on where a capture was interrupted"),
+    )
+)
+@options.camera
+@options.response
+@options.dynamic_range
+@options.count
+@click.option(
+    "--ratios",
+    type=options.Ratios(),
+    metavar="A,B,...",
+    help="Exposures of your own, relative to one another, instead of looked-up ones.",
+)
+@click.option(
+    "--base",
+    "base_s",
+    type=options.Seconds(auto=True),
+    default="auto",
+    metavar="auto|SECONDS",
+    help="Shutter time of the shortest exposure, for example 0.004 or 1/250; auto meters it so "
+    "that highlights stay just below saturation.",
+)
+@click.option(
+    "--compensation",
+    "compensation_stops",
+    type=options.Number("a finite number of stops"),
+    default=0.0,
+    metavar="STOPS",
+    help="Make the shortest exposure longer (or shorter: -1 halves it).",
+)
+@options.levels_wanted
+@options.shooting
+@options.simulation
+@click.option(
+    "-o",
+    "--output",
+    "directory",
+    type=options.PATH,
+    metavar="PATH",
+    help="Folder for the result.  [default: capture-DATE-TIME here]",
+)
+@click.option("--force", is_flag=True, help="Replace an earlier capture in that folder.")
+@click.option(
+    "--resume",
+    "resume_directory",
+    type=options.PATH,
+    metavar="DIR",
+    help="Shoot only what is missing in DIR, as it was planned.",
+)
+@options.as_json
+@click.pass_context
+def shoot(
+    context: click.Context,
+    camera_id: str,
+    response: str,
+    dynamic_range: float,
+    count: int,
+    ratios: tuple[float, ...] | None,
+    base_s: float | None,
+    compensation_stops: float,
+    levels_wanted: float | None,
+    mains: str | None,
+    use_aperture: bool,
+    spend_shutter: bool,
+    scene: str | None,
+    sensor: str | None,
+    size: str | None,
+    seed: int | None,
+    real_time: bool,
+    directory: Path | None,
+    force: bool,
+    resume_directory: Path | None,
+    as_json: bool,
+) -> None:
+    """Take a high-dynamic-range picture.
+
+    Meters the scene, looks up which exposures serve the wanted picture best, chooses the nearest
+    that the camera can really do, shoots them, and sums them while they arrive.  The result is a
+    folder: frames as they came, their sum, a 16-bit image, a radiance map (.exr), a preview and a
+    report (report.json).
+    """
+    named = options.given(context)
+    if resume_directory is not None:
+        if named - WITH_RESUME:
+            extra = ", ".join(sorted(options.spelling(context, n) for n in named - WITH_RESUME))
+            raise UsageError(f"--resume goes on as it was planned, without {extra}")
+        report = _resume(resume_directory)
+        directory = resume_directory
+    else:
+        if ratios is not None:
+            if "count" in named and len(ratios) != count:
+                raise UsageError(f"--ratios names {len(ratios)} exposures, -n says {count}")
+            count = len(ratios)
+        from camctl.capture.request import CaptureRequest
+
+        request = CaptureRequest(
+            response=response,
+            dynamic_range=dynamic_range,
+            count=count,
+            ratios=ratios,
+            base_s=base_s,
+            compensation_stops=compensation_stops,
+            levels_wanted=levels_wanted,
+            use_aperture=use_aperture,
+            mains_hz=None if mains is None else float(mains),
+            spend_shutter=spend_shutter,
+        )
+        beside = options.camera_options(scene, sensor, size, seed, real_time=real_time)
+        directory = fresh_directory() if directory is None else directory
+        report = _shoot(camera_id, beside, request, directory, force)
+    for warning in report.warnings:
+        warn(warning)
+    if as_json:
+        say_json(report.model_dump(mode="json"))
+    else:
+        say(capture_lines(report, directory))
+
+
+def _shoot(
+    camera_id: str,
+    beside: dict[str, str],
+    request: CaptureRequest,
+    directory: Path,
+    force: bool,
+) -> CaptureReport:
+    from camctl.capture import capture
+    from camctl.registry import open_camera
+
+    with open_camera(camera_id, beside) as camera, capture_progress() as progress:
+        return capture(
+            camera,
+            request,
+            directory,
+            source=source_of(camera_id, beside),
+            progress=progress,
+            overwrite=force,
+        )
+
+
+def _resume(directory: Path) -> CaptureReport:
+    from camctl.capture import read_report, resume
+    from camctl.registry import open_camera
+
+    source = read_report(directory).source
+    camera_id, beside = source.get("camera"), source.get("options")
+    if not isinstance(camera_id, str) or not isinstance(beside, dict):
+        raise DataError(
+            f"{directory}/report.json does not say which camera took it",
+            hint="it was not shot by `camctl shoot`; resume it with the program that took it",
+        )
+    with open_camera(camera_id, beside) as camera, capture_progress() as progress:
+        return resume(camera, directory, progress=progress)
