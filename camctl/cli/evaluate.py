@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from camctl.cli import options
+from camctl.cli import kinds, options
 from camctl.cli.commands import command
 from camctl.cli.output import fields, number, say, say_json, warn
 from camctl.cli.solve import desired_name, objective_line
@@ -21,7 +19,7 @@ from camctl.cli.solve import desired_name, objective_line
 )
 @click.option(
     "--ratios",
-    type=options.Ratios(),
+    type=kinds.Ratios(),
     required=True,
     metavar="A,B,...",
     help="Exposures, relative to one another.",
@@ -38,7 +36,7 @@ def evaluate(
     dynamic_range: float,
     bits: int,
     phase: float,
-    curve: Path | None,
+    curve: str | None,
     levels_wanted: float | None,
     p: float,
     noise: float | None,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from camctl.cli import options
+from camctl.cli import kinds, options
 from camctl.cli.commands import command
 from camctl.cli.output import say, warn
 from camctl.cli.source import fresh_directory, source_of
@@ -33,7 +33,7 @@ from camctl.errors import UsageError
     "-o",
     "--output",
     "parent",
-    type=options.PATH,
+    type=kinds.PATH,
     default=".",
     metavar="PATH",
     help="Folder in which each capture gets a folder of its own.",

@@ -71,8 +71,9 @@ def _metered(report: CaptureReport) -> str:
     metering = report.plan.metering
     if metering is None:
         return "as given"
+    frames = "1 frame" if metering.frames == 1 else f"{metering.frames} frames"
     return (
-        f"metered in {metering.frames} frames: highlights at {percent(metering.highlight)} "
+        f"metered in {frames}: highlights at {percent(metering.highlight)} "
         f"of full scale, {percent(metering.clipped)} of the samples clipped"
     )
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from camctl.cli import options
+from camctl.cli import kinds, options
 from camctl.cli.commands import command
 from camctl.cli.output import say, say_json, warn
 from camctl.cli.progress import capture_progress
@@ -37,14 +37,14 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
 @options.count
 @click.option(
     "--ratios",
-    type=options.Ratios(),
+    type=kinds.Ratios(),
     metavar="A,B,...",
     help="Exposures of your own, relative to one another, instead of looked-up ones.",
 )
 @click.option(
     "--base",
     "base_s",
-    type=options.Seconds(auto=True),
+    type=kinds.Seconds(auto=True),
     default="auto",
     metavar="auto|SECONDS",
     help="Shutter time of the shortest exposure, for example 0.004 or 1/250; auto meters it so "
@@ -53,7 +53,7 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
 @click.option(
     "--compensation",
     "compensation_stops",
-    type=options.Number("a finite number of stops"),
+    type=kinds.Number("a finite number of stops"),
     default=0.0,
     metavar="STOPS",
     help="Make the shortest exposure longer (or shorter: -1 halves it).",
@@ -65,7 +65,7 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
     "-o",
     "--output",
     "directory",
-    type=options.PATH,
+    type=kinds.PATH,
     metavar="PATH",
     help="Folder for the result.  [default: capture-DATE-TIME here]",
 )
@@ -73,7 +73,7 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
 @click.option(
     "--resume",
     "resume_directory",
-    type=options.PATH,
+    type=kinds.PATH,
     metavar="DIR",
     help="Shoot only what is missing in DIR, as it was planned.",
 )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from camctl.cli import options
+from camctl.cli import kinds, options
 from camctl.cli.commands import command
 from camctl.cli.output import duration, fields, number, say, say_json, table, warn
 from camctl.cli.results import percent
@@ -34,14 +34,14 @@ SUFFIXES = (".tiff", ".tif", ".png", ".npy")
 @click.option(
     "--time",
     "time_s",
-    type=options.Seconds(),
+    type=kinds.Seconds(),
     default="1/100",
     metavar="SECONDS",
     help="Shutter time, for example 0.01 or 1/100; the nearest that the sensor has is taken.",
 )
 @click.option(
     "--gain",
-    type=options.Number("a positive gain", above=0),
+    type=kinds.Number("a positive gain", above=0),
     default=1.0,
     metavar="X",
     help="Linear gain; the nearest that the sensor has is taken.",
@@ -50,7 +50,7 @@ SUFFIXES = (".tiff", ".tif", ".png", ".npy")
 @click.option(
     "-o",
     "--output",
-    type=options.PATH,
+    type=kinds.PATH,
     metavar="FILE",
     help="Write the frame: .tiff, .png or .npy.  [default: no file]",
 )

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from camctl.cli import options
+from camctl.cli import kinds, options
 from camctl.cli.commands import command
-from camctl.cli.output import fields, number, range_name, say, say_json, warn
+from camctl.cli.output import duration, fields, number, range_name, say, say_json, warn
 from camctl.cli.progress import progress_bar, share_only
 from camctl.errors import UsageError
+
+if TYPE_CHECKING:
+    from camctl.exposure.solver import Solution
+
+WITHOUT_TOLERANCE = frozenset({"p", "noise", "jitter", "total_limit", "settings"})
+WITHOUT_SETTINGS = frozenset({"noise", "jitter"})
 
 
 @command(
@@ -26,16 +32,24 @@ from camctl.errors import UsageError
 @options.count
 @click.option(
     "--tolerance",
-    type=options.Number("a number of levels from 0", least=0),
+    type=kinds.Number("a number of levels from 0", least=0),
     metavar="X",
     help="Fewest exposures with at most X wanted levels missing; needs --levels, and -n is then "
     "the most.",
 )
 @click.option(
     "--total-limit",
-    type=options.Number("a positive number", above=0),
+    type=kinds.Number("a positive number", above=0),
     metavar="X",
-    help="Keep the shutter open no longer than X times the shortest exposure in all.",
+    help="Keep the shutter open no longer in all than X times the shortest exposure, or with "
+    "--settings X seconds.",
+)
+@click.option(
+    "--settings",
+    type=kinds.Settings(),
+    metavar="FILE",
+    help="Choose among the shutter times that a camera has: true seconds, one a line, such as "
+    "0.004 or 1/32.",
 )
 @options.real_camera
 @options.levels_wanted
@@ -50,9 +64,10 @@ def solve(
     count: int,
     tolerance: float | None,
     total_limit: float | None,
+    settings: tuple[float, ...] | None,
     bits: int,
     phase: float,
-    curve: Path | None,
+    curve: str | None,
     levels_wanted: float | None,
     p: float,
     noise: float | None,
@@ -68,78 +83,100 @@ def solve(
     levels that are missing (xi; less is better), and in effective levels: as many equal steps of
     brightness would be as accurate (more is better).
     """
-    if tolerance is not None:
-        if levels_wanted is None:
-            raise UsageError("--tolerance needs --levels", hint="say how many levels are wanted")
-        extra = options.given(context) & {"p", "noise", "jitter", "total_limit"}
-        if extra:
-            names = ", ".join(options.spelling(context, name) for name in sorted(extra))
-            raise UsageError(f"--tolerance goes without {names}")
-    from camctl.exposure import solver
+    named = options.given(context)
+    if tolerance is not None and levels_wanted is None:
+        raise UsageError("--tolerance needs --levels", hint="say how many levels are wanted")
+    for option, without in (("tolerance", WITHOUT_TOLERANCE), ("settings", WITHOUT_SETTINGS)):
+        if option in named and named & without:
+            extra = ", ".join(options.spelling(context, name) for name in sorted(named & without))
+            raise UsageError(f"--{option} goes without {extra}")
     from camctl.exposure.response import desired_response
+    from camctl.exposure.settings import SettingsSolution, solve_settings
+    from camctl.exposure.solver import fewest
+    from camctl.exposure.solver import solve as search
 
     real = options.real_response(bits, phase, curve)
     for note in real.notes:
         warn(note)
     desired = desired_response(response, dynamic_range)
+    ideal: Solution | None = None
     with progress_bar("searching") as tick:
+        progress = share_only(tick)
         if tolerance is not None and levels_wanted is not None:
-            most = count if "count" in options.given(context) else 16
-            found = solver.fewest(
-                real,
-                desired,
-                tolerance,
-                levels_wanted,
-                seed=seed,
-                most=most,
-                progress=share_only(tick),
+            most = count if "count" in named else 16
+            found = fewest(
+                real, desired, tolerance, levels_wanted, seed=seed, most=most, progress=progress
             )
         else:
-            found = solver.solve(
+            found = search(
                 real,
                 desired,
                 count,
                 levels_wanted=levels_wanted,
                 seed=seed,
-                progress=share_only(tick),
+                progress=progress,
                 p=p,
                 noise=options.noise_term(noise, noise_weight, noise_kind),
                 jitter=jitter,
-                total_limit=total_limit,
+                total_limit=None if settings is not None else total_limit,
             )
+        if settings is not None:
+            ideal = found
+            found = solve_settings(
+                real,
+                desired,
+                count,
+                settings,
+                total_limit=total_limit,
+                levels_wanted=levels_wanted,
+                p=p,
+                seed=seed,
+            )
+    facts = {
+        "exposures": found.exposures,
+        "xi": found.xi,
+        "levels_wanted": found.levels_wanted,
+        "effective_levels": found.effective_levels,
+        "total_exposure": found.total_exposure,
+        "seconds": found.seconds,
+        "evaluations": found.evaluations,
+        "response": response,
+        "dynamic_range": dynamic_range,
+        "camera": real.name,
+        "seed": seed,
+    }
+    chosen = found if isinstance(found, SettingsSolution) else None
+    if chosen is not None and ideal is not None:
+        facts["settings_s"] = chosen.settings
+        facts["every_set_tried"] = chosen.enumerated
+        facts["without_settings"] = {
+            "exposures": ideal.exposures,
+            "xi": ideal.xi,
+            "effective_levels": ideal.effective_levels,
+        }
     if as_json:
-        say_json(
-            {
-                "exposures": found.exposures,
-                "xi": found.xi,
-                "levels_wanted": found.levels_wanted,
-                "effective_levels": found.effective_levels,
-                "total_exposure": found.total_exposure,
-                "seconds": found.seconds,
-                "evaluations": found.evaluations,
-                "response": response,
-                "dynamic_range": dynamic_range,
-                "camera": real.name,
-                "seed": seed,
-            }
-        )
+        say_json(facts)
         return
-    say(
-        fields(
-            [
-                ("wanted", f"{desired_name(response, dynamic_range, len(found.exposures))}"),
-                ("camera", real.name),
-                ("exposures", "  ".join(number(value) for value in found.exposures)),
-                objective_line(found.xi, found.levels_wanted, plain=_is_plain(p, noise, jitter)),
-                ("effective levels", number(found.effective_levels, 4)),
-                ("shutter open", f"{number(found.total_exposure)} x the shortest exposure"),
-                (
-                    "search",
-                    f"{number(found.seconds, 3)} s, {found.evaluations:,} sets, seed {seed}",
-                ),
-            ]
-        )
-    )
+    plain = p == 1 and noise is None and jitter == 0
+    rows = [
+        ("wanted", desired_name(response, dynamic_range, len(found.exposures))),
+        ("camera", real.name),
+        ("exposures", "  ".join(number(value) for value in found.exposures)),
+        objective_line(found.xi, found.levels_wanted, plain=plain),
+        ("effective levels", number(found.effective_levels, 4)),
+        ("shutter open", f"{number(found.total_exposure)} x the shortest exposure"),
+        ("search", f"{number(found.seconds, 3)} s, {found.evaluations:,} sets, seed {seed}"),
+    ]
+    if chosen is not None and ideal is not None:
+        rows[2:2] = [("settings", "  ".join(duration(value) for value in chosen.settings))]
+        rows += [
+            (
+                "any times at all",
+                f"{number(ideal.effective_levels, 4)} effective levels with "
+                + "  ".join(number(value) for value in ideal.exposures),
+            )
+        ]
+    say(fields(rows))
 
 
 def desired_name(response: str, dynamic_range: float, count: int) -> str:
@@ -154,7 +191,3 @@ def objective_line(xi: float, levels_wanted: float, *, plain: bool) -> tuple[str
     if plain:
         return "wanted levels missing", f"{number(xi, 5)} of {number(levels_wanted)} (xi)"
     return "objective", f"{number(xi)}, {number(levels_wanted)} levels wanted"
-
-
-def _is_plain(p: float, noise: float | None, jitter: float) -> bool:
-    return p == 1 and noise is None and jitter == 0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from camctl.cli import options
+from camctl.cli import kinds, options
 from camctl.cli.commands import LazyGroup, command
 from camctl.cli.output import number, range_name, say, say_json, warn
 from camctl.cli.output import table as columns
@@ -49,7 +49,7 @@ class InterruptedBuildError(CamctlError):
 @click.option(
     "--table",
     "path",
-    type=options.PATH,
+    type=kinds.PATH,
     metavar="FILE",
     help="A table that was built.  [default: the one that ships]",
 )
@@ -59,7 +59,7 @@ class InterruptedBuildError(CamctlError):
 @click.option(
     "--range",
     "dynamic_range",
-    type=options.Range(),
+    type=kinds.Range(),
     metavar="low|medium|high|NUMBER",
     help="Only this dynamic range.",
 )
@@ -82,7 +82,7 @@ def show(
     count: int | None,
     bits: int,
     phase: float,
-    curve: Path | None,
+    curve: str | None,
     as_json: bool,
 ) -> None:
     """Show which exposures the table holds, what they cost and what they give.
@@ -156,14 +156,14 @@ def _rows(entries: list[TableEntry]) -> str:
 @options.real_camera
 @click.option(
     "--responses",
-    type=options.Names("response", options.RESPONSES),
+    type=kinds.Names("response", options.RESPONSES),
     default="linear,gamma,log",
     metavar="NAME,...",
     help="Wanted responses.",
 )
 @click.option(
     "--ranges",
-    type=options.Ranges(),
+    type=kinds.Ranges(),
     default="low,medium,high",
     metavar="RANGE,...",
     help="Wanted dynamic ranges, by name or number.",
@@ -180,14 +180,14 @@ def _rows(entries: list[TableEntry]) -> str:
 @options.seed
 @click.option(
     "--workers",
-    type=options.Whole("a whole number of workers, 1 to 256", least=1, most=256),
+    type=kinds.Whole("a whole number of workers, 1 to 256", least=1, most=256),
     metavar="N",
     help="Processes that share the work; the table is the same.  [default: one a processor]",
 )
 @click.option(
     "-o",
     "--output",
-    type=options.PATH,
+    type=kinds.PATH,
     default="exposure-table.json",
     metavar="FILE",
     help="The table.",
@@ -197,7 +197,7 @@ def _rows(entries: list[TableEntry]) -> str:
 def build(
     bits: int,
     phase: float,
-    curve: Path | None,
+    curve: str | None,
     responses: tuple[str, ...],
     ranges: tuple[float, ...],
     count: int,
