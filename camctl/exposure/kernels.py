@@ -28,18 +28,26 @@ Work = NDArray[Any]
 class BatchScore:
     """Scores (B, n) exposures, each row ascending from 1, on one core.
 
+    `exact` means float64 for cameras of few levels too.
+
     Attributes:
         evaluations: rows scored so far
     """
 
     def __init__(
-        self, response: RealResponse, desired: DesiredResponse, goal: Goal, n: int
+        self,
+        response: RealResponse,
+        desired: DesiredResponse,
+        goal: Goal,
+        n: int,
+        *,
+        exact: bool = False,
     ) -> None:
         self.desired = desired
         self.goal = goal
         self.n = n
         self.evaluations = 0
-        dtype = np.float32 if response.M <= FINEST_FLOAT32 else np.float64
+        dtype = np.float32 if response.M <= FINEST_FLOAT32 and not exact else np.float64
         self._levels = response.levels.astype(dtype)
         self._size = n * response.M
         self._draws = goal.draws(n)
