@@ -1,9 +1,9 @@
 """The objective for batches of candidates, as fast as numpy goes on one core.
 
 Same mathematics as `objective`, in float32 (6e-8 of a level's irradiance) up to 4,096 levels a
-frame and in float64 above, gap by gap without branches.  Linear, square root and logarithm are
-exact for p = 1 and 2; what remains (other powers with other norms, tables) uses the mean slope of
-each gap, a lower bound that is good enough to rank candidates: a search ends with the exact one.
+frame and in float64 above, gap by gap without branches.  Exact are linear for every p, square root
+and logarithm for p = 1 and 2, and powers q < 1 for p = 1.  What remains uses the mean slope of each
+gap, a lower bound that is good enough to rank candidates: a search ends with the exact one.
 """
 
 from __future__ import annotations
@@ -129,6 +129,8 @@ class BatchScore:
             return self._log(low, high, work)
         if isinstance(desired, GammaDesired) and desired.q == 0.5 and p in (1, 2):
             return self._root(low, high, work)
+        if isinstance(desired, GammaDesired) and desired.bend < 0 and p == 1:
+            return self._power(low, high, desired.q)
         heights = self.goal.levels_wanted * desired.u(np.append(low, high[:, -1:], axis=1))
         excess = np.maximum(np.diff(heights, axis=1) - 1, 0.0)
         if p == 1:
@@ -187,6 +189,17 @@ class BatchScore:
         rise *= k
         rise -= stop
         return rise
+
+    def _power(self, low: Work, high: Work, q: float) -> Work:
+        k = low.dtype.type(self.goal.levels_wanted / (1 - self.desired.e_min**q))
+        width = np.maximum(high - low, self._tiny)
+        with np.errstate(over="ignore"):  # what overflows lies above `high` anyway
+            stop = (width * (k * low.dtype.type(q))) ** low.dtype.type(1 / (1 - q))
+        np.minimum(stop, high, out=stop)
+        np.maximum(stop, low, out=stop)
+        power = low.dtype.type(q)
+        missing: Work = k * (stop**power - low**power) - (stop - low) / width
+        return missing
 
     def _root_squared(self, low: Work, stop: Work, width: Work) -> Work:
         k = low.dtype.type(self.goal.levels_wanted / (1 - self.desired.e_min**0.5))

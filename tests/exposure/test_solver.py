@@ -53,6 +53,8 @@ def test_large_cells_with_a_fifth_of_the_effort(cell: Cell) -> None:
         (desired_response("linear", 1000.0), 1.5, 1e-3),
         (desired_response("gamma", 1000.0), 1.0, 1e-4),
         (desired_response("gamma", 1000.0), 2.0, 1e-3),
+        (desired_response("gamma", 1000.0, q=0.2), 1.0, 1e-4),
+        (desired_response("gamma", 1000.0, q=0.99), 1.0, 1e-4),
         (desired_response("log", 1000.0), 1.0, 1e-4),
         (desired_response("log", 1000.0), 2.0, 1e-3),
     ],
