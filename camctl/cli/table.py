@@ -220,6 +220,7 @@ def build(
     for note in real.notes:
         warn(note)
     rows = len(responses) * len(ranges) * count
+    parts = output.with_name(f"{output.name}.parts")
     try:
         with (
             progress_bar(f"solving {rows} rows") as tick,
@@ -232,13 +233,15 @@ def build(
                 range(1, count + 1),
                 seed=seed,
                 executor=executor,
-                state=output.with_name(f"{output.name}.parts"),
+                state=parts,
                 progress=None if tick is None else lambda done, all_: tick(done / all_, ""),
             )
     except KeyboardInterrupt:
+        kept = len(list(parts.glob("*.json")))
         raise InterruptedBuildError(
-            f"interrupted; finished rows are kept in {output}.parts",
-            hint="say the same again to go on",
+            f"interrupted with {kept} of {rows} rows done"
+            + (f", which are kept in {parts}" if kept else ""),
+            hint="say the same again to go on" if kept else "",
         ) from None
     made.save(output)
     if as_json:
@@ -265,8 +268,8 @@ def _executor(workers: int) -> Iterator[Executor | None]:
     try:
         yield pool
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
         for child in multiprocessing.active_children():
-            child.terminate()
+            child.terminate()  # a row can take a long while, and nobody waits for it
+        pool.shutdown(cancel_futures=True)
         raise
     pool.shutdown()
