@@ -19,7 +19,7 @@ from sim.scene import load_scene
 from sim.sensor import load_sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from conftest import Run
 
@@ -261,11 +261,12 @@ def test_simulate_writes_the_frame(run: Run, suffix: str, sensor: str, scene: st
     size = () if scene == "colour.npy" else SMALL
     words = ("simulate", "--sensor", sensor, "--scene", scene, *size, "--seed", "3")
     told = run(*words, "-o", f"frame.{suffix}", "--json").json
-    pixels: Any = {
+    readers: dict[str, Callable[[str], Any]] = {
         "tiff": tifffile.imread,
         "png": partial(cv2.imread, flags=cv2.IMREAD_UNCHANGED),
         "npy": np.load,
-    }[suffix](f"frame.{suffix}")
+    }
+    pixels = readers[suffix](f"frame.{suffix}")
     assert told["file"] == f"frame.{suffix}"
     assert (int(pixels.min()), int(pixels.max())) == (told["minimum"], told["maximum"])
     assert pixels.mean() == pytest.approx(told["mean"])
