@@ -15,7 +15,7 @@ from pathlib import Path
 from camctl.errors import UsageError
 from camctl.exposure.desired import RANGES, RESPONSES, DesiredResponse, desired_response
 from camctl.exposure.real import RealResponse
-from camctl.exposure.rows import ExposureTable, TableEntry, read_entry, write_whole
+from camctl.exposure.rows import ExposureTable, TableEntry, read_entry, write_text
 from camctl.exposure.solver import check_count, solve
 
 COUNTS: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
@@ -122,7 +122,7 @@ def build_table(
     def keep(job: Job, entry: TableEntry, *, fresh: bool) -> None:
         done[job.name] = entry
         if fresh and folder is not None:
-            write_whole(folder / f"{job.name}.json", entry.model_dump_json() + "\n")
+            write_text(folder / f"{job.name}.json", entry.model_dump_json() + "\n")
         if progress is not None:
             progress(len(done), len(jobs))
 

@@ -7,17 +7,16 @@ with a black level or with a rounding converter is never served the row of an 8-
 from __future__ import annotations
 
 import math
-import os
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from camctl.errors import DataError, StorageError
+from camctl.errors import DataError
 from camctl.exposure.desired import DesiredResponse
 from camctl.exposure.real import RealResponse
+from camctl.files import storage_error, write_bytes
 
 _REBUILD = "build it again with 'camctl table build'"
 
@@ -89,25 +88,17 @@ class _TableFile(BaseModel):
     entries: tuple[TableEntry, ...]
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file so that it appears whole or not at all; raises `StorageError`."""
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, and the folders above it; it appears whole or not at all.
+
+    Raises:
+        StorageError: it could not be written
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(scratch).chmod(0o644)
-            Path(scratch).replace(path)
-        except BaseException:
-            Path(scratch).unlink(missing_ok=True)
-            raise
     except OSError as error:
-        raise StorageError(
-            f"cannot write {path}: {error.strerror or error}", hint="choose another place"
-        ) from error
+        raise storage_error(path, error) from error
+    write_bytes(path, text.encode())
 
 
 def _problem(error: ValidationError) -> str:
@@ -160,7 +151,7 @@ class ExposureTable:
         """Write the table; it appears whole or not at all.  Raises `StorageError`."""
         rows = ",\n  ".join(entry.model_dump_json() for entry in self.entries)
         head = '"format": "camctl exposure table",\n "version": 1,\n "entries": [\n  '
-        write_whole(Path(path), "{" + head + rows + "\n]}\n")
+        write_text(Path(path), "{" + head + rows + "\n]}\n")
 
     def find(
         self,

@@ -29,7 +29,7 @@ STARTS = 64
 MOVES = 32
 MOST_MOVES = 256
 SHARE_OF_ROUNDS = (0.07, 0.07, 0.11, 0.15, 0.22, 0.38)
-EFFORT = {2: 20_000, 3: 50_000, 4: 160_000, 5: 220_000, 6: 330_000}
+EFFORT = {2: 10_000, 3: 25_000, 4: 100_000, 5: 160_000, 6: 330_000}
 MOST_EFFORT = 400_000
 MOST_LEVELS = 2.5e9
 """Levels sorted in one search, at most: what many-bit cameras are held to (about 15 s)."""

@@ -15,7 +15,7 @@ from camctl.errors import StorageError
 from camctl.exposure.build import Job, build_table, solve_job
 from camctl.exposure.desired import DesiredResponse
 from camctl.exposure.real import RealResponse
-from camctl.exposure.rows import ExposureTable, TableEntry, read_entry, write_whole
+from camctl.exposure.rows import ExposureTable, TableEntry, read_entry, write_text
 
 __all__ = [
     "ExposureTable",
@@ -69,5 +69,5 @@ def look_up(
         return read_entry(path, job.is_answered_by)
     entry = solve_job(job, progress)
     with suppress(StorageError):
-        write_whole(path, entry.model_dump_json() + "\n")
+        write_text(path, entry.model_dump_json() + "\n")
     return entry
