@@ -7,13 +7,22 @@ from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Self
 
-from camctl.camera import CameraInfo, ExposureControls, ExposureSetting, Frame, FrameStream
+from camctl.camera import (
+    CameraInfo,
+    ExposureControls,
+    ExposureSetting,
+    Frame,
+    FrameStream,
+    Pixels,
+)
 from camctl.clock import Clock, VirtualClock
 from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraTimeoutError
-from sim.device import Buffer, SimulatedDevice
-from sim.render import Renderer, light_on
+from sim.budget import Decision, FramePlan
+from sim.device import Buffer, SimulatedDevice, Slot
+from sim.render import Renderer
 from sim.scene import Scene
-from sim.sensor import Sensor, SensorEffect
+from sim.sensor import Sensor
+from sim.view import View, photons_per_unit
 
 SILENCE_S = 5.0
 
@@ -47,6 +56,13 @@ class SimulatedCamera:
         seed: of all noise; the same seed, settings and calls give the same frames
         faults: what goes wrong
         threads: that render a frame (1 or 2); the frame is the same
+        tolerance_dn: most that leaving effects out may change in any sample, DN, summed over the
+            frames of one `shoot`: each of n frames has 1/n of it.  0, the default, leaves nothing
+            out: averages over a bracket of interleaved exposures show far less than a level, and
+            a tolerance of more than 0.05 would spoil them.
+
+    Raises:
+        UsageError: a seed or a tolerance out of range
     """
 
     def __init__(
@@ -58,6 +74,7 @@ class SimulatedCamera:
         seed: int = 0,
         faults: Faults | None = None,
         threads: int = 2,
+        tolerance_dn: float = 0.0,
     ) -> None:
         self.scene = scene
         self.sensor = sensor
@@ -65,12 +82,15 @@ class SimulatedCamera:
         self._controls = sensor.controls(
             scene.shape,
             is_coloured=scene.is_coloured,
-            photons_per_unit=scene.photons_per_unit,
+            photons_per_unit=photons_per_unit(scene, sensor),
             notes=scene.notes,
         )
-        light = light_on(scene, self._controls.layout)
-        renderer = Renderer(light, sensor, seed=seed, threads=threads)
-        self.device = SimulatedDevice(sensor, renderer.frame, self._clock, seed=seed)
+        self._renderer = Renderer(
+            View.of(scene, sensor), sensor, seed=seed, threads=threads, tolerance_dn=tolerance_dn
+        )
+        self._share = 1.0
+        self._plan: FramePlan | None = None
+        self.device = SimulatedDevice(sensor, self._render, self._clock, seed=seed)
         self._faults = faults or Faults()
         self._busy_calls = self._faults.busy_calls
         self._handed_over = 0
@@ -93,9 +113,14 @@ class SimulatedCamera:
         return self._clock
 
     @property
-    def effects(self) -> tuple[SensorEffect, ...]:
-        """Which effects of the sensor its frames have."""
-        return self.sensor.effects_for(self._controls.layout)
+    def last_plan(self) -> FramePlan | None:
+        """Which effects the frame that was handed over last has; None before the first."""
+        return self._plan
+
+    @property
+    def effects(self) -> tuple[Decision, ...]:
+        """What was decided of each effect for the frame handed over last; empty before it."""
+        return self._plan.effects if self._plan is not None else ()
 
     @property
     def frames_lost(self) -> int:
@@ -132,6 +157,17 @@ class SimulatedCamera:
     ) -> None:
         """Close the camera."""
         self.close()
+
+    def _render(self, slot: Slot) -> Pixels:
+        shot = self._renderer.shot(
+            slot.time_s,
+            slot.gain,
+            slot.sequence,
+            start_s=slot.start_s,
+            previous_s=slot.previous_s,
+        )
+        self._plan = self._renderer.plan(shot, share=self._share)
+        return self._renderer.expose(shot, self._plan)
 
     def _check_open(self) -> None:
         if not self._is_open:
@@ -171,6 +207,7 @@ class SimulatedCamera:
         not constant, setting i + 1 is written only when the frame of i is there.  A frame that was
         lost because the consumer was late is shot again from its setting on.
         """
+        self._share = 1 / max(1, len(settings))
         steady = self.sensor.delay_jitter_frames == 0
         settled = self.sensor.delay_frames + self.sensor.delay_jitter_frames
         written: list[tuple[int, ExposureSetting]] = []  # of settings[done:], as the device said

@@ -38,6 +38,25 @@ class Buffer:
     sequence: int
     timestamp_s: float
     _exposed: ExposureSetting
+    _before: ExposureSetting
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What a frame was exposed with.
+
+    Attributes:
+        sequence: number of the slot since the stream began
+        time_s, gain: its exposure
+        start_s: when the exposure began, since the stream did
+        previous_s: exposure time of the slot before
+    """
+
+    sequence: int
+    time_s: float
+    gain: float
+    start_s: float
+    previous_s: float
 
 
 class SimulatedDevice:
@@ -45,7 +64,7 @@ class SimulatedDevice:
 
     Args:
         sensor: times, gains, delay and frame interval
-        render: (time_s, gain, sequence) to pixels
+        render: what a `Slot` was exposed with, to pixels
         clock: the time that the stream runs in
         seed: of the jitter of the control delay
     """
@@ -53,7 +72,7 @@ class SimulatedDevice:
     def __init__(
         self,
         sensor: Sensor,
-        render: Callable[[float, float, int], Pixels],
+        render: Callable[[Slot], Pixels],
         clock: Clock,
         *,
         seed: int = 0,
@@ -67,6 +86,8 @@ class SimulatedDevice:
         self._pending: deque[tuple[int, ExposureSetting]] = deque()
         self._running = 0  # the slot that is exposing now, or begins at this instant
         self._start_s = clock.now()
+        self._began_s = self._start_s
+        self._before = self._setting
         self._finished: deque[Buffer] = deque()
         self._frozen = False
         self._plugged = True
@@ -109,7 +130,16 @@ class SimulatedDevice:
         """Return the pixels of a frame; `light` is a fault: they had so many times the exposure."""
         self._check_plug()
         setting = buffer._exposed
-        return self._render(setting.time_s * light, setting.gain, buffer.sequence)
+        start_s = buffer.timestamp_s - setting.time_s - self._began_s
+        return self._render(
+            Slot(
+                buffer.sequence,
+                setting.time_s * light,
+                setting.gain,
+                start_s,
+                buffer._before.time_s,
+            )
+        )
 
     def unplug(self) -> None:
         """Pull the cable: every call from now on raises `CameraDisconnectedError`."""
@@ -146,7 +176,8 @@ class SimulatedDevice:
             end_s = self._start_s + self._slot_s()
             if end_s > now:
                 return
-            self._finished.append(Buffer(self._running, end_s, self._setting))
+            self._finished.append(Buffer(self._running, end_s, self._setting, self._before))
+            self._before = self._setting
             self._running += 1
             self._start_s = end_s
             if len(self._finished) > QUEUE:

@@ -26,6 +26,16 @@ class Stream(IntEnum):
 
     PHOTON = 1
     READ = 2
+    PRNU = 3
+    DSNU = 4
+    HOT = 5
+    ROW = 6
+    COLUMN = 7
+    COSMIC = 8
+
+
+PATTERN = 0
+"""The frame number of what is the same in every frame: the pattern of a sensor follows its seed."""
 
 
 @lru_cache(maxsize=1)
@@ -57,6 +67,11 @@ def tile_bits(seed: int, frame: int, stream: Stream, tile: int, count: int) -> N
     return words.astype("<u8", copy=False).view("<u2")[:count]
 
 
+def line_noise(seed: int, frame: int, stream: Stream, count: int) -> NDArray[np.float32]:
+    """Return `count` standard normal numbers, one a row or column."""
+    return normal_quantiles()[tile_bits(seed, frame, stream, 0, count)]
+
+
 class TileNoise:
     """Working memory of one thread for the noise of tiles of up to `TILE` samples."""
 
@@ -67,9 +82,10 @@ class TileNoise:
         self._b = np.empty(TILE, dtype=np.float32)
         self._table = normal_quantiles()
 
-    def _normal(
+    def normal(
         self, count: int, seed: int, frame: int, stream: Stream, tile: int
     ) -> NDArray[np.float32]:
+        """Return `count` standard normal numbers, in memory that the next call uses again."""
         index, z = self._index[:count], self._z[:count]
         np.copyto(index, tile_bits(seed, frame, stream, tile, count))
         # Bits of 16 are always inside the table: wrap is the mode that checks least.
@@ -89,7 +105,7 @@ class TileNoise:
         more the result is within 0.009 e- (Wasserstein-1) of Poisson plus Gaussian.
         """
         count = electrons.size
-        z = self._normal(count, seed, frame, Stream.PHOTON, tile)
+        z = self.normal(count, seed, frame, Stream.PHOTON, tile)
         a, s = self._a[:count], self._b[:count]
         np.multiply(electrons, np.float32(6), out=a)
         np.add(a, np.float32(0.2), out=a)
@@ -109,6 +125,6 @@ class TileNoise:
         self, electrons: NDArray[np.float32], sigma_e: float, seed: int, frame: int, tile: int
     ) -> None:
         """Add Gaussian noise of `sigma_e` electrons in place."""
-        z = self._normal(electrons.size, seed, frame, Stream.READ, tile)
+        z = self.normal(electrons.size, seed, frame, Stream.READ, tile)
         np.multiply(z, np.float32(sigma_e), out=z)
         np.add(electrons, z, out=electrons)

@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, UsageError, unknown_name
+from sim.moving import Lamps, Target
 from sim.procedural import BUILT_IN
 from sim.radiance import SUFFIXES, read_map, read_shape
 
 DEFAULT_SCENE = "tile-floor"
 PHOTONS = "photons per pixel per second"
 RELATIVE = "arbitrary units"
+LUMINANCE = "candela per square metre"
 
 HIGHLIGHT_PHOTONS_S = 1e6
 """Photons a pixel a second that a relative map's highlight is looked at with, and that the
@@ -35,9 +37,12 @@ class Scene:
     Attributes:
         name: what a person calls it
         irradiance: (rows, columns) or (rows, columns, 3) linear RGB, float32, finite, >= 0
-        unit: `PHOTONS` for an absolute scene, `RELATIVE` for a radiance map
-        photons_per_unit: photons a pixel a second for one unit of irradiance
+        unit: `PHOTONS` or `LUMINANCE` for an absolute scene, `RELATIVE` for a radiance map
+        photons_per_unit: photons a pixel a second for one unit of irradiance; for `LUMINANCE`
+            times what lens and pixel make of one candela (`Sensor.photons_per_candela`)
         notes: what had to be repaired in a file, one line each
+        lamps: what lights it, where that flickers
+        target: what moves before it
 
     Raises:
         DataError: NaN, infinite or negative irradiance, wrong dimensions, or nothing in it
@@ -48,6 +53,8 @@ class Scene:
     unit: str = PHOTONS
     photons_per_unit: float = 1.0
     notes: tuple[str, ...] = ()
+    lamps: Lamps | None = None
+    target: Target | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "irradiance", _checked(self.name, np.asarray(self.irradiance)))

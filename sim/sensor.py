@@ -23,11 +23,18 @@ from camctl.camera import Choices, Control, ExposureControls, Layout, Steps
 from camctl.errors import CamctlError, DataError, unknown_name
 from camctl.exposure.response import FloatArray, RealResponse, tabulated_response
 from sim.noise import largest_noise
+from sim.parts import (
+    Dark,
+    Lens,
+    Matrix,
+    NotNegative,
+    Pixels,
+    Positive,
+    ReadOut,
+    photons_per_candela,
+)
 
 DEFAULT_SENSOR = "standard"
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 # A well far from the ADC's range is a slip of the pen: most levels would never be seen, or most
 # of the well.
@@ -45,15 +52,6 @@ class SensorNoise:
 
     electrons_per_level: float
     read_noise_levels: float
-
-
-@dataclass(frozen=True)
-class SensorEffect:
-    """One effect of a sensor, whether its frames have it, and why or how much."""
-
-    name: str
-    ran: bool
-    why: str
 
 
 class Sensor(BaseModel):
@@ -79,6 +77,9 @@ class Sensor(BaseModel):
         delay_frames: frames from setting an exposure to the frame that has it
         delay_jitter_frames: up to so many more, at random; 0 for a constant delay
         frame_interval_s: least time from frame to frame
+        spectrum: what the sensor's red, green and blue make of the scene's, three rows; None
+            is each its own
+        lens, dark, pixels, read_out: see `sim.parts`; left out, their effects are absent
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -103,6 +104,11 @@ class Sensor(BaseModel):
     delay_frames: int = Field(default=2, ge=0, le=30)
     delay_jitter_frames: int = Field(default=0, ge=0, le=30)
     frame_interval_s: Positive = 1 / 30
+    spectrum: Matrix | None = None
+    lens: Lens = Lens()
+    dark: Dark = Dark()
+    pixels: Pixels = Pixels()
+    read_out: ReadOut = ReadOut()
 
     @model_validator(mode="before")
     @classmethod
@@ -133,18 +139,38 @@ class Sensor(BaseModel):
                 f" = {self.adc_range_e:g} electrons"
             )
         if self.white <= self.black:
-            raise ValueError("read_noise_e is as large as the well")
+            raise ValueError("the noise of reading is as large as the well")
         if self.curve != "linear" and self.white < 2**self.bits - 1:
             raise ValueError("a sensor with a curve needs a well beyond the ADC's range")
         if self.curve != "linear" and self.black:
             raise ValueError("a sensor with a curve has no black level: leave black at 0")
         _ = self.response  # a bad curve is refused here and not in the middle of a shot
+        self._parts_agree()
         if self.time_minimum_s > self.time_maximum_s:
             raise ValueError("time_minimum_s is above time_maximum_s")
         lines = self.time_minimum_s / self.line_s
         if lines < 1 - 1e-9 or abs(lines - round(lines)) > 1e-6 * lines:
             raise ValueError("time_minimum_s must be a whole number of line_s")
         return self
+
+    def _parts_agree(self) -> None:
+        bow = self.read_out.nonlinearity_dn
+        if bow > (2**self.bits - self.black) / 8:
+            raise ValueError("nonlinearity_dn is more than an eighth of the ADC's range")
+        if self.curve != "linear" and bow:
+            raise ValueError("a sensor with a curve has its nonlinearity in the curve")
+
+    @property
+    def _uncertainty_e(self) -> float:
+        """Most that reading can add to or take from a full well, electrons."""
+        added = self.read_noise_e + self.pixels.dsnu_e
+        added += self.read_out.row_noise_e + self.read_out.column_noise_e
+        return largest_noise() * added
+
+    @property
+    def photons_per_candela(self) -> float:
+        """Photons a pixel a second for a luminance of 1 cd/m^2, through its lens."""
+        return photons_per_candela(self.lens, self.pixels)
 
     @property
     def adc_range_e(self) -> float:
@@ -159,7 +185,7 @@ class Sensor(BaseModel):
         by the read noise, which is bounded: white lies so far below that each sample of a full
         pixel reads at least white, and what it reads beyond white means nothing.
         """
-        full_e = self.full_well_e - largest_noise() * self.read_noise_e
+        full_e = self.full_well_e - self._uncertainty_e
         # Half a part in a million lower, against rounding in float32.
         full = self.black + self.phase + full_e / self.electrons_per_dn * (1 - 5e-7)
         return min((1 << self.bits) - 1, math.floor(full))
@@ -190,26 +216,6 @@ class Sensor(BaseModel):
         """Return what predicts the noise of its frames at a linear `gain`."""
         per_dn = self.electrons_per_dn / gain
         return SensorNoise(per_dn if self.photon_noise else math.inf, self.read_noise_e / per_dn)
-
-    def effects_for(self, layout: Layout) -> tuple[SensorEffect, ...]:
-        """Return the effects in the order of the light's way, and whether each is simulated."""
-        gain = f"{self.electrons_per_dn:g} e-/DN at gain 1"
-        mosaic = f"one colour a pixel, {layout.value}" if layout.is_mosaic else "no colour filters"
-        read = f"{self.read_noise_e:g} e-" if self.read_noise_e else "the sensor has none"
-        curve = f"{self.curve}" if isinstance(self.curve, str | float) else "tabulated"
-        return (
-            SensorEffect("colour mosaic", layout.is_mosaic, mosaic),
-            SensorEffect(
-                "photon noise",
-                self.photon_noise,
-                gain if self.photon_noise else "the sensor has none",
-            ),
-            SensorEffect("full well", True, f"{self.full_well_e:g} e-"),
-            SensorEffect("read noise", self.read_noise_e > 0, read),
-            SensorEffect("response curve", self.curve != "linear", curve),
-            SensorEffect("black level", self.black > 0, f"{self.black} DN"),
-            SensorEffect("quantisation", True, f"{self.bits} bits, phase {self.phase:g}"),
-        )
 
     @property
     def times(self) -> Steps:

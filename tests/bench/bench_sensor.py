@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Layout
-from sim.render import Renderer, light_on
+from sim.render import Renderer
 from sim.scene import load_scene
 from sim.sensor import Sensor, load_sensor
+from sim.view import light_on
 
 TIME_S = 0.01
 

@@ -21,7 +21,6 @@ from sim.scene import load_scene
 from sim.sensor import load_sensor
 
 
-
 def colours(rows: int = 20, columns: int = 30) -> np.ndarray:
     random = np.random.default_rng(5)
     return (

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from camctl.camera import Layout
 from camctl.errors import RefusedSettingError, UsageError
 from sim.noise import TILE
-from sim.render import Renderer, light_on, simulate_frame
+from sim.render import Renderer, simulate_frame
 from sim.scene import Scene, load_scene
 from sim.sensor import Sensor, load_sensor, sensor_names
+from sim.view import light_on
 
 
 @pytest.mark.parametrize("name", sensor_names())

@@ -13,9 +13,12 @@ from hypothesis import strategies as st
 
 from camctl.camera import Layout
 from camctl.errors import DataError, UsageError
+from sim.effects import effect_names
 from sim.noise import largest_noise
 from sim.render import Renderer
+from sim.scene import Scene
 from sim.sensor import Sensor, load_sensor, read_sensor, sensor_names
+from sim.view import View
 
 PLAIN: dict[str, Any] = {"name": "x", "bits": 8, "full_well_e": 10_000}
 
@@ -63,9 +66,10 @@ def test_noise_grows_with_gain_in_levels() -> None:
 def test_effects_are_told_as_they_are() -> None:
     def ran(name: str) -> set[str]:
         sensor = load_sensor(name)
-        return {
-            effect.name for effect in sensor.effects_for(sensor.layout_for(False)) if effect.ran
-        }
+        renderer = Renderer(View.of(Scene("s", np.ones((4, 4))), sensor), sensor)
+        plan = renderer.plan(renderer.shot(0.01, 1.0, 0))
+        assert [effect.name for effect in plan.effects] == list(effect_names())
+        return {effect.name for effect in plan.effects if effect.ran}
 
     always = {"full well", "quantisation"}
     assert ran("ideal-8") == always

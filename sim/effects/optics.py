@@ -1,0 +1,221 @@
+"""Effects on the light before it is charge: moving things, lamps, lens, colour, crosstalk."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sim.effects.record import Change, Effect, Light, Shot, Stage, Tile
+
+_GLARE_SAMPLES = 2.5
+"""Samples a standard deviation of the glare's width: a Gaussian is smooth enough for fewer."""
+
+
+def _moves(shot: Shot) -> bool:
+    return shot.view.target is not None and shot.statistics.speed_px_s > 0
+
+
+def _motion(shot: Shot) -> Change:
+    # The middle of the exposure stands for all of it: a quarter of the way off on average.
+    s = shot.statistics
+    off = min(s.drift * s.speed_px_s * shot.time_s / 4, s.most - s.least)
+    return Change(light=off)
+
+
+def _rolls(shot: Shot) -> bool:
+    has_time = shot.view.target is not None or shot.view.lamps is not None
+    return shot.sensor.read_out.row_s > 0 and has_time
+
+
+def _rolling(shot: Shot) -> Change:
+    # Every row is taken for the middle one, at most half the picture away.
+    s = shot.statistics
+    late_s = shot.sensor.read_out.row_s * (s.height // 2)
+    light = min(s.drift * s.speed_px_s * late_s, s.most - s.least)
+    lamps = shot.view.lamps
+    if lamps is None:
+        return Change(light=light)
+    swing = lamps.left(shot.time_s)
+    change = min(2 * swing, 2 * math.pi * lamps.flicker_hz * late_s * swing)
+    share = change / (1 - swing) if swing < 1 else math.inf
+    return Change(light=light, less=min(share, 1.0), more=share)
+
+
+def gaussian(sigma: float) -> Light:
+    """Return a Gaussian of whole pixels with sum 1, out to 3 sigma."""
+    reach = max(1, math.ceil(3 * sigma))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return np.asarray(kernel / kernel.sum(), dtype=np.float32)
+
+
+def _blur(planes: Light, shot: Shot) -> Light:
+    import cv2
+
+    kernel = gaussian(shot.sensor.lens.blur_px)
+    return np.asarray(
+        cv2.sepFilter2D(planes, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT), dtype=np.float32
+    )
+
+
+def _blurred(shot: Shot) -> Change:
+    # sum_j k_j E(x + j) - E(x) for a symmetric k is a sum of second differences over j, each at
+    # most j^2 times the largest one: half the second moment times that, along and across.
+    s = shot.statistics
+    kernel = gaussian(shot.sensor.lens.blur_px).astype(np.float64)
+    reach = kernel.size // 2
+    moment = float((kernel * np.arange(-reach, reach + 1) ** 2).sum())
+    return Change(light=min(moment / 2 * (s.bend + _glare_bend(shot)), s.most - s.least))
+
+
+def _glare(planes: Light, shot: Shot) -> Light:
+    import cv2
+
+    lens = shot.sensor.lens
+    rows, columns = planes.shape[:2]
+    sigma = lens.glare_width * max(rows, columns)
+    step = max(1, int(sigma / _GLARE_SAMPLES))
+    size = (max(1, columns // step), max(1, rows // step))
+    small = cv2.resize(planes, size, interpolation=cv2.INTER_AREA)
+    kernel = gaussian(sigma / step)
+    small = cv2.sepFilter2D(small, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+    wide = cv2.resize(small, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.addWeighted(planes, 1 - lens.glare, wide, lens.glare, 0.0))
+
+
+def _glared(shot: Shot) -> Change:
+    s = shot.statistics
+    return Change(light=shot.sensor.lens.glare * (s.most - s.least))
+
+
+def _glare_bend(shot: Shot) -> float:
+    """Return how much larger second differences can be after glare, along plus across."""
+    s = shot.statistics
+    return 4 * shot.sensor.lens.glare * (s.most - s.least)
+
+
+def _crosstalk(light: Light, shot: Shot) -> Light:
+    import cv2
+
+    share = shot.sensor.pixels.crosstalk
+    kernel = np.array([[0, share, 0], [share, 1 - 4 * share, share], [0, share, 0]], np.float32)
+    return np.asarray(
+        cv2.filter2D(light, -1, kernel, borderType=cv2.BORDER_REFLECT), dtype=np.float32
+    )
+
+
+def _crossed(shot: Shot) -> Change:
+    s, share = shot.statistics, shot.sensor.pixels.crosstalk
+    if s.is_mosaic:  # neighbours of other colours
+        return Change(light=4 * share * (s.most - s.least))
+    bend = s.bend + _glare_bend(shot)
+    return Change(light=share * min(bend, 4 * (s.most - s.least)))
+
+
+def _vignette(shot: Shot) -> tuple[Light, Light]:
+    rows, pixels = shot.rows, shot.width // shot.channels
+    y = np.arange(rows) - (rows - 1) / 2
+    x = np.repeat(np.arange(pixels) - (pixels - 1) / 2, shot.channels)
+    corner = max(y[-1] ** 2 + x[-1] ** 2, 1.0)
+    loss = shot.sensor.lens.vignetting / corner
+    return (1 - loss * y**2).astype(np.float32), (-loss * x**2).astype(np.float32)
+
+
+def _dim(tile: Tile) -> None:
+    values = tile.spread(tile.shot.lines["vignetting"])
+    np.multiply(tile.electrons, values, out=tile.electrons)
+
+
+def flicker_lines(shot: Shot, *, rolls: bool) -> Light:
+    """Return the lamps' light for each row; without a rolling shutter all have the middle row's."""
+    lamps = shot.view.lamps
+    assert lamps is not None
+    starts = shot.row_starts_s
+    if not rolls:
+        starts = np.full(starts.shape, starts[starts.size // 2])
+    return lamps.factors(starts, shot.time_s)
+
+
+def _flicker(tile: Tile) -> None:
+    values = tile.spread(tile.shot.lines["mains flicker"])
+    np.multiply(tile.electrons, values, out=tile.electrons)
+
+
+def _flickered(shot: Shot) -> Change:
+    assert shot.view.lamps is not None
+    swing = shot.view.lamps.left(shot.time_s)
+    return Change(less=swing, more=swing)
+
+
+OPTICS = (
+    Effect(
+        "motion blur",
+        Stage.SCENE,
+        "mean of the target's places over the exposure, pixels a second; exact along the rows",
+        present=_moves,
+        change=_motion,
+        cost=1.0,
+    ),
+    Effect(
+        "rolling shutter",
+        Stage.SCENE,
+        "each row is exposed row_s seconds after the one above; moves targets, bands flicker",
+        present=_rolls,
+        change=_rolling,
+        cost=0.5,
+    ),
+    Effect(
+        "veiling glare",
+        Stage.LENS,
+        "ISO 9358: a share of all light is scattered widely; a Gaussian of glare_width",
+        present=lambda shot: shot.sensor.lens.glare > 0,
+        change=_glared,
+        cost=2.0,
+        picture=_glare,
+    ),
+    Effect(
+        "point spread",
+        Stage.LENS,
+        "a Gaussian of blur_px for the lens's point spread, ISO 12233's blur; pixels",
+        present=lambda shot: shot.sensor.lens.blur_px > 0,
+        change=_blurred,
+        cost=3.0,
+        picture=_blur,
+    ),
+    Effect(
+        "colour mosaic",
+        Stage.SAMPLES,
+        "one colour a pixel, each with the spectral response of `spectrum`",
+        present=lambda shot: shot.view.layout.is_mosaic,
+        change=lambda _: Change(never="it decides what a sample is"),
+        cost=0.0,
+    ),
+    Effect(
+        "crosstalk",
+        Stage.SAMPLES,
+        "a share of a pixel's light to each of its four neighbours (diffusion before collection)",
+        present=lambda shot: shot.sensor.pixels.crosstalk > 0,
+        change=_crossed,
+        cost=1.5,
+        picture=_crosstalk,
+    ),
+    Effect(
+        "vignetting",
+        Stage.MEAN,
+        "1 - v r^2, r from the middle to 1 in the corners: the first term of cos^4",
+        present=lambda shot: shot.sensor.lens.vignetting > 0,
+        change=lambda shot: Change(less=shot.sensor.lens.vignetting),
+        cost=0.4,
+        apply=_dim,
+        lines=_vignette,
+    ),
+    Effect(
+        "mains flicker",
+        Stage.MEAN,
+        "lamps on 50 or 60 Hz mains shine at 100 or 120 Hz: 1 + a cos, averaged over the exposure",
+        present=lambda shot: shot.view.lamps is not None,
+        change=_flickered,
+        cost=0.3,
+        apply=_flicker,
+    ),
+)
