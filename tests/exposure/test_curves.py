@@ -7,7 +7,9 @@ import pytest
 
 from camctl.errors import DataError, UsageError
 from camctl.exposure.curves import isotonic
+from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.emor import read_response_model
+from camctl.exposure.objective import xi
 from camctl.exposure.response import (
     desired_response,
     linear_response,
@@ -15,6 +17,7 @@ from camctl.exposure.response import (
     tabulated_desired,
     tabulated_response,
 )
+from camctl.exposure.solver import solve
 from camctl.exposure.standard import standard_response
 
 RAMP = np.linspace(0, 1, 1024)
@@ -232,3 +235,21 @@ def test_a_table_inverts_across_flat_runs() -> None:
 def test_desired_tables_that_cannot_be(E: list[float], u: list[float], words: str) -> None:
     with pytest.raises(DataError, match=words):
         tabulated_desired(E, u)
+
+
+@pytest.mark.parametrize("name", ["linear", "gamma", "log"])
+def test_a_dozen_measured_curves_are_solved(tmp_path: Path, real_data: Path, name: str) -> None:
+    """Curves of the published model, by way of two-column files of 1,024 samples."""
+    model = read_response_model(real_data / "emor.txt")
+    assert model.components.shape == (25, 1024)
+    desired = desired_response(name, 1000.0)
+    rng = np.random.default_rng(12)
+    for number in range(12):
+        weights = rng.normal(0, 1, 3) * (1.5, 0.4, 0.2)
+        curve = model.mean + weights @ model.components[:3]
+        path = tmp_path / f"curve{number}.txt"
+        np.savetxt(path, np.column_stack([model.irradiance, curve]))
+        camera = read_curve(path, bits=8)
+        found = solve(camera, desired, 3, effort=0.1)
+        doubling = xi(EffectiveCamera.of(camera, (1, 2, 4)), desired, 765)
+        assert found.xi < doubling

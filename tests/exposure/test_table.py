@@ -184,7 +184,7 @@ def test_a_table_of_another_camera_is_refused(tmp_path: Path) -> None:
 
 def test_a_table_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="choose another place"):
+    with pytest.raises(StorageError, match="a file of that name is in the way"):
         small_table().save(tmp_path / "file" / "table.json")
 
 
