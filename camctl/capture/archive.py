@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from camctl.camera import Frame, Pixels
-from camctl.capture.files import storage_error, write_array, write_bytes
 from camctl.capture.report import REPORT
 from camctl.errors import DataError, StorageError
+from camctl.files import storage_error, write_array, write_bytes
 
 FRAMES = "frames"
 RESULTS = ("sum.tiff", "image.tiff", "radiance.exr", "preview.png")
@@ -22,20 +22,36 @@ class Archive:
         self.directory = directory
 
     @classmethod
-    def create(cls, directory: Path, *, overwrite: bool = False) -> Archive:
-        """Make the folder; an earlier capture in it is replaced only if `overwrite` says so.
+    def check_free(cls, directory: Path, *, overwrite: bool = False) -> None:
+        """Say before anything is shot whether `directory` can take a capture.
+
+        An earlier capture there may be replaced only if `overwrite` says so; what is nobody's
+        capture is never touched.
 
         Raises:
-            StorageError: something is there already, or the folder cannot be made
+            StorageError: something is there already, or it cannot be looked at
 
         """
         try:
             occupied = directory.exists() and any(directory.iterdir())
-            if occupied and not (overwrite and (directory / REPORT).exists()):
-                hint = "choose another folder with -o"
-                if (directory / REPORT).exists():
-                    hint += ", or replace this capture with --force"
-                raise StorageError(f"{directory} is not empty", hint=hint)
+        except OSError as error:
+            raise storage_error(directory, error) from error
+        if occupied and not (overwrite and (directory / REPORT).exists()):
+            hint = "choose another folder with -o"
+            if (directory / REPORT).exists():
+                hint += ", or replace this capture with --force"
+            raise StorageError(f"{directory} is not empty", hint=hint)
+
+    @classmethod
+    def create(cls, directory: Path, *, overwrite: bool = False) -> Archive:
+        """Make the folder, without what an earlier capture left there.
+
+        Raises:
+            StorageError: as `check_free`, or the folder cannot be made
+
+        """
+        cls.check_free(directory, overwrite=overwrite)
+        try:
             for name in (REPORT, *RESULTS):
                 (directory / name).unlink(missing_ok=True)
             frames = directory / FRAMES

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from camctl.camera import Layout
 from camctl.capture.colour import demosaic, spread
-from camctl.capture.files import storage_error, whole, write_bytes
 from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.response import DesiredResponse
+from camctl.files import storage_error, whole, write_bytes
 
 #: Marks in the mask channels of radiance.exr.
 GOOD, DARK, SATURATED = 0, 1, 2

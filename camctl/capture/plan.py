@@ -10,11 +10,11 @@ from camctl.camera import Camera, ExposureSetting
 from camctl.capture.choose import SettingChooser
 from camctl.capture.metering import meter
 from camctl.capture.request import CaptureRequest, Plan
-from camctl.errors import UsageError
+from camctl.errors import DataError, UsageError
 from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.objective import xi
-from camctl.exposure.response import DesiredResponse, desired_response
-from camctl.exposure.table import look_up
+from camctl.exposure.response import DesiredResponse, RealResponse, desired_response
+from camctl.exposure.table import ExposureTable, TableEntry, look_up
 
 #: Levels that may be sorted in one search: about a second of work.
 _LEVELS_SORTED = 8_000_000
@@ -37,15 +37,21 @@ def check_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
 
 
 def plan_capture(
-    camera: Camera, request: CaptureRequest, progress: Callable[[float], None] | None = None
+    camera: Camera,
+    request: CaptureRequest,
+    *,
+    table: ExposureTable | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Plan:
     """Meter where needed, look the ratios up, and choose among the settings the camera has.
 
-    Ratios that no table holds for this camera's levels are solved once and kept, which takes
-    seconds; `progress` is then told the share done, 0 to 1.
+    The ratios come from `table` alone where one is given.  Otherwise those that the shipped table
+    does not hold for this camera's levels are solved once and kept, which takes seconds; `progress`
+    is then told the share done, 0 to 1.
 
     Raises:
         UsageError: the request makes no sense
+        DataError: `table` has no row for this camera and wish
         CaptureError: an exposure lies beyond the camera's controls
 
     """
@@ -56,13 +62,16 @@ def plan_capture(
     else:
         if request.count < 1:
             raise UsageError(f"{request.count} exposures", hint="take at least one")
-        entry = look_up(
-            real,
-            desired,
-            request.count,
-            levels_wanted=request.levels_wanted,
-            progress=progress,
-        )
+        if table is None:
+            entry = look_up(
+                real,
+                desired,
+                request.count,
+                levels_wanted=request.levels_wanted,
+                progress=progress,
+            )
+        else:
+            entry = _row_of(table, real, desired, request)
         ratios = tuple(entry.exposures)
     levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
     metering = None
@@ -113,6 +122,19 @@ def plan_capture(
     warnings += chooser.warnings(plan)
     warnings += _against_ideal(plan, EffectiveCamera.of(real, ratios), desired)
     return replace(plan, warnings=tuple(warnings))
+
+
+def _row_of(
+    table: ExposureTable, real: RealResponse, desired: DesiredResponse, request: CaptureRequest
+) -> TableEntry:
+    entry = table.find(real, desired, request.count, request.levels_wanted)
+    if entry is None:
+        raise DataError(
+            f"the given table has no row for {real.name}, {desired.name}, "
+            f"1:{desired.dynamic_range:g}, n = {request.count}",
+            hint="add it with 'camctl table build', or leave --table out",
+        )
+    return entry
 
 
 def relative(settings: Sequence[ExposureSetting]) -> tuple[float, ...]:

@@ -8,9 +8,9 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from camctl.camera import CameraInfo, ExposureSetting, Layout
-from camctl.capture.files import storage_error, write_bytes
 from camctl.capture.request import CaptureRequest, Plan
 from camctl.errors import DataError
+from camctl.files import storage_error, write_bytes
 
 REPORT = "report.json"
 

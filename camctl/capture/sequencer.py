@@ -29,6 +29,7 @@ from camctl.capture.report import CaptureReport, FrameRecord, read_report
 from camctl.capture.request import CaptureRequest, Plan
 from camctl.capture.summing import Accumulator, sum_dtype
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
+from camctl.exposure.table import ExposureTable
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,14 @@ class Progress:
     """How far a capture is: `done` of `total` in one of its stages.
 
     The stages are "metering", "solving" (in percent; where no table holds the exposures),
-    "shooting" (in frames) and "writing".
+    "shooting" (in frames) and "writing".  `share` is the share of the stage's time that is over,
+    0 to 1: frames take as long as their exposures.
     """
 
     done: int
     total: int
     stage: str
+    share: float = 0.0
 
 
 _Report = Callable[[Progress], None]
@@ -54,6 +57,7 @@ def capture(
     directory: Path,
     *,
     plan: Plan | None = None,
+    table: ExposureTable | None = None,
     source: Mapping[str, Any] | None = None,
     progress: _Report | None = None,
     cancelled: _Cancelled | None = None,
@@ -66,6 +70,7 @@ def capture(
         request: what is wanted
         directory: made where it does not exist; see `camctl.capture.archive` for what it will hold
         plan: the plan to follow, as `plan_capture` made it of this request; None: made now
+        table: where the ratios are looked up; None: the shipped table, else solved and kept
         source: what is needed to open this camera again; kept in the report
         progress: told before each frame and stage
         cancelled: asked before each frame; True ends the capture
@@ -78,12 +83,16 @@ def capture(
         StorageError: a file could not be written
 
     """
+    Archive.check_free(directory, overwrite=overwrite)
     tell = progress or (lambda _: None)
     started = time.perf_counter()
     tell(Progress(0, len(request.ratios or ()) or request.count, "metering"))
     if plan is None:
         plan = plan_capture(
-            camera, request, lambda share: tell(Progress(round(100 * share), 100, "solving"))
+            camera,
+            request,
+            table=table,
+            progress=lambda share: tell(Progress(round(100 * share), 100, "solving", share)),
         )
     controls = camera.controls
     sum_dtype(len(plan.settings), controls.white)
@@ -191,7 +200,7 @@ class _Sequence:
             self.report.timing["shooting_s"] = self.camera.clock.now() - began
             self.report.timing["shooting_wall_s"] = time.perf_counter() - wall
             assert self.sum is not None
-            self.tell(Progress(self.done, len(self.report.frames), "writing"))
+            self._tell("writing")
             hand_over(self.report, self.sum.total, self.controls, self.archive.directory)
         except KeyboardInterrupt:
             raise self._stopped("interrupted", InterruptedCaptureError) from None
@@ -201,9 +210,6 @@ class _Sequence:
             raise self._stopped(
                 str(error), type(error) if _plain(error) else CaptureError
             ) from error
-        finally:
-            if self.sum is not None:
-                self.sum.close()
         return self.report
 
     def _stopped(self, what: str, kind: type[CamctlError]) -> CamctlError:
@@ -218,11 +224,10 @@ class _Sequence:
         """Shoot the settings at `positions`, each processed while the next one is exposed."""
         if not positions:
             return
-        total = len(self.report.frames)
         pending: Future[None] | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camctl-frame") as worker:
             try:
-                self.tell(Progress(self.done, total, "shooting"))
+                self._tell("shooting")
                 settings = [self.report.plan.settings[position] for position in positions]
                 with closing(self.camera.shoot(settings)) as frames:
                     for frame in frames:
@@ -231,7 +236,7 @@ class _Sequence:
                         pending = worker.submit(self._take, frame, positions[frame.index])
                         if self.cancelled():
                             raise InterruptedCaptureError("cancelled")
-                        self.tell(Progress(self.done, total, "shooting"))
+                        self._tell("shooting")
             finally:
                 # Whatever happened to the camera, the frame that has come is kept.
                 if pending is not None:
@@ -239,7 +244,15 @@ class _Sequence:
         missing = [position for position in positions if self.report.frames[position] is None]
         if missing:
             raise CaptureError(f"the camera ended the sequence {len(missing)} frames early")
-        self.tell(Progress(self.done, total, "shooting"))
+        self._tell("shooting")
+
+    def _tell(self, stage: str) -> None:
+        """Report progress, weighted by the time that the frames take."""
+        frames = self.report.frames
+        interval_s = self.controls.frame_interval_s
+        times = [max(setting.time_s, interval_s) for setting in self.report.plan.settings]
+        over = sum(t for t, record in zip(times, frames, strict=True) if record is not None)
+        self.tell(Progress(self.done, len(frames), stage, over / sum(times)))
 
     def _take(self, frame: Frame, position: int, attempts: int = 1) -> None:
         """Write a frame, check it against its neighbours, add it to the sum."""

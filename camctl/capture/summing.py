@@ -9,9 +9,6 @@ each frame at black would bias the dark.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +16,8 @@ from numpy.typing import NDArray
 from camctl.camera import Pixels
 from camctl.errors import CaptureError, UsageError
 
-#: Samples a tile: long enough that the interpreter's lock is no cost, short enough for the cache.
+#: Samples a tile: the scratch stays in the cache, and numpy's calls are no cost.
 _TILE = 1 << 20
-_THREADS = 2
 
 
 def sum_dtype(count: int, white: int) -> np.dtype[np.unsignedinteger]:
@@ -48,7 +44,7 @@ class Accumulator:
         count: how many frames the sum is to hold
         white: brightness at which each frame is cut, DN
 
-    A context manager: it holds two threads.  `total` is the sum, in the frames' shape.
+    `total` is the sum, in the frames' shape.
 
     """
 
@@ -61,11 +57,8 @@ class Accumulator:
         self._clips = white < np.iinfo(self._dtype).max
         # numpy's minimum is vectorised between arrays but not against a scalar: 9 times faster.
         self._ceiling = np.full(min(_TILE, self.total.size), white if self._clips else 0, dtype)
-        self._scratch = [
-            (np.empty_like(self._ceiling), np.empty(self._ceiling.size, self.total.dtype))
-            for _ in range(_THREADS)
-        ]
-        self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="camctl-sum")
+        self._narrow = np.empty_like(self._ceiling)
+        self._wide = np.empty(self._ceiling.size, self.total.dtype)
 
     def accumulate(self, pixels: Pixels) -> None:
         """Add one frame, cut at white.
@@ -88,37 +81,13 @@ class Accumulator:
                 hint="keep the camera's format fixed during a capture",
             )
         source, total = np.ascontiguousarray(pixels).reshape(-1), self.total.reshape(-1)
-
-        def span(worker: int) -> None:
-            narrow, wide = self._scratch[worker]
-            share = -(-total.size // _THREADS)
-            for start in range(worker * share, min((worker + 1) * share, total.size), _TILE):
-                stop = min(start + _TILE, (worker + 1) * share, total.size)
-                tile, cut, cast = source[start:stop], narrow[: stop - start], wide[: stop - start]
-                if self._clips:
-                    np.minimum(tile, self._ceiling[: stop - start], out=cut)
-                    tile = cut
-                if tile.dtype != total.dtype:
-                    # One widening copy and a same-type sum beat a sum of mixed types.
-                    np.copyto(cast, tile)
-                    tile = cast
-                operation(total[start:stop], tile, out=total[start:stop])
-
-        list(self._pool.map(span, range(_THREADS)))
-
-    def close(self) -> None:
-        """End the threads; the sum stays."""
-        self._pool.shutdown()
-
-    def __enter__(self) -> Self:
-        """Return the accumulator itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End the threads."""
-        self.close()
+        for start in range(0, total.size, _TILE):
+            tile, here = source[start : start + _TILE], total[start : start + _TILE]
+            if self._clips:
+                tile = np.minimum(tile, self._ceiling[: tile.size], out=self._narrow[: tile.size])
+            if tile.dtype != total.dtype:
+                # One widening copy and a same-type sum beat a sum of mixed types.
+                wide = self._wide[: tile.size]
+                np.copyto(wide, tile)
+                tile = wide
+            operation(here, tile, out=here)

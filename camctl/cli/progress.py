@@ -48,4 +48,4 @@ def capture_progress() -> Iterator[Callable[[CaptureProgress], None] | None]:
             yield None
             return
         show = tick
-        yield lambda now: show(now.done / max(now.total, 1), now.stage)
+        yield lambda now: show(now.share, now.stage)

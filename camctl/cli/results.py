@@ -73,8 +73,8 @@ def _metered(report: CaptureReport) -> str:
         return "as given"
     frames = "1 frame" if metering.frames == 1 else f"{metering.frames} frames"
     return (
-        f"metered in {frames}: highlights at {percent(metering.highlight)} "
-        f"of full scale, {percent(metering.clipped)} of the samples clipped"
+        f"metered in {frames}: at {duration(metering.setting.time_s)} highlights reach "
+        f"{percent(metering.highlight)} of full scale, {percent(metering.clipped)} clipped"
     )
 
 

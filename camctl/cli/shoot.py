@@ -25,7 +25,7 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
 @command(
     examples=(
         ("camctl shoot", "the simulated camera: tile floor, equal contrast, 3 exposures"),
-        ("camctl shoot --camera v4l2:/dev/video0 --range high -n 4 -o hall", "a real one"),
+        ("camctl shoot --range high -n 4 --sensor phone -o hall", "10 bits, Bayer mosaic"),
         ("camctl shoot --scene memorial.hdr --response gamma", "any radiance map as the scene"),
         ("camctl shoot --ratios 1,2,4 --base 1/500", "exposures of your own"),
         ("camctl shoot --resume hall", "go on where a capture was interrupted"),
@@ -58,6 +58,14 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
     metavar="STOPS",
     help="Make the shortest exposure longer (or shorter: -1 halves it).",
 )
+@click.option(
+    "--table",
+    "table_file",
+    type=kinds.PATH,
+    metavar="FILE",
+    help="Look the exposures up in this table (see camctl table build).  [default: the shipped "
+    "one; what it does not hold is solved once and kept]",
+)
 @options.levels_wanted
 @options.shooting
 @options.simulation
@@ -88,6 +96,7 @@ def shoot(
     ratios: tuple[float, ...] | None,
     base_s: float | None,
     compensation_stops: float,
+    table_file: Path | None,
     levels_wanted: float | None,
     mains: str | None,
     use_aperture: bool,
@@ -120,6 +129,8 @@ def shoot(
         if ratios is not None:
             if "count" in named and len(ratios) != count:
                 raise UsageError(f"--ratios names {len(ratios)} exposures, -n says {count}")
+            if table_file is not None:
+                raise UsageError("--ratios gives the exposures that --table would look up")
             count = len(ratios)
         from camctl.capture.request import CaptureRequest
 
@@ -137,7 +148,7 @@ def shoot(
         )
         beside = options.camera_options(scene, sensor, size, seed, real_time=real_time)
         directory = fresh_directory() if directory is None else directory
-        report = _shoot(camera_id, beside, request, directory, force)
+        report = _shoot(camera_id, beside, request, table_file, directory, force)
     for warning in report.warnings:
         warn(warning)
     if as_json:
@@ -150,17 +161,23 @@ def _shoot(
     camera_id: str,
     beside: dict[str, str],
     request: CaptureRequest,
+    table_file: Path | None,
     directory: Path,
     force: bool,
 ) -> CaptureReport:
     from camctl.capture import capture
+    from camctl.exposure.table import ExposureTable
     from camctl.registry import open_camera
 
     with open_camera(camera_id, beside) as camera, capture_progress() as progress:
+        table = None
+        if table_file is not None:
+            table = ExposureTable.load(table_file, camera.controls.levels)
         return capture(
             camera,
             request,
             directory,
+            table=table,
             source=source_of(camera_id, beside),
             progress=progress,
             overwrite=force,

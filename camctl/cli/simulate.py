@@ -157,7 +157,7 @@ def _facts(frame: Frame, layout: str) -> dict[str, Any]:
 
 
 def _write(frame: Frame, output: Path) -> None:
-    from camctl.capture.files import write_array, write_bytes
+    from camctl.files import write_array, write_bytes
 
     kind = output.suffix.lower()
     if kind == ".npy":

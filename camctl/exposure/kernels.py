@@ -47,7 +47,8 @@ class BatchScore:
         self.goal = goal
         self.n = n
         self.evaluations = 0
-        dtype = np.float32 if response.M <= FINEST_FLOAT32 and not exact else np.float64
+        small = response.M <= FINEST_FLOAT32 and goal.p <= 2  # higher powers overflow float32
+        dtype = np.float32 if small and not exact else np.float64
         self._levels = response.levels.astype(dtype)
         self._size = n * response.M
         self._draws = goal.draws(n)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from functools import partial
 
 import cv2
 import numpy as np
@@ -42,11 +43,11 @@ def measure(name: str, shape: tuple[int, ...], count: int, rounds: int) -> None:
     source, target = np.ones(moved // 2, np.uint8), np.zeros(moved // 2, np.uint8)
     copies, sums = [], []
     for _ in range(rounds):
-        with Accumulator(shape, np.dtype(np.uint8), count, WHITE) as total:
-            total.total.fill(0)  # the pages are there before the first frame comes
-            for frame in frames:
-                copies.append(seconds(lambda: np.copyto(target, source)))
-                sums.append(seconds(lambda frame=frame: total.accumulate(frame)))  # type: ignore[misc]
+        total = Accumulator(shape, np.dtype(np.uint8), count, WHITE)
+        total.total.fill(0)  # the pages are there before the first frame comes
+        for frame in frames:
+            copies.append(seconds(lambda: np.copyto(target, source)))
+            sums.append(seconds(partial(total.accumulate, frame)))
     copy, add = float(np.median(copies)), float(np.median(sums))
     real = linear_response(8, levels=WHITE)
     exposures = [1.0, 3.98, 16.0, 64.2, 305.4, 1130.0][:count]

@@ -20,30 +20,30 @@ def test_the_sum_is_exactly_that_of_frames_cut_at_white(bits, count, shape, shar
     white = max(1, round(share * (2**bits - 1)))
     dtype = np.uint8 if bits <= 8 else np.uint16
     frames = np.random.default_rng(seed).integers(0, 2**bits, (count, *shape)).astype(dtype)
-    with Accumulator(shape, np.dtype(dtype), count, white) as total:
-        for frame in frames:
-            total.accumulate(frame)
-        assert np.array_equal(total.total, np.minimum(frames, white).sum(axis=0, dtype=np.int64))
-        total.withdraw(frames[0])
-        rest = np.minimum(frames[1:], white).sum(axis=0, dtype=np.int64)
-        assert np.array_equal(total.total, rest)
+    total = Accumulator(shape, np.dtype(dtype), count, white)
+    for frame in frames:
+        total.accumulate(frame)
+    assert np.array_equal(total.total, np.minimum(frames, white).sum(axis=0, dtype=np.int64))
+    total.withdraw(frames[0])
+    rest = np.minimum(frames[1:], white).sum(axis=0, dtype=np.int64)
+    assert np.array_equal(total.total, rest)
 
 
-def test_tiles_and_threads_meet_without_a_gap():
-    # More than two tiles in each of two threads, and no multiple of a tile.
-    frame = np.arange(5 * (1 << 20) + 77, dtype=np.uint32).astype(np.uint8).reshape(1, -1)
-    with Accumulator(frame.shape, frame.dtype, 3, 200) as total:
-        for _ in range(3):
-            total.accumulate(frame)
-        assert np.array_equal(total.total, 3 * np.minimum(frame, 200).astype(np.int64))
+def test_tiles_meet_without_a_gap():
+    # More than two tiles, and no multiple of one.
+    frame = np.arange(2 * (1 << 20) + 77, dtype=np.uint32).astype(np.uint8).reshape(1, -1)
+    total = Accumulator(frame.shape, frame.dtype, 3, 200)
+    for _ in range(3):
+        total.accumulate(frame)
+    assert np.array_equal(total.total, 3 * np.minimum(frame, 200).astype(np.int64))
 
 
 def test_six_frames_of_14_bits_do_not_wrap():
     frame = np.full((2, 2), 16383, np.uint16)
-    with Accumulator(frame.shape, frame.dtype, 6, 16383) as total:
-        for _ in range(6):
-            total.accumulate(frame)
-        assert total.total.tolist() == [[98298, 98298], [98298, 98298]]
+    total = Accumulator(frame.shape, frame.dtype, 6, 16383)
+    for _ in range(6):
+        total.accumulate(frame)
+    assert total.total.tolist() == [[98298, 98298], [98298, 98298]]
 
 
 def test_the_type_is_the_narrowest_that_holds_the_sum():
@@ -56,15 +56,14 @@ def test_the_type_is_the_narrowest_that_holds_the_sum():
 
 
 def test_a_frame_of_another_format_is_named():
-    with (
-        Accumulator((2, 2), np.dtype(np.uint8), 2, 255) as total,
-        pytest.raises(CaptureError, match=r"\(2, 3\) uint8 came after frames of \(2, 2\) uint8"),
-    ):
+    total = Accumulator((2, 2), np.dtype(np.uint8), 2, 255)
+    said = r"\(2, 3\) uint8 came after frames of \(2, 2\) uint8"
+    with pytest.raises(CaptureError, match=said):
         total.accumulate(np.zeros((2, 3), np.uint8))
 
 
 def test_a_frame_that_is_not_contiguous_is_summed_as_it_looks():
     frame = np.arange(24, dtype=np.uint8).reshape(4, 6)[:, ::-1]
-    with Accumulator(frame.shape, frame.dtype, 1, 255) as total:
-        total.accumulate(frame)
-        assert np.array_equal(total.total, frame)
+    total = Accumulator(frame.shape, frame.dtype, 1, 255)
+    total.accumulate(frame)
+    assert np.array_equal(total.total, frame)

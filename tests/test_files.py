@@ -7,8 +7,8 @@ import textwrap
 import numpy as np
 import pytest
 
-from camctl.capture.files import whole, write_array, write_bytes
 from camctl.errors import StorageError
+from camctl.files import whole, write_array, write_bytes
 
 
 def test_a_file_that_fails_leaves_what_was_there(tmp_path):
@@ -44,7 +44,7 @@ def test_a_file_that_cannot_grow_is_said_in_one_line_and_leaves_nothing(tmp_path
         import resource, signal
         from pathlib import Path
         import numpy as np
-        from camctl.capture.files import write_array
+        from camctl.files import write_array
         from camctl.errors import StorageError
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))

@@ -52,7 +52,7 @@ def whole(path: Path) -> Iterator[Path]:
         StorageError: in place of any OSError
 
     """
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")  # others may write it, too
     try:
         try:
             yield part
