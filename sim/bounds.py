@@ -37,6 +37,7 @@ from sim.effects.charge import dark_e, hottest_e
 from sim.effects.record import LARGEST
 
 _ULP = 2.0**-23  # twice the unit of rounding: two frames
+_MOST_BELOW_ZERO = LARGEST**2 / 4 + 1 / 6  # of m - z s - a, where s <= sqrt m and a <= 1/6
 _OPERATIONS, _PICTURE_OPERATIONS, _ADC_OPERATIONS = 24, 100, 6
 
 
@@ -84,9 +85,10 @@ class Bounds:
         """What each effect of the table changes that sensor and scene have at all."""
         return {e.name: e.change(self.shot) for e in EFFECTS if e.present(self.shot)}
 
-    def single(self, name: str) -> float:
-        """Return the bound in DN of leaving out that effect alone; infinite if it never is."""
-        return self.joint((name,))
+    @cached_property
+    def single(self) -> dict[str, float]:
+        """The bound in DN of leaving out each effect alone; infinite if it never is."""
+        return {name: self.joint((name,)) for name in self.changes}
 
     @cached_property
     def _largest_mean(self) -> float:
@@ -173,6 +175,8 @@ class Bounds:
         charge += self._rounding_e
         if "blooming" in changes and not below_well:
             charge *= 1 + sensor.pixels.blooming
+        # Whatever came before, the well holds no more, and noise takes no more from nothing.
+        charge = min(charge, sensor.full_well_e + _MOST_BELOW_ZERO)
         charge += sum(change.read_e for change in gone)
         brightness = charge * self._per_electron
         top = 2**sensor.bits

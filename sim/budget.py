@@ -112,7 +112,7 @@ def plan_frame(
 def candidates(bounds: Bounds, tolerance_dn: float) -> tuple[Effect, ...]:
     """Return the effects that the tolerance allows to leave out alone."""
     return tuple(
-        e for e in EFFECTS if e.name in bounds.changes and bounds.single(e.name) <= tolerance_dn
+        e for e in EFFECTS if e.name in bounds.changes and bounds.single[e.name] <= tolerance_dn
     )
 
 
@@ -122,7 +122,7 @@ def greedy(bounds: Bounds, tolerance_dn: float) -> tuple[str, ...]:
     Two orders are tried, most time saved for each DN first and most time saved first; an effect
     that fits beside those already chosen is added.  The dearer of the two sets is taken.
     """
-    fits = [(e, bounds.single(e.name)) for e in candidates(bounds, tolerance_dn)]
+    fits = [(e, bounds.single[e.name]) for e in candidates(bounds, tolerance_dn)]
     orders = (
         sorted(fits, key=lambda one: (one[1] / one[0].cost, -one[0].cost)),
         sorted(fits, key=lambda one: -one[0].cost),
@@ -159,7 +159,7 @@ def _decision(
     name = effect.name
     if name not in bounds.changes:
         return Decision(name, 0.0, False, ABSENT)
-    alone = bounds.single(name)
+    alone = bounds.single[name]
     if name in chosen:
         together = f", {joint:.2g} DN with all that was left out" if len(chosen) > 1 else ""
         return Decision(name, alone, False, f"changes at most {alone:.2g} DN{together}")
@@ -168,7 +168,7 @@ def _decision(
         why = change.never
     elif change.only_below_well and math.isinf(alone):
         well = bounds.shot.sensor.full_well_e
-        why = f"up to {bounds.peak_e:.3g} e- come to a well of {well:.3g} e-"
+        why = f"up to {bounds.peak_e:.3g} e- would come to a well of {well:.3g} e-"
     elif tolerance_dn == 0:
         why = "a tolerance of 0 runs everything"
     elif alone > tolerance_dn:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -216,13 +214,3 @@ def _outside(x: Light, v: Light, channel: int) -> Light:
     ridge = 0.425 + 0.018 * np.sin(x * 40) + 0.010 * np.sin(x * 97 + 1)
     sunlit = np.where(v < ridge, sky, np.where(v < 0.475, hills, lawn))
     return np.asarray(sunlit, dtype=np.float32)
-
-
-BUILT_IN: Mapping[str, Callable[[int, int], Light]] = {
-    "ball": ball,
-    "cloth": cloth,
-    "ramp": ramp,
-    "room": room,
-    "tile-floor": tile_floor,
-    "uniform": uniform,
-}

@@ -8,19 +8,23 @@ from collections.abc import Mapping, Sequence
 from camctl.camera import CameraInfo
 from camctl.clock import Clock, RealClock, VirtualClock
 from camctl.errors import CameraNotFoundError, UsageError, unknown_name
+from sim.budget import check_tolerance
 from sim.camera import SimulatedCamera
-from sim.scene import DEFAULT_SCENE, is_file, load_scene
+from sim.scene import DEFAULT_SCENE, load_scene
 from sim.sensor import DEFAULT_SENSOR, load_sensor
 
 _CLOCKS: Mapping[str, type[VirtualClock] | type[RealClock]] = {
     "virtual": VirtualClock,
     "real": RealClock,
 }
-_OPTIONS = ("scene", "seed", "sensor", "size", "time")
+_OPTIONS = ("scene", "seed", "sensor", "size", "time", "tolerance")
 
 
 class SimulatedRoad:
-    """Opens ``sim``; options scene, sensor, seed, size (WIDTHxHEIGHT), time (virtual or real)."""
+    """Opens ``sim``.
+
+    Options: scene, sensor, seed, size (WIDTHxHEIGHT), time (virtual or real), tolerance (DN).
+    """
 
     def discover(self) -> Sequence[CameraInfo]:
         """Return the one simulated camera: it is always there."""
@@ -42,11 +46,13 @@ class SimulatedRoad:
         sensor = load_sensor(options.get("sensor", DEFAULT_SENSOR))
         name = options.get("scene", DEFAULT_SCENE)
         shape = parse_size(options["size"]) if "size" in options else None
-        if shape is None and not is_file(name):
-            shape = sensor.shape
-        scene = load_scene(name, shape)
+        scene = load_scene(name, shape, usual=sensor.shape)
         return SimulatedCamera(
-            scene, sensor, clock=_clock(options.get("time", "virtual")), seed=_seed(options)
+            scene,
+            sensor,
+            clock=_clock(options.get("time", "virtual")),
+            seed=_seed(options),
+            tolerance_dn=_tolerance(options.get("tolerance", "0")),
         )
 
 
@@ -73,3 +79,10 @@ def _seed(options: Mapping[str, str]) -> int:
     if not re.fullmatch(r"\d{1,19}", text.strip()):
         raise UsageError(f"a seed of '{text}'", hint="seeds are whole numbers, 0 or more")
     return int(text)
+
+
+def _tolerance(text: str) -> float:
+    try:
+        return check_tolerance(float(text))
+    except ValueError:
+        raise UsageError(f"a tolerance of '{text}'", hint="give 0 DN or more") from None

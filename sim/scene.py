@@ -6,15 +6,17 @@ import math
 import os
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, UsageError, unknown_name
+from sim.drawings import DRAWINGS
 from sim.moving import Lamps, Target
-from sim.procedural import BUILT_IN
 from sim.radiance import SUFFIXES, read_map, read_shape
+from sim.scenefile import SceneFile, open_scene_file, read_scene_file
 
 DEFAULT_SCENE = "tile-floor"
 PHOTONS = "photons per pixel per second"
@@ -122,46 +124,92 @@ def _pixels(bad: NDArray[np.bool_]) -> str:
     return f"{count} of {flags.size} pixels {'is' if count == 1 else 'are'}"
 
 
+def _built_in() -> dict[str, str]:
+    folder = resources.files("sim") / "scenes"
+    return {
+        item.name.removesuffix(".json"): item.read_text(encoding="utf-8")
+        for item in folder.iterdir()
+        if item.name.endswith(".json")
+    }
+
+
 def scene_names() -> tuple[str, ...]:
     """Return the names of the built-in scenes."""
-    return tuple(sorted(BUILT_IN))
+    return tuple(sorted(_built_in()))
 
 
-def is_file(name_or_path: str | Path) -> bool:
-    """Return whether that names a radiance map rather than a built-in scene."""
+def is_map(name_or_path: str | Path) -> bool:
+    """Return whether that names a radiance map rather than a scene."""
     return Path(name_or_path).suffix.lower() in SUFFIXES
 
 
-def load_scene(name_or_path: str | Path, shape: tuple[int, int] | None = None) -> Scene:
-    """Return a built-in scene drawn at `shape` (rows, columns), or a radiance map from a file.
+def load_scene(
+    name_or_path: str | Path,
+    shape: tuple[int, int] | None = None,
+    *,
+    usual: tuple[int, int] = (480, 640),
+) -> Scene:
+    """Return a built-in scene, one from a scene file (.json), or a radiance map.
+
+    `shape` is the size (rows, columns) that a drawn scene is drawn at; without it, the file's own
+    size or else `usual`.  What is read from a radiance map has a size of its own.
 
     Raises:
-        UsageError: no scene of that name; a size is asked of a file
+        UsageError: no scene of that name; a size is asked of a radiance map
         DataError: a file that is missing, unreadable, or no light (see `Scene`); too large
     """
     name = str(name_or_path)
     path = Path(name)
-    if is_file(path):
-        if shape is not None:
-            raise UsageError(f"{path}: a file has a size of its own", hint="leave the size out")
-        return _from_file(path)
-    if name not in BUILT_IN:
+    if is_map(path):
+        return _from_map(path, shape)
+    if path.suffix.lower() == ".json":
+        return _described(open_scene_file(path), path.parent, shape, usual, source=name)
+    built_in = _built_in()
+    if name not in built_in:
         if path.suffix and path.exists():
-            raise DataError(
-                f"{path}: not a kind of radiance map", hint=f"known: {', '.join(SUFFIXES)}"
-            )
-        raise unknown_name("scene", name, BUILT_IN)
-    rows, columns = shape or (480, 640)
-    if rows < 1 or columns < 1:
-        raise UsageError(f"a scene of {columns}x{rows} pixels", hint="both must be 1 or more")
-    _check_memory(name, (rows, columns), _DRAWING_BYTES)
-    # The drawings' brightest diffuse part is 1.
-    light = BUILT_IN[name](rows, columns)
-    light *= np.float32(HIGHLIGHT_PHOTONS_S)
-    return Scene(name, light)
+            known = ", ".join((*SUFFIXES, ".json"))
+            raise DataError(f"{path}: not a kind of radiance map", hint=f"known: {known}")
+        raise unknown_name("scene", name, built_in)
+    return _described(read_scene_file(built_in[name], source=name), None, shape, usual, source=name)
 
 
-def _from_file(path: Path) -> Scene:
+def _described(
+    file: SceneFile,
+    folder: Path | None,
+    shape: tuple[int, int] | None,
+    usual: tuple[int, int],
+    *,
+    source: str,
+) -> Scene:
+    """Return the scene of a scene file; maps are looked for in `folder`."""
+    unit = PHOTONS if file.luminance_cd_m2 is None else LUMINANCE
+    brightest = file.photons_s or file.luminance_cd_m2 or 1.0
+    notes: tuple[str, ...] = ()
+    if folder is not None and is_map(file.picture):
+        map_ = _from_map(folder / file.picture, shape)
+        light, notes = map_.irradiance, map_.notes
+        light = light * np.float32(map_.photons_per_unit / HIGHLIGHT_PHOTONS_S)
+    elif file.picture in DRAWINGS:
+        rows, columns = shape or file.shape or usual
+        if rows < 1 or columns < 1:
+            raise UsageError(f"a scene of {columns}x{rows} pixels", hint="both must be 1 or more")
+        _check_memory(source, (rows, columns), _DRAWING_BYTES)
+        light = DRAWINGS[file.picture](rows, columns)
+    else:
+        near = str(unknown_name("picture", file.picture, DRAWINGS))
+        raise DataError(f"{source}: picture: {near}")
+    light *= np.float32(brightest)
+    target = None
+    if file.target is not None:
+        target = file.target.target(*light.shape[:2])
+        target = target.scaled(target.light * np.float32(brightest))
+    lamps = None if file.lamps is None else file.lamps.lamps()
+    return Scene(file.name, light, unit, notes=notes, lamps=lamps, target=target)
+
+
+def _from_map(path: Path, shape: tuple[int, int] | None) -> Scene:
+    if shape is not None:
+        raise UsageError(f"{path}: a file has a size of its own", hint="leave the size out")
     _check_memory(str(path), read_shape(path), _READING_BYTES)
     values, notes = read_map(path)
     light = _checked(str(path), values)

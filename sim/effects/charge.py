@@ -177,7 +177,7 @@ CHARGE = (
         "EMVA 1288: sensitivity differs from pixel to pixel, normal, relative",
         present=lambda shot: shot.sensor.pixels.prnu > 0,
         change=_prnu_change,
-        cost=1.2,
+        cost=1.6,
         apply=_prnu,
     ),
     Effect(
@@ -186,7 +186,7 @@ CHARGE = (
         "a share of the last frame's charge, at most the well's, stays in the pixel",
         present=lambda shot: shot.sensor.pixels.lag > 0,
         change=_lag_change,
-        cost=0.5,
+        cost=0.4,
         apply=_lag,
     ),
     Effect(
@@ -214,7 +214,7 @@ CHARGE = (
         "a share of the pixels has a dark rate up to hot_rate_e_s, doubling likewise",
         present=lambda s: s.sensor.dark.hot_share > 0 and s.sensor.dark.hot_rate_e_s > 0,
         change=lambda shot: Change(mean_e=hottest_e(shot)),
-        cost=0.1,
+        cost=0.2,
         apply=_hot,
     ),
     Effect(
@@ -223,7 +223,7 @@ CHARGE = (
         "Poisson, electrons; see `TileNoise.add_photon_noise`",
         present=lambda shot: shot.sensor.photon_noise,
         change=lambda _: Change(is_noise=True),
-        cost=2.6,
+        cost=2.5,
         apply=_photon_noise,
     ),
     Effect(
@@ -232,7 +232,7 @@ CHARGE = (
         "hits on a million pixels a second, each a short track of exponential charge",
         present=lambda shot: shot.sensor.read_out.cosmic_rate_s > 0,
         change=_cosmic_change,
-        cost=0.05,
+        cost=0.1,
         apply=_cosmic,
     ),
     Effect(
@@ -241,7 +241,7 @@ CHARGE = (
         "charge beyond the well flows along the column, geometrically less with distance",
         present=lambda shot: shot.sensor.pixels.blooming > 0,
         change=lambda _: Change(only_below_well=True),
-        cost=4.0,
+        cost=4.5,
     ),
     Effect(
         "full well",

@@ -154,7 +154,7 @@ OPTICS = (
         "mean of the target's places over the exposure, pixels a second; exact along the rows",
         present=_moves,
         change=_motion,
-        cost=1.0,
+        cost=3.0,
     ),
     Effect(
         "rolling shutter",
@@ -162,7 +162,7 @@ OPTICS = (
         "each row is exposed row_s seconds after the one above; moves targets, bands flicker",
         present=_rolls,
         change=_rolling,
-        cost=0.5,
+        cost=0.3,
     ),
     Effect(
         "veiling glare",
@@ -170,7 +170,7 @@ OPTICS = (
         "ISO 9358: a share of all light is scattered widely; a Gaussian of glare_width",
         present=lambda shot: shot.sensor.lens.glare > 0,
         change=_glared,
-        cost=2.0,
+        cost=1.5,
         picture=_glare,
     ),
     Effect(
@@ -179,7 +179,7 @@ OPTICS = (
         "a Gaussian of blur_px for the lens's point spread, ISO 12233's blur; pixels",
         present=lambda shot: shot.sensor.lens.blur_px > 0,
         change=_blurred,
-        cost=3.0,
+        cost=1.2,
         picture=_blur,
     ),
     Effect(
@@ -196,7 +196,7 @@ OPTICS = (
         "a share of a pixel's light to each of its four neighbours (diffusion before collection)",
         present=lambda shot: shot.sensor.pixels.crosstalk > 0,
         change=_crossed,
-        cost=1.5,
+        cost=0.6,
         picture=_crosstalk,
     ),
     Effect(

@@ -56,7 +56,7 @@ READ_OUT = (
         "EMVA 1288: offsets differ from pixel to pixel, normal, electrons",
         present=lambda shot: shot.sensor.pixels.dsnu_e > 0,
         change=lambda shot: Change(read_e=LARGEST * shot.sensor.pixels.dsnu_e),
-        cost=1.1,
+        cost=1.7,
         apply=_dsnu,
     ),
     Effect(
@@ -65,7 +65,7 @@ READ_OUT = (
         "EMVA 1288: temporal dark noise, normal, electrons",
         present=lambda shot: shot.sensor.read_noise_e > 0,
         change=lambda shot: Change(read_e=LARGEST * shot.sensor.read_noise_e),
-        cost=1.1,
+        cost=1.6,
         apply=_read,
     ),
     Effect(

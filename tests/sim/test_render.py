@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from camctl.camera import Layout
 from camctl.errors import RefusedSettingError, UsageError
 from sim.noise import TILE
+from sim.parts import Dark, Lens, Pixels, ReadOut
 from sim.render import Renderer, simulate_frame
 from sim.scene import Scene, load_scene
 from sim.sensor import Sensor, load_sensor, sensor_names
@@ -70,7 +71,9 @@ def test_samples_stay_within_the_adc(name: str, gain: float, seed: int, lines: i
 @settings(deadline=None, max_examples=40)
 @given(st.sampled_from(sensor_names()), st.floats(1e-4, 5), st.floats(1, 50), st.floats(1, 8))
 def test_more_exposure_is_never_darker(name: str, time: float, factor: float, gain: float) -> None:
-    sensor = load_sensor(name).model_copy(update={"photon_noise": False, "read_noise_e": 0.0})
+    plain = {"photon_noise": False, "read_noise_e": 0.0}
+    parts = {"lens": Lens(), "dark": Dark(), "pixels": Pixels(), "read_out": ReadOut()}
+    sensor = load_sensor(name).model_copy(update=plain | parts)
     light = np.geomspace(1, 1e9, 4001, dtype=np.float32)
     renderer = Renderer(light, sensor)
     first = renderer.frame(time, 1.0, 0)

@@ -10,8 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camctl.errors import DataError, UsageError
-from sim.procedural import BUILT_IN
-from sim.scene import HIGHLIGHT_PHOTONS_S, PHOTONS, RELATIVE, Scene, load_scene, scene_names
+from sim.drawings import DRAWINGS
+from sim.scene import (
+    HIGHLIGHT_PHOTONS_S,
+    LUMINANCE,
+    PHOTONS,
+    RELATIVE,
+    Scene,
+    load_scene,
+    scene_names,
+)
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -22,11 +30,25 @@ def test_every_built_in_scene_is_light_at_any_size(name: str, shape: tuple[int, 
     assert scene.irradiance.dtype == np.float32
     assert np.all(np.isfinite(scene.irradiance))
     assert np.all(scene.irradiance > 0)
-    assert (scene.unit, scene.photons_per_unit) == (PHOTONS, 1.0)
+    assert scene.unit in (PHOTONS, LUMINANCE)
+    assert scene.photons_per_unit == 1.0
 
 
 def test_names_are_those_of_the_paper_and_the_hard_ones() -> None:
-    assert scene_names() == ("ball", "cloth", "ramp", "room", "tile-floor", "uniform")
+    assert set(scene_names()) == {
+        "ball",
+        "cloth",
+        "colour-chart",
+        "moving-target",
+        "night-street",
+        "ramp",
+        "room",
+        "stars",
+        "tile-floor",
+        "uniform",
+    }
+    for name in scene_names():
+        assert load_scene(name, (6, 8)).name == name
 
 
 def test_ramp_is_linear() -> None:
@@ -88,7 +110,7 @@ def test_a_gigantic_scene_is_refused_before_it_is_drawn(monkeypatch: pytest.Monk
     def must_not_run(rows: int, columns: int) -> np.ndarray:
         raise AssertionError("drawn")
 
-    monkeypatch.setitem(BUILT_IN, "ramp", must_not_run)
+    monkeypatch.setitem(DRAWINGS, "ramp", must_not_run)
     with pytest.raises(DataError, match="GiB"):
         load_scene("ramp", (1_000_000, 1_000_000))
 
