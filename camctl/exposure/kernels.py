@@ -136,9 +136,8 @@ class BatchScore:
         excess = np.maximum(np.diff(heights, axis=1) - 1, 0.0)
         if p == 1:
             return excess
-        return np.asarray(
-            excess**p * np.maximum(high - low, self._tiny).astype(np.float64) ** (1 - p)
-        )
+        width = np.where(excess > 0, (high - low).astype(np.float64), 1.0)
+        return np.asarray((excess / width) ** p * width)
 
     def _linear(self, low: Work, high: Work, work: list[Work]) -> Work:
         p = self.goal.p

@@ -37,6 +37,7 @@ MOST_LEVELS = 2.5e9
 MOST_FLOAT64_LEVELS = 1e9
 
 MOST_FINISH_LEVELS = 5e8
+FINISH_PASSES = 100
 COARSE = 255
 FINE = 1023
 """Cameras of more levels than this start from the solution for `COARSE` of their levels."""
@@ -119,7 +120,9 @@ class _Search:
         most /= n * response.M * len(goal.draws(n))
         budget = effort * min(EFFORT.get(n, MOST_EFFORT), most)
         self.budget = max(budget, 20.0 * STARTS)
-        self.finishing = int(max(20.0, MOST_FINISH_LEVELS / (n * response.M)))
+        passes = FINISH_PASSES if goal.p == round(goal.p) else FINISH_PASSES // 4
+        most_steps = MOST_FINISH_LEVELS / (n * response.M * len(goal.draws(n)))
+        self.finishing = int(min(2 * n * passes, max(20.0, most_steps)))
 
     def run(self, known: FloatArray | None = None) -> tuple[float, ...]:
         """Return the best exposures; `known` (K, n) logarithms are starts beside random ones."""
