@@ -1,7 +1,9 @@
 """Building exposure tables: many independent searches, on any executor, resumable.
 
 Each row's random numbers follow from the row alone (camera, wish, seed), so that a table is the
-same bit for bit whatever the executor, the number of workers and the order they finish in.
+same bit for bit whatever the executor, the number of workers and the order they finish in.  Between
+kinds of processor numpy's float32 logarithms may differ in the last bit, and a search then ends
+elsewhere with the same worth; workers of one build should be alike.
 """
 
 from __future__ import annotations

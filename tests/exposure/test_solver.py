@@ -197,3 +197,20 @@ def test_many_bits_start_from_few() -> None:
     assert found.xi < equal
     assert found.xi <= interleaved
     assert math.isfinite(found.effective_levels)
+
+
+@pytest.mark.parametrize(
+    ("bits", "n", "p"),
+    [(1, 1, 2.0), (1, 16, 1.0), (5, 16, 1.0), (1, 3, 16.0), (7, 3, 2.0), (7, 2, 16.0), (3, 4, 1.0)],
+)
+@pytest.mark.parametrize("dynamic_range", [1.001, 1e7])
+def test_the_corners_are_searched_without_a_warning(
+    bits: int, n: int, dynamic_range: float, p: float
+) -> None:
+    for name in ("linear", "gamma", "log"):
+        found = solve(
+            linear_response(bits), desired_response(name, dynamic_range), n, p=p, effort=1e-3
+        )
+        assert math.isfinite(found.xi)
+        assert found.xi >= 0
+        assert found.effective_levels >= 1 - 1e-9
