@@ -42,7 +42,7 @@ def night_street(rows: int, columns: int) -> Light:
     picture[is_sky] = (0.0012 * (1 + y[is_sky]))[..., None] * _SKY
     for lamp_x, lamp_z in reversed(_LAMPS):
         _hang(picture, x, y, lamp_x, lamp_z, rows)
-    return picture.astype(np.float32)
+    return np.asarray(picture, dtype=np.float32)
 
 
 def _windows(at_y: Light, z: Light, side: Light, is_wall: NDArray[np.bool_]) -> Light:

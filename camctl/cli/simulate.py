@@ -1,9 +1,11 @@
-"""`camctl simulate`: one simulated frame."""
+"""`camctl simulate`: simulated frames, and which effects they have."""
 
 from __future__ import annotations
 
 import io
+import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,23 +15,41 @@ from camctl.cli import kinds, options
 from camctl.cli.commands import command
 from camctl.cli.output import duration, fields, number, say, say_json, table, warn
 from camctl.cli.results import percent
-from camctl.errors import StorageError, unknown_name
+from camctl.errors import StorageError, UsageError, unknown_name
 
 if TYPE_CHECKING:
     from camctl.camera import Control, Frame
+    from sim.budget import FramePlan
 
 SUFFIXES = (".tiff", ".tif", ".png", ".npy")
+DEFAULT_SENSOR = "complete"
+
+
+class _Times(kinds.Seconds):
+    """Several shutter times, parted by commas."""
+
+    name = "times"
+
+    def read(self, word: str, option: str) -> Any:
+        """Return the times as a tuple, in the order given."""
+        return tuple(super(_Times, self).read(part.strip(), option) for part in word.split(","))
 
 
 @command(
     examples=(
-        ("camctl simulate --time 1/100 -o floor.png", "the tile floor at 10 ms"),
-        ("camctl simulate --scene ramp --sensor ideal-6 -o ramp.tiff", "without noise, 6 bits"),
-        ("camctl simulate --scene memorial.hdr --gain 4 --json", "a radiance map; numbers only"),
+        ("camctl simulate --scene night-street --time 4 --explain", "what it takes, and why"),
+        ("camctl simulate --scene ramp --time 0.001 --explain", "what makes no difference"),
+        ("camctl simulate --sensor ideal-6 -o floor.tiff", "without noise, 6 bits"),
+        ("camctl simulate --scene room --bracket 1,4,16 -o room.png", "room-1.png to room-3.png"),
     )
 )
 @options.scene
-@options.sensor
+@click.option(
+    "--sensor",
+    metavar="NAME|FILE.json",
+    default=DEFAULT_SENSOR,
+    help="The sensor; the default has every effect.",
+)
 @options.size
 @click.option(
     "--time",
@@ -40,75 +60,139 @@ SUFFIXES = (".tiff", ".tif", ".png", ".npy")
     help="Shutter time, for example 0.01 or 1/100; the nearest that the sensor has is taken.",
 )
 @click.option(
+    "--times",
+    "times_s",
+    type=_Times(),
+    metavar="S1,S2,...",
+    help="A bracket of these shutter times, instead of --time.",
+)
+@click.option(
+    "--bracket",
+    type=kinds.Ratios(),
+    metavar="R1,R2,...",
+    help="A bracket of these exposures relative to the shortest, which has --time.",
+)
+@click.option(
     "--gain",
     type=kinds.Number("a positive gain", above=0),
     default=1.0,
     metavar="X",
     help="Linear gain; the nearest that the sensor has is taken.",
 )
+@click.option(
+    "--tolerance",
+    "tolerance_dn",
+    type=kinds.Number("a tolerance of 0 DN or more", least=0),
+    default=0.5,
+    metavar="DN",
+    help="Leave out effects that together change no sample by more, before the ADC; the frames of "
+    "a bracket share it.  0 runs everything.",
+)
+@click.option("--explain", is_flag=True, help="Show each effect: its bound, and why it ran or not.")
 @options.noise_seed
 @click.option(
     "-o",
     "--output",
     type=kinds.PATH,
     metavar="FILE",
-    help="Write the frame: .tiff, .png or .npy.  [default: no file]",
+    help="Write the frame: .tiff, .png or .npy; those of a bracket get -1, -2, ...  "
+    "[default: no file]",
 )
-@click.option("--force", is_flag=True, help="Replace an existing file.")
+@click.option("--force", is_flag=True, help="Replace existing files.")
 @options.as_json
 def simulate(
     scene: str | None,
-    sensor: str | None,
+    sensor: str,
     size: str | None,
     time_s: float,
+    times_s: tuple[float, ...] | None,
+    bracket: tuple[float, ...] | None,
     gain: float,
+    tolerance_dn: float,
+    explain: bool,
     seed: int | None,
     output: Path | None,
     force: bool,
     as_json: bool,
 ) -> None:
-    """Take one frame with the simulated camera.
+    """Take one frame or a bracket with the simulated camera.
 
-    Tells which effects of the sensor are in it and how its brightness lies between black and
-    white.  Nothing that the sensor has is left out.
+    Simulates only what the scene calls for: effects that would change no sample by more than the
+    tolerance are left out, and the bound on what that changes is told.
     """
-    if output is not None:
-        _check_output(output, force)
+    wanted_s = _wanted(time_s, times_s, bracket)
+    files = _files(output, len(wanted_s), force)
     from camctl.camera import ExposureSetting
     from camctl.registry import open_camera
     from sim.camera import SimulatedCamera
 
-    beside = options.camera_options(scene, sensor, size, seed)
+    beside = options.camera_options(scene, sensor, size, seed) | {"tolerance": repr(tolerance_dn)}
+    told = []
     with open_camera("sim", beside) as camera:
         assert isinstance(camera, SimulatedCamera)
         controls = camera.controls
         for note in controls.notes:
             warn(note)
-        setting = ExposureSetting(
-            time_s=_nearest(controls.time_s, time_s, "shutter time"),
-            gain=_nearest(controls.gain, gain, "gain"),
-        )
-        started = time.perf_counter()
-        frame = next(iter(camera.shoot([setting])))
-        seconds = time.perf_counter() - started
-        effects = camera.effects
-    if output is not None:
-        _write(frame, output)
-    facts = _facts(frame, controls.layout)
-    if as_json:
-        # Nothing that the sensor has is left out: the frame is off by nothing.
-        told = [
-            {"name": each.name, "bound_dn": None if each.ran else 0.0}
-            | {"ran": each.ran, "why": each.why}
-            for each in effects
+        nearest_gain = _nearest(controls.gain, gain, "gain")
+        settings = [
+            ExposureSetting(_nearest(controls.time_s, wanted, "shutter time"), nearest_gain)
+            for wanted in wanted_s
         ]
-        say_json(
-            {"tolerance_dn": 0.0, "joint_bound_dn": 0.0, "effects": told, "seconds": seconds}
-            | facts
-            | {"file": output}
-        )
+        started = time.perf_counter()
+        for frame, file in zip(camera.shoot(settings), files, strict=True):
+            plan = camera.last_plan
+            assert plan is not None
+            told.append((_facts(frame, controls.layout) | {"file": file}, plan))
+            if file is not None:
+                _write(frame, file)
+        seconds = time.perf_counter() - started
+    if as_json:
+        say_json(_as_json(told, tolerance_dn, seconds))
         return
-    told_effects = [(each.name, "simulated" if each.ran else "none", each.why) for each in effects]
+    say("\n\n".join(_as_text(facts, plan, explain) for facts, plan in told))
+    say("\n" + fields([("simulated in", duration(seconds))]))
+
+
+def _wanted(
+    time_s: float, times_s: tuple[float, ...] | None, bracket: tuple[float, ...] | None
+) -> tuple[float, ...]:
+    if times_s and bracket:
+        raise UsageError("--times and --bracket", hint="give one of them")
+    if times_s:
+        return times_s
+    return tuple(time_s * ratio for ratio in bracket or (1.0,))
+
+
+def _files(output: Path | None, count: int, force: bool) -> list[Path | None]:
+    if output is None:
+        return [None] * count
+    numbers = [""] if count == 1 else [f"-{index + 1}" for index in range(count)]
+    files = [output.with_name(f"{output.stem}{text}{output.suffix}") for text in numbers]
+    for file in files:
+        _check_output(file, force)
+    return list(files)
+
+
+def _as_json(
+    told: Sequence[tuple[dict[str, Any], FramePlan]], tolerance_dn: float, seconds: float
+) -> dict[str, Any]:
+    """Return the whole: of one frame its own numbers, of a bracket those of its worst frame."""
+    frames = [facts | plan.as_data() for facts, plan in told]
+    whole = {"tolerance_dn": tolerance_dn, "seconds": seconds}
+    if len(frames) == 1:
+        return frames[0] | whole
+    effects = []
+    for decisions in zip(*(plan.effects for _, plan in told), strict=True):
+        worst = max(decisions, key=lambda one: (one.ran, one.bound_dn))
+        bound = worst.bound_dn if math.isfinite(worst.bound_dn) else None
+        effects.append({"name": worst.name, "bound_dn": bound, "ran": worst.ran, "why": worst.why})
+    joint = sum(plan.joint_bound_dn for _, plan in told)
+    return whole | {"joint_bound_dn": joint, "effects": effects, "frames": frames}
+
+
+def _as_text(facts: dict[str, Any], plan: FramePlan, explain: bool) -> str:
+    ran = [effect.name for effect in plan.effects if effect.ran]
+    left_out = [effect.name for effect in plan.effects if effect.name in plan.left_out]
     rows = [
         ("frame", f"{facts['width']} x {facts['height']}, {facts['layout']}"),
         ("exposure", f"{duration(facts['time_s'])}, gain {number(facts['gain'], 4)}"),
@@ -118,10 +202,28 @@ def simulate(
             f"(black {facts['black']}, white {facts['white']})",
         ),
         ("saturated", percent(facts["saturated_fraction"])),
-        ("rendered in", duration(seconds)),
-        ("file", "none; -o FILE writes one" if output is None else str(output)),
+        ("simulated", ", ".join(ran)),
+        ("left out", ", ".join(left_out) or "nothing"),
+        (
+            "which changes",
+            f"at most {number(plan.joint_bound_dn, 3)} DN of {number(plan.tolerance_dn, 3)} "
+            "allowed, in any sample, before the ADC",
+        ),
+        ("file", "none; -o FILE writes one" if facts["file"] is None else str(facts["file"])),
     ]
-    say(fields(rows) + "\n\n" + table(("effect", "", ""), told_effects))
+    if not explain:
+        return fields(rows)
+    lines = [
+        (
+            effect.name,
+            number(effect.bound_dn, 3) if math.isfinite(effect.bound_dn) else "any",
+            "ran" if effect.ran else "left out" if effect.name in plan.left_out else "absent",
+            effect.why,
+        )
+        for effect in plan.effects
+    ]
+    explained = table(("effect", "at most, DN", "", ""), lines, right=(1,))
+    return fields(rows[:4] + rows[6:]) + "\n\n" + explained
 
 
 def _check_output(output: Path, force: bool) -> None:

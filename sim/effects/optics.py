@@ -68,16 +68,21 @@ def _blurred(shot: Shot) -> Change:
     return Change(light=min(moment / 2 * (s.bend + _glare_bend(shot)), s.most - s.least))
 
 
+def _glare_samples(shot: Shot) -> tuple[tuple[int, int], Light]:
+    """Return the (columns, rows) that glare is computed at, and its kernel there."""
+    rows, columns = shot.rows, shot.width // shot.channels
+    sigma = shot.sensor.lens.glare_width * max(rows, columns)
+    step = max(1, int(sigma / _GLARE_SAMPLES))
+    return (max(1, columns // step), max(1, rows // step)), gaussian(sigma / step)
+
+
 def _glare(planes: Light, shot: Shot) -> Light:
     import cv2
 
     lens = shot.sensor.lens
     rows, columns = planes.shape[:2]
-    sigma = lens.glare_width * max(rows, columns)
-    step = max(1, int(sigma / _GLARE_SAMPLES))
-    size = (max(1, columns // step), max(1, rows // step))
+    size, kernel = _glare_samples(shot)
     small = cv2.resize(planes, size, interpolation=cv2.INTER_AREA)
-    kernel = gaussian(sigma / step)
     small = cv2.sepFilter2D(small, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
     wide = cv2.resize(small, (columns, rows), interpolation=cv2.INTER_LINEAR)
     return np.asarray(cv2.addWeighted(planes, 1 - lens.glare, wide, lens.glare, 0.0))
@@ -89,9 +94,18 @@ def _glared(shot: Shot) -> Change:
 
 
 def _glare_bend(shot: Shot) -> float:
-    """Return how much larger second differences can be after glare, along plus across."""
-    s = shot.statistics
-    return 4 * shot.sensor.lens.glare * (s.most - s.least)
+    """Return how much larger second differences can be after glare, along plus across.
+
+    A kernel that rises and falls once changes what it smooths from sample to sample by at most its
+    peak times the light's range; drawn out to pixels that slope is flatter by the scale, and a
+    second difference is that of two slopes.
+    """
+    s, glare = shot.statistics, shot.sensor.lens.glare
+    if glare == 0:
+        return 0.0
+    (columns, rows), kernel = _glare_samples(shot)
+    scale = columns * shot.channels / shot.width + rows / shot.rows
+    return 2 * glare * float(kernel.max()) * scale * (s.most - s.least)
 
 
 def _crosstalk(light: Light, shot: Shot) -> Light:

@@ -246,7 +246,7 @@ def test_simulate_gives_all_that_scripts_rely_on(run: Run) -> None:
         assert set(effect) == {"name", "bound_dn", "ran", "why"}
     ran = {effect["name"]: effect["ran"] for effect in told["effects"]}
     assert ran["photon noise"]
-    assert not ran["black level"]
+    assert not ran["colour mosaic"]
     assert (told["width"], told["height"]) == (64, 48)
     ideal = run("simulate", *SMALL, "--sensor", "ideal-6", "--json").json
     assert not {e["name"]: e["ran"] for e in ideal["effects"]}["photon noise"]
