@@ -38,6 +38,11 @@ MOST_FLOAT64_LEVELS = 1e9
 
 MOST_FINISH_LEVELS = 5e8
 FINISH_PASSES = 100
+
+QUICK = 0.1
+HOPELESS = 1.25
+"""A quick search this far above a tolerance ends the matter: the full one gains a few per cent."""
+
 COARSE = 255
 FINE = 1023
 """Cameras of more levels than this start from the solution for `COARSE` of their levels."""
@@ -319,7 +324,9 @@ def fewest(
         raise UsageError(f"tolerance {tolerance:g}", hint="give xi to reach, a number >= 0")
     best = math.inf
     for n in range(1, most + 1):
-        solution = solve(response, desired, n, levels_wanted=levels_wanted, seed=seed)
+        solution = solve(response, desired, n, levels_wanted=levels_wanted, seed=seed, effort=QUICK)
+        if tolerance < solution.xi < HOPELESS * tolerance or n == most:
+            solution = solve(response, desired, n, levels_wanted=levels_wanted, seed=seed)
         if progress is not None:
             progress(n / most)
         if solution.xi <= tolerance:
