@@ -16,12 +16,15 @@ from typing import TypeAlias
 from camctl.camera import ExposureControls, ExposureSetting
 from camctl.capture.request import CaptureRequest, Plan
 from camctl.errors import CaptureError
+from camctl.exposure.response import DesiredResponse
+from camctl.exposure.settings import solve_settings
 
 #: How far below its limit the shortest exposure may lie to fit the camera's steps, in stops.
 BASE_SLACK_STOPS = 1 / 6
 _BASES = 24
 _KEPT_BASES = 4
 _NEIGHBOURS = 3
+_GAINS = 64
 #: A given exposure that is met less well than this is worth a warning.
 _NOTABLE = 0.01
 
@@ -36,6 +39,11 @@ class SettingChooser:
     request: CaptureRequest
     ratios: tuple[float, ...]
     score: Score
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether shutter times, and gain beyond them, are all that may be set."""
+        return self.request.mains_hz is None and self._closed() is None
 
     def best(self, limit_s: float, evaluations: int) -> tuple[ExposureSetting, ...]:
         """Return the set of the lowest score found within about that many evaluations.
@@ -166,3 +174,40 @@ class SettingChooser:
                         f"of {period:.4g} s"
                     )
         return found
+
+
+def best_of_choices(
+    controls: ExposureControls,
+    request: CaptureRequest,
+    desired: DesiredResponse,
+    count: int,
+    limit_s: float,
+) -> tuple[ExposureSetting, ...]:
+    """Return the best set on a list of shutter times: searched there, not rounded from a table.
+
+    Gain takes over beyond the longest time.  The shortest exposure is the longest on the list that
+    `limit_s` allows, or one up to a third of a stop below it.
+
+    Raises:
+        UsageError: the list has too few times at or above the base
+
+    """
+    gain = controls.gain.nearest(1.0)
+    times = controls.time_s.between(controls.time_s.minimum, controls.time_s.maximum, 1 << 16)
+    offered = {time_s: ExposureSetting(time_s, gain) for time_s in times}
+    for more in controls.gain.between(gain, controls.gain.maximum, _GAINS):
+        offered.setdefault(times[-1] * more / gain, ExposureSetting(times[-1], more))
+    base_s = max((time_s for time_s in times if time_s <= limit_s * (1 + 1e-9)), default=times[0])
+    if request.base_s is not None:
+        base_s = controls.time_s.nearest(limit_s)
+    found = solve_settings(
+        controls.levels,
+        desired,
+        count,
+        sorted(offered),
+        base=(base_s if request.base_s is not None else base_s * 2.0 ** (-1 / 3), base_s),
+        total_limit=request.time_budget_s,
+        levels_wanted=request.levels_wanted,
+    )
+    # The search merges settings that are one exposure; each of its values is one on offer.
+    return tuple(offered[min(offered, key=lambda on: abs(on - value))] for value in found.settings)

@@ -14,7 +14,6 @@ from camctl.capture.plan import relative
 from camctl.capture.report import Achieved, CaptureReport, Irradiance
 from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.objective import xi
-from camctl.exposure.response import desired_response
 
 
 def hand_over(
@@ -41,7 +40,7 @@ def hand_over(
     plan = report.plan
     applied = [record.applied for record in report.frames if record is not None]
     effective = EffectiveCamera.of(controls.levels, relative(applied))
-    desired = desired_response(plan.response, plan.dynamic_range)
+    desired = plan.desired
     full_scale_exposure = min(setting.exposure for setting in applied)
     if controls.sensitivity is not None:
         full_scale_exposure *= controls.sensitivity

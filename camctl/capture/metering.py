@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from camctl.camera import Camera, ExposureSetting, Frame, PreviewingCamera
 from camctl.capture.colour import planes
 from camctl.capture.request import Metering
 from camctl.errors import CaptureError, UsageError
+from camctl.exposure.response import FloatArray
 
 #: Share of a channel's samples that may lie above "the highlights": glints and hot pixels.
 GLINTS = 1e-4
@@ -22,6 +24,10 @@ NEAR = 0.75
 #: A scene that gives no more than this share of the levels at the longest exposure is black.
 NOTHING = 0.01
 _LOOKS = 16
+#: Levels above black from which a histogram trusts a frame, and not a longer one.
+_READABLE = 8
+_LONGEST_LOOK_S = 1.0
+_SPREAD = 16
 _FIRST_S = 1 / 60
 _SAMPLES = 1 << 20
 
@@ -127,7 +133,47 @@ def meter(camera: Camera, *, spend_shutter: bool = False, small_aperture: bool =
     )
 
 
-def _stretch(levels: np.ndarray[tuple[int], np.dtype[np.float64]], bright: int) -> float:
+def light_histogram(
+    camera: Camera, metering: Metering, dynamic_range: float, *, spend_shutter: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Return what light there is: (irradiance, count), both (K,), E = 1 at the metered limit.
+
+    One frame at the metered setting tells the highlights; ever longer ones tell what lay below
+    `_READABLE` levels of the one before, down to the wanted range or as long as a person waits.
+    """
+    controls = camera.controls
+    look = _looker(camera, spend_shutter)
+    levels = controls.levels.levels
+    # A brightness stands for all light of its gap: spread over it, evenly in its logarithm.
+    high = np.concatenate((levels, levels[-1:]))
+    low = np.concatenate(([0.0], levels))
+    setting, upper = metering.setting, np.inf
+    light, counts = [], []
+    while True:
+        frame = look(setting)
+        scale = metering.limit_s / setting.time_s
+        found = np.zeros(levels.size + 1)
+        for plane in planes(frame.pixels, controls.layout):
+            step = max(1, math.isqrt(plane.size // _SAMPLES))
+            above = np.clip(plane[::step, ::step].astype(np.intp) - frame.black, 0, levels.size)
+            found += np.bincount(above.ravel(), minlength=levels.size + 1)
+        wanted_s = min(setting.time_s * levels.size / (2 * _READABLE), _LONGEST_LOOK_S)
+        longer_s = controls.time_s.nearest(max(wanted_s, setting.time_s))
+        readable = levels[min(_READABLE, levels.size) - 1] * scale
+        last = readable <= 1 / dynamic_range or longer_s <= setting.time_s
+        lower = 0.0 if last else readable
+        least = np.maximum(low * scale, min(1 / dynamic_range, levels[0] * scale))
+        E = np.geomspace(least, high * scale, 2 * _SPREAD + 1)[1::2]
+        kept = (high * scale > lower) & (high * scale <= upper)
+        light.append(E[:, kept].ravel())
+        counts.append(np.tile(found[kept] / _SPREAD, _SPREAD))
+        if last:
+            return np.concatenate(light), np.concatenate(counts)
+        upper = lower
+        setting = replace(setting, time_s=longer_s)
+
+
+def _stretch(levels: FloatArray, bright: int) -> float:
     """Return by how much an exposure may grow until `bright` reaches `AIM` of the levels."""
     aim = float(levels[max(0, math.ceil(AIM * levels.size) - 1)])
     if bright == 0:

@@ -3,37 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from camctl.camera import Camera, ExposureSetting
-from camctl.capture.choose import SettingChooser
-from camctl.capture.metering import meter
-from camctl.capture.request import CaptureRequest, Plan
-from camctl.errors import DataError, UsageError
+import numpy as np
+
+from camctl.camera import Camera, Choices, ExposureSetting
+from camctl.capture.choose import SettingChooser, best_of_choices
+from camctl.capture.metering import light_histogram, meter
+from camctl.capture.ratios import AUTO, looked_up, needs_light, solved
+from camctl.capture.request import CaptureRequest, Metering, Plan
+from camctl.errors import CaptureError, UsageError
+from camctl.exposure.auto import auto_response
 from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.objective import xi
-from camctl.exposure.response import DesiredResponse, RealResponse, desired_response
-from camctl.exposure.table import ExposureTable, TableEntry, look_up
+from camctl.exposure.response import DesiredResponse, desired_response
+from camctl.exposure.table import ExposureTable
 
 #: Levels that may be sorted in one search: about a second of work.
 _LEVELS_SORTED = 8_000_000
-
-
-def check_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
-    """Return ratios in ascending order relative to the smallest.
-
-    Raises:
-        UsageError: there is none, or one is not a positive, finite number
-
-    """
-    values = sorted(ratios)
-    if not values:
-        raise UsageError("no ratios", hint="give at least one, such as --ratios 1,2,4")
-    for value in values:
-        if not (math.isfinite(value) and value > 0):
-            raise UsageError(f"a ratio of {value:g}", hint="exposures are positive, finite numbers")
-    return tuple(value / values[0] for value in values)
 
 
 def plan_capture(
@@ -56,43 +44,26 @@ def plan_capture(
 
     """
     controls, real = camera.controls, camera.controls.levels
-    desired = desired_response(request.response, request.dynamic_range)
-    if request.ratios is not None:
-        ratios = check_ratios(request.ratios)
-    else:
-        if request.count < 1:
-            raise UsageError(f"{request.count} exposures", hint="take at least one")
-        if table is None:
-            entry = look_up(
-                real,
-                desired,
-                request.count,
-                levels_wanted=request.levels_wanted,
-                progress=progress,
-            )
-        else:
-            entry = _row_of(table, real, desired, request)
-        ratios = tuple(entry.exposures)
-    levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
-    metering = None
     warnings = [*controls.notes, *real.notes]
-    if request.base_s is None:
-        metering = meter(
-            camera, spend_shutter=request.spend_shutter, small_aperture=request.use_aperture
+    ratios = None
+    if needs_light(request) and table is not None:
+        raise UsageError(
+            "a table holds no exposures for a time budget or an automatic response",
+            hint="leave --table out",
         )
-        if metering.highlight >= 1.0:
-            warnings.append(
-                f"{metering.clipped:.2%} of the samples are clipped even at the shortest exposure"
-            )
-        limit_s = metering.limit_s * 2.0**request.compensation_stops
-    else:
-        if not (math.isfinite(request.base_s) and request.base_s > 0):
-            raise UsageError(
-                f"a base exposure of {request.base_s:g} s", hint="give seconds above 0"
-            )
-        limit_s = request.base_s * 2.0**request.compensation_stops
+    if not needs_light(request):
+        desired = desired_response(request.response, request.dynamic_range)
+        ratios = looked_up(real, desired, request, table, progress)
+    metering, limit_s = _limit(camera, request, warnings)
+    if ratios is None:
+        desired = _desired(camera, request, metering)
+        longest_s = controls.time_s.maximum * controls.gain.maximum / controls.gain.nearest(1.0)
+        ratios = solved(real, desired, request, limit_s, longest_s, progress)
+    levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
 
     def quality(settings: Sequence[ExposureSetting]) -> float:
+        if sum(setting.time_s for setting in settings) > (request.time_budget_s or math.inf):
+            return math.inf
         return xi(EffectiveCamera.of(real, relative(settings)), desired, levels_wanted)
 
     def fidelity(settings: Sequence[ExposureSetting]) -> float:
@@ -103,8 +74,16 @@ def plan_capture(
     chooser = SettingChooser(
         controls, request, ratios, quality if request.ratios is None else fidelity
     )
-    evaluations = max(16, min(400, _LEVELS_SORTED // (len(ratios) * real.M)))
-    settings = chooser.best(limit_s, evaluations)
+    if request.ratios is None and isinstance(controls.time_s, Choices) and chooser.is_plain:
+        settings = best_of_choices(controls, request, desired, len(ratios), limit_s)
+    else:
+        evaluations = max(16, min(400, _LEVELS_SORTED // (len(ratios) * real.M)))
+        settings = chooser.best(limit_s, evaluations)
+    if math.isinf(quality(settings)):
+        raise CaptureError(
+            f"the camera's settings do not fit into {request.time_budget_s:.4g} s",
+            hint="allow more time, or take fewer exposures",
+        )
     effective = EffectiveCamera.of(real, relative(settings))
     plan = Plan(
         response=request.response,
@@ -118,23 +97,51 @@ def plan_capture(
         xi=xi(effective, desired, levels_wanted),
         effective_levels=effective_levels(effective, desired),
         metering=metering,
+        curve=_curve(desired) if request.response == AUTO else None,
     )
     warnings += chooser.warnings(plan)
     warnings += _against_ideal(plan, EffectiveCamera.of(real, ratios), desired)
     return replace(plan, warnings=tuple(warnings))
 
 
-def _row_of(
-    table: ExposureTable, real: RealResponse, desired: DesiredResponse, request: CaptureRequest
-) -> TableEntry:
-    entry = table.find(real, desired, request.count, request.levels_wanted)
-    if entry is None:
-        raise DataError(
-            f"the given table has no row for {real.name}, {desired.name}, "
-            f"1:{desired.dynamic_range:g}, n = {request.count}",
-            hint="add it with 'camctl table build', or leave --table out",
+def _limit(
+    camera: Camera, request: CaptureRequest, warnings: list[str]
+) -> tuple[Metering | None, float]:
+    """Return how the light was metered, if it was, and the longest base exposure, s."""
+    shift = 2.0**request.compensation_stops
+    if request.base_s is not None:
+        if not (math.isfinite(request.base_s) and request.base_s > 0):
+            raise UsageError(
+                f"a base exposure of {request.base_s:g} s", hint="give seconds above 0"
+            )
+        return None, request.base_s * shift
+    metering = meter(
+        camera, spend_shutter=request.spend_shutter, small_aperture=request.use_aperture
+    )
+    if metering.highlight >= 1.0:
+        warnings.append(
+            f"{metering.clipped:.2%} of the samples are clipped even at the shortest exposure"
         )
-    return entry
+    return metering, metering.limit_s * shift
+
+
+def _desired(camera: Camera, request: CaptureRequest, metering: Metering | None) -> DesiredResponse:
+    if request.response != AUTO:
+        return desired_response(request.response, request.dynamic_range)
+    if metering is None:
+        raise UsageError(
+            "an automatic response follows the metered light, and the base exposure is given",
+            hint="leave --base out, or pick a response",
+        )
+    light, counts = light_histogram(
+        camera, metering, request.dynamic_range, spend_shutter=request.spend_shutter
+    )
+    return auto_response(light, request.dynamic_range, weights=counts)
+
+
+def _curve(desired: DesiredResponse) -> tuple[tuple[float, float], ...]:
+    irradiance = np.concatenate(([desired.e_min], desired.knots, [1.0]))
+    return tuple(zip(irradiance.tolist(), desired.u(irradiance).tolist(), strict=True))
 
 
 def relative(settings: Sequence[ExposureSetting]) -> tuple[float, ...]:

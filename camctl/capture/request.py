@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from camctl.camera import ExposureSetting
+from camctl.exposure.response import DesiredResponse, desired_response, tabulated_desired
 
 
 @dataclass(frozen=True)
@@ -12,13 +13,17 @@ class CaptureRequest:
     """What a person picks; everything else is looked up, metered or measured.
 
     Attributes:
-        response: desired response, "linear", "gamma" or "log"
+        response: desired response, "linear", "gamma", "log", or "auto": what suits the metered
+            histogram
         dynamic_range: desired dynamic range, > 1
         count: number of exposures
         ratios: exposures given instead of looked up, relative to each other; `count` is then theirs
         base_s: shutter time of the shortest exposure, s; None: metered
         compensation_stops: shift of the shortest exposure, in stops
         levels_wanted: number of levels G of the desired camera; None: as many as the frames hold
+        tolerance: take the fewest exposures, `count` at most, that leave no more than so many of
+            `levels_wanted` missing
+        time_budget_s: keep the shutter open no longer than this in all, s
         use_aperture: let the aperture take part where time and gain do not reach
         mains_hz: frequency of the mains that the lamps hang on (50 or 60), None: daylight
         spend_shutter: meter with full exposures on a camera that has no preview
@@ -31,6 +36,8 @@ class CaptureRequest:
     base_s: float | None = None
     compensation_stops: float = 0.0
     levels_wanted: float | None = None
+    tolerance: float | None = None
+    time_budget_s: float | None = None
     use_aperture: bool = False
     mains_hz: float | None = None
     spend_shutter: bool = False
@@ -71,6 +78,8 @@ class Plan:
         xi: how many of them are missing with `exposures`
         effective_levels: how many equal steps in the desired response are as accurate
         metering: how the shortest exposure was found; None where it was given
+        curve: pairs (irradiance, u) of a desired response that follows the scene; None for the
+            others, which their name defines
         warnings: what a person should know before pressing the button, one line each
     """
 
@@ -85,4 +94,13 @@ class Plan:
     xi: float
     effective_levels: float
     metering: Metering | None = None
+    curve: tuple[tuple[float, float], ...] | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def desired(self) -> DesiredResponse:
+        """The desired camera that was planned for."""
+        if self.curve is None:
+            return desired_response(self.response, self.dynamic_range)
+        irradiance, u = zip(*self.curve, strict=True)
+        return tabulated_desired(irradiance, u, name=self.response)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from camctl.capture.report import CaptureReport
     from camctl.capture.request import CaptureRequest
 
+MOST_WITHIN_TOLERANCE = 6
 WITH_RESUME = frozenset({"resume_directory", "as_json"})
 
 
@@ -32,9 +33,30 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
     )
 )
 @options.camera
-@options.response
+@click.option(
+    "--response",
+    type=kinds.Name("response", (*options.RESPONSES, "auto")),
+    default="log",
+    metavar="linear|gamma|log|auto",
+    help="How brightness shall follow light; log gives equal contrast in shadows and highlights, "
+    "auto gives most levels to the light that the scene holds most of.",
+)
 @options.dynamic_range
 @options.count
+@click.option(
+    "--tolerance",
+    type=kinds.Number("a number of levels from 0", least=0),
+    metavar="X",
+    help="Take the fewest exposures, 6 or -n at most, that leave no more than X of the wanted "
+    "levels missing; needs --levels.",
+)
+@click.option(
+    "--time-budget",
+    "time_budget_s",
+    type=kinds.Seconds(),
+    metavar="SECONDS",
+    help="Keep the shutter open no longer than this in all.",
+)
 @click.option(
     "--ratios",
     type=kinds.Ratios(),
@@ -93,6 +115,8 @@ def shoot(
     response: str,
     dynamic_range: float,
     count: int,
+    tolerance: float | None,
+    time_budget_s: float | None,
     ratios: tuple[float, ...] | None,
     base_s: float | None,
     compensation_stops: float,
@@ -113,7 +137,7 @@ def shoot(
 ) -> None:
     """Take a high-dynamic-range picture.
 
-    Meters the scene, looks up which exposures serve the wanted picture best, chooses the nearest
+    Meters the scene, looks up which exposures serve the wanted picture best, chooses the best
     that the camera can really do, shoots them, and sums them while they arrive.  The result is a
     folder: frames as they came, their sum, a 16-bit image, a radiance map (.exr), a preview and a
     report (report.json).
@@ -129,9 +153,15 @@ def shoot(
         if ratios is not None:
             if "count" in named and len(ratios) != count:
                 raise UsageError(f"--ratios names {len(ratios)} exposures, -n says {count}")
-            if table_file is not None:
-                raise UsageError("--ratios gives the exposures that --table would look up")
+            instead = named & {"table_file", "tolerance", "time_budget_s"}
+            if instead:
+                extra = ", ".join(sorted(options.spelling(context, name) for name in instead))
+                raise UsageError(f"--ratios gives the exposures, without {extra}")
+            if response == "auto":
+                raise UsageError("--ratios goes with a response of your own, not with auto")
             count = len(ratios)
+        elif tolerance is not None and "count" not in named:
+            count = MOST_WITHIN_TOLERANCE
         from camctl.capture.request import CaptureRequest
 
         request = CaptureRequest(
@@ -142,6 +172,8 @@ def shoot(
             base_s=base_s,
             compensation_stops=compensation_stops,
             levels_wanted=levels_wanted,
+            tolerance=tolerance,
+            time_budget_s=time_budget_s,
             use_aperture=use_aperture,
             mains_hz=None if mains is None else float(mains),
             spend_shutter=spend_shutter,

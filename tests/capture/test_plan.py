@@ -3,18 +3,23 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 
 from camctl.camera import Choices, ExposureControls, ExposureSetting, Layout, Steps
+from camctl.capture import capture, read_report
 from camctl.capture.choose import BASE_SLACK_STOPS, SettingChooser
-from camctl.capture.plan import check_ratios, plan_capture, relative
+from camctl.capture.plan import plan_capture, relative
+from camctl.capture.ratios import check_ratios
 from camctl.capture.request import CaptureRequest
-from camctl.errors import CaptureError, UsageError
+from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.objective import xi
 from camctl.exposure.response import desired_response, linear_response
+from camctl.exposure.table import ExposureTable, look_up
 
 THIRDS = Choices(tuple(2.0 ** (k / 3) for k in range(-36, 16)))
 HUNDRED_US = Steps(1e-4, 10.0, 1e-4)
@@ -165,3 +170,96 @@ def test_controls_refuse_what_the_camera_lacks():
         controls.check(ExposureSetting(0.01, f_number=4.0))
     controls.check(ExposureSetting(0.01))
     assert replace(controls, gain=Steps(1, 4)).gain.nearest(9.0) == 4
+
+
+class Dial:
+    """A camera with a dial of shutter times in place of even steps."""
+
+    def __init__(self, camera, times):
+        self._camera = camera
+        self.controls = replace(camera.controls, time_s=times)
+
+    def __getattr__(self, name):
+        return getattr(self._camera, name)
+
+
+def test_a_dial_is_searched_not_rounded(make_camera):
+    times = Choices(tuple(2.0 ** (k / 3) for k in range(-33, 10)))
+    for response in PRINTED:
+        with make_camera() as camera:
+            request = CaptureRequest(response, 1000.0, 3, base_s=2.0**-6)
+            plan = plan_capture(Dial(camera, times), request)
+        assert {s.time_s for s in plan.settings} <= set(times.values)
+        base = plan.settings[0].time_s
+        nearest = [ExposureSetting(times.nearest(base * r)) for r in plan.ratios]
+        desired, real = desired_response(response, 1000.0), linear_response(8)
+        rounded = xi(EffectiveCamera.of(real, relative(nearest)), desired, plan.levels_wanted)
+        assert plan.xi <= rounded + 1e-9
+
+
+def test_a_dial_that_ends_goes_on_with_gain(make_camera):
+    times = Choices(tuple(2.0 ** (k / 3) for k in range(-33, -9)))
+    with make_camera(gain_maximum=16.0, gain_step=1.0) as camera:
+        request = CaptureRequest("log", 1000.0, 3, base_s=2.0**-6)
+        plan = plan_capture(Dial(camera, times), request)
+    assert plan.settings[-1].time_s == times.maximum
+    assert plan.settings[-1].gain > 1
+    assert plan.settings[0].gain == 1
+
+
+@pytest.mark.parametrize("budget_s", [0.08, 0.5, 5.0])
+def test_a_time_budget_is_kept_and_used(make_camera, budget_s):
+    with make_camera() as camera:
+        plan = plan_capture(camera, CaptureRequest("log", 1000.0, 3, time_budget_s=budget_s))
+        free = plan_capture(camera, CaptureRequest("log", 1000.0, 3))
+    assert plan.shutter_s <= budget_s
+    assert plan.shutter_s >= 0.9 * min(budget_s, free.shutter_s)
+    assert plan.xi >= free.xi * 0.99
+
+
+def test_a_time_budget_that_is_too_short_says_the_least(make_camera):
+    request = CaptureRequest("log", 1000.0, 3, time_budget_s=0.01)
+    with make_camera() as camera, pytest.raises(UsageError, match=r"the least is 0\.0[56]"):
+        plan_capture(camera, request)
+
+
+def test_a_tolerance_takes_the_fewest_exposures(make_camera):
+    request = CaptureRequest("log", 1000.0, 6, tolerance=20.0, levels_wanted=200.0)
+    with make_camera() as camera:
+        plan = plan_capture(camera, request)
+        real, desired = camera.controls.levels, plan.desired
+    assert plan.xi <= 20.5  # the camera's steps cost a little of what the ratios promise
+    fewer = look_up(real, desired, len(plan.ratios) - 1, levels_wanted=200.0)
+    assert fewer.xi > 20.0
+    with make_camera() as camera, pytest.raises(UsageError, match=r"more than 0\.1"):
+        plan_capture(camera, replace(request, count=2, tolerance=0.1))
+    with make_camera() as camera, pytest.raises(UsageError, match="number of levels wanted"):
+        plan_capture(camera, replace(request, levels_wanted=None))
+
+
+def test_the_automatic_response_follows_the_light(make_camera, tmp_path):
+    light = np.full((60, 80), 1.0, np.float32)
+    light[:, 8:] = np.geomspace(0.004, 0.008, 60 * 72).reshape(60, 72)
+    request = CaptureRequest("auto", 1000.0, 3)
+    with make_camera(light=light) as camera:
+        report = capture(camera, request, tmp_path / "out")
+    desired = report.plan.desired
+    # Nine tenths of the pixels lie within one stop: they get far more than its share of 10 stops.
+    assert desired.u(0.009) - desired.u(0.0035) > 0.35
+    image = tifffile.imread(tmp_path / "out" / "image.tiff")
+    assert np.quantile(image, 0.8) - np.quantile(image, 0.02) > 0.3 * 65535
+    assert read_report(tmp_path / "out").plan == report.plan
+
+
+def test_wishes_that_do_not_go_together_are_refused(make_camera):
+    with make_camera() as camera:
+        with pytest.raises(UsageError, match="follows the metered light"):
+            plan_capture(camera, CaptureRequest("auto", 1000.0, 3, base_s=0.01))
+        with pytest.raises(UsageError, match="leave --table out"):
+            plan_capture(camera, CaptureRequest("auto", 1000.0, 3), table=ExposureTable())
+        with pytest.raises(UsageError, match="leave one of them out"):
+            plan_capture(
+                camera, CaptureRequest(time_budget_s=1.0, tolerance=1.0, levels_wanted=10.0)
+            )
+        with pytest.raises(DataError, match="has no row"):
+            plan_capture(camera, CaptureRequest(), table=ExposureTable())
