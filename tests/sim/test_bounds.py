@@ -17,6 +17,7 @@ from sim.bounds import Bounds
 from sim.budget import greedy, plan_frame
 from sim.effects import Shot
 from sim.moving import Lamps, Target
+from sim.parts import Dark, Lens
 from sim.render import Renderer
 from sim.scene import Scene
 from sim.sensor import Sensor
@@ -195,3 +196,19 @@ def test_nothing_left_out_changes_more_than_was_promised(chunk: int) -> None:
                 tightest[name] = max(tightest.get(name, 0.0), before / bound)
         assert bounds.joint(greedy(bounds, tolerance)) <= tolerance
     print({name: round(value, 3) for name, value in sorted(tightest.items())})
+
+
+def test_dim_corners_have_the_noise_of_few_electrons() -> None:
+    """A little dark current matters most where vignetting leaves least light."""
+    sensor = Sensor(
+        name="dim",
+        bits=12,
+        full_well_e=10_000,
+        lens=Lens(vignetting=0.95),
+        dark=Dark(current_e_s=20.0),
+    )
+    renderer = Renderer(np.full((300, 300), 4000.0, np.float32), sensor, seed=3)
+    triple = Triple(renderer, renderer.shot(0.02, 1.0, 0), sensor)
+    bound = Bounds(triple.shot).joint(["dark current"])
+    before, _ = triple.measured(("dark current",))
+    assert 0.5 * bound < before <= bound
