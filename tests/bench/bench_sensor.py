@@ -1,7 +1,8 @@
-"""Shot noise + read noise + full well + ADC: this simulator against numpy's own generators.
+"""Shot noise + read noise + full well + ADC: this simulator, numpy's own generators, Pyxel.
 
-Run it by hand: ``python tests/bench/bench_sensor.py [--json]``.  All rows come from one run, taken
-in turns, so that the ratios hold on a machine that does other work beside; medians are printed.
+Run it by hand: ``python tests/bench/bench_sensor.py [--pyxel PYTHON] [--json]``, where PYTHON is an
+interpreter that has pyxel-sim.  All rows come from one run, taken in turns, so that the ratios hold
+on a machine that does other work beside; medians are printed.
 """
 
 from __future__ import annotations
@@ -9,19 +10,29 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
+import subprocess
 import time
-from collections.abc import Callable
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Layout
+from sim.noise import TILE, TileNoise, normal_quantiles, tile_bits
 from sim.render import Renderer
 from sim.scene import load_scene
 from sim.sensor import Sensor, load_sensor
 from sim.view import light_on
 
 TIME_S = 0.01
+NAIVE = "naive Poisson + normal, float64"
+PYXEL = "Pyxel"
+SIM, FLOOR = "sim, 2 threads", "arithmetic alone, 2 threads"
 
 
 def naive(light: NDArray[np.float32], sensor: Sensor) -> NDArray[np.uint8]:
@@ -34,51 +45,113 @@ def naive(light: NDArray[np.float32], sensor: Sensor) -> NDArray[np.uint8]:
     return np.asarray(np.clip(dn, 0, 2**sensor.bits - 1).astype(np.uint8))
 
 
-def main() -> None:
-    """Print Mpixel/s of each method and its ratio to the naive one."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--size", default="2048x2048")
-    arguments = parser.parse_args()
-    width, height = (int(part) for part in arguments.size.split("x"))
+_READY = normal_quantiles()[tile_bits(0, 0, 0, 0, TILE)]  # type: ignore[arg-type]
+
+
+def _no_drawing(self: TileNoise, count: int, *_: object) -> NDArray[np.float32]:
+    """Stand in for drawing: the noise lies ready and is only copied."""
+    np.copyto(self._z[:count], _READY[:count])
+    return self._z[:count]
+
+
+@contextmanager
+def pyxel(python: str | None, shape: tuple[int, int]) -> Iterator[Callable[[], float] | None]:
+    """Yield what takes one frame of Pyxel and returns its seconds."""
+    if python is None:
+        yield None
+        return
+    script = Path(__file__).with_name("bench_sensor_pyxel.py")
+    words = [python, str(script), *map(str, shape)]
+    with subprocess.Popen(words, stdin=-1, stdout=-1, text=True, bufsize=1) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        ask, answer = process.stdin, process.stdout
+
+        def frame() -> float:
+            ask.write("\n")
+            return float(answer.readline())
+
+        yield frame
+        ask.close()
+
+
+def measure(shape: tuple[int, int], rounds: int, python: str | None) -> list[dict[str, Any]]:
+    """Return a row for each method at one size."""
     sensor = load_sensor("standard")
-    light = light_on(load_scene("tile-floor", (height, width)), Layout.MONO)
+    light = light_on(load_scene("ramp", shape), Layout.MONO)
     renderers = {n: Renderer(light, sensor, threads=n) for n in (1, 2)}
-    ideal = Renderer(light, load_sensor("ideal-8"), threads=1)  # well and ADC without any noise
-    methods: dict[str, Callable[[], object]] = {
-        "naive Poisson + normal, float64": lambda: naive(light, sensor),
-        "sim, 1 thread": lambda: renderers[1].frame(TIME_S, 1.0, 0),
-        "sim, 2 threads": lambda: renderers[2].frame(TIME_S, 1.0, 0),
-        "arithmetic alone, 1 thread": lambda: ideal.frame(TIME_S, 1.0, 0),
-    }
-    seconds: dict[str, list[float]] = {name: [] for name in methods}
-    for turn in range(arguments.rounds + 1):
-        for name, method in methods.items():
-            start = time.perf_counter()
-            method()
-            if turn:  # the first turn warms up
-                seconds[name].append(time.perf_counter() - start)
+
+    def timed(work: Callable[[], object]) -> float:
+        start = time.perf_counter()
+        work()
+        return time.perf_counter() - start
+
+    def floor(threads: int) -> float:
+        with mock.patch.object(TileNoise, "normal", _no_drawing):
+            return timed(lambda: renderers[threads].frame(TIME_S, 1.0, 0))
+
+    with pyxel(python, shape) as other:
+        methods: dict[str, Callable[[], float]] = {
+            NAIVE: lambda: timed(lambda: naive(light, sensor)),
+            "sim, 1 thread": lambda: timed(lambda: renderers[1].frame(TIME_S, 1.0, 0)),
+            SIM: lambda: timed(lambda: renderers[2].frame(TIME_S, 1.0, 0)),
+            "arithmetic alone, 1 thread": lambda: floor(1),
+            FLOOR: lambda: floor(2),
+        }
+        if other is not None:
+            methods = {PYXEL: other} | methods
+        seconds: dict[str, list[float]] = {name: [] for name in methods}
+        for turn in range(rounds + 1):
+            for name, method in methods.items():
+                taken = method()
+                if turn:  # the first turn warms up
+                    seconds[name].append(taken)
+    tracemalloc.start()
+    renderers[2].frame(TIME_S, 1.0, 0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
     medians = {name: statistics.median(values) for name, values in seconds.items()}
-    slowest = medians["naive Poisson + normal, float64"]
-    rows = [
+    return [
         {
+            "size": list(shape),
             "method": name,
             "mpixel_per_s": light.size / median / 1e6,
             "ms": median * 1e3,
-            "times_naive": slowest / median,
+            "times_naive": medians[NAIVE] / median,
+            "times_pyxel": medians[PYXEL] / median if PYXEL in medians else None,
+            "of_floor": medians[FLOOR] / median,
+            "bytes_a_pixel_beside_the_light": peak / light.size if name == SIM else None,
         }
         for name, median in medians.items()
     ]
+
+
+def main() -> None:
+    """Print Mpixel/s of each method, and its ratios to the others."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--sizes", default="2048x2048,6000x4000")
+    parser.add_argument("--pyxel", metavar="PYTHON")
+    arguments = parser.parse_args()
+    rows = []
+    for size in arguments.sizes.split(","):
+        width, height = (int(part) for part in size.split("x"))
+        rows += measure((height, width), arguments.rounds, arguments.pyxel)
     if arguments.json:
-        print(json.dumps({"size": [height, width], "rows": rows}))
+        print(json.dumps({"rows": rows}))
         return
-    print(f"shot + read + well + ADC, {width} x {height} mono, 8 bit")
+    print("shot + read + well + ADC, mono, 8 bit")
     for row in rows:
+        height, width = row["size"]
         print(
-            f"{row['method']:34} {row['mpixel_per_s']:8.1f} Mpixel/s {row['ms']:8.2f} ms"
-            f" {row['times_naive']:7.1f} x naive"
+            f"{width:>5} x {height:<5} {row['method']:32} {row['mpixel_per_s']:7.1f} Mpixel/s"
+            f" {row['ms']:8.2f} ms {row['times_naive']:6.1f} x naive"
+            + (f" {row['times_pyxel']:6.1f} x Pyxel" if row["times_pyxel"] else "")
+            + f" {row['of_floor']:6.1%} of the arithmetic"
         )
+        if row["bytes_a_pixel_beside_the_light"]:
+            print(f"{'':15}peak {row['bytes_a_pixel_beside_the_light']:.2f} bytes a pixel")
 
 
 if __name__ == "__main__":

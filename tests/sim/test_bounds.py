@@ -38,11 +38,10 @@ def a_scene(random: np.random.Generator) -> Scene:
     if kind == 0:
         light = np.full(shape, random.random())
     elif kind == 1:
-        light = np.broadcast_to(
-            np.linspace(random.random() * 0.2, 1, columns).reshape(
-                (1, columns) + (1,) * (len(shape) - 2)
-            ),
-            shape,
+        along = int(random.integers(2))
+        ramp = np.linspace(random.random() * 0.2, 1, shape[along])
+        light = np.moveaxis(
+            np.broadcast_to(ramp, (*np.delete(shape, along), shape[along])), -1, along
         )
     elif kind == 2:
         light = random.random(shape)

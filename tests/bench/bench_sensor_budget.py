@@ -1,0 +1,157 @@
+"""What leaving effects out gains: per scene against everything on, and a curve over tolerance.
+
+Run it by hand: ``python tests/bench/bench_sensor_budget.py [--json]``.  Frames with everything on
+and with what the tolerance leaves out are taken in turns; planning is part of both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from sim.budget import plan_frame
+from sim.effects import Shot
+from sim.render import Renderer
+from sim.scene import load_scene, scene_names
+from sim.sensor import load_sensor
+from sim.view import View
+
+TOLERANCES = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+
+
+def exposures(renderer: Renderer) -> dict[str, Shot]:
+    """Return a shot whose 98th percentile fills 70 % of the well, and one of 1/40 of that."""
+    sensor, light = renderer.shot(1.0, 1.0, 0).sensor, renderer.shot(1.0, 1.0, 0).view.light
+    bright = float(np.quantile(light[::3], 0.98)) * sensor.quantum_efficiency
+    full = min(0.7 * sensor.full_well_e / bright, sensor.time_maximum_s)
+    times = {"bright": full, "dim": full / 40}
+    return {name: renderer.shot(t, 1.0, 0, previous_s=t) for name, t in times.items()}
+
+
+def in_turns(works: dict[Any, Callable[[], object]], rounds: int) -> dict[Any, float]:
+    """Return the median seconds of each work."""
+    seconds: dict[Any, list[float]] = {key: [] for key in works}
+    for turn in range(rounds + 1):
+        for key, work in works.items():
+            start = time.perf_counter()
+            work()
+            if turn:
+                seconds[key].append(time.perf_counter() - start)
+    return {key: statistics.median(values) for key, values in seconds.items()}
+
+
+def per_scene(shape: tuple[int, int], rounds: int, tolerance_dn: float) -> list[dict[str, Any]]:
+    """Return a row for each scene and exposure."""
+    sensor = load_sensor("complete")
+    rows = []
+    for name in scene_names():
+        view = View.of(load_scene(name, shape), sensor)
+        start = time.perf_counter()
+        _ = view.statistics
+        statistics_s = time.perf_counter() - start
+        renderer = Renderer(view, sensor, threads=1)
+        for exposure, shot in exposures(renderer).items():
+
+            def frame(tolerance: float, shot: Shot = shot, renderer: Renderer = renderer) -> None:
+                renderer.expose(shot, plan_frame(shot, tolerance))
+
+            def plan(shot: Shot = shot) -> None:
+                plan_frame(shot, tolerance_dn)
+
+            works: dict[Any, Callable[[], object]] = {
+                "all": lambda f=frame: f(0.0),  # type: ignore[misc]
+                "some": lambda f=frame: f(tolerance_dn),  # type: ignore[misc]
+                "plan": plan,
+            }
+            taken = in_turns(works, rounds)
+            chosen = plan_frame(shot, tolerance_dn)
+            rows.append(
+                {
+                    "scene": name,
+                    "exposure": exposure,
+                    "time_s": shot.time_s,
+                    "all_ms": taken["all"] * 1e3,
+                    "some_ms": taken["some"] * 1e3,
+                    "gain": taken["all"] / taken["some"],
+                    "plan_ms": taken["plan"] * 1e3,
+                    "statistics_ms": statistics_s * 1e3,
+                    "left_out": sorted(chosen.left_out),
+                    "joint_bound_dn": chosen.joint_bound_dn,
+                }
+            )
+    return rows
+
+
+def curve(shape: tuple[int, int], rounds: int, scene: str) -> list[dict[str, Any]]:
+    """Return a row for each tolerance: milliseconds, bound, and the largest difference measured."""
+    sensor = load_sensor("complete")
+    renderer = Renderer(View.of(load_scene(scene, shape), sensor), sensor, threads=1)
+    rows = []
+    for exposure, shot in exposures(renderer).items():
+        plans = {tolerance: plan_frame(shot, tolerance) for tolerance in TOLERANCES}
+        works: dict[Any, Callable[[], object]] = {
+            tolerance: lambda p=plan, s=shot: renderer.expose(s, p)  # type: ignore[misc]
+            for tolerance, plan in plans.items()
+        }
+        taken = in_turns(works, rounds)
+        everything = renderer.brightness(shot, plans[0.0])
+        levels = renderer.expose(shot, plans[0.0]).astype(int)
+        for tolerance, plan in plans.items():
+            off = np.abs(renderer.brightness(shot, plan) - everything).max()
+            after = np.abs(renderer.expose(shot, plan).astype(int) - levels).max()
+            rows.append(
+                {
+                    "scene": scene,
+                    "exposure": exposure,
+                    "tolerance_dn": tolerance,
+                    "ms": taken[tolerance] * 1e3,
+                    "joint_bound_dn": plan.joint_bound_dn,
+                    "measured_dn": float(off),
+                    "measured_levels": int(after),
+                    "effects_left_out": len(plan.left_out),
+                }
+            )
+    return rows
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--size", default="1280x960")
+    parser.add_argument("--tolerance", type=float, default=0.5)
+    parser.add_argument("--scene", default="tile-floor", help="of the curve")
+    arguments = parser.parse_args()
+    width, height = (int(part) for part in arguments.size.split("x"))
+    scenes = per_scene((height, width), arguments.rounds, arguments.tolerance)
+    tolerances = curve((height, width), arguments.rounds, arguments.scene)
+    if arguments.json:
+        print(json.dumps({"size": [height, width], "scenes": scenes, "curve": tolerances}))
+        return
+    print(f"{width} x {height}, sensor complete, 1 thread, tolerance {arguments.tolerance:g} DN")
+    print("scene          exposure       all      some   gain  plan     left out")
+    for row in scenes:
+        print(
+            f"{row['scene']:14} {row['exposure']:8} {row['all_ms']:7.1f} ms"
+            f" {row['some_ms']:6.1f} ms {row['gain']:5.2f}x {row['plan_ms']:.2f} ms  {len(row['left_out']):2}"
+            f" (bound {row['joint_bound_dn']:.3f} DN)"
+        )
+    print(f"\n{arguments.scene}: fidelity against time")
+    print("exposure  tolerance      time   bound  measured  levels  left out")
+    for row in tolerances:
+        print(
+            f"{row['exposure']:8} {row['tolerance_dn']:7.2f} DN {row['ms']:6.1f} ms"
+            f" {row['joint_bound_dn']:7.3f} {row['measured_dn']:9.3f} {row['measured_levels']:7}"
+            f" {row['effects_left_out']:9}"
+        )
+
+
+if __name__ == "__main__":
+    main()
