@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 TILE = 1 << 16
-"""Samples a tile: few enough for the second-level cache, enough for threads to run side by side."""
+"""Samples that draw their bits together; part of what a seed means."""
+
+BLOCK = 4
+"""Tiles that are worked on together: few enough for the caches, enough for threads to run side by
+side, which wait for each other at every step (measured: 1.5 times one thread's speed on two, 1.25
+times with single tiles)."""
 
 _TABLE_BITS = 16
 _ALL_BITS = 2**64 - 1
@@ -73,13 +78,17 @@ def line_noise(seed: int, frame: int, stream: Stream, count: int) -> NDArray[np.
 
 
 class TileNoise:
-    """Working memory of one thread for the noise of tiles of up to `TILE` samples."""
+    """Working memory of one thread for the noise of up to `BLOCK` tiles.
+
+    Samples are those from the start of `tile` on.
+    """
 
     def __init__(self) -> None:
-        self._index = np.empty(TILE, dtype=np.intp)
-        self._z = np.empty(TILE, dtype=np.float32)
-        self._a = np.empty(TILE, dtype=np.float32)
-        self._b = np.empty(TILE, dtype=np.float32)
+        most = BLOCK * TILE
+        self._index = np.empty(most, dtype=np.intp)
+        self._z = np.empty(most, dtype=np.float32)
+        self._a = np.empty(most, dtype=np.float32)
+        self._b = np.empty(most, dtype=np.float32)
         self._table = normal_quantiles()
 
     def normal(
@@ -87,7 +96,9 @@ class TileNoise:
     ) -> NDArray[np.float32]:
         """Return `count` standard normal numbers, in memory that the next call uses again."""
         index, z = self._index[:count], self._z[:count]
-        np.copyto(index, tile_bits(seed, frame, stream, tile, count))
+        for start in range(0, count, TILE):
+            part = index[start : start + TILE]
+            np.copyto(part, tile_bits(seed, frame, stream, tile + start // TILE, part.size))
         # Bits of 16 are always inside the table: wrap is the mode that checks least.
         self._table.take(index, out=z, mode="wrap")
         return z

@@ -7,7 +7,6 @@ import os
 import threading
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -16,49 +15,22 @@ from numpy.typing import NDArray
 from camctl.camera import ExposureSetting, Frame, Layout, Pixels
 from camctl.errors import UsageError
 from sim.budget import FramePlan, check_tolerance, plan_frame
+from sim.curve import Curve
 from sim.effects import EFFECTS, Effect, Shot, Stage, Tile
 from sim.effects.charge import bloom
 from sim.effects.optics import flicker_lines
 from sim.effects.readout import bend_adc
-from sim.noise import TILE, TileNoise
+from sim.noise import BLOCK, TILE, TileNoise
 from sim.scene import Scene
 from sim.sensor import Sensor
 from sim.view import Light, View, photons_per_unit, sample
 
 _MAX_THREADS = 2
-_CURVE_BINS = 1 << 14
 
 
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(_MAX_THREADS, thread_name_prefix="sim-render")
-
-
-@dataclass(frozen=True, eq=False)
-class _Curve:
-    """Levels of a non-linear response, found by a bin and then by comparing: exact and fast."""
-
-    levels_below: NDArray[np.uint16]
-    next_level: NDArray[np.float32]
-    most_in_bin: int
-
-    @classmethod
-    def of(cls, levels: NDArray[np.float64]) -> _Curve:
-        edges = np.arange(_CURVE_BINS + 1) / _CURVE_BINS
-        # float32 levels here and float32 irradiance there: one rounding decides on both sides.
-        rounded = levels.astype(np.float32)
-        below = np.searchsorted(rounded, edges.astype(np.float32), side="right")
-        ahead = np.append(rounded, np.float32(np.inf))
-        return cls(below[:-1].astype(np.uint16), ahead, int(np.diff(below).max()))
-
-    def brightness(self, irradiance: NDArray[np.float32]) -> NDArray[np.uint16]:
-        """Return how many levels are <= each irradiance (clipped to 0..1)."""
-        inside = np.clip(irradiance, 0, np.float32(1))
-        place = np.minimum((inside * np.float32(_CURVE_BINS)).astype(np.intp), _CURVE_BINS - 1)
-        count = self.levels_below[place]
-        for _ in range(self.most_in_bin):
-            count += inside >= self.next_level[count]
-        return count
 
 
 class Renderer:
@@ -100,7 +72,7 @@ class Renderer:
         self._tolerance_dn = check_tolerance(tolerance_dn)
         self._left_out = left_out
         self._threads = min(max(1, threads), _MAX_THREADS, os.cpu_count() or 1)
-        self._curve = _Curve.of(sensor.response.levels) if sensor.response is not None else None
+        self._curve = Curve.of(sensor.response.levels) if sensor.response is not None else None
         self._memory = threading.local()
 
     def shot(
@@ -211,13 +183,15 @@ class Renderer:
         steps: tuple[Callable[[Tile, slice], None], ...],
         charge: Light | None = None,
     ) -> None:
-        """Do `steps` on every tile; its electrons lie in `charge` where they are to be kept."""
+        """Do `steps` on all tiles; their electrons lie in `charge` where they are to be kept."""
         tiles = math.ceil(size / TILE)
+        # A few tiles at a time, but so that both threads have enough to do.
+        together = min(BLOCK, math.ceil(tiles / (2 * self._threads)))
 
         def run(first: int) -> None:
-            for index in range(first, tiles, self._threads):
+            for index in range(first * together, tiles, self._threads * together):
                 start = index * TILE
-                here = slice(start, min(start + TILE, size))
+                here = slice(start, min(start + together * TILE, size))
                 noise, memory = self._working()
                 electrons = memory[: here.stop - start] if charge is None else charge[here]
                 tile = Tile(shot, electrons, start, index, noise)
@@ -229,7 +203,7 @@ class Renderer:
     def _working(self) -> tuple[TileNoise, Light]:
         if not hasattr(self._memory, "noise"):
             self._memory.noise = TileNoise()
-            self._memory.electrons = np.empty(TILE, dtype=np.float32)
+            self._memory.electrons = np.empty(BLOCK * TILE, dtype=np.float32)
         return self._memory.noise, self._memory.electrons
 
     def _convert(self, tile: Tile, out: Pixels | Light, bows: bool) -> None:

@@ -40,6 +40,8 @@ DEFAULT_SENSOR = "standard"
 # of the well.
 _WELL_RANGE = (0.25, 4.0)
 
+_PARTS = (("lens",), ("dark",), ("pixels",), ("read_out",))
+
 
 @dataclass(frozen=True)
 class SensorNoise:
@@ -325,6 +327,7 @@ def read_sensor(text: str, *, source: str) -> Sensor:
     except ValidationError as error:
         first = error.errors()[0]
         # For a union the last part names the branch that was tried: nothing a user wrote.
-        place = ".".join(str(part) for part in first["loc"][:1])
+        depth = 2 if first["loc"][:1] in _PARTS else 1
+        place = ".".join(str(part) for part in first["loc"][:depth])
         message = first["msg"].removeprefix("Value error, ")
         raise DataError(f"{source}: {place + ': ' if place else ''}{message}") from error

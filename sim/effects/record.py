@@ -134,10 +134,10 @@ class Shot:
 
 @dataclass(slots=True, eq=False)
 class Tile:
-    """One tile of a frame in the making; `electrons` is changed in place.
+    """A few neighbouring tiles of a frame in the making; `electrons` is changed in place.
 
-    `start` is the tile's first sample in the frame, `index` its number, `noise` the memory of the
-    thread.
+    `start` is their first sample in the frame, `index` the number of the first tile, `noise` the
+    memory of the thread.
     """
 
     shot: Shot

@@ -1,0 +1,53 @@
+"""Draw the pictures of the built-in scenes: ``python docs/draw_scenes.py``.
+
+Each is one frame of the sensor `complete` (of the stars: `ccd`) at 1024 x 768 with every effect on,
+made smaller and shown with the curve of a screen (sRGB).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sim.render import simulate_frame
+from sim.scene import load_scene
+from sim.sensor import load_sensor
+
+TIMES_S = {
+    "ball": 0.02,
+    "cloth": 0.013,
+    "colour-chart": 0.065,
+    "moving-target": 0.03,
+    "night-street": 2.0,
+    "ramp": 0.016,
+    "room": 10.0,
+    "stars": 240.0,
+    "tile-floor": 0.1,
+    "uniform": 0.01,
+}
+STARTS_S = {"moving-target": 0.7}
+SENSORS = {"stars": "ccd"}
+
+
+def main() -> None:
+    """Write docs/scenes/*.png."""
+    folder = Path(__file__).parent / "scenes"
+    folder.mkdir(exist_ok=True)
+    for name, time_s in TIMES_S.items():
+        sensor = load_sensor(SENSORS.get(name, "complete"))
+        frame = simulate_frame(
+            load_scene(name, (768, 1024)), sensor, time_s, start_s=STARTS_S.get(name, 0.0)
+        )
+        light = (frame.pixels.astype(np.float32) - frame.black) / (frame.white - frame.black)
+        small = np.clip(cv2.resize(light, (240, 180), interpolation=cv2.INTER_AREA), 0, 1)
+        shown = np.where(small < 0.0031308, 12.92 * small, 1.055 * small ** (1 / 2.4) - 0.055)
+        picture = np.round(shown * 255).astype(np.uint8)
+        if picture.ndim == 3:
+            picture = picture[..., ::-1]
+        cv2.imwrite(str(folder / f"{name}.png"), picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+if __name__ == "__main__":
+    main()
