@@ -91,10 +91,15 @@ class Bounds:
         return {name: self.joint((name,)) for name in self.changes}
 
     @cached_property
+    def _factors(self) -> dict[str, Change]:
+        """The changes with a factor of their own."""
+        return {name: change for name, change in self.changes.items() if not change.within}
+
+    @cached_property
     def _largest_mean(self) -> float:
         """Largest mean before photon noise, whatever is left out, electrons."""
         light = self._unit * self.shot.statistics.most
-        for change in self.changes.values():
+        for change in self._factors.values():
             light *= 1 + change.more
         extra = dark_e(self.shot) + hottest_e(self.shot)
         if "smear" in self.changes:
@@ -110,7 +115,7 @@ class Bounds:
     @cached_property
     def _smallest_light(self) -> float:
         light = self.shot.electrons_per_photon_s * self.shot.statistics.least
-        for change in self.changes.values():
+        for change in self._factors.values():
             light *= 1 - change.less
         return light * (1 - 1e-5)  # rounded
 
@@ -155,11 +160,11 @@ class Bounds:
             return 0.0
         stay_more, more, less = 1.0, 1.0, 1.0
         for name, change in changes.items():
-            if name in left_out:
+            if name not in left_out:
+                stay_more *= 1 + change.more if name in self._factors else 1
+            elif not change.within or change.within not in left_out:
                 more *= 1 + change.more
                 less *= 1 - change.less
-            else:
-                stay_more *= 1 + change.more
         share = max(more - 1, 1 - less)
         shift = self._unit * stay_more * sum(change.light for change in gone)
         shift += sum(change.mean_e for change in gone)

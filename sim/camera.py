@@ -17,7 +17,7 @@ from camctl.camera import (
 )
 from camctl.clock import Clock, VirtualClock
 from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraTimeoutError
-from sim.budget import Decision, FramePlan
+from sim.budget import FramePlan
 from sim.device import Buffer, SimulatedDevice, Slot
 from sim.render import Renderer
 from sim.scene import Scene
@@ -116,11 +116,6 @@ class SimulatedCamera:
     def last_plan(self) -> FramePlan | None:
         """Which effects the frame that was handed over last has; None before the first."""
         return self._plan
-
-    @property
-    def effects(self) -> tuple[Decision, ...]:
-        """What was decided of each effect for the frame handed over last; empty before it."""
-        return self._plan.effects if self._plan is not None else ()
 
     @property
     def frames_lost(self) -> int:

@@ -39,7 +39,7 @@ def _rolling(shot: Shot) -> Change:
     swing = lamps.left(shot.time_s)
     change = min(2 * swing, 2 * math.pi * lamps.flicker_hz * late_s * swing)
     share = change / (1 - swing) if swing < 1 else math.inf
-    return Change(light=light, less=min(share, 1.0), more=share)
+    return Change(light=light, less=min(share, 1.0), more=share, within="mains flicker")
 
 
 def gaussian(sigma: float) -> Light:

@@ -45,6 +45,7 @@ class Change:
     Attributes:
         light: of the light before anything multiplies it, photons a second
         less, more: the effect multiplies the light by 1 - less to 1 + more
+        within: the effect whose factor that one only varies: it counts while the other stays
         mean_e: of the mean before photon noise, electrons
         read_e: of the charge after the well, electrons
         dn: after the gain, DN
@@ -57,6 +58,7 @@ class Change:
     light: float = 0.0
     less: float = 0.0
     more: float = 0.0
+    within: str = ""
     mean_e: float = 0.0
     read_e: float = 0.0
     dn: float = 0.0

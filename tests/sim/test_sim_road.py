@@ -43,6 +43,15 @@ def test_options() -> None:
         assert isinstance(camera.clock, RealClock)
 
 
+def test_the_tolerance_is_what_a_shot_may_lose() -> None:
+    for text, allowed in (("0.4", 0.2), ("0", 0.0)):
+        words = {"sensor": "complete", "size": "64x48", "tolerance": text}
+        with SimulatedRoad().open("", words) as camera:
+            for _ in camera.shoot([ExposureSetting(0.001), ExposureSetting(0.01)]):
+                assert camera.last_plan is not None
+                assert camera.last_plan.tolerance_dn == allowed
+
+
 def test_the_seed_is_the_seed() -> None:
     def picture(seed: str) -> np.ndarray:
         with SimulatedRoad().open("", {"size": "32x24", "seed": seed}) as camera:
@@ -72,6 +81,9 @@ def test_a_map_gives_the_frame_its_size(tmp_path: Path) -> None:
         ({"size": "999999x999999"}, DataError, "GiB"),
         ({"seed": "-1"}, UsageError, "seed"),
         ({"seed": "x"}, UsageError, "seed"),
+        ({"tolerance": "-1"}, UsageError, "0 DN or more"),
+        ({"tolerance": "nan"}, UsageError, "0 DN or more"),
+        ({"tolerance": "x"}, UsageError, "a tolerance of 'x'"),
         ({"scene": "no-such.hdr"}, DataError, "no such file"),
         ({"sensor": "no-such.json"}, DataError, "no such file"),
     ],
