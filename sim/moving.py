@@ -146,7 +146,7 @@ def _seen(values: Light, window: Window) -> NDArray[np.float64]:
     # Both windows are as wide everywhere; the clipped ends lie in the padding, which is 0.
     travel = window[0] - window[1]
     if np.abs(travel).max() < _STANDING_PX:
-        return _between(padded, start)
+        return _between(padded, (start + end) / 2)
     below = np.zeros_like(padded)
     np.cumsum((padded[:, 1:] + padded[:, :-1]) / 2, axis=1, out=below[:, 1:])
     return (_integral(padded, below, start) - _integral(padded, below, end)) / travel

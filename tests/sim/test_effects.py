@@ -169,6 +169,16 @@ def test_motion_blur_is_the_mean_over_the_exposure() -> None:
     assert np.abs(total / steps - drawn).max() < 2e-4
 
 
+@pytest.mark.parametrize("travel", [1e-5, 9e-4, 1.1e-3])
+def test_what_hardly_moves_is_where_it_is_in_the_middle_of_the_exposure(travel: float) -> None:
+    target = a_bar(travel).target
+    assert target is not None
+    blurred, still = (np.zeros((30, 200), np.float32) for _ in range(2))
+    target.draw(blurred, np.zeros(30), 1.0, is_blurred=True)
+    target.draw(still, np.zeros(30), 1.0, is_blurred=False)
+    assert np.abs(blurred - still).max() <= 1e6 * travel / 4 + 0.1
+
+
 def test_the_target_comes_in_again() -> None:
     scene = a_bar(1000.0)
     target = scene.target
