@@ -32,13 +32,14 @@ from functools import cached_property
 
 import numpy as np
 
-from sim.effects import EFFECTS, Change, Effect, Shot, Stage
+from sim.effects import EFFECTS, Change, Shot
 from sim.effects.charge import dark_e, hottest_e
+from sim.effects.optics import roundings
 from sim.effects.record import LARGEST
 
 _ULP = 2.0**-23  # twice the unit of rounding: two frames
 _MOST_BELOW_ZERO = LARGEST**2 / 4 + 1 / 6  # of m - z s - a, where s <= sqrt m and a <= 1/6
-_OPERATIONS, _PICTURE_OPERATIONS, _ADC_OPERATIONS = 24, 100, 6
+_OPERATIONS, _ADC_OPERATIONS = 24, 6  # on a tile of electrons, and from there to brightness
 
 
 def _skew(mean: float) -> float:
@@ -142,9 +143,7 @@ class Bounds:
     def _rounding_e(self) -> float:
         sensor = self.shot.sensor
         largest = min(self.peak_e, 2 * sensor.full_well_e)
-        pictures = any(_is_picture(e) for e in EFFECTS if e.name in self.changes)
-        operations = _PICTURE_OPERATIONS if pictures else _OPERATIONS
-        return operations * _ULP * largest
+        return (_OPERATIONS + roundings(self.shot)) * _ULP * largest
 
     def joint(self, left_out: Collection[str]) -> float:
         """Return the bound in DN, before the ADC, of leaving out these effects together."""
@@ -189,7 +188,3 @@ class Bounds:
             brightness *= 1 + 4 * sensor.read_out.nonlinearity_dn / (top - sensor.black)
         bow = sum(change.dn for change in gone)
         return float(brightness + bow + _ADC_OPERATIONS * _ULP * top)
-
-
-def _is_picture(effect: Effect) -> bool:
-    return effect.picture is not None or effect.stage is Stage.SCENE

@@ -161,6 +161,26 @@ def _flickered(shot: Shot) -> Change:
     return Change(less=swing, more=swing)
 
 
+def roundings(shot: Shot) -> float:
+    """Return how many roundings a sample's light goes through on its way, one after another.
+
+    A sum of n terms >= 0 is off by at most n units of rounding; glare's share of them is its own.
+    """
+    lens = shot.sensor.lens
+    count = 0.0
+    if lens.blur_px > 0:
+        count += 2 * gaussian(lens.blur_px).size
+    if lens.glare > 0:
+        (columns, rows), kernel = _glare_samples(shot)
+        averaged = shot.width / shot.channels / columns + shot.rows / rows
+        count += 4 + lens.glare * (2 * kernel.size + 2 * averaged + 8)
+    if shot.sensor.pixels.crosstalk > 0:
+        count += 6
+    if shot.view.target is not None:
+        count += 6
+    return count
+
+
 OPTICS = (
     Effect(
         "motion blur",

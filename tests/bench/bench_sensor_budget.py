@@ -140,8 +140,8 @@ def main() -> None:
     for row in scenes:
         print(
             f"{row['scene']:14} {row['exposure']:8} {row['all_ms']:7.1f} ms"
-            f" {row['some_ms']:6.1f} ms {row['gain']:5.2f}x {row['plan_ms']:.2f} ms  {len(row['left_out']):2}"
-            f" (bound {row['joint_bound_dn']:.3f} DN)"
+            f" {row['some_ms']:6.1f} ms {row['gain']:5.2f}x {row['plan_ms']:.2f} ms"
+            f"  {len(row['left_out']):2} (bound {row['joint_bound_dn']:.3f} DN)"
         )
     print(f"\n{arguments.scene}: fidelity against time")
     print("exposure  tolerance      time   bound  measured  levels  left out")
