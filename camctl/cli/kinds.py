@@ -201,24 +201,56 @@ class Size(_Kind):
 
 
 class Settings(_Kind):
-    """A file of shutter times, one a line."""
+    """What a control can be set to: a list, even steps, or a file with one value a line."""
 
     name = "settings"
 
+    def __init__(self, what: str, *, unit: Seconds | Number, file: bool = False) -> None:
+        self.what = what
+        self._unit = unit
+        self._file = file
+
     def read(self, word: str, option: str) -> tuple[float, ...]:
-        """Return the times in the order of the file; raise `DataError` for what is no time."""
+        """Return the values in the order given; raise `UsageError`, or `DataError` for a file."""
+        if self._file and (Path(word).exists() or not {",", ":"} & set(word)):
+            return self._in_file(word)
+        parts = word.split(":")
+        if len(parts) == 3:
+            from camctl.exposure.settings import stepped
+
+            return tuple(stepped(*(self._one(part.strip(), option) for part in parts)).tolist())
+        if len(parts) != 1:
+            raise UsageError(f"{option}: '{word}' is not {self.what}")
+        return tuple(self._one(part, option) for part in word.replace(",", " ").split())
+
+    def _one(self, word: str, where: str) -> float:
+        value = self._unit.read(word, where)
+        assert value is not None
+        return value
+
+    def _in_file(self, word: str) -> tuple[float, ...]:
         try:
             lines = Path(word).read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:
             why = getattr(error, "strerror", None) or "not a text file"
             raise DataError(f"settings {word}: {why}") from error
-        times = []
-        for row, line in enumerate(lines, 1):
-            text = line.partition("#")[0].strip()
-            if text:
-                time_s = Seconds().read(text, f"settings {word}, line {row}")
-                assert time_s is not None
-                times.append(time_s)
+        texts = [(row, line.partition("#")[0].strip()) for row, line in enumerate(lines, 1)]
+        times = tuple(
+            self._one(text, f"settings {word}, line {row}") for row, text in texts if text
+        )
         if not times:
             raise DataError(f"settings {word}: no times in it", hint="write one a line")
-        return tuple(times)
+        return times
+
+
+class Coefficients(_Kind):
+    """Weights of the components of a response model."""
+
+    name = "coefficients"
+
+    def read(self, word: str, option: str) -> tuple[float, ...]:
+        """Return the weights, as many as are named."""
+        parts = word.replace(",", " ").split()
+        if not parts:
+            raise UsageError(f"{option}: no numbers", hint=f"for example {option} 1.5,-0.3")
+        return tuple(_number(part, option, "a number") for part in parts)

@@ -2,28 +2,42 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from camctl.cli import kinds, options
+from camctl.cli.certificate import certificate_facts, certificate_text, prove
 from camctl.cli.commands import command
 from camctl.cli.output import duration, fields, number, range_name, say, say_json, warn
 from camctl.cli.progress import progress_bar, share_only
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
+    from camctl.exposure.certificate import Certificate
+    from camctl.exposure.settings import SettingsSolution
     from camctl.exposure.solver import Solution
 
-WITHOUT_TOLERANCE = frozenset({"p", "noise", "jitter", "total_limit", "settings"})
-WITHOUT_SETTINGS = frozenset({"noise", "jitter"})
+WITHOUT = {
+    "tolerance": frozenset({"p", "noise", "jitter", "total_limit", "settings", "time_limit"}),
+    "settings": frozenset({"noise", "jitter", "time_limit"}),
+    "gains": frozenset({"total_limit"}),
+    "certificate": frozenset({"p", "noise", "jitter", "total_limit", "settings", "tolerance"}),
+}
+"""Options, and those that they go without."""
+
+GAIN = kinds.Number("a gain above 0", above=0)
+
+SAME_EXPOSURE = 1e-8
+"""Products of time and gain that agree to this are one exposure."""
 
 
 @command(
     examples=(
         ("camctl solve", "three exposures for equal contrast over 1:1,000, 8-bit linear camera"),
         ("camctl solve --response linear --range 2048 -n 4 --json", "for a script"),
-        ("camctl solve --bits 10 --phase 0.5 --range high -n 2", "a 10-bit camera that rounds"),
+        ("camctl solve -n 2 --certificate", "with a proof that no other two are better"),
+        ("camctl solve --settings 0.0001:1:0.0001 --gains 1,2,4", "what a real camera can set"),
         ("camctl solve --tolerance 30 --levels 256", "as few as leave 30 of 256 levels missing"),
     )
 )
@@ -35,21 +49,43 @@ WITHOUT_SETTINGS = frozenset({"noise", "jitter"})
     type=kinds.Number("a number of levels from 0", least=0),
     metavar="X",
     help="Fewest exposures with at most X wanted levels missing; needs --levels, and -n is then "
-    "the most.",
+    "the most.  [default: as many as -n says]",
 )
 @click.option(
     "--total-limit",
     type=kinds.Number("a positive number", above=0),
     metavar="X",
     help="Keep the shutter open no longer in all than X times the shortest exposure, or with "
-    "--settings X seconds.",
+    "--settings X seconds.  [default: no limit]",
 )
 @click.option(
     "--settings",
-    type=kinds.Settings(),
-    metavar="FILE",
-    help="Choose among the shutter times that a camera has: true seconds, one a line, such as "
-    "0.004 or 1/32.",
+    type=kinds.Settings(
+        "a file of times, or MIN:MAX:STEP in seconds", unit=kinds.Seconds(), file=True
+    ),
+    metavar="FILE|MIN:MAX:STEP",
+    help="Choose among the shutter times that a camera has, the shortest exposure too: a file "
+    "with true seconds, one a line, such as 0.004 or 1/32; or even steps in seconds.  "
+    "[default: any times at all]",
+)
+@click.option(
+    "--gains",
+    type=kinds.Settings("gains such as 1,2,4, or MIN:MAX:STEP", unit=GAIN),
+    metavar="A,B,...|MIN:MAX:STEP",
+    help="Gains, as factors, that combine with each of --settings.  [default: 1]",
+)
+@click.option(
+    "--certificate",
+    is_flag=True,
+    help="Print how much better any other exposures could be: for two, up to 10 bits, a proof "
+    "that none are (seconds); for more, a lower bound.",
+)
+@click.option(
+    "--time-limit",
+    type=kinds.Number("a time in seconds above 0", above=0),
+    metavar="SECONDS",
+    help="Stop the search after that long, or with --certificate the bounding after about that "
+    "long.  [default: until done]",
 )
 @options.real_camera
 @options.levels_wanted
@@ -65,9 +101,13 @@ def solve(
     tolerance: float | None,
     total_limit: float | None,
     settings: tuple[float, ...] | None,
+    gains: tuple[float, ...] | None,
+    certificate: bool,
+    time_limit: float | None,
     bits: int,
     phase: float,
     curve: str | None,
+    coefficients: tuple[float, ...] | None,
     levels_wanted: float | None,
     p: float,
     noise: float | None,
@@ -86,20 +126,37 @@ def solve(
     named = options.given(context)
     if tolerance is not None and levels_wanted is None:
         raise UsageError("--tolerance needs --levels", hint="say how many levels are wanted")
-    for option, without in (("tolerance", WITHOUT_TOLERANCE), ("settings", WITHOUT_SETTINGS)):
+    if gains is not None and settings is None:
+        raise UsageError("--gains needs --settings", hint="say which shutter times there are")
+    for option, without in WITHOUT.items():
         if option in named and named & without:
             extra = ", ".join(options.spelling(context, name) for name in sorted(named & without))
             raise UsageError(f"--{option} goes without {extra}")
+    from camctl.exposure.goal import Goal
     from camctl.exposure.response import desired_response
-    from camctl.exposure.settings import SettingsSolution, solve_settings
-    from camctl.exposure.solver import fewest
+    from camctl.exposure.settings import solve_settings
+    from camctl.exposure.solver import describe, fewest
     from camctl.exposure.solver import solve as search
 
-    real = options.real_response(bits, phase, curve)
+    real = options.real_response(bits, phase, curve, coefficients)
     for note in real.notes:
         warn(note)
     desired = desired_response(response, dynamic_range)
-    ideal: Solution | None = None
+    if certificate:
+        proof = prove(
+            real, desired, count, levels_wanted=levels_wanted, seed=seed, limit_s=time_limit
+        )
+        wanted = count * real.M if levels_wanted is None else levels_wanted
+        found = describe(
+            real,
+            desired,
+            proof.exposures,
+            Goal(wanted),
+            seconds=proof.seconds,
+            evaluations=proof.evaluations,
+        )
+        _tell(found, real.name, response, dynamic_range, seed, as_json=as_json, proof=proof)
+        return
     with progress_bar("searching") as tick:
         progress = share_only(tick)
         if tolerance is not None and levels_wanted is not None:
@@ -114,69 +171,131 @@ def solve(
                 count,
                 levels_wanted=levels_wanted,
                 seed=seed,
+                time_limit_s=time_limit,
                 progress=progress,
                 p=p,
                 noise=options.noise_term(noise, noise_weight, noise_kind),
                 jitter=jitter,
                 total_limit=None if settings is not None else total_limit,
             )
+        possible = None
         if settings is not None:
-            ideal = found
-            found = solve_settings(
+            possible = solve_settings(
                 real,
                 desired,
                 count,
                 settings,
+                gains=gains or (1.0,),
                 total_limit=total_limit,
                 levels_wanted=levels_wanted,
                 p=p,
                 seed=seed,
             )
-    facts = {
-        "exposures": found.exposures,
-        "xi": found.xi,
-        "levels_wanted": found.levels_wanted,
-        "effective_levels": found.effective_levels,
-        "total_exposure": found.total_exposure,
-        "seconds": found.seconds,
-        "evaluations": found.evaluations,
-        "response": response,
-        "dynamic_range": dynamic_range,
-        "camera": real.name,
-        "seed": seed,
-    }
-    chosen = found if isinstance(found, SettingsSolution) else None
-    if chosen is not None and ideal is not None:
-        facts["settings_s"] = chosen.settings
-        facts["every_set_tried"] = chosen.enumerated
-        facts["without_settings"] = {
-            "exposures": ideal.exposures,
-            "xi": ideal.xi,
-            "effective_levels": ideal.effective_levels,
-        }
+    _tell(
+        found,
+        real.name,
+        response,
+        dynamic_range,
+        seed,
+        as_json=as_json,
+        plain=p == 1 and noise is None and jitter == 0,
+        possible=None if possible is None else (possible, _made_of(possible, settings, gains)),
+    )
+
+
+Made = list[tuple[float, float]]
+"""Shutter time in s and gain of each exposure."""
+
+
+def _made_of(
+    found: SettingsSolution, times: tuple[float, ...] | None, gains: tuple[float, ...] | None
+) -> Made:
+    """Return the time and the gain that make each exposure, the least gain that does."""
+    pairs = [(gain, time_s) for gain in sorted(gains or (1.0,)) for time_s in times or ()]
+    made = []
+    for product in found.settings:
+        gain, time_s = next(
+            pair for pair in pairs if abs(pair[0] * pair[1] / product - 1) <= SAME_EXPOSURE
+        )
+        made.append((time_s, gain))
+    return made
+
+
+def _tell(
+    found: Solution,
+    camera: str,
+    response: str,
+    dynamic_range: float,
+    seed: int,
+    *,
+    as_json: bool,
+    plain: bool = True,
+    proof: Certificate | None = None,
+    possible: tuple[SettingsSolution, Made] | None = None,
+) -> None:
+    """Say what was found; with `possible`, what a camera can set, `found` is the ideal."""
+    told: Solution = found if possible is None else possible[0]
     if as_json:
+        facts: dict[str, Any] = {
+            "exposures": told.exposures,
+            "xi": told.xi,
+            "levels_wanted": told.levels_wanted,
+            "effective_levels": told.effective_levels,
+            "total_exposure": told.total_exposure,
+            "seconds": told.seconds,
+            "evaluations": told.evaluations,
+            "response": response,
+            "dynamic_range": dynamic_range,
+            "camera": camera,
+            "seed": seed,
+        }
+        if proof is not None:
+            facts["certificate"] = certificate_facts(proof)
+        if possible is not None:
+            facts["settings_s"] = [time_s for time_s, _ in possible[1]]
+            facts["gains"] = [gain for _, gain in possible[1]]
+            facts["shutter_s"] = sum(facts["settings_s"])
+            facts["every_set_tried"] = possible[0].enumerated
+            facts["without_settings"] = {
+                "exposures": found.exposures,
+                "xi": found.xi,
+                "effective_levels": found.effective_levels,
+            }
         say_json(facts)
         return
-    plain = p == 1 and noise is None and jitter == 0
     rows = [
-        ("wanted", desired_name(response, dynamic_range, len(found.exposures))),
-        ("camera", real.name),
-        ("exposures", "  ".join(number(value) for value in found.exposures)),
-        objective_line(found.xi, found.levels_wanted, plain=plain),
-        ("effective levels", number(found.effective_levels, 4)),
-        ("shutter open", f"{number(found.total_exposure)} x the shortest exposure"),
-        ("search", f"{number(found.seconds, 3)} s, {found.evaluations:,} sets, seed {seed}"),
+        ("wanted", desired_name(response, dynamic_range, len(told.exposures))),
+        ("camera", camera),
+        ("exposures", "  ".join(number(value) for value in told.exposures)),
+        objective_line(told.xi, told.levels_wanted, plain=plain),
+        ("effective levels", number(told.effective_levels, 4)),
+        ("shutter open", f"{number(told.total_exposure)} x the shortest exposure"),
     ]
-    if chosen is not None and ideal is not None:
-        rows[2:2] = [("settings", "  ".join(duration(value) for value in chosen.settings))]
+    if proof is None:
+        work = f"{number(told.seconds, 3)} s, {told.evaluations:,} sets, seed {seed}"
+        rows += [("search", work)]
+    if possible is not None:
+        with_gain = any(gain != 1 for _, gain in possible[1])
+        settings = [
+            duration(time_s) + (f" x {number(gain)}" if with_gain else "")
+            for time_s, gain in possible[1]
+        ]
+        share = told.effective_levels / found.effective_levels
+        open_s = duration(sum(time_s for time_s, _ in possible[1]))
+        rows[2:2] = [("settings", "  ".join(settings))]
+        rows[-2] = ("shutter open", open_s)
+        if possible[0].enumerated:
+            rows[-1] = (rows[-1][0], f"{rows[-1][1]}: every set there is")
         rows += [
             (
                 "any times at all",
-                f"{number(ideal.effective_levels, 4)} effective levels with "
-                + "  ".join(number(value) for value in ideal.exposures),
-            )
+                f"{number(found.effective_levels, 4)} effective levels with "
+                + "  ".join(number(value) for value in found.exposures),
+            ),
+            ("", f"the camera's own settings keep {number(100 * share, 3)} % of that"),
         ]
-    say(fields(rows))
+    text = fields(rows)
+    say(text if proof is None else f"{text}\n\n{certificate_text(proof)}")
 
 
 def desired_name(response: str, dynamic_range: float, count: int) -> str:
