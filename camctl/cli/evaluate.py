@@ -10,8 +10,9 @@ import click
 from camctl.cli import kinds, options
 from camctl.cli.commands import command
 from camctl.cli.output import fields, number, say, say_json, warn
+from camctl.cli.realcamera import real_camera, real_response
 from camctl.cli.sensitivity import QUICK_LEVELS, sensitivity_facts, sensitivity_text
-from camctl.cli.solve import desired_name, objective_line
+from camctl.cli.solution import desired_name, objective_line
 
 if TYPE_CHECKING:
     from camctl.exposure.effective import EffectiveCamera
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 )
 @options.response
 @options.dynamic_range
-@options.real_camera
+@real_camera
 @options.levels_wanted
 @options.objective
 @click.option(
@@ -91,7 +92,7 @@ def evaluate(
     from camctl.exposure.goal import Goal
     from camctl.exposure.response import desired_response
 
-    real = options.real_response(bits, phase, curve, coefficients)
+    real = real_response(bits, phase, curve, coefficients)
     for note in real.notes:
         warn(note)
     desired = desired_response(response, dynamic_range)

@@ -221,7 +221,10 @@ class Settings(_Kind):
             return tuple(stepped(*(self._one(part.strip(), option) for part in parts)).tolist())
         if len(parts) != 1:
             raise UsageError(f"{option}: '{word}' is not {self.what}")
-        return tuple(self._one(part, option) for part in word.replace(",", " ").split())
+        values = tuple(self._one(part, option) for part in word.replace(",", " ").split())
+        if not values:
+            raise UsageError(f"{option}: '{word}' is not {self.what}")
+        return values
 
     def _one(self, word: str, where: str) -> float:
         value = self._unit.read(word, where)

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from camctl.cli.kinds import Coefficients, Name, Number, Range, Size, Whole
-from camctl.errors import DataError, UsageError
+from camctl.cli.kinds import Name, Number, Range, Size, Whole
 
 if TYPE_CHECKING:
     from camctl.exposure.goal import NoiseTerm
-    from camctl.exposure.response import RealResponse
 
 RESPONSES = ("linear", "gamma", "log")
-
-STANDARDS = ("srgb", "rec709")
 
 NOISE_KINDS = ("paper", "time", "aperture", "gain")
 
@@ -88,38 +83,6 @@ as_json = click.option(
     help="Write one JSON value to standard output and nothing else.",
 )
 
-real_camera = all_of(
-    click.option(
-        "--bits",
-        type=Whole("a whole number of bits, 1 to 16", least=1, most=16),
-        default=8,
-        metavar="B",
-        help="Bits a sample of the real camera.",
-    ),
-    click.option(
-        "--phase",
-        type=Number("a phase of at least 0 and below 1", least=0, below=1),
-        default=0.0,
-        metavar="PHI",
-        help="Phase of its quantiser, in levels: 0 cuts off, 0.5 rounds.",
-    ),
-    click.option(
-        "--curve",
-        metavar="FILE",
-        help="Its response: a file of two columns, irradiance and brightness, both 0 to 1; srgb, "
-        "rec709, or power:GAMMA for brightness = irradiance^(1/GAMMA); or with --coefficients a "
-        "response model such as emor.txt.  [default: linear]",
-    ),
-    click.option(
-        "--coefficients",
-        type=Coefficients(),
-        metavar="A,B,...",
-        help="Weights of the components that --curve's response model adds to its mean; 0 is the "
-        "mean alone.",
-    ),
-)
-
-
 objective = all_of(
     click.option(
         "--p",
@@ -178,67 +141,6 @@ def given(context: click.Context) -> set[str]:
 def spelling(context: click.Context, name: str) -> str:
     """Return how a parameter is spelt on the command line."""
     return next(each.opts[-1] for each in context.command.params if each.name == name)
-
-
-def real_response(
-    bits: int, phase: float, curve: str | None, coefficients: tuple[float, ...] | None
-) -> RealResponse:
-    """Return the camera that `real_camera`'s options describe."""
-    from camctl.exposure.response import linear_response, read_curve
-    from camctl.exposure.standard import standard_response
-
-    if curve is None:
-        if coefficients is not None:
-            raise UsageError(
-                "--coefficients needs --curve", hint="name the response model, such as emor.txt"
-            )
-        return linear_response(bits, phase=phase)
-    if Path(curve).exists():
-        if _is_response_model(Path(curve)):
-            return _modelled(Path(curve), bits, phase, coefficients)
-        if coefficients is None:
-            return read_curve(curve, bits=bits, phase=phase)
-        raise DataError(
-            f"curve {curve} is no response model",
-            hint="--coefficients goes with a file of E =, f0 = and h(1) =, such as emor.txt",
-        )
-    if coefficients is not None:
-        raise DataError(f"no response model '{curve}'", hint="give a file such as emor.txt")
-    name, _, gamma = curve.partition(":")
-    if name == "power":
-        value = Number("a gamma from 0.05 to 20", least=0.05).read(gamma or "none", "--curve power")
-        return standard_response(name, bits, phase=phase, gamma=value)
-    if curve in STANDARDS:
-        return standard_response(curve, bits, phase=phase)
-    raise DataError(
-        f"no curve '{curve}'",
-        hint=f"give a file of two columns, or {', '.join(STANDARDS)}, power:GAMMA",
-    )
-
-
-def _is_response_model(path: Path) -> bool:
-    """Return whether a file holds the headings of a response model; a curve holds no '='."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return False  # whoever reads it as a curve says why
-    return any("=" in line.partition("#")[0] for line in lines)
-
-
-def _modelled(
-    path: Path, bits: int, phase: float, coefficients: tuple[float, ...] | None
-) -> RealResponse:
-    from camctl.exposure.emor import read_response_model
-
-    if coefficients is None:
-        raise DataError(
-            f"curve {path} is a response model, not one curve",
-            hint="say --coefficients 1.5,-0.3 for a curve of it, or --coefficients 0 for its mean",
-        )
-    weights = ",".join(f"{value:g}" for value in coefficients)
-    return read_response_model(path).response(
-        coefficients, bits=bits, phase=phase, name=f"{path.name} {weights}"
-    )
 
 
 camera = click.option(

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +13,9 @@ from camctl.cli.commands import LazyGroup, command
 from camctl.cli.output import number, range_name, say, say_json, warn
 from camctl.cli.output import table as columns
 from camctl.cli.progress import progress_bar
+from camctl.cli.realcamera import real_camera, real_response
 from camctl.cli.sensitivity import rows_text, sensitivity_facts
+from camctl.cli.workers import executor_of, share_of_time
 from camctl.errors import CamctlError, DataError, StorageError, UsageError
 
 if TYPE_CHECKING:
@@ -82,7 +80,7 @@ class InterruptedBuildError(CamctlError):
     "with noise of 0.1, 0.5 or 2 brightness levels, and over the quantiser's phases.  Takes about "
     "0.2 s a row.",
 )
-@options.real_camera
+@real_camera
 @options.as_json
 @click.pass_context
 def show(
@@ -108,7 +106,7 @@ def show(
     found = default_table() if path is None else ExposureTable.load(path)
     real = None
     if options.given(context) & {"bits", "phase", "curve", "coefficients"}:
-        real = options.real_response(bits, phase, curve, coefficients)
+        real = real_response(bits, phase, curve, coefficients)
         if all(entry.camera != real.fingerprint for entry in found.entries):
             where = "the table that ships" if path is None else str(path)
             raise DataError(
@@ -165,7 +163,7 @@ def _camera_of(entry: TableEntry) -> RealResponse:
     """Return the linear camera whose levels a row names; others the user has to name."""
     for bits in range(1, 17):
         for phase in (0.0, 0.5):
-            real = options.real_response(bits, phase, None, None)
+            real = real_response(bits, phase, None, None)
             if real.fingerprint == entry.camera:
                 return real
     raise UsageError(
@@ -210,7 +208,7 @@ def _rows(entries: list[TableEntry]) -> str:
         ),
     ),
 )
-@options.real_camera
+@real_camera
 @click.option(
     "--responses",
     type=kinds.Names("response", options.RESPONSES),
@@ -267,22 +265,31 @@ def build(
 ) -> None:
     """Build an exposure table for a camera.
 
-    Takes seconds a row.  Finished rows are kept beside the table, so that the same command goes on
-    where an interrupted one stopped.
+    Takes seconds a row, most of them for five exposures and more.  Finished rows are kept beside
+    the table, so that the same command goes on where an interrupted one stopped.
     """
     from camctl.exposure.table import build_table
 
     if output.exists() and not force:
         raise StorageError(f"{output} exists", hint="choose another name with -o, or say --force")
-    real = options.real_response(bits, phase, curve, coefficients)
+    real = real_response(bits, phase, curve, coefficients)
     for note in real.notes:
         warn(note)
-    rows = len(responses) * len(ranges) * count
+    each = len(responses) * len(ranges)
+    rows = each * count
+    done = 0
+
+    def count_rows(finished: int, _all: int) -> None:
+        nonlocal done
+        done = finished
+        if tick is not None:
+            tick(share_of_time(finished, each, count), "")
+
     parts = output.with_name(f"{output.name}.parts")
     try:
         with (
             progress_bar(f"solving {rows} rows") as tick,
-            _executor(min(workers or os.cpu_count() or 1, rows)) as executor,
+            executor_of(min(workers or os.cpu_count() or 1, rows)) as executor,
         ):
             made = build_table(
                 real,
@@ -292,42 +299,16 @@ def build(
                 seed=seed,
                 executor=executor,
                 state=parts,
-                progress=None if tick is None else lambda done, all_: tick(done / all_, ""),
+                progress=count_rows,
             )
     except KeyboardInterrupt:
-        kept = len(list(parts.glob("*.json")))
         raise InterruptedBuildError(
-            f"interrupted with {kept} of {rows} rows done"
-            + (f", which are kept in {parts}" if kept else ""),
-            hint="say the same again to go on" if kept else "",
+            f"interrupted with {done} of {rows} rows done"
+            + (f", which are kept in {parts}" if done else ""),
+            hint="say the same again to go on" if done else "",
         ) from None
     made.save(output)
     if as_json:
         say_json({"file": output, "entries": [entry.model_dump() for entry in made.entries]})
     else:
         say(f"{rows} rows for {real.name} in {output}; see camctl table show --table {output}")
-
-
-@contextmanager
-def _executor(workers: int) -> Iterator[Executor | None]:
-    """Yield processes to work with; None for one worker, which is this one."""
-    if workers == 1:
-        yield None
-        return
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    pool = ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),  # Control-C is for us to answer
-    )
-    try:
-        yield pool
-    except BaseException:
-        for child in multiprocessing.active_children():
-            child.terminate()  # a row can take a long while, and nobody waits for it
-        pool.shutdown(cancel_futures=True)
-        raise
-    pool.shutdown()

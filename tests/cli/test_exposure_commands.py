@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from camctl.cli import options
+from camctl.cli import options, realcamera
 from camctl.cli.table import InterruptedBuildError
 from camctl.exposure.goal import NOISE_KINDS
 from camctl.exposure.response import RANGES, RESPONSES
@@ -24,7 +24,7 @@ CURVE = "0 0\n0.25 0.5\n1 1\n"
 def test_names_on_the_command_line_are_those_of_the_mathematics() -> None:
     assert options.RESPONSES == RESPONSES
     assert options.NOISE_KINDS == NOISE_KINDS
-    assert set(options.STANDARDS) <= set(STANDARDS)
+    assert set(realcamera.STANDARDS) <= set(STANDARDS)
 
 
 def test_evaluate_says_what_the_mathematics_says(run: Run) -> None:
