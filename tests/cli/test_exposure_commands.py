@@ -10,6 +10,7 @@ import pytest
 
 from camctl.cli import options, realcamera
 from camctl.cli.table import InterruptedBuildError
+from camctl.cli.workers import share_of_time
 from camctl.exposure.goal import NOISE_KINDS
 from camctl.exposure.response import RANGES, RESPONSES
 from camctl.exposure.standard import STANDARDS
@@ -271,3 +272,27 @@ def test_nothing_prints_nan(run: Run) -> None:
         "a": [None, None, 1.5],
         "b": [True, None, 2],
     }
+
+
+def test_rows_of_another_camera_are_not_counted_as_done(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from camctl.exposure import build as exposure_build
+
+    def interrupted(job: Any, *rest: Any) -> Any:
+        raise KeyboardInterrupt
+
+    Path("t.parts").mkdir()
+    Path("t.parts", "0123456789abcdef-0123456789abcdef.json").write_text("{}")
+    monkeypatch.setattr(exposure_build, "solve_job", interrupted)
+    ran = run("table", "build", *SMALL, "-o", "t", "--workers", "1")
+    assert ran.error == "interrupted with 0 of 8 rows done"
+
+
+def test_progress_of_a_table_goes_by_time() -> None:
+    """The longest rows come first: of 3 each, n = 3 and then n = 2; n = 1 is free."""
+    shares = [share_of_time(done, 3, 3) for done in range(10)]
+    assert shares[0] == 0
+    assert shares[3] == pytest.approx(3 * 25_000 / (3 * 25_000 + 2 * 10_000))
+    assert shares[6:] == pytest.approx([1, 1, 1, 1])
+    assert [share_of_time(done, 2, 1) for done in range(3)] == [0, 0.5, 1]
