@@ -88,19 +88,22 @@ objective = all_of(
         "--p",
         type=Number("a number of at least 1", least=1),
         default=1.0,
-        metavar="1|2",
-        help="Power of the objective; only 1 counts missing levels.",
+        show_default="1",
+        metavar="P",
+        help="Power of the objective, 1 to 16; only 1 counts missing levels.",
     ),
     click.option(
         "--noise",
         type=Number("a number from 0", least=0),
         metavar="SIGMA",
-        help="Add what noise costs: its standard deviation at exposure 1, full scale being 1.",
+        help="Add what noise costs: its standard deviation at exposure 1, full scale being 1.  "
+        "[default: not added]",
     ),
     click.option(
         "--noise-weight",
         type=Number("a number from 0", least=0),
         default=1.0,
+        show_default="1",
         metavar="C",
         help="What a squared full scale of noise costs, in levels.",
     ),
@@ -116,8 +119,10 @@ objective = all_of(
         "--jitter",
         type=Number("a fraction from 0", least=0),
         default=0.0,
+        show_default="0",
         metavar="FRACTION",
-        help="Average over exposures that come out wrong by this fraction, for example 0.01.",
+        help="Average over exposures that come out wrong by this fraction, up to 0.2; for example "
+        "0.01.",
     ),
 )
 

@@ -28,8 +28,9 @@ real_camera = all_of(
         "--phase",
         type=Number("a phase of at least 0 and below 1", least=0, below=1),
         default=0.0,
+        show_default="0",
         metavar="PHI",
-        help="Phase of its quantiser, in levels: 0 cuts off, 0.5 rounds.",
+        help="Phase of its quantiser, in levels from 0 to below 1: 0 cuts off, 0.5 rounds.",
     ),
     click.option(
         "--curve",
