@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     help="Exposures, relative to one another.",
 )
 @options.response
+@options.exponent
 @options.dynamic_range
 @real_camera
 @options.levels_wanted
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
 def evaluate(
     ratios: tuple[float, ...],
     response: str,
+    exponent: float | None,
     dynamic_range: float,
     bits: int,
     phase: float,
@@ -90,12 +92,11 @@ def evaluate(
     """
     from camctl.exposure.effective import EffectiveCamera, effective_levels
     from camctl.exposure.goal import Goal
-    from camctl.exposure.response import desired_response
 
     real = real_response(bits, phase, curve, coefficients)
     for note in real.notes:
         warn(note)
-    desired = desired_response(response, dynamic_range)
+    desired = options.desired(response, dynamic_range, exponent)
     camera = EffectiveCamera.of(real, ratios)
     wanted = float(camera.levels_total) if levels_wanted is None else levels_wanted
     goal = Goal(wanted, p, options.noise_term(noise, noise_weight, noise_kind), jitter)
@@ -118,7 +119,7 @@ def evaluate(
             "effective_levels": accuracy,
             "total_exposure": sum(ratios),
             "exposures": ratios,
-            "response": response,
+            "response": desired.name,
             "dynamic_range": dynamic_range,
             "camera": real.name,
         }
@@ -136,7 +137,7 @@ def evaluate(
     lost = camera.levels_total - camera.levels_distinct
     plain = p == 1 and noise is None and jitter == 0
     rows = [
-        ("wanted", desired_name(response, dynamic_range, len(ratios))),
+        ("wanted", desired_name(desired.name, dynamic_range, len(ratios))),
         ("camera", real.name),
         ("exposures", "  ".join(number(ratio) for ratio in ratios)),
         objective_line(xi, wanted, plain=plain),

@@ -9,9 +9,11 @@ import click
 from click.core import ParameterSource
 
 from camctl.cli.kinds import Name, Number, Range, Size, Whole
+from camctl.errors import UsageError
 
 if TYPE_CHECKING:
     from camctl.exposure.goal import NoiseTerm
+    from camctl.exposure.response import DesiredResponse
 
 RESPONSES = ("linear", "gamma", "log")
 
@@ -39,6 +41,14 @@ response = click.option(
     default="log",
     metavar="linear|gamma|log",
     help="How brightness shall follow light; log gives equal contrast in shadows and highlights.",
+)
+
+exponent = click.option(
+    "--gamma",
+    "exponent",
+    type=Number("an exponent from 0.01 to 100", least=0.01),
+    metavar="Q",
+    help="Exponent of --response gamma: brightness goes with light^Q.  [default: 0.5]",
 )
 
 dynamic_range = click.option(
@@ -125,6 +135,17 @@ objective = all_of(
         "0.01.",
     ),
 )
+
+
+def desired(response: str, dynamic_range: float, exponent: float | None) -> DesiredResponse:
+    """Return the wanted response that `response`, `dynamic_range` and `exponent` describe."""
+    from camctl.exposure.response import desired_response
+
+    if exponent is None:
+        return desired_response(response, dynamic_range)
+    if response != "gamma":
+        raise UsageError(f"--gamma goes without --response {response}", hint="say --response gamma")
+    return desired_response(response, dynamic_range, q=exponent)
 
 
 def noise_term(sigma: float | None, weight: float, kind: str) -> NoiseTerm | None:

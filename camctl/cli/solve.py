@@ -34,6 +34,7 @@ GAIN = kinds.Number("a gain above 0", above=0)
     )
 )
 @options.response
+@options.exponent
 @options.dynamic_range
 @options.count
 @click.option(
@@ -88,6 +89,7 @@ GAIN = kinds.Number("a gain above 0", above=0)
 def solve(
     context: click.Context,
     response: str,
+    exponent: float | None,
     dynamic_range: float,
     count: int,
     tolerance: float | None,
@@ -125,7 +127,6 @@ def solve(
             extra = ", ".join(options.spelling(context, name) for name in sorted(named & without))
             raise UsageError(f"--{option} goes without {extra}")
     from camctl.exposure.goal import Goal
-    from camctl.exposure.response import desired_response
     from camctl.exposure.settings import solve_settings
     from camctl.exposure.solver import describe, fewest
     from camctl.exposure.solver import solve as search
@@ -133,7 +134,7 @@ def solve(
     real = real_response(bits, phase, curve, coefficients)
     for note in real.notes:
         warn(note)
-    desired = desired_response(response, dynamic_range)
+    desired = options.desired(response, dynamic_range, exponent)
     if certificate:
         proof = prove(
             real, desired, count, levels_wanted=levels_wanted, seed=seed, limit_s=time_limit
@@ -147,7 +148,7 @@ def solve(
             seconds=proof.seconds,
             evaluations=proof.evaluations,
         )
-        tell(found, real.name, response, dynamic_range, seed, as_json=as_json, proof=proof)
+        tell(found, real.name, desired.name, dynamic_range, seed, as_json=as_json, proof=proof)
         return
     with progress_bar("searching") as tick:
         progress = share_only(tick)
@@ -186,7 +187,7 @@ def solve(
     tell(
         found,
         real.name,
-        response,
+        desired.name,
         dynamic_range,
         seed,
         as_json=as_json,

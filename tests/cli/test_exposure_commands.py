@@ -296,3 +296,34 @@ def test_progress_of_a_table_goes_by_time() -> None:
     assert shares[3] == pytest.approx(3 * 25_000 / (3 * 25_000 + 2 * 10_000))
     assert shares[6:] == pytest.approx([1, 1, 1, 1])
     assert [share_of_time(done, 2, 1) for done in range(3)] == [0, 0.5, 1]
+
+
+def test_any_gamma(run: Run) -> None:
+    words = ("evaluate", "--ratios", "1,3", "--bits", "5", "--no-sensitivity", "--json")
+    usual = run(*words, "--response", "gamma").json
+    assert run(*words, "--response", "gamma", "--gamma", "0.5").json == usual
+    darker = run(*words, "--response", "gamma", "--gamma", "0.3").json
+    assert darker["response"] == "gamma 0.3"
+    assert darker["xi"] != usual["xi"]
+    linear = run(*words, "--response", "linear").json
+    assert run(*words, "--response", "gamma", "--gamma", "1").json == linear
+    found = run("solve", "--response", "gamma", "--gamma", "0.3", "-n", "2", "--bits", "4").out
+    assert "gamma 0.3, 1:1,000, in 2 exposures" in found
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--gamma", "0.3"], "--gamma goes without --response log; say --response gamma"),
+        (["--response", "gamma", "--gamma", "0"], "--gamma: 0 is not an exponent from 0.01"),
+        (["--response", "gamma", "--gamma", "101"], "gamma exponent 101; q lies between"),
+        (
+            ["--response", "gamma", "--gamma", "2", "--certificate"],
+            "no bound is known for gamma 2",
+        ),
+    ],
+)
+def test_a_gamma_that_cannot_be(run: Run, words: list[str], message: str) -> None:
+    ran = run("solve", *words)
+    assert message in ran.error
+    assert ran.status == 2
