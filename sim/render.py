@@ -20,7 +20,7 @@ from sim.effects import EFFECTS, Effect, Shot, Stage, Tile
 from sim.effects.charge import bloom
 from sim.effects.optics import flicker_lines
 from sim.effects.readout import bend_adc
-from sim.noise import BLOCK, TILE, TileNoise
+from sim.noise import TILE, TileNoise
 from sim.scene import Scene
 from sim.sensor import Sensor
 from sim.view import Light, View, photons_per_unit, sample
@@ -185,13 +185,11 @@ class Renderer:
     ) -> None:
         """Do `steps` on all tiles; their electrons lie in `charge` where they are to be kept."""
         tiles = math.ceil(size / TILE)
-        # A few tiles at a time, but so that both threads have enough to do.
-        together = min(BLOCK, math.ceil(tiles / (2 * self._threads)))
 
         def run(first: int) -> None:
-            for index in range(first * together, tiles, self._threads * together):
+            for index in range(first, tiles, self._threads):
                 start = index * TILE
-                here = slice(start, min(start + together * TILE, size))
+                here = slice(start, min(start + TILE, size))
                 noise, memory = self._working()
                 electrons = memory[: here.stop - start] if charge is None else charge[here]
                 tile = Tile(shot, electrons, start, index, noise)
@@ -203,7 +201,7 @@ class Renderer:
     def _working(self) -> tuple[TileNoise, Light]:
         if not hasattr(self._memory, "noise"):
             self._memory.noise = TileNoise()
-            self._memory.electrons = np.empty(BLOCK * TILE, dtype=np.float32)
+            self._memory.electrons = np.empty(TILE, dtype=np.float32)
         return self._memory.noise, self._memory.electrons
 
     def _convert(self, tile: Tile, out: Pixels | Light, bows: bool) -> None:

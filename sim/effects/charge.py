@@ -78,18 +78,15 @@ def hottest_e(shot: Shot) -> float:
 
 def _hot(tile: Tile) -> None:
     shot = tile.shot
-    for start in range(0, tile.electrons.size, TILE):
-        index = tile.index + start // TILE
-        stem = np.random.SeedSequence(shot.seed, spawn_key=(PATTERN, int(Stream.HOT), index))
-        random = np.random.Generator(np.random.SFC64(stem))
-        # Of a whole tile always, so that a tile is the same in a frame that ends in it.
-        count = int(TILE * shot.sensor.dark.hot_share + random.random())
-        places = (random.random(count) * TILE).astype(np.intp)
-        charge = (random.random(count) * hottest_e(shot)).astype(np.float32)
-        places, first = np.unique(places, return_index=True)
-        electrons = tile.electrons[start : start + TILE]
-        inside = places < electrons.size
-        electrons[places[inside]] += charge[first][inside]
+    stem = np.random.SeedSequence(shot.seed, spawn_key=(PATTERN, int(Stream.HOT), tile.index))
+    random = np.random.Generator(np.random.SFC64(stem))
+    # Of a whole tile always, so that a tile is the same in a frame that ends in it.
+    count = int(TILE * shot.sensor.dark.hot_share + random.random())
+    places = (random.random(count) * TILE).astype(np.intp)
+    charge = (random.random(count) * hottest_e(shot)).astype(np.float32)
+    places, first = np.unique(places, return_index=True)
+    inside = places < tile.electrons.size
+    tile.electrons[places[inside]] += charge[first][inside]
 
 
 def _photon_noise(tile: Tile) -> None:

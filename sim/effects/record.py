@@ -136,9 +136,9 @@ class Shot:
 
 @dataclass(slots=True, eq=False)
 class Tile:
-    """A few neighbouring tiles of a frame in the making; `electrons` is changed in place.
+    """A tile of a frame in the making; `electrons` is changed in place.
 
-    `start` is their first sample in the frame, `index` the number of the first tile, `noise` the
+    `start` is its first sample in the frame, `index` its number from 0, `noise` the
     memory of the thread.
     """
 

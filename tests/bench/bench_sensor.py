@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Layout
-from sim.noise import BLOCK, TILE, TileNoise, normal_quantiles, tile_bits
+from sim.noise import TILE, TileNoise, normal_quantiles, tile_bits
 from sim.render import Renderer
 from sim.scene import load_scene
 from sim.sensor import Sensor, load_sensor
@@ -45,7 +45,7 @@ def naive(light: NDArray[np.float32], sensor: Sensor) -> NDArray[np.uint8]:
     return np.asarray(np.clip(dn, 0, 2**sensor.bits - 1).astype(np.uint8))
 
 
-_READY = normal_quantiles()[tile_bits(0, 0, 0, 0, BLOCK * TILE)]  # type: ignore[arg-type]
+_READY = normal_quantiles()[tile_bits(0, 0, 0, 0, TILE)]  # type: ignore[arg-type]
 
 
 def _no_drawing(self: TileNoise, count: int, *_: object) -> NDArray[np.float32]:
