@@ -8,11 +8,11 @@ are SI: seconds, linear gain, f-number; true times, never the labels on a dial.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from types import TracebackType
-from typing import Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -236,6 +236,7 @@ class Frame:
         black: brightness without light in this frame, DN
         white: brightness from which samples of this frame are saturated, DN
         original: the camera's own file where there is one
+        details: what else the camera says of the frame; goes into the capture's report as JSON
     """
 
     pixels: Pixels
@@ -246,6 +247,7 @@ class Frame:
     black: int
     white: int
     original: OriginalFile | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
 
 
 class FrameStream(Iterator[Frame], Protocol):

@@ -262,12 +262,15 @@ class SimulatedCamera:
         if not is_preview:
             light = self._faults.wrong_exposure.get(self._handed_over, 1.0)
             self._handed_over += 1
+        pixels = self.device.read_out(buffer, light=light)
+        assert self._plan is not None  # reading out has made it
         return Frame(
-            pixels=self.device.read_out(buffer, light=light),
+            pixels=pixels,
             requested=requested,
             applied=applied,
             timestamp_s=buffer.timestamp_s,
             index=index,
             black=self._controls.black,
             white=self._controls.white,
+            details={"simulation": self._plan.as_data()},
         )

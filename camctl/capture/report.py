@@ -53,6 +53,7 @@ class FrameRecord(_Record):
     timestamp_s: float
     ratio: RatioCheck | None = None
     attempts: int = 1
+    details: dict[str, Any] = {}
 
 
 class Achieved(_Record):

@@ -279,6 +279,7 @@ class _Sequence:
             / frame.pixels.size,
             timestamp_s=frame.timestamp_s,
             attempts=attempts,
+            details=dict(frame.details),
         )
         self.report.write(self.archive.directory)
         self._add(position, frame.pixels)
@@ -346,7 +347,8 @@ class _Sequence:
             if ratio is not None and not ratio.agrees:
                 self.report.warnings.append(
                     f"frame {position + 1} is {ratio.measured:.4g} times as bright as the one "
-                    f"before, its exposure says {ratio.expected:.4g}: do not trust the picture"
+                    f"before, its exposure says {ratio.expected:.4g}: do not trust the picture (if lamps "
+                    f"flicker, see --mains)"
                 )
 
 

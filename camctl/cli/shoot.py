@@ -92,6 +92,14 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
 @options.shooting
 @options.simulation
 @click.option(
+    "--simulation-tolerance",
+    "tolerance_dn",
+    type=kinds.Number("a number of DN from 0", least=0),
+    metavar="DN",
+    help="Let the simulator leave out effects that change the sum of the frames by no more than "
+    "this.  [default: 0, all effects]",
+)
+@click.option(
     "-o",
     "--output",
     "directory",
@@ -130,6 +138,7 @@ def shoot(
     size: str | None,
     seed: int | None,
     real_time: bool,
+    tolerance_dn: float | None,
     directory: Path | None,
     force: bool,
     resume_directory: Path | None,
@@ -179,6 +188,8 @@ def shoot(
             spend_shutter=spend_shutter,
         )
         beside = options.camera_options(scene, sensor, size, seed, real_time=real_time)
+        if tolerance_dn is not None:
+            beside["tolerance"] = str(tolerance_dn)
         directory = fresh_directory() if directory is None else directory
         report = _shoot(camera_id, beside, request, table_file, directory, force)
     for warning in report.warnings:

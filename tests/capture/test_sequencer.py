@@ -289,3 +289,14 @@ def test_layouts_of_the_report_are_words(make_camera, tmp_path):
         report = capture(camera, GIVEN, tmp_path / "out")
     assert report.layout is Layout.RGGB
     assert json.loads((tmp_path / "out" / "report.json").read_text())["layout"] == "rggb"
+
+
+def test_the_report_says_what_was_simulated_in_each_frame(make_camera, tmp_path):
+    with make_camera("complete") as camera:
+        report = capture(camera, GIVEN, tmp_path / "out")
+    saved = json.loads((tmp_path / "out" / "report.json").read_text())
+    for frame, record in zip(saved["frames"], report.frames, strict=True):
+        plan = frame["details"]["simulation"]
+        assert plan == record.details["simulation"]
+        assert plan["joint_bound_dn"] <= plan["tolerance_dn"]
+        assert {"name", "bound_dn", "ran", "why"} <= plan["effects"][0].keys()
