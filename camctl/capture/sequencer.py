@@ -347,8 +347,8 @@ class _Sequence:
             if ratio is not None and not ratio.agrees:
                 self.report.warnings.append(
                     f"frame {position + 1} is {ratio.measured:.4g} times as bright as the one "
-                    f"before, its exposure says {ratio.expected:.4g}: do not trust the picture (if lamps "
-                    f"flicker, see --mains)"
+                    f"before, its exposure says {ratio.expected:.4g}: do not trust the picture "
+                    f"(if lamps flicker, see --mains)"
                 )
 
 
