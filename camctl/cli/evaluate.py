@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     metavar="A,B,...",
     help="Exposures, relative to one another.",
 )
-@options.response
+@options.wish
 @options.exponent
 @options.dynamic_range
 @real_camera
@@ -97,6 +97,7 @@ def evaluate(
     for note in real.notes:
         warn(note)
     desired = options.desired(response, dynamic_range, exponent)
+    dynamic_range = desired.dynamic_range  # a file brings its own
     camera = EffectiveCamera.of(real, ratios)
     wanted = float(camera.levels_total) if levels_wanted is None else levels_wanted
     goal = Goal(wanted, p, options.noise_term(noise, noise_weight, noise_kind), jitter)

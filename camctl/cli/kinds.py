@@ -104,6 +104,16 @@ class Name(_Kind):
         return word.lower()
 
 
+class NameOrFile(Name):
+    """One of a few names, or a file: a word with a dot or a slash in it."""
+
+    def read(self, word: str, option: str) -> str:
+        """Return the name, or the file as it was given."""
+        if "." in word or "/" in word:
+            return word
+        return super().read(word, option)
+
+
 class Names(Name):
     """Several of a few names, parted by commas."""
 

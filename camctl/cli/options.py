@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from camctl.cli.kinds import Name, Number, Range, Size, Whole
+from camctl.cli.kinds import Name, NameOrFile, Number, Range, Size, Whole
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
@@ -41,6 +41,15 @@ response = click.option(
     default="log",
     metavar="linear|gamma|log",
     help="How brightness shall follow light; log gives equal contrast in shadows and highlights.",
+)
+
+wish = click.option(
+    "--response",
+    type=NameOrFile("response", RESPONSES),
+    default="log",
+    metavar="linear|gamma|log|FILE",
+    help="How brightness shall follow light; log gives equal contrast in shadows and highlights. A "
+    "file has two columns, irradiance and brightness, and brings its own range.",
 )
 
 exponent = click.option(
@@ -139,8 +148,14 @@ objective = all_of(
 
 def desired(response: str, dynamic_range: float, exponent: float | None) -> DesiredResponse:
     """Return the wanted response that `response`, `dynamic_range` and `exponent` describe."""
-    from camctl.exposure.response import desired_response
+    from camctl.exposure.response import desired_response, read_desired
 
+    if response not in RESPONSES:
+        if given(click.get_current_context()) & {"dynamic_range", "exponent"}:
+            raise UsageError(
+                f"{response} brings its own range", hint="leave out --range and --gamma"
+            )
+        return read_desired(response)
     if exponent is None:
         return desired_response(response, dynamic_range)
     if response != "gamma":

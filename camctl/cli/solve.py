@@ -33,7 +33,7 @@ GAIN = kinds.Number("a gain above 0", above=0)
         ("camctl solve --tolerance 30 --levels 256", "as few as leave 30 of 256 levels missing"),
     )
 )
-@options.response
+@options.wish
 @options.exponent
 @options.dynamic_range
 @options.count
@@ -135,6 +135,7 @@ def solve(
     for note in real.notes:
         warn(note)
     desired = options.desired(response, dynamic_range, exponent)
+    dynamic_range = desired.dynamic_range  # a file brings its own
     if certificate:
         proof = prove(
             real, desired, count, levels_wanted=levels_wanted, seed=seed, limit_s=time_limit

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camctl.errors import DataError
+from camctl.exposure.desired import DesiredResponse, tabulated_desired
 from camctl.exposure.real import FloatArray, RealResponse, check_quantiser, quantiser_name
 
 LARGEST_REPAIR = 0.05
@@ -114,10 +115,8 @@ def tabulated_response(
     return RealResponse(ladder, quantiser_name(name, bits, phase, count), tuple(notes))
 
 
-def read_curve(
-    path: str | Path, *, bits: int = 8, phase: float = 0.0, levels: int | None = None
-) -> RealResponse:
-    """Return a measured camera from a text file of two columns: irradiance and brightness.
+def read_columns(path: str | Path, second: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the two columns of a text file: irradiance, and what `second` calls the other.
 
     Columns are parted by blanks, tabs, commas or semicolons; ``#`` starts a comment.  Raises
     `DataError` with the file's name and the line that is wrong.
@@ -140,7 +139,7 @@ def read_curve(
         if len(words) != 2:
             raise DataError(
                 f"{where}: {len(words)} column{'s' * (len(words) != 1)}",
-                hint="each line holds irradiance and brightness",
+                hint=f"each line holds irradiance and {second}",
             )
         try:
             rows.append((float(words[0]), float(words[1])))
@@ -151,12 +150,30 @@ def read_curve(
             ) from error
     if not rows:
         raise DataError(f"curve {path}: no numbers in it")
-    irradiance, brightness = zip(*rows, strict=True)
+    irradiance, other = zip(*rows, strict=True)
+    return irradiance, other
+
+
+def read_curve(
+    path: str | Path, *, bits: int = 8, phase: float = 0.0, levels: int | None = None
+) -> RealResponse:
+    """Return a measured camera from a text file of two columns; see `read_columns`."""
+    irradiance, brightness = read_columns(path, "brightness")
     return tabulated_response(
         irradiance,
         brightness,
         bits=bits,
         phase=phase,
         levels=levels,
-        name=f"curve {path.name}",
+        name=f"curve {Path(path).name}",
     )
+
+
+def read_desired(path: str | Path) -> DesiredResponse:
+    """Return a wanted response from a text file of two columns, irradiance and brightness.
+
+    Its dynamic range is the last irradiance over the first.  See `read_columns` for the file, and
+    `tabulated_desired` for what must hold.
+    """
+    irradiance, brightness = read_columns(path, "wanted brightness")
+    return tabulated_desired(irradiance, brightness, name=Path(path).name)

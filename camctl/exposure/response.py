@@ -1,6 +1,6 @@
 """Real and desired responses, under one name."""
 
-from camctl.exposure.curves import read_curve, tabulated_response
+from camctl.exposure.curves import read_curve, read_desired, tabulated_response
 from camctl.exposure.desired import (
     RANGES,
     RESPONSES,
@@ -19,6 +19,7 @@ __all__ = [
     "desired_response",
     "linear_response",
     "read_curve",
+    "read_desired",
     "tabulated_desired",
     "tabulated_response",
 ]

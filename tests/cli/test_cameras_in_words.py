@@ -197,3 +197,31 @@ def test_settings_that_cannot_be(run: Run, words: list[str], message: str) -> No
     ran = run("solve", *words)
     assert message in ran.error
     assert ran.status == 2
+
+
+def test_a_wish_from_a_file_brings_its_own_range(run: Run) -> None:
+    # Constant contrast over 1:100 in so many points that it is the closed form.
+    rows = [(10 ** (k / 100 - 2), k) for k in range(201)]
+    Path("wish.txt").write_text("\n".join(f"{E} {u}" for E, u in rows))
+    words = ("evaluate", "--ratios", "1,9", "--no-sensitivity", "--json")
+    told = run(*words, "--response", "wish.txt").json
+    closed = run(*words, "--response", "log", "--range", "100").json
+    assert told["dynamic_range"] == pytest.approx(100)
+    assert told["xi"] == pytest.approx(closed["xi"], rel=0.01)
+    assert solved(run, "--response", "wish.txt", "-n", "2", "--bits", "5")["xi"] > 0
+
+
+def test_bad_wishes_are_told_in_one_line(run: Run) -> None:
+    Path("falling.txt").write_text("0.1 0\n0.5 1\n1 0.5\n")
+    Path("one.txt").write_text("0.1\n1\n")
+    for words, said in (
+        (("falling.txt",), "u must not decrease"),
+        (("one.txt",), "line 1: 1 column"),
+        (("none.txt",), "No such file"),
+        (("falling.txt", "--range", "10"), "brings its own range"),
+        (("lug",), "did you mean log"),
+    ):
+        done = run("solve", "--response", *words)
+        assert done.status in (1, 2)
+        assert said in done.err
+        assert done.err.count("\n") == 1
