@@ -38,7 +38,10 @@ def hand_over(
     """
     began = time.perf_counter()
     plan = report.plan
-    applied = [record.applied for record in report.frames if record is not None]
+    records = [record for record in report.frames if record is not None]
+    applied = [record.applied for record in records]
+    for record, exposure in zip(records, relative(applied), strict=True):
+        record.exposure = exposure
     effective = EffectiveCamera.of(controls.levels, relative(applied))
     desired = plan.desired
     full_scale_exposure = min(setting.exposure for setting in applied)

@@ -254,15 +254,15 @@ class _Sequence:
         over = sum(t for t, record in zip(times, frames, strict=True) if record is not None)
         self.tell(Progress(self.done, len(frames), stage, over / sum(times)))
 
-    def _take(self, frame: Frame, position: int, attempts: int = 1) -> None:
+    def _take(self, frame: Frame, position: int) -> None:
         """Write a frame, check it against its neighbours, add it to the sum."""
+        file, original = self.archive.keep(frame, position)
         if (frame.black, frame.white) != (self.controls.black, self.controls.white):
             raise CaptureError(
                 f"the camera changed its black and white level to {frame.black} and {frame.white} "
                 f"within the capture",
                 hint="keep gain and format fixed, and shoot again",
             )
-        file, original = self.archive.keep(frame, position)
         plan = self.report.plan
         smallest = min(setting.exposure for setting in plan.settings)
         self.report.frames[position] = FrameRecord(
@@ -278,7 +278,6 @@ class _Sequence:
             saturated_fraction=float(np.count_nonzero(frame.pixels >= frame.white))
             / frame.pixels.size,
             timestamp_s=frame.timestamp_s,
-            attempts=attempts,
             details=dict(frame.details),
         )
         self.report.write(self.archive.directory)

@@ -1,6 +1,7 @@
 """The whole job on a simulated camera: what lands on disk, what happens when things go wrong."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
@@ -300,3 +301,19 @@ def test_the_report_says_what_was_simulated_in_each_frame(make_camera, tmp_path)
         assert plan == record.details["simulation"]
         assert plan["joint_bound_dn"] <= plan["tolerance_dn"]
         assert {"name", "bound_dn", "ran", "why"} <= plan["effects"][0].keys()
+
+
+def test_a_frame_in_another_format_is_on_disk_all_the_same(make_camera, tmp_path):
+    class Shifting:
+        def __init__(self, camera):
+            self.camera = camera
+
+        def __getattr__(self, name):
+            return getattr(self.camera, name)
+
+        def shoot(self, settings):
+            return (replace(frame, white=200) for frame in self.camera.shoot(settings))
+
+    with make_camera() as camera, pytest.raises(CaptureError, match="changed its black and white"):
+        capture(Shifting(camera), GIVEN, tmp_path / "out")
+    assert (tmp_path / "out" / "frames" / "frame-01.npy").exists()
