@@ -34,8 +34,7 @@ class NeighbourCheck:
 
     def __init__(self, real: RealResponse, black: int) -> None:
         levels = real.levels
-        low = np.concatenate(([0.0], levels))
-        high = np.concatenate((levels, levels[-1:]))
+        low, high = real.gaps
         #: Irradiance of each brightness above black, at exposure 1, and how far off it may be.
         self._middle = (low + high) / 2
         self._half = (high - low) / 2

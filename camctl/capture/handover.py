@@ -40,9 +40,10 @@ def hand_over(
     plan = report.plan
     records = [record for record in report.frames if record is not None]
     applied = [record.applied for record in records]
-    for record, exposure in zip(records, relative(applied), strict=True):
+    exposures = relative(applied)
+    for record, exposure in zip(records, exposures, strict=True):
         record.exposure = exposure
-    effective = EffectiveCamera.of(controls.levels, relative(applied))
+    effective = EffectiveCamera.of(controls.levels, exposures)
     desired = plan.desired
     full_scale_exposure = min(setting.exposure for setting in applied)
     if controls.sensitivity is not None:

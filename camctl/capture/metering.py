@@ -6,8 +6,10 @@ import math
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.camera import Camera, ExposureSetting, Frame, PreviewingCamera
 from camctl.capture.colour import planes
@@ -39,14 +41,19 @@ def highlight(frame: Frame, camera: Camera) -> tuple[int, float]:
     """
     brightest, clipped, seen = 0, 0, 0
     for plane in planes(frame.pixels, camera.controls.layout):
-        step = max(1, math.isqrt(plane.size // _SAMPLES))
-        counts = np.bincount(plane[::step, ::step].ravel(), minlength=frame.white + 1)
+        counts = np.bincount(_sample(plane), minlength=frame.white + 1)
         above = np.cumsum(counts[::-1])[::-1]  # above[B]: samples of brightness >= B
         allowed = GLINTS * above[0]
         brightest = max(brightest, int(np.flatnonzero(above > allowed)[-1]))
         clipped += int(above[frame.white])
         seen += int(above[0])
     return max(0, min(brightest, frame.white) - frame.black), clipped / seen
+
+
+def _sample(plane: NDArray[Any]) -> NDArray[Any]:
+    """Return about `_SAMPLES` samples of a plane at most, (N,), evenly spread."""
+    step = max(1, math.isqrt(plane.size // _SAMPLES))
+    return plane[::step, ::step].ravel()
 
 
 def _looker(camera: Camera, spend_shutter: bool) -> Callable[[ExposureSetting], Frame]:
@@ -145,8 +152,7 @@ def light_histogram(
     look = _looker(camera, spend_shutter)
     levels = controls.levels.levels
     # A brightness stands for all light of its gap: spread over it, evenly in its logarithm.
-    high = np.concatenate((levels, levels[-1:]))
-    low = np.concatenate(([0.0], levels))
+    low, high = controls.levels.gaps
     setting, upper = metering.setting, np.inf
     light, counts = [], []
     while True:
@@ -154,9 +160,8 @@ def light_histogram(
         scale = metering.limit_s / setting.time_s
         found = np.zeros(levels.size + 1)
         for plane in planes(frame.pixels, controls.layout):
-            step = max(1, math.isqrt(plane.size // _SAMPLES))
-            above = np.clip(plane[::step, ::step].astype(np.intp) - frame.black, 0, levels.size)
-            found += np.bincount(above.ravel(), minlength=levels.size + 1)
+            above = np.clip(_sample(plane).astype(np.intp) - frame.black, 0, levels.size)
+            found += np.bincount(above, minlength=levels.size + 1)
         wanted_s = min(setting.time_s * levels.size / (2 * _READABLE), _LONGEST_LOOK_S)
         longer_s = controls.time_s.nearest(max(wanted_s, setting.time_s))
         readable = levels[min(_READABLE, levels.size) - 1] * scale

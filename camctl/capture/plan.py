@@ -46,12 +46,13 @@ def plan_capture(
     controls, real = camera.controls, camera.controls.levels
     warnings = [*controls.notes, *real.notes]
     ratios = None
-    if needs_light(request) and table is not None:
-        raise UsageError(
-            "a table holds no exposures for a time budget or an automatic response",
-            hint="leave --table out",
-        )
-    if not needs_light(request):
+    if needs_light(request):
+        if table is not None:
+            raise UsageError(
+                "a table holds no exposures for a time budget or an automatic response",
+                hint="leave --table out",
+            )
+    else:
         desired = desired_response(request.response, request.dynamic_range)
         ratios = looked_up(real, desired, request, table, progress)
     metering, limit_s = _limit(camera, request, warnings)

@@ -48,6 +48,17 @@ class RealResponse:
         """Number of levels: white minus black."""
         return int(self.levels.size)
 
+    @property
+    def gaps(self) -> tuple[FloatArray, FloatArray]:
+        """(low, high), each (M + 1,): the irradiance that brightness 0..M stands for.
+
+        Brightness M is saturated and has no upper end: it gets E_M for both.
+        """
+        return (
+            np.concatenate(([0.0], self.levels)),
+            np.concatenate((self.levels, self.levels[-1:])),
+        )
+
     @cached_property
     def fingerprint(self) -> str:
         """First 16 hex digits of the sha256 of the levels as little-endian float64."""

@@ -56,10 +56,10 @@ class CameraConformance:
 
     def light(self, camera: Camera, frame: Frame) -> float:
         """Return the mean irradiance of the samples of a frame, relative, black removed."""
-        levels = camera.controls.levels.levels
-        edges = np.concatenate(([0.0], levels, levels[-1:]))
-        middle = (edges[:-1] + edges[1:]) / 2
-        brightness = np.clip(frame.pixels.astype(np.intp) - frame.black, 0, levels.size)
+        real = camera.controls.levels
+        low, high = real.gaps
+        middle = (low + high) / 2
+        brightness = np.clip(frame.pixels.astype(np.intp) - frame.black, 0, real.M)
         return float(middle[brightness].mean())
 
     def test_it_says_who_it_is(self, camera: Camera) -> None:
