@@ -53,10 +53,10 @@ class SettingChooser:
         """
         bases = self._bases(limit_s)
         rounded = [tuple(options[0] for options in self._options(base)) for base in bases]
-        ranked = sorted(range(len(bases)), key=lambda i: (self.score(rounded[i]), -i))
+        scores = [self.score(settings) for settings in rounded]
+        ranked = sorted(range(len(bases)), key=scores.__getitem__)  # equals: the longer base first
         left = evaluations - len(bases)
-        champion = rounded[ranked[0]]
-        best_score = self.score(champion)
+        champion, best_score = rounded[ranked[0]], scores[ranked[0]]
         for index in ranked[:_KEPT_BASES]:
             options = self._options(bases[index])
             if math.prod(map(len, options)) <= left // _KEPT_BASES:

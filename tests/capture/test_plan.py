@@ -263,3 +263,10 @@ def test_wishes_that_do_not_go_together_are_refused(make_camera):
             )
         with pytest.raises(DataError, match="has no row"):
             plan_capture(camera, CaptureRequest(), table=ExposureTable())
+
+
+def test_where_all_bases_are_alike_the_longest_is_taken(make_camera):
+    with make_camera() as camera:
+        plan = plan_capture(camera, CaptureRequest("linear", 256.0, 1))
+        step = camera.controls.time_s.step
+    assert 0 <= plan.metering.limit_s - plan.base_s < step
