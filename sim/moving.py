@@ -83,11 +83,7 @@ class Target:
     def slopes(self) -> tuple[float, float]:
         """Largest change from one column to the next, of light x cover and of cover."""
         cover = self.cover if self.light.ndim == 2 else self.cover[..., np.newaxis]
-        sides = [(0, 0), (1, 1), (0, 0)]
-        lit, covered = (
-            np.pad(np.atleast_3d(values), sides) for values in (self.light * cover, cover)
-        )
-        return tuple(float(np.abs(np.diff(v, axis=1)).max()) for v in (lit, covered))  # type: ignore[return-value]
+        return _steepest(self.light * cover), _steepest(cover)
 
     def scaled(self, light: Light) -> Target:
         """Return the same target with another surface `light`."""
@@ -167,3 +163,9 @@ def _integral(
     left, right = (np.take_along_axis(padded, cell + k, axis=1) for k in (0, 1))
     before = np.take_along_axis(below, cell, axis=1)
     return np.asarray(before + part * left + part**2 / 2 * (right - left))
+
+
+def _steepest(values: Light) -> float:
+    """Return the largest change from one column to the next, nothing lying beyond the borders."""
+    sides = [(0, 0), (1, 1), (0, 0)]
+    return float(np.abs(np.diff(np.pad(np.atleast_3d(values), sides), axis=1)).max())
