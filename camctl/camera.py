@@ -321,3 +321,23 @@ class PreviewingCamera(Camera, Protocol):
     def preview(self, setting: ExposureSetting) -> Frame:
         """Return one frame at `setting`, for metering; raises as `shoot` does."""
         ...
+
+
+@runtime_checkable
+class StreamingCamera(Camera, Protocol):
+    """A camera whose frames keep coming, so that the delay of its controls can be measured."""
+
+    @property
+    def mode(self) -> str:
+        """What a delay belongs to: pixel format, size and frame rate in one word."""
+        ...
+
+    def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> Sequence[Frame]:
+        """Settle at `before`, set `after`, and return the next `frames` frames as they come.
+
+        Frame 0 is the first whose exposure had not begun when `after` was set; with a control delay
+        of d frames, frame d is the first that has it.  Which exposure each frame had is what the
+        caller wants to find out: `requested` and `applied` are those of `after`, and `index` counts
+        from 0.  Raises as `shoot` does.
+        """
+        ...

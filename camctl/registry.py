@@ -21,8 +21,12 @@ PANELS = "camctl.panels"
 class CameraRoad(Protocol):
     """One way to reach cameras: a bus, a protocol, or a simulation."""
 
-    def discover(self) -> Sequence[CameraInfo]:
-        """Return the cameras that can be opened now, within a second."""
+    def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
+        """Return the cameras that can be opened now, within a second.
+
+        `probe` allows speaking to devices that may be no cameras, such as whatever hangs on a
+        serial port; without it they are left alone.
+        """
         ...
 
     def open(self, address: str, options: Mapping[str, str]) -> Camera:
@@ -58,13 +62,16 @@ def open_camera(camera_id: str, options: Mapping[str, str] | None = None) -> Cam
     return road.open(address, options or {})
 
 
-def discover_cameras() -> tuple[list[CameraInfo], list[str]]:
-    """Return all cameras that can be opened now, and a line for each road that could not look."""
+def discover_cameras(*, probe: bool = False) -> tuple[list[CameraInfo], list[str]]:
+    """Return all cameras that can be opened now, and a line for each road that could not look.
+
+    `probe`: see `CameraRoad.discover`.
+    """
     cameras: list[CameraInfo] = []
     problems: list[str] = []
     for name in sorted(_found(CAMERAS)):
         try:
-            cameras.extend(load(CAMERAS, "camera", name)().discover())
+            cameras.extend(load(CAMERAS, "camera", name)().discover(probe=probe))
         except CamctlError as error:
             problems.append(f"{name}: {error}")
     return cameras, problems

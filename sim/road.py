@@ -26,7 +26,7 @@ class SimulatedRoad:
     Options: scene, sensor, seed, size (WIDTHxHEIGHT), time (virtual or real), tolerance (DN).
     """
 
-    def discover(self) -> Sequence[CameraInfo]:
+    def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the one simulated camera: it is always there."""
         return (CameraInfo("sim", "camctl", f"simulated {DEFAULT_SENSOR}", DEFAULT_SENSOR, "sim"),)
 

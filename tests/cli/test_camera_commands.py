@@ -229,7 +229,7 @@ def test_cameras(run: Run) -> None:
 
 def test_cameras_says_which_road_could_not_look(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     class Blind:
-        def discover(self) -> None:
+        def discover(self, *, probe: bool = False) -> None:
             raise CameraNotFoundError("the bus is closed")
 
     monkeypatch.setattr(registry, "load", lambda *_: Blind)
