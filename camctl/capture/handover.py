@@ -9,11 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import ExposureControls
+from camctl.capture.metering import GLINTS, NOTHING
 from camctl.capture.pictures import Tables, shares, write_pictures, write_sum
 from camctl.capture.plan import relative
 from camctl.capture.report import Achieved, CaptureReport, Irradiance
 from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.objective import xi
+
+#: A picture with more than this share of it saturated shows nothing.
+_NOTHING_LEFT = 0.99
 
 
 def hand_over(
@@ -58,6 +62,7 @@ def hand_over(
         saturated_fraction=outside.saturated,
         dark_fraction=outside.dark,
     )
+    report.warnings += _blind(total, report.black_total, controls.levels.M, outside.saturated)
     report.irradiance = Irradiance(
         unit="full scales per second" if controls.sensitivity is None else "as the scene",
         full_scale_exposure=full_scale_exposure,
@@ -74,3 +79,25 @@ def hand_over(
     report.timing["writing_s"] = time.perf_counter() - began
     report.status = "complete"
     report.write(directory)
+
+
+def _blind(
+    total: NDArray[np.unsignedinteger], black_total: int, levels: int, saturated: float
+) -> list[str]:
+    """Return a line for a picture that holds no light, or nothing but too much of it.
+
+    Read noise around a black level lights half of the samples: light is what rises above
+    `metering.NOTHING` of one frame's levels.
+    """
+    lit = np.count_nonzero(total > black_total + NOTHING * levels) / total.size
+    if lit <= GLINTS:
+        return [
+            "there is nothing to see: all is black in every exposure; take the lens cap off, or "
+            "expose longer (--base)"
+        ]
+    if saturated > _NOTHING_LEFT:
+        return [
+            f"{saturated:.2%} of the picture is white in every exposure; expose shorter (--base), "
+            f"close the aperture, or put a filter before the lens"
+        ]
+    return []

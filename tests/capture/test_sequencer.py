@@ -317,3 +317,14 @@ def test_a_frame_in_another_format_is_on_disk_all_the_same(make_camera, tmp_path
     with make_camera() as camera, pytest.raises(CaptureError, match="changed its black and white"):
         capture(Shifting(camera), GIVEN, tmp_path / "out")
     assert (tmp_path / "out" / "frames" / "frame-01.npy").exists()
+
+
+@pytest.mark.parametrize("sensor", ["standard", "machine-vision"])
+@pytest.mark.parametrize(("base_s", "said"), [(1e-5, "lens cap"), (60.0, "is white"), (0.02, None)])
+def test_a_picture_that_shows_nothing_says_so(make_camera, tmp_path, sensor, base_s, said):
+    with make_camera(sensor, time_minimum_s=1e-5, line_s=1e-5, time_maximum_s=120.0) as camera:
+        request = CaptureRequest("log", 1000.0, ratios=(1.0, 1.0), base_s=base_s)
+        report = capture(camera, request, tmp_path / "out")
+    told = [line for line in report.warnings if "in every exposure" in line]
+    assert len(told) == (said is not None)
+    assert all(said in line for line in told)
