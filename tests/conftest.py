@@ -18,7 +18,8 @@ def real_data():
 
 @pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory):
-    """Solved exposures of the tests go to a folder of their own."""
+    """Solved exposures and camera profiles of the tests go to folders of their own."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CAMCTL_PROFILES", str(tmp_path_factory.mktemp("profiles")))
         patch.setenv("CAMCTL_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield

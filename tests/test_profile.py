@@ -1,0 +1,263 @@
+"""Profiles: kept whole, found again by serial number, never mixed up or half lost."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from camctl.camera import CameraInfo, Layout
+from camctl.errors import CamctlError, DataError, StorageError, UsageError
+from camctl.profile import (
+    DelayRecord,
+    Profile,
+    StillRecord,
+    change_profile,
+    list_profiles,
+    load_profile,
+    profile_directory,
+    remove_profile,
+    save_profile,
+)
+
+THE_CAMERA = CameraInfo("v4l2:/dev/video0", "Make", "Webcam 3000", "A1B2", "v4l2")
+DELAY = DelayRecord(
+    frames=2, smallest=2, largest=2, trials=12, measured_at="2026-01-02T03:04:05+00:00"
+)
+STILL = StillRecord(rows=4, columns=6, layout=Layout.RGGB, bits=14, black=1024, white=16300)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "profiles"
+    monkeypatch.setenv("CAMCTL_PROFILES", str(folder))
+    return folder
+
+
+def of(**changes: str) -> CameraInfo:
+    known = {"id": "x", "make": "Make", "model": "Webcam 3000", "serial": "A1B2", "driver": "v4l2"}
+    return CameraInfo(**{**known, **changes})
+
+
+def test_nothing_known_is_an_empty_profile_and_writes_nothing(folder: Path) -> None:
+    profile = load_profile(THE_CAMERA)
+    assert (profile.driver, profile.make, profile.model, profile.serial) == (
+        "v4l2",
+        "Make",
+        "Webcam 3000",
+        "A1B2",
+    )
+    assert (profile.delays, profile.stills) == ({}, {})
+    assert not folder.exists()
+
+
+def test_what_was_saved_is_found_again_at_another_socket(folder: Path) -> None:
+    profile = load_profile(THE_CAMERA)
+    profile.delays["YUYV-640x480-30"] = DELAY
+    profile.stills["raw"] = STILL
+    path = save_profile(profile)
+    assert path.parent == folder
+    assert load_profile(of(id="v4l2:/dev/video7")) == profile
+
+
+def test_every_other_camera_has_another_profile() -> None:
+    change_profile(THE_CAMERA, lambda profile: profile.delays.update(mode=DELAY))
+    for other in (
+        of(serial="A1B3"),
+        of(serial=""),
+        of(serial="a1b2"),
+        of(make="Makes"),
+        of(model="Webcam 3000-A1B2", serial=""),
+        of(driver="ptp"),
+    ):
+        assert load_profile(other).delays == {}
+
+
+def test_cameras_of_a_model_without_serial_numbers_share_a_profile() -> None:
+    change_profile(of(serial=""), lambda profile: profile.delays.update(mode=DELAY))
+    assert load_profile(of(serial="", id="y")).delays == {"mode": DELAY}
+
+
+@given(
+    st.builds(
+        CameraInfo,
+        id=st.just("x"),
+        make=st.text(max_size=300),
+        model=st.text(alphabet=st.characters() | st.sampled_from("/\\.\0\n\ud800 "), max_size=300),
+        serial=st.sampled_from(["", "..", "../../x", "/etc/passwd", "\udcff", "COM1", "ä" * 300]),
+        driver=st.sampled_from(["v4l2", "ptp"]),
+    )
+)
+def test_odd_characters_stay_in_the_folder(camera: CameraInfo) -> None:
+    path = change_profile(camera, lambda profile: profile.delays.update({camera.make: DELAY}))
+    assert path.parent == profile_directory()
+    assert path.name.isascii()
+    assert len(path.name) < 120
+    assert list(load_profile(camera).delays.values()) == [DELAY]
+    path.unlink()
+
+
+def test_a_write_that_fails_leaves_the_old_profile(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    change_profile(THE_CAMERA, lambda profile: profile.delays.update(mode=DELAY))
+
+    def full(_descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StorageError, match="disk is full"):
+        change_profile(THE_CAMERA, lambda profile: profile.delays.clear())
+    assert load_profile(THE_CAMERA).delays == {"mode": DELAY}
+    assert [path.name for path in folder.iterdir() if "part" in path.name] == []
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"\xff\xfe",
+        b'{"driver": "v4l2"}',
+        b'{"driver": "v4l2", "make": "", "model": "", "serial": "", "extra": 1}',
+    ],
+)
+def test_a_damaged_file_is_one_line_that_says_how_to_go_on(content: bytes) -> None:
+    path = change_profile(THE_CAMERA, lambda profile: None)
+    path.write_bytes(content)
+    for read in (lambda: load_profile(THE_CAMERA), list_profiles):
+        with pytest.raises(DataError) as error:
+            read()
+        assert "\n" not in str(error.value)
+        assert f"camctl profile remove {path.stem}" in str(error.value)
+    remove_profile(path.stem)
+    assert load_profile(THE_CAMERA).delays == {}
+
+
+@given(st.binary(max_size=200))
+def test_no_content_raises_anything_but_a_data_error(content: bytes) -> None:
+    path = change_profile(of(serial="fuzzed"), lambda profile: None)
+    path.write_bytes(content)
+    try:
+        with pytest.raises(DataError):
+            load_profile(of(serial="fuzzed"))
+    finally:
+        path.unlink()
+
+
+def test_a_profile_of_another_camera_is_not_believed() -> None:
+    path = change_profile(THE_CAMERA, lambda profile: profile.delays.update(mode=DELAY))
+    other = path.parent / f"{load_profile(of(serial='B')).name}.json"
+    path.rename(other)
+    with pytest.raises(DataError, match="another camera"):
+        load_profile(of(serial="B"))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"frames": 3},
+        {"frames": None},
+        {"smallest": 1},
+        {"smallest": 4, "frames": None},
+        {"smallest": -1, "frames": None},
+        {"trials": 0},
+    ],
+)
+def test_a_delay_that_contradicts_itself_is_refused(changes: dict[str, int | None]) -> None:
+    with pytest.raises(ValidationError):
+        DelayRecord.model_validate({**DELAY.model_dump(), **changes})
+
+
+def test_a_delay_that_is_not_constant_has_no_frames() -> None:
+    varied = {**DELAY.model_dump(), "frames": None, "smallest": 1, "largest": 3}
+    assert DelayRecord.model_validate(varied).frames is None
+
+
+@pytest.mark.parametrize("changes", [{"black": 16300}, {"white": 1 << 14}, {"rows": 0}])
+def test_a_still_that_contradicts_itself_is_refused(changes: dict[str, int]) -> None:
+    with pytest.raises(ValidationError):
+        StillRecord.model_validate({**STILL.model_dump(), **changes})
+
+
+def test_writers_at_one_time_lose_nothing_of_each_other() -> None:
+    problems: list[BaseException] = []
+
+    def learn(mode: str) -> None:
+        try:
+            change_profile(THE_CAMERA, lambda profile: profile.delays.update({mode: DELAY}))
+        except BaseException as error:
+            problems.append(error)
+
+    modes = [f"mode-{number}" for number in range(12)]
+    threads = [threading.Thread(target=learn, args=(mode,)) for mode in modes]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert problems == []
+    assert sorted(load_profile(THE_CAMERA).delays) == sorted(modes)
+
+
+def test_list_and_remove() -> None:
+    assert list_profiles() == []
+    for serial in ("1", "2"):
+        change_profile(of(serial=serial), lambda profile: profile.delays.update(mode=DELAY))
+    first, second = list_profiles()
+    assert {first.serial, second.serial} == {"1", "2"}
+    assert not remove_profile(first.name).exists()
+    assert list_profiles() == [second]
+    with pytest.raises(UsageError, match="did you mean"):
+        remove_profile(second.name[:-1])
+    remove_profile(second.name)
+    with pytest.raises(UsageError, match="no other"):
+        remove_profile(second.name)
+
+
+@pytest.mark.parametrize("name", ["..", "../secret", "", "*"])
+def test_no_name_removes_anything_else(folder: Path, name: str) -> None:
+    path = change_profile(THE_CAMERA, lambda profile: None)
+    secret = folder.parent / "secret.json"
+    secret.write_text("{}")
+    with pytest.raises(UsageError):
+        remove_profile(name)
+    assert secret.exists()
+    assert path.exists()
+
+
+def test_a_folder_that_is_a_file_says_so(folder: Path) -> None:
+    folder.write_text("no folder")
+    for use in (
+        lambda: load_profile(THE_CAMERA),
+        lambda: list_profiles(),
+        lambda: save_profile(Profile(driver="a", make="b", model="c", serial="d")),
+        lambda: change_profile(THE_CAMERA, lambda profile: None),
+    ):
+        with pytest.raises(CamctlError, match="CAMCTL_PROFILES"):
+            use()
+
+
+def test_no_permission_says_so(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = change_profile(THE_CAMERA, lambda profile: None)
+    if os.geteuid() != 0:
+        path.chmod(0)
+    else:  # nothing is forbidden to root
+
+        def forbidden(_path: Path) -> bytes:
+            raise PermissionError(13, "Permission denied")
+
+        monkeypatch.setattr(Path, "read_bytes", forbidden)
+    with pytest.raises(DataError, match="Permission denied"):
+        load_profile(THE_CAMERA)
+
+
+def test_without_the_variable_it_is_the_users_data_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CAMCTL_PROFILES")
+    monkeypatch.setenv("XDG_DATA_HOME", "/somewhere")
+    assert profile_directory() == Path("/somewhere/camctl/profiles")
