@@ -16,7 +16,12 @@ from camctl.camera import (
     Pixels,
 )
 from camctl.clock import Clock, VirtualClock
-from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraTimeoutError
+from camctl.errors import (
+    CameraBusyError,
+    CameraDisconnectedError,
+    CameraProtocolError,
+    CameraTimeoutError,
+)
 from sim.budget import FramePlan
 from sim.device import Buffer, SimulatedDevice, Slot
 from sim.render import Renderer
@@ -31,7 +36,7 @@ SILENCE_S = 5.0
 class Faults:
     """What goes wrong, as it does with real hardware.
 
-    Frames are counted from 0 as `shoot` hands them over, since the camera was opened.
+    Frames are counted from 0 as `shoot` and `step` hand them over, since the camera was opened.
 
     Attributes:
         unplug_after: the cable is pulled after so many frames
@@ -47,7 +52,7 @@ class Faults:
 
 
 class SimulatedCamera:
-    """A camera with `sensor` before `scene`; implements `camctl.camera.PreviewingCamera`.
+    """A camera with `sensor` before `scene`; implements `PreviewingCamera` and `StreamingCamera`.
 
     Args:
         scene: what it looks at; the frame has the scene's size
@@ -122,6 +127,13 @@ class SimulatedCamera:
         """Frames that the device dropped because nobody took them in time."""
         return self.device.lost
 
+    @property
+    def mode(self) -> str:
+        """Pixel format, size and frame rate, such as mono8-640x480-30."""
+        rows, columns = self._controls.shape
+        rate = round(1 / self.sensor.frame_interval_s, 3)
+        return f"{self._controls.layout}{self._controls.bits}-{columns}x{rows}-{rate:g}"
+
     def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
         """Take the settings in their order; see `camctl.camera.Camera.shoot`."""
         wanted = tuple(settings)
@@ -135,6 +147,36 @@ class SimulatedCamera:
         self._check_ready()
         self._controls.check(setting)
         return next(self._stream((setting,), is_preview=True))
+
+    def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
+        """Return the frames that follow a change of exposure; see `camctl.camera.StreamingCamera`.
+
+        Raises:
+            CameraProtocolError: the device dropped a frame because nobody took it in time
+        """
+        self._check_ready()
+        for setting in (before, after):
+            self._controls.check(setting)
+        settled = self.device.write(before)[0]
+        settled += self.sensor.delay_frames + self.sensor.delay_jitter_frames
+        while self._dequeue(is_preview=False).sequence < settled:
+            pass
+        first, applied = self.device.write(after)
+        # All of them are taken before the first is rendered, which may take longer than a frame.
+        buffers: list[Buffer] = []
+        while len(buffers) < frames:
+            buffer = self._dequeue(is_preview=False)
+            if buffer.sequence >= first:
+                buffers.append(buffer)
+        if [buffer.sequence - first for buffer in buffers] != list(range(frames)):
+            raise CameraProtocolError(
+                "the simulated camera lost a frame", hint="leave the computer alone and try again"
+            )
+        self._share = 1.0
+        return [
+            self._read_out(buffer, after, applied, index, is_preview=False)
+            for index, buffer in enumerate(buffers)
+        ]
 
     def close(self) -> None:
         """Let go of the device; every call but this one then raises `CameraDisconnectedError`."""

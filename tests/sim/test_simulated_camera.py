@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.camera import Camera, ExposureSetting, Frame, PreviewingCamera
+from camctl.camera import Camera, ExposureSetting, Frame, PreviewingCamera, StreamingCamera
 from camctl.clock import Clock, RealClock, VirtualClock
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
+    CameraProtocolError,
     CameraTimeoutError,
     RefusedSettingError,
 )
@@ -392,3 +393,63 @@ def test_real_time_takes_its_time() -> None:
             assert frame.timestamp_s <= clock.now()
         assert clock.now() - start_s >= 4 * INTERVAL_S
         assert camera.frames_lost == 0
+
+
+@pytest.mark.parametrize("delay", range(6))
+@pytest.mark.parametrize("step_s", [0.0, 0.001])
+def test_after_a_step_frame_d_is_the_first_that_has_it(delay: int, step_s: float) -> None:
+    clock = BusyClock(step_s) if step_s else VirtualClock()
+    with open_steady(delay, clock=clock) as camera:
+        assert isinstance(camera, StreamingCamera)
+        short, long = lines(5, 20)
+        for before, after in ((short, long), (long, short), (short, long)):
+            frames = camera.step(before, after, 8)
+            seen = [int(frame.pixels[0, 0]) for frame in frames]
+            old, new = expected_dn(camera, before), expected_dn(camera, after)
+            assert seen == pytest.approx([old] * delay + [new] * (8 - delay), abs=1)
+            assert [frame.index for frame in frames] == list(range(8))
+            assert {frame.applied for frame in frames} == {after}
+            stamps = np.diff([frame.timestamp_s for frame in frames])
+            assert stamps == pytest.approx(INTERVAL_S)
+        assert still_works(camera)
+
+
+@given(st.integers(0, 3), st.integers(0, 4), st.integers(0, 99))
+@settings(max_examples=25, deadline=None)
+def test_a_jittering_step_lands_within_its_jitter(delay: int, jitter: int, seed: int) -> None:
+    with open_steady(delay, jitter, seed=seed) as camera:
+        short, long = lines(5, 20)
+        frames = camera.step(short, long, 10)
+        has_it = [abs(int(f.pixels[0, 0]) - expected_dn(camera, long)) <= 1 for f in frames]
+        landed = has_it.index(True)
+        assert delay <= landed <= delay + jitter
+        assert has_it == [False] * landed + [True] * (10 - landed)
+
+
+def test_a_step_is_refused_and_fails_as_a_shot_does() -> None:
+    with open_steady() as camera:
+        with pytest.raises(RefusedSettingError):
+            camera.step(lines(5)[0], ExposureSetting(1e9), 3)
+        frames = camera.shoot(lines(5, 10))
+        next(frames)
+        with pytest.raises(CameraBusyError):
+            camera.step(*lines(5, 20), 3)
+    with pytest.raises(CameraDisconnectedError):
+        camera.step(*lines(5, 20), 3)
+    for faults, kind in (
+        (Faults(unplug_after=0), CameraDisconnectedError),
+        (Faults(freeze_after=0), CameraTimeoutError),
+    ):
+        with open_steady(faults=faults) as camera, pytest.raises(kind):
+            camera.step(*lines(5, 20), 3)
+
+
+def test_a_step_does_not_pass_over_a_lost_frame() -> None:
+    late = BusyClock(3 * QUEUE * INTERVAL_S)
+    with open_steady(clock=late) as camera, pytest.raises(CameraProtocolError, match="lost a"):
+        camera.step(*lines(5, 20), 3)
+
+
+def test_the_mode_names_format_size_and_rate() -> None:
+    with open_steady() as camera:
+        assert camera.mode == "mono12-3x2-32"
