@@ -186,7 +186,7 @@ def remove_profile(name: str) -> Path:
     if name not in known:
         if not known:
             raise UsageError(
-                f"no profile '{name}', and no other", hint="camctl calibrate makes the first"
+                f"no profile '{name}', and no other", hint="camctl calibrate makes them"
             )
         raise unknown_name("profile", name, known)
     with _told_where(known[name]):

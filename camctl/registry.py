@@ -8,6 +8,7 @@ Panels are callables in ``camctl.panels``.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol
 
@@ -19,7 +20,10 @@ PANELS = "camctl.panels"
 
 
 class CameraRoad(Protocol):
-    """One way to reach cameras: a bus, a protocol, or a simulation."""
+    """One way to reach cameras: a bus, a protocol, or a simulation.
+
+    A road may have an attribute `about`, one line that says which cameras it leads to.
+    """
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras that can be opened now, within a second.
@@ -49,7 +53,7 @@ def load(group: str, kind: str, name: str) -> Any:
         raise unknown_name(kind, name, found)
     try:
         return found[name].load()
-    except ImportError as error:
+    except (ImportError, AttributeError) as error:
         raise UsageError(
             f"{kind} '{name}' cannot be loaded: {error}", hint="install what it needs"
         ) from error
@@ -62,16 +66,32 @@ def open_camera(camera_id: str, options: Mapping[str, str] | None = None) -> Cam
     return road.open(address, options or {})
 
 
-def discover_cameras(*, probe: bool = False) -> tuple[list[CameraInfo], list[str]]:
-    """Return all cameras that can be opened now, and a line for each road that could not look.
+@dataclass(frozen=True)
+class Look:
+    """What one road found: `problem` is one line where it could not look, else empty."""
 
-    `probe`: see `CameraRoad.discover`.
-    """
-    cameras: list[CameraInfo] = []
-    problems: list[str] = []
+    road: str
+    about: str
+    cameras: tuple[CameraInfo, ...] = ()
+    problem: str = ""
+
+
+def look_for_cameras(*, probe: bool = False) -> list[Look]:
+    """Return what each road finds; `probe`: see `CameraRoad.discover`."""
+    looks = []
     for name in sorted(_found(CAMERAS)):
+        about = ""
         try:
-            cameras.extend(load(CAMERAS, "camera", name)().discover(probe=probe))
+            kind = load(CAMERAS, "camera", name)
+            about = getattr(kind, "about", "")
+            looks.append(Look(name, about, tuple(kind().discover(probe=probe))))
         except CamctlError as error:
-            problems.append(f"{name}: {error}")
-    return cameras, problems
+            looks.append(Look(name, about, problem=str(error)))
+    return looks
+
+
+def discover_cameras(*, probe: bool = False) -> tuple[list[CameraInfo], list[str]]:
+    """Return all cameras that can be opened now, and a line for each road that could not look."""
+    looks = look_for_cameras(probe=probe)
+    problems = [f"{look.road}: {look.problem}" for look in looks if look.problem]
+    return [camera for look in looks for camera in look.cameras], problems

@@ -88,7 +88,7 @@ class SimulatedCamera:
             scene.shape,
             is_coloured=scene.is_coloured,
             photons_per_unit=photons_per_unit(scene, sensor),
-            notes=scene.notes,
+            notes=(*scene.notes, *_settling(sensor)),
         )
         self._renderer = Renderer(
             View.of(scene, sensor), sensor, seed=seed, threads=threads, tolerance_dn=tolerance_dn
@@ -316,3 +316,14 @@ class SimulatedCamera:
             white=self._controls.white,
             details={"simulation": self._plan.as_data()},
         )
+
+
+def _settling(sensor: Sensor) -> tuple[str, ...]:
+    """Return a line for a sensor that cannot be set frame by frame."""
+    if sensor.delay_jitter_frames == 0:
+        return ()
+    most = sensor.delay_frames + sensor.delay_jitter_frames
+    return (
+        f"the delay of the exposure controls is not constant ({sensor.delay_frames} to {most} "
+        "frames): the stream settles for each exposure",
+    )

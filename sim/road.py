@@ -26,6 +26,8 @@ class SimulatedRoad:
     Options: scene, sensor, seed, size (WIDTHxHEIGHT), time (virtual or real), tolerance (DN).
     """
 
+    about = "a simulated sensor before a scene: nothing to connect"
+
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the one simulated camera: it is always there."""
         return (CameraInfo("sim", "camctl", f"simulated {DEFAULT_SENSOR}", DEFAULT_SENSOR, "sim"),)

@@ -14,7 +14,17 @@ from camctl.cli.commands import UNDER_DEBUG, LazyGroup, one_line
 from camctl.cli.output import ClosedOutputError, say
 from camctl.errors import CamctlError, UsageError
 
-COMMANDS = ("shoot", "menu", "cameras", "simulate", "solve", "evaluate", "table")
+COMMANDS = (
+    "shoot",
+    "menu",
+    "cameras",
+    "calibrate",
+    "profile",
+    "simulate",
+    "solve",
+    "evaluate",
+    "table",
+)
 """Each is a module of this package that holds a command of the same name."""
 
 cli = LazyGroup(

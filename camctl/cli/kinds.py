@@ -197,6 +197,21 @@ class Seconds(_Kind):
         return value
 
 
+class Word(_Kind):
+    """A name and a value with = between them."""
+
+    name = "word"
+
+    def read(self, word: str, option: str) -> tuple[str, str]:
+        """Return the name and the value, both as they were given."""
+        name, equals, value = word.partition("=")
+        if not (equals and name.strip()):
+            raise UsageError(
+                f"{option}: '{word}' is not NAME=VALUE", hint=f"for example {option} format=y16"
+            )
+        return name.strip(), value.strip()
+
+
 class Size(_Kind):
     """Width x height."""
 

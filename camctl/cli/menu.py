@@ -20,6 +20,7 @@ from camctl.errors import UsageError
     )
 )
 @options.camera
+@options.camera_words
 @click.option(
     "--panel",
     "panel_id",
@@ -40,6 +41,7 @@ from camctl.errors import UsageError
 )
 def menu(
     camera_id: str,
+    words: tuple[tuple[str, str], ...],
     panel_id: str,
     mains: str | None,
     use_aperture: bool,
@@ -70,7 +72,9 @@ def menu(
         raise UsageError(
             f"panel '{name}' {needs}", hint=f"say --panel {name}{'' if address else ':ADDRESS'}"
         ) from error
-    beside = options.camera_options(scene, sensor, size, seed, real_time=real_time)
+    beside = options.camera_options(
+        words, scene=scene, sensor=sensor, size=size, seed=seed, real_time=real_time
+    )
     request = CaptureRequest(
         use_aperture=use_aperture,
         mains_hz=None if mains is None else float(mains),

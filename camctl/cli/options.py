@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from camctl.cli.kinds import Name, NameOrFile, Number, Range, Size, Whole
+from camctl.cli.kinds import Name, NameOrFile, Number, Range, Size, Whole, Word
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ size = click.option(
     "--size",
     type=Size(),
     metavar="WxH",
-    help="Pixels of the simulated camera.  [default: the sensor's, or the map's]",
+    help="Pixels of a frame.  [default: the sensor's, or the map's]",
 )
 
 noise_seed = click.option(
@@ -229,6 +229,16 @@ simulation = all_of(
         is_flag=True,
         help="Let the simulated camera take as long as a real one would.",
     ),
+)
+
+camera_words = click.option(
+    "-O",
+    "--camera-option",
+    "words",
+    type=Word(),
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="An option of the camera's own, such as format=y16; may be given several times.",
 )
 
 shooting = all_of(
@@ -254,19 +264,31 @@ shooting = all_of(
 
 
 def camera_options(
+    words: Sequence[tuple[str, str]] = (),
+    *,
     scene: str | None = None,
     sensor: str | None = None,
     size: str | None = None,
     seed: int | None = None,
-    *,
     real_time: bool = False,
+    tolerance_dn: float | None = None,
 ) -> dict[str, str]:
-    """Return, as words, the options for the camera that the user gave."""
-    words = {
+    """Return the options for the camera that the user gave: those of their own names, and `words`.
+
+    Raises:
+        UsageError: one is said twice
+    """
+    named = {
         "scene": scene,
         "sensor": sensor,
         "size": size,
         "seed": seed,
         "time": "real" if real_time else None,
+        "tolerance": tolerance_dn,
     }
-    return {name: str(word) for name, word in words.items() if word is not None}
+    said = {name: str(word) for name, word in named.items() if word is not None}
+    for name, value in words:
+        if name in said:
+            raise UsageError(f"the camera's option '{name}' is said twice", hint="say it once")
+        said[name] = value
+    return said

@@ -28,11 +28,12 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
         ("camctl shoot", "the simulated camera: tile floor, equal contrast, 3 exposures"),
         ("camctl shoot --range high -n 4 --sensor phone -o hall", "10 bits, Bayer mosaic"),
         ("camctl shoot --scene memorial.hdr --response gamma", "any radiance map as the scene"),
-        ("camctl shoot --ratios 1,2,4 --base 1/500", "exposures of your own"),
+        ("camctl shoot --camera v4l2:/dev/video0 -O format=y16", "a webcam, in 16 bits"),
         ("camctl shoot --resume hall", "go on where a capture was interrupted"),
     )
 )
 @options.camera
+@options.camera_words
 @click.option(
     "--response",
     type=kinds.Name("response", (*options.RESPONSES, "auto")),
@@ -120,6 +121,7 @@ WITH_RESUME = frozenset({"resume_directory", "as_json"})
 def shoot(
     context: click.Context,
     camera_id: str,
+    words: tuple[tuple[str, str], ...],
     response: str,
     dynamic_range: float,
     count: int,
@@ -187,9 +189,15 @@ def shoot(
             mains_hz=None if mains is None else float(mains),
             spend_shutter=spend_shutter,
         )
-        beside = options.camera_options(scene, sensor, size, seed, real_time=real_time)
-        if tolerance_dn is not None:
-            beside["tolerance"] = str(tolerance_dn)
+        beside = options.camera_options(
+            words,
+            scene=scene,
+            sensor=sensor,
+            size=size,
+            seed=seed,
+            real_time=real_time,
+            tolerance_dn=tolerance_dn,
+        )
         directory = fresh_directory() if directory is None else directory
         report = _shoot(camera_id, beside, request, table_file, directory, force)
     for warning in report.warnings:

@@ -126,7 +126,9 @@ def simulate(
     from camctl.registry import open_camera
     from sim.camera import SimulatedCamera
 
-    beside = options.camera_options(scene, sensor, size, seed) | {"tolerance": repr(tolerance_dn)}
+    beside = options.camera_options(
+        scene=scene, sensor=sensor, size=size, seed=seed, tolerance_dn=tolerance_dn
+    )
     told = []
     with open_camera("sim", beside) as camera:
         assert isinstance(camera, SimulatedCamera)

@@ -10,11 +10,14 @@ from typing import Any
 
 def source_of(camera_id: str, beside: Mapping[str, str]) -> dict[str, Any]:
     """Return what a report must hold to open its camera again, from any working directory."""
-    found_again = {
-        name: str(Path(value).resolve()) if Path(value).is_file() else value
-        for name, value in beside.items()
-    }
+    found_again = {name: _anywhere(value) for name, value in beside.items()}
     return {"camera": camera_id, "options": found_again}
+
+
+def _anywhere(value: str) -> str:
+    """Return a file's name as a full path; a bare word stays, even where a file is called so."""
+    path = Path(value)
+    return str(path.resolve()) if (path.suffix or "/" in value) and path.exists() else value
 
 
 def fresh_directory(parent: Path = Path()) -> Path:

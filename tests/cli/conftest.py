@@ -42,11 +42,12 @@ Run = Callable[..., Ran]
 
 @pytest.fixture
 def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Run a command line in an empty folder, with an empty cache."""
+    """Run a command line in an empty folder, with an empty cache and no profiles."""
     here = tmp_path / "here"
     here.mkdir()
     monkeypatch.chdir(here)
     monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path / "profiles"))
 
     def run_words(*words: str | Path) -> Ran:
         capfd.readouterr()

@@ -13,8 +13,10 @@ import pytest
 import tifffile
 
 from camctl import registry
+from camctl.camera import CameraInfo
 from camctl.errors import CameraNotFoundError
 from sim.camera import Faults, SimulatedCamera
+from sim.road import SimulatedRoad
 from sim.scene import load_scene
 from sim.sensor import load_sensor
 
@@ -174,6 +176,33 @@ def test_interrupted_capture_says_how_to_go_on(run: Run, monkeypatch: pytest.Mon
     assert "here is complete" in again.error
 
 
+def test_options_of_the_camera_are_kept_for_resuming(run: Run) -> None:
+    words = ("-O", "scene=room", "-O", "sensor=phone")
+    told = shot(run, *words, "-o", "here")
+    options = {"scene": "room", "sensor": "phone", "size": "64x48"}
+    assert told["source"] == {"camera": "sim", "options": options}
+    assert told["layout"] == "rggb"
+    Path("here/frames/frame-02.npy").unlink()
+    report = json.loads(Path("here/report.json").read_text())
+    Path("here/report.json").write_text(json.dumps({**report, "status": "incomplete"}))
+    again = run("shoot", "--resume", "here", "--json").json
+    assert again["layout"] == "rggb"
+    assert all(again["frames"])
+
+
+def test_a_word_stays_a_word_where_a_file_is_called_so(run: Run) -> None:
+    Path("room").write_text("no scene")
+    assert shot(run, "--scene", "room", "-o", "here")["source"]["options"]["scene"] == "room"
+
+
+def test_a_stream_that_settles_for_each_exposure_says_so_once(run: Run) -> None:
+    ran = run("shoot", *SMALL, "--sensor", "consumer", "-o", "here", "--json")
+    (note,) = [warning for warning in ran.json["warnings"] if "settles" in warning]
+    assert "not constant" in note
+    assert ran.err.count(note) == 1
+    assert "settles" not in run("shoot", *SMALL, "-o", "steady").err
+
+
 def test_report_finds_the_scene_from_any_folder(run: Run) -> None:
     np.save("map.npy", np.geomspace(1, 100, 48 * 64).reshape(48, 64))
     told = run("shoot", "--scene", "map.npy", "-o", "here", "--json").json
@@ -221,22 +250,54 @@ def test_what_cannot_be_shot_gets_one_line(
 
 
 def test_cameras(run: Run) -> None:
-    (camera,) = run("cameras", "--json").json
+    told = run("cameras", "--json").json
+    (camera,) = [each for each in told if each["id"] == "sim"]
     assert set(camera) == {"id", "make", "model", "serial", "driver"}
-    assert camera["id"] == "sim"
-    assert run("cameras").out.splitlines()[1].startswith("sim ")
+    out = run("cameras").out
+    cameras, roads = out.split("\n\n")
+    assert any(line.startswith("sim ") for line in cameras.splitlines()[1:])
+    (road,) = [line for line in roads.splitlines() if line.startswith("sim ")]
+    assert road.split() == ["sim", "1", *SimulatedRoad.about.split()]
+
+
+class Blind:
+    about = "cameras in the dark"
+
+    def discover(self, *, probe: bool = False) -> None:
+        raise CameraNotFoundError("the bus is closed", hint="open it")
+
+
+class Serial:
+    def discover(self, *, probe: bool = False) -> list[CameraInfo]:
+        return [CameraInfo("serial:1", "Make", "Old", "", "serial")] * probe
+
+
+def roads(monkeypatch: pytest.MonkeyPatch, **kinds: type) -> None:
+    monkeypatch.setattr(registry, "_found", lambda _: kinds)
+    monkeypatch.setattr(registry, "load", lambda _group, _kind, name: kinds[name])
 
 
 def test_cameras_says_which_road_could_not_look(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Blind:
-        def discover(self, *, probe: bool = False) -> None:
-            raise CameraNotFoundError("the bus is closed")
-
-    monkeypatch.setattr(registry, "load", lambda *_: Blind)
+    roads(monkeypatch, blind=Blind)
     ran = run("cameras", "--json")
     assert ran.json == []
-    assert ran.err.startswith("camctl: warning: sim: the bus is closed")
-    assert run("cameras").out == "no camera found\n"
+    assert ran.err == "camctl: warning: blind: the bus is closed; open it\n"
+    told, road = run("cameras").out.split("\n\n")
+    assert told == "no camera found"
+    assert road.splitlines()[1].split(maxsplit=3) == [
+        "blind",
+        "cannot",
+        "look",
+        "cameras in the dark",
+    ]
+
+
+def test_only_probing_speaks_to_what_may_be_no_camera(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    roads(monkeypatch, serial=Serial)
+    assert run("cameras", "--json").json == []
+    assert [each["id"] for each in run("cameras", "--probe", "--json").json] == ["serial:1"]
 
 
 def test_simulate_gives_all_that_scripts_rely_on(run: Run) -> None:

@@ -16,8 +16,13 @@ from camctl.errors import CamctlError, CaptureError, InterruptedCaptureError, Us
 if TYPE_CHECKING:
     from conftest import Run
 
+GROUPS = [("calibrate",), ("profile",), ("table",)]
 LINES = [
-    *((name,) for name in COMMANDS if name != "table"),
+    *((name,) for name in COMMANDS if (name,) not in GROUPS),
+    ("calibrate", "delay"),
+    ("profile", "list"),
+    ("profile", "show"),
+    ("profile", "remove"),
     ("table", "show"),
     ("table", "build"),
 ]
@@ -44,14 +49,15 @@ def test_help_imports_nothing_heavy() -> None:
     assert not heavy & imported
 
 
-@pytest.mark.parametrize("line", [(), ("table",), *LINES])
+@pytest.mark.parametrize("line", [(), *GROUPS, *LINES])
 def test_help_shows_examples_and_every_option(run: Run, line: tuple[str, ...]) -> None:
     page = run(*line, "--help")
     assert page.status == 0
     assert page.err == ""
     assert "Examples:" in page.out
     for parameter in command_at(line).params:
-        assert parameter.opts[-1] in page.out
+        word = parameter.metavar if isinstance(parameter, click.Argument) else parameter.opts[-1]
+        assert word in page.out
     assert run(*line, "-h") == page
 
 
@@ -64,17 +70,20 @@ def test_examples_are_understood(line: tuple[str, ...]) -> None:
     own = [words for words, _ in examples if words.split()[1 : len(line) + 1] == list(line)]
     assert own
     for words in own:
-        made.make_context("camctl", words.split()[len(line) + 1 :])
+        own_words = words.partition(" | ")[0].split()
+        made.make_context("camctl", own_words[len(line) + 1 :])
 
 
 @pytest.mark.parametrize("line", LINES)
 def test_every_option_says_what_it_is_for(line: tuple[str, ...]) -> None:
     for parameter in command_at(line).params:
-        assert isinstance(parameter, click.Option)
-        assert parameter.help, parameter.opts
+        if isinstance(parameter, click.Option):
+            assert parameter.help, parameter.opts
+        else:
+            assert parameter.metavar, parameter.opts
 
 
-@pytest.mark.parametrize("line", [(), ("table",)])
+@pytest.mark.parametrize("line", [(), *GROUPS])
 def test_group_without_a_command_shows_its_help(run: Run, line: tuple[str, ...]) -> None:
     assert run(*line) == run(*line, "--help")
 
@@ -124,6 +133,22 @@ def test_version(run: Run) -> None:
         (["shoot", "--compensation", "inf"], "--compensation: inf is not finite"),
         (["shoot", "--size", "640"], "--size: '640' is no size; for example --size 640x480"),
         (["shoot", "--ratios", "1,2,4", "-n", "2"], "--ratios names 3 exposures, -n says 2"),
+        (["shoot", "-O", "format"], "--camera-option: 'format' is not NAME=VALUE; for example"),
+        (["shoot", "-O", "=y16"], "--camera-option: '=y16' is not NAME=VALUE"),
+        (["shoot", "-O", "size=9x9", "-O", "size=8x8"], "option 'size' is said twice; say it once"),
+        (["menu", "-O", "size=9x9", "--size", "9x9"], "option 'size' is said twice; say it once"),
+        (["shoot", "-O", "fromat=y16"], "unknown option of the simulated camera 'fromat'; known"),
+        (["shoot", "-O", "scenes=room"], "option of the simulated camera 'scenes'; did you mean"),
+        (["calibrate", "delay", "--trials", "1"], "--trials: 1 is not a whole number of trials"),
+        (["calibrate", "dealy"], "unknown command 'dealy'; did you mean delay?"),
+        (["profile", "show"], "missing argument 'NAME'; see camctl profile show --help"),
+        (["profile", "show", "x"], "no profile 'x', and no other; camctl calibrate makes them"),
+        (["profile", "remove", "x"], "no profile 'x', and no other; camctl calibrate makes them"),
+        (["cameras", "--udev-rules", "--json"], "--udev-rules goes alone"),
+        (
+            ["shoot", "--resume", "x", "-O", "a=b"],
+            "--resume goes on as it was planned, without --c",
+        ),
         (["shoot", "--resume", "x", "-n", "2"], "--resume goes on as it was planned, without --ex"),
     ],
 )
@@ -144,12 +169,12 @@ def test_every_command_takes_debug(run: Run, line: tuple[str, ...]) -> None:
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
-    def fail() -> None:
+    def fail(**_: bool) -> None:
         raise error
 
     import camctl.registry
 
-    monkeypatch.setattr(camctl.registry, "discover_cameras", fail)
+    monkeypatch.setattr(camctl.registry, "look_for_cameras", fail)
 
 
 @pytest.mark.parametrize(
