@@ -65,6 +65,8 @@ class SimulatedCamera:
             frames of one `shoot`: each of n frames has 1/n of it.  0, the default, leaves nothing
             out: averages over a bracket of interleaved exposures show far less than a level, and
             a tolerance of more than 0.05 would spoil them.
+        repeat_noise: every frame draws the noise of frame 0 as if the camera had been opened just
+            then, so that it depends on its exposure alone, as in `sim.exposer`
 
     Raises:
         UsageError: a seed or a tolerance out of range
@@ -80,6 +82,7 @@ class SimulatedCamera:
         faults: Faults | None = None,
         threads: int = 2,
         tolerance_dn: float = 0.0,
+        repeat_noise: bool = False,
     ) -> None:
         self.scene = scene
         self.sensor = sensor
@@ -93,6 +96,7 @@ class SimulatedCamera:
         self._renderer = Renderer(
             View.of(scene, sensor), sensor, seed=seed, threads=threads, tolerance_dn=tolerance_dn
         )
+        self._repeat_noise = repeat_noise
         self._share = 1.0
         self._plan: FramePlan | None = None
         self.device = SimulatedDevice(sensor, self._render, self._clock, seed=seed)
@@ -196,13 +200,16 @@ class SimulatedCamera:
         self.close()
 
     def _render(self, slot: Slot) -> Pixels:
-        shot = self._renderer.shot(
-            slot.time_s,
-            slot.gain,
-            slot.sequence,
-            start_s=slot.start_s,
-            previous_s=slot.previous_s,
-        )
+        if self._repeat_noise:
+            shot = self._renderer.shot(slot.time_s, slot.gain, 0)
+        else:
+            shot = self._renderer.shot(
+                slot.time_s,
+                slot.gain,
+                slot.sequence,
+                start_s=slot.start_s,
+                previous_s=slot.previous_s,
+            )
         self._plan = self._renderer.plan(shot, share=self._share)
         return self._renderer.expose(shot, self._plan)
 
