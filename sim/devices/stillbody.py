@@ -1,0 +1,265 @@
+"""What is behind the protocol of any still camera: a shutter, a sensor, files and a card."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from camctl.errors import UsageError
+from sim.devices.stillfiles import SUFFIXES, Exposed, encode, thumbnail
+from sim.exposer import Exposer
+from sim.road import parse_size
+from sim.scene import DEFAULT_SCENE, load_scene
+from sim.sensor import DEFAULT_SENSOR, load_sensor
+
+CARD_BYTES = 256 * 1024 * 1024
+BULB_MAX_S = 120.0  # a bulb exposure that nobody ends ends itself
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+class Scenery(BaseModel):
+    """The part of a still camera's configuration that says what it sees.
+
+    Attributes:
+        scene, sensor: names or files
+        size: of the picture, "WIDTHxHEIGHT"; None: the scene's or the sensor's own
+        seed: of all noise
+        repeat_noise: every picture draws the same noise
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    scene: str = DEFAULT_SCENE
+    sensor: str = DEFAULT_SENSOR
+    size: str | None = None
+    seed: int = Field(default=0, ge=0, lt=2**64)
+    repeat_noise: bool = False
+
+
+# Of the whole configuration, what belongs to the process that holds the devices.
+_OF_THE_HUB = ("name", "kind", "transport")
+
+
+def checked(model: type[_Model], values: Mapping[str, Any]) -> _Model:
+    """Return a configuration as its model (UsageError, one line, where it does not fit)."""
+    try:
+        return model.model_validate(dict(values))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"][:1])
+        raise UsageError(f"{place} of a virtual camera: {first['msg']}") from error
+
+
+def split_config(config: Mapping[str, Any]) -> tuple[Exposer, dict[str, Any]]:
+    """Return what a camera sees, and the rest of its configuration.
+
+    Raises:
+        UsageError, DataError: no such scene or sensor
+    """
+    seen = checked(Scenery, {k: v for k, v in config.items() if k in Scenery.model_fields})
+    sensor = load_sensor(seen.sensor)
+    shape = parse_size(seen.size) if seen.size is not None else None
+    scene = load_scene(seen.scene, shape, usual=sensor.shape)
+    exposer = Exposer(scene, sensor, seed=seen.seed, repeat_noise=seen.repeat_noise)
+    taken = (*Scenery.model_fields, *_OF_THE_HUB)
+    return exposer, {key: value for key, value in config.items() if key not in taken}
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A file on the card.
+
+    Attributes:
+        kind: jpeg, tiff or dng
+        name: on the card
+        data: the file
+        thumbnail: a small JPEG of it
+        rows, columns: of the picture
+        bits: a pixel
+        time_s: what it was exposed for
+    """
+
+    kind: str
+    name: str
+    data: bytes
+    thumbnail: bytes
+    rows: int
+    columns: int
+    bits: int
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What the shutter is told.
+
+    Attributes:
+        time_s: how long; None: until it is released (bulb)
+        gain: linear, of the sensor
+        light: what the aperture lets through, 1 for the widest
+        kinds: the files to make
+    """
+
+    time_s: float | None
+    gain: float
+    light: float
+    kinds: tuple[str, ...]
+
+    def as_data(self) -> dict[str, Any]:
+        """Return it ready for JSON."""
+        return asdict(self)
+
+
+@dataclass
+class Faults:
+    """What is wrong with a still camera at the moment, whatever its protocol.
+
+    Attributes:
+        wrong_factor: so many times the light ..
+        wrong_left: .. in so many next exposures
+        clamp_s: longer shutter times are cut to this without a word; None: they are not
+        is_card_full: no room for a picture
+        is_battery_low: too low to take one
+    """
+
+    wrong_factor: float = 1.0
+    wrong_left: int = 0
+    clamp_s: float | None = None
+    is_card_full: bool = False
+    is_battery_low: bool = False
+
+
+class StillBody:
+    """Takes one picture at a time, each in a thread of its own.
+
+    Args:
+        exposer: the sensor before its scene
+        lock: of the device; held while a picture is handed over
+        stem: of file names, four letters
+        delay_s: from the end of an exposure until its files are on the card
+        grey: one channel in the JPEG and TIFF of a mono sensor
+        quality: of JPEGs, 1 to 100
+        object_bytes: files shorter than this are padded with zeros at their end
+    """
+
+    def __init__(
+        self,
+        exposer: Exposer,
+        lock: threading.RLock,
+        *,
+        stem: str,
+        delay_s: float = 0.0,
+        grey: bool = True,
+        quality: int = 95,
+        object_bytes: int = 0,
+    ) -> None:
+        self.exposer = exposer
+        self.faults = Faults()
+        self.taken = 0
+        self.exposed: Exposure | None = None
+        self._lock = lock
+        self._stem = stem
+        self._delay_s = delay_s
+        self._grey = grey
+        self._quality = quality
+        self._object_bytes = object_bytes
+        self._released = threading.Event()
+        self._worker: threading.Thread | None = None
+
+    @property
+    def is_exposing(self) -> bool:
+        """True from the release until the files are on the card."""
+        return self._worker is not None
+
+    @property
+    def largest_file(self) -> int:
+        """No file of one exposure is larger, bytes."""
+        rows, columns = self.exposer.shape[:2]
+        return max(self._object_bytes, rows * columns * 3 * 2 + 65536)
+
+    def mend(self) -> None:
+        """End all faults."""
+        self.faults = Faults()
+
+    def release(self, exposure: Exposure, done: Callable[[Sequence[Picture]], None]) -> None:
+        """Open the shutter; another thread calls `done`, with the lock, when the files are there.
+
+        Not to be called while it is exposing.
+        """
+        assert self._worker is None
+        self._released.clear()
+        self._worker = threading.Thread(
+            target=self._expose, args=(exposure, done), name=f"{self._stem}-shutter", daemon=True
+        )
+        self._worker.start()
+
+    def end_bulb(self) -> None:
+        """Close the shutter of a bulb exposure."""
+        self._released.set()
+
+    def wait(self, timeout_s: float = 10.0) -> None:
+        """Wait until nothing is exposed."""
+        if worker := self._worker:
+            worker.join(timeout_s)
+
+    def _expose(self, exposure: Exposure, done: Callable[[Sequence[Picture]], None]) -> None:
+        began = time.monotonic()
+        time_s = exposure.time_s
+        if time_s is None:
+            self._released.wait(BULB_MAX_S)
+            time_s = time.monotonic() - began
+        pictures = self._develop(exposure, time_s)
+        time.sleep(max(0.0, began + time_s + self._delay_s - time.monotonic()))
+        with self._lock:
+            self.exposed = replace(exposure, time_s=time_s)
+            self._worker = None
+            done(pictures)
+
+    def _develop(self, exposure: Exposure, time_s: float) -> list[Picture]:
+        light, faults = exposure.light, self.faults
+        if faults.wrong_left > 0:
+            faults.wrong_left -= 1
+            light *= faults.wrong_factor
+        exposer = self.exposer
+        pixels = exposer.expose(time_s * light, exposure.gain, self.taken)
+        self.taken += 1
+        bits = exposer.sensor.bits
+        exposed = Exposed(pixels, exposer.layout, bits, exposer.black, exposer.white, time_s)
+        small = thumbnail(exposed)
+        rows, columns = pixels.shape[:2]
+        pictures = []
+        for kind in exposure.kinds:
+            data = encode(kind, exposed, grey=self._grey, quality=self._quality)
+            data += bytes(max(0, self._object_bytes - len(data)))
+            name = f"{self._stem}{self.taken:04d}.{SUFFIXES[kind]}"
+            depth = bits * (3 if pixels.ndim == 3 else 1)
+            pictures.append(Picture(kind, name, data, small, rows, columns, depth, time_s))
+        return pictures
+
+
+class StillVerbs:
+    """Verbs for what can be wrong with any still camera."""
+
+    body: StillBody
+
+    def do_card_full(self) -> None:
+        """Have no room for a picture."""
+        self.body.faults.is_card_full = True
+
+    def do_battery_low(self) -> None:
+        """Have too little charge for a picture."""
+        self.body.faults.is_battery_low = True
+
+    def do_wrong(self, factor: float = 2.0, count: int = 1) -> None:
+        """Expose the next pictures with so many times the light."""
+        self.body.faults.wrong_factor, self.body.faults.wrong_left = factor, count
+
+    def do_clamp(self, max_s: float) -> None:
+        """Cut shutter times to `max_s` without a word."""
+        self.body.faults.clamp_s = max_s
