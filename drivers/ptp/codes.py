@@ -1,0 +1,199 @@
+"""Numbers of ISO 15740 (PTP) and of makers' extensions, and what each response code means.
+
+Standard codes: ISO 15740:2013, sections 10 to 13.  Makers' codes: not published by them; as
+libgphoto2 and others have found them.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from camctl.errors import (
+    CameraBusyError,
+    CameraDisconnectedError,
+    CameraError,
+    CameraProtocolError,
+    CameraTimeoutError,
+)
+
+
+class Op(IntEnum):
+    """Operations."""
+
+    GET_DEVICE_INFO = 0x1001
+    OPEN_SESSION = 0x1002
+    CLOSE_SESSION = 0x1003
+    GET_STORAGE_IDS = 0x1004
+    GET_STORAGE_INFO = 0x1005
+    GET_OBJECT_HANDLES = 0x1007
+    GET_OBJECT_INFO = 0x1008
+    GET_OBJECT = 0x1009
+    DELETE_OBJECT = 0x100B
+    INITIATE_CAPTURE = 0x100E
+    GET_PROPERTY_DESCRIPTION = 0x1014
+    GET_PROPERTY = 0x1015
+    SET_PROPERTY = 0x1016
+    TERMINATE_OPEN_CAPTURE = 0x1018
+    INITIATE_OPEN_CAPTURE = 0x101C
+
+    NIKON_CAPTURE = 0x90C0
+    NIKON_EVENTS = 0x90C7
+    NIKON_READY = 0x90C8
+    NIKON_CAPTURE_TO = 0x9207
+    NIKON_TERMINATE_CAPTURE = 0x920C
+
+    EOS_RELEASE = 0x910F
+    EOS_SET_PROPERTY = 0x9110
+    EOS_REMOTE_MODE = 0x9114
+    EOS_EVENT_MODE = 0x9115
+    EOS_EVENTS = 0x9116
+    EOS_BULB_START = 0x9125
+    EOS_BULB_END = 0x9126
+    EOS_RELEASE_ON = 0x9128
+    EOS_RELEASE_OFF = 0x9129
+
+    SONY_CONNECT = 0x9201
+    SONY_INFO = 0x9202
+    SONY_SET_PROPERTY = 0x9205
+    SONY_CONTROL = 0x9207
+    SONY_PROPERTIES = 0x9209
+
+
+class Event(IntEnum):
+    """Events; those of Canon are kinds of records of its poll."""
+
+    OBJECT_ADDED = 0x4002
+    STORE_FULL = 0x400A
+    DEVICE_RESET = 0x400B
+    CAPTURE_COMPLETE = 0x400D
+
+    NIKON_OBJECT_IN_MEMORY = 0xC101
+    EOS_OBJECT_ADDED = 0xC181
+    EOS_OBJECT_ADDED_64 = 0xC1A7
+    EOS_PROPERTY_CHANGED = 0xC189
+    EOS_CHOICES_CHANGED = 0xC18A
+    SONY_OBJECT_ADDED = 0xC201
+
+
+class Prop(IntEnum):
+    """Device properties."""
+
+    BATTERY_LEVEL = 0x5001
+    F_NUMBER = 0x5007
+    EXPOSURE_TIME = 0x500D
+    EXPOSURE_PROGRAM = 0x500E
+    EXPOSURE_INDEX = 0x500F
+    STILL_CAPTURE_MODE = 0x5013
+
+    NIKON_EXPOSURE_TIME = 0xD100
+
+    EOS_APERTURE = 0xD101
+    EOS_SHUTTER = 0xD102
+    EOS_ISO = 0xD103
+    EOS_PROGRAM = 0xD105
+    EOS_DESTINATION = 0xD11C
+
+    SONY_SHUTTER = 0xD20D
+    SONY_OBJECT_IN_MEMORY = 0xD215
+    SONY_BATTERY = 0xD218
+    SONY_ISO = 0xD21E
+    SONY_BUTTON_FOCUS = 0xD2C1
+    SONY_BUTTON_SHUTTER = 0xD2C2
+
+
+OK = 0x2001
+SESSION_NOT_OPEN = 0x2003
+DEVICE_BUSY = 0x2019
+SESSION_ALREADY_OPEN = 0x201E
+FOLDER = 0x3001
+ALL_STORES = 0xFFFFFFFF
+
+# code: type of the error, what the camera said, what to do.
+_STANDARD: dict[int, tuple[type[CameraError], str, str]] = {
+    0x2002: (
+        CameraProtocolError,
+        "general error",
+        "see the camera's own display: focus, lens cap, card and battery are the usual causes",
+    ),
+    0x2003: (CameraDisconnectedError, "its session is closed", "open it again"),
+    0x2004: (CameraProtocolError, "transaction numbers do not match", "open it again"),
+    0x2005: (CameraProtocolError, "it does not know this operation", "its model is not supported"),
+    0x2006: (CameraProtocolError, "it does not know a parameter", "its model is not supported"),
+    0x2007: (CameraProtocolError, "a transfer was not completed", "try again"),
+    0x2008: (CameraProtocolError, "no such storage", "put a card in"),
+    0x2009: (CameraProtocolError, "no such object", "shoot it again"),
+    0x200A: (CameraProtocolError, "it does not have this property", "its model is not supported"),
+    0x200C: (CameraError, "its card is full", "make room on the card or put another one in"),
+    0x200E: (CameraError, "its card cannot be written", "take the lock off the card"),
+    0x200F: (
+        CameraError,
+        "it denies access",
+        "turn the mode dial to M and leave playback and menus on the camera",
+    ),
+    0x2013: (CameraError, "its card is not there", "put a card in and close the lid"),
+    0x2019: (CameraBusyError, "it is busy", "wait until its lamp is off, then try again"),
+    0x201B: (CameraProtocolError, "a value of the wrong form", "its model is not supported"),
+    0x201C: (
+        CameraProtocolError,
+        "it does not take this value now",
+        "turn the mode dial to M, and check the lens",
+    ),
+    0x201D: (CameraProtocolError, "a parameter is wrong", "its model is not supported"),
+    0x201E: (CameraBusyError, "its session is open already", "switch it off and on again"),
+    0x201F: (CameraTimeoutError, "it cancelled the transaction", "try again"),
+}
+
+_OUT_OF_FOCUS = (
+    CameraError,
+    "it cannot focus",
+    "set the lens to manual focus (MF), and take the lens cap off",
+)
+_BATTERY = (CameraError, "its battery is low", "charge it or use a mains adapter")
+
+# By maker, since makers give one number several meanings.
+MAKERS: dict[str, dict[int, tuple[type[CameraError], str, str]]] = {
+    "nikon": {
+        0xA001: (CameraError, "hardware error", "switch it off and on again"),
+        0xA002: _OUT_OF_FOCUS,
+        0xA004: (CameraError, "it cannot do that now", "turn the mode dial to M"),
+        0xA005: (CameraError, "that property cannot be set now", "turn the mode dial to M"),
+        0xA008: (CameraError, "its shutter is set to bulb", "set another shutter time"),
+        0xA009: (CameraError, "its mirror is up", "set the release mode to single"),
+        0xA200: (CameraBusyError, "a bulb exposure is running", "wait until it has ended"),
+        0xA201: (CameraBusyError, "a silent exposure is running", "wait until it has ended"),
+    },
+    "canon": {
+        0xA001: (CameraProtocolError, "unknown command", "its model is not supported"),
+        0xA005: (CameraError, "it refuses", "turn the mode dial to M"),
+        0xA006: (CameraError, "its lens is covered", "take the lens cap off"),
+        0xA101: _BATTERY,
+        0xA102: (CameraBusyError, "the picture is not ready", "try again"),
+        0xA104: (CameraError, "it cannot make the file", "check its card"),
+        0xA105: (CameraError, "its card is not ready", "check its card"),
+    },
+    "sony": {
+        0xA101: (
+            CameraError,
+            "it does not let a computer in",
+            "set USB connection to 'PC Remote' in its menu",
+        ),
+    },
+}
+
+
+def response_error(code: int, doing: str, who: str, maker: str = "") -> CameraError:
+    """Return the error for a response code.
+
+    Args:
+        code: what the camera answered
+        doing: what was asked of it, such as "taking a picture"
+        who: the camera
+        maker: whose vendor codes it uses, a key of `MAKERS`
+    """
+    meaning = MAKERS.get(maker, {}).get(code) or _STANDARD.get(code)
+    if meaning is None:
+        return CameraProtocolError(
+            f"{who} answered 0x{code:04X} to {doing}", hint="see the camera's own display"
+        )
+    kind, what, hint = meaning
+    return kind(f"{who}, {doing}: {what}", hint=hint)

@@ -1,0 +1,199 @@
+"""A list of exposures on one body: set, released, fetched while the next one runs.
+
+The order for each exposure: dials turned and read back, shutter released, the file of the exposure
+before fetched and handed over, then waited for the end of this one.  A camera that answers "busy"
+to a release while a picture waits in it gets its pictures fetched first from then on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+
+from camctl.camera import ExposureSetting, Frame, OriginalFile
+from camctl.clock import Clock
+from camctl.errors import CameraError, CameraTimeoutError
+from drivers.ptp.body import Body
+from drivers.ptp.dials import Dial
+from drivers.ptp.shooting import Flight, Shooter, Shot
+from drivers.ptp.stills import KnownFormat, pixels_of
+from drivers.ptp.transport import NORMAL_S
+from drivers.stillfile import read_still
+
+_LATE_S = 0.25  # that a bulb exposure may be off before it is no longer what was asked for
+
+
+@dataclass(frozen=True)
+class Dials:
+    """What sets the exposure; None where the camera has no such dial."""
+
+    time_s: Dial
+    gain: Dial | None
+    f_number: Dial | None
+
+
+class ExposureSequence:
+    """What is under way between a body and the frames it gives.
+
+    Args:
+        body: the camera
+        shooter: releases and finds files
+        dials: its dials
+        who: how errors call it
+        clock: of timestamps
+        delete: delete files from the card once they have been fetched
+    """
+
+    def __init__(
+        self, body: Body, shooter: Shooter, dials: Dials, who: str, clock: Clock, *, delete: bool
+    ) -> None:
+        self._body, self._shooter, self._dials = body, shooter, dials
+        self._who, self._clock, self._delete = who, clock, delete
+        self._flight: Flight | None = None
+        self._overlaps = True
+
+    def run(
+        self, settings: Sequence[ExposureSetting], known: KnownFormat
+    ) -> Generator[Frame, None, None]:
+        """Yield a frame for each setting; `known` is what its file must be.
+
+        Raises:
+            CameraError: as `camctl.camera.Camera.shoot`; it names what was shot and not fetched
+        """
+        waiting: Shot | None = None
+        if settings:
+            self.settle(NORMAL_S)
+            self._shooter.begin()
+        try:
+            for index, setting in enumerate(settings):
+                if waiting is not None and not self._overlaps:
+                    frame = self._frame(waiting, known)
+                    waiting = None
+                    yield frame
+                applied = self._apply(setting)
+                flight = self._release(setting, applied, index, patient=waiting is None)
+                if flight is None and waiting is not None:
+                    self._overlaps = False
+                    frame = self._frame(waiting, known)
+                    waiting = None
+                    yield frame
+                    flight = self._release(setting, applied, index, patient=True)
+                assert flight is not None
+                if waiting is not None:
+                    frame = self._frame(waiting, known)
+                    waiting = None
+                    yield frame
+                waiting = self._shooter.wait(flight, known.format)
+                self._flight = None
+            if waiting is not None:
+                frame = self._frame(waiting, known)
+                waiting = None
+                yield frame
+        except CameraError as error:
+            self._say_what_is_left(error, waiting)
+            raise
+
+    def take(self, setting: ExposureSetting, wanted: str | None) -> Shot:
+        """Take one picture and return its file; `wanted` as `Shooter.wait` has it."""
+        self._shooter.begin()
+        flight = self._release(setting, self._apply(setting), 0, patient=True)
+        assert flight is not None
+        shot = self._shooter.wait(flight, wanted)
+        self._flight = None
+        return shot
+
+    def settle(self, limit_s: float) -> None:
+        """Wait until an exposure that was given up has ended, `limit_s` beyond it at most."""
+        flight, self._flight = self._flight, None
+        if flight is not None:
+            self._shooter.settle(flight, limit_s)
+
+    def _apply(self, setting: ExposureSetting) -> ExposureSetting:
+        """Turn the dials; return what the camera says they show."""
+        dials = self._dials
+        applied = setting
+        if dials.gain is not None:
+            applied = replace(applied, gain=self._body.set_dial(dials.gain, setting.gain))
+        if dials.f_number is not None and setting.f_number is not None:
+            f_number = self._body.set_dial(dials.f_number, setting.f_number)
+            applied = replace(applied, f_number=f_number)
+        if not self._is_bulb(setting):
+            time_s = self._body.set_dial(dials.time_s, setting.time_s)
+            applied = replace(applied, time_s=time_s)
+        return applied
+
+    def _is_bulb(self, setting: ExposureSetting) -> bool:
+        return setting.time_s > self._dials.time_s.control.maximum * (1 + 1e-6)
+
+    def _release(
+        self, setting: ExposureSetting, applied: ExposureSetting, index: int, *, patient: bool
+    ) -> Flight | None:
+        """Release; None where the camera wants the last picture to be fetched first."""
+        if self._is_bulb(setting):
+            # Holding the shutter leaves no time for anything else on this wire.
+            self._flight = self._hold(setting, applied, index) if patient else None
+        else:
+            self._flight = self._shooter.release(setting, applied, index, patient=patient)
+        return self._flight
+
+    def _hold(self, setting: ExposureSetting, applied: ExposureSetting, index: int) -> Flight:
+        body = self._body
+        released_s = self._clock.now()
+        body.open_bulb(self._dials.time_s)
+        began_s = time.monotonic()
+        flight = self._shooter.flight(setting, applied, index, released_s, began_s)
+        try:
+            time.sleep(max(0.0, began_s + setting.time_s - time.monotonic()))
+        finally:
+            body.close_bulb()
+        held_s = time.monotonic() - began_s
+        if abs(held_s - setting.time_s) > _LATE_S:
+            raise CameraTimeoutError(
+                f"{self._who} kept its shutter open for {held_s:.2f} s instead of "
+                f"{setting.time_s:g} s",
+                hint="take load off this computer and resume",
+            )
+        return replace(flight, held_s=held_s)
+
+    def _frame(self, shot: Shot, known: KnownFormat) -> Frame:
+        """Fetch a file and return it as a frame."""
+        busy_s = NORMAL_S + (self._flight.left_s if self._flight is not None else 0.0)
+        data, took_s = self._shooter.fetch(shot, busy_s=busy_s, delete=self._delete)
+        still = read_still(data, shot.info.name)
+        pixels, changed = pixels_of(still, known, shot.info.name)
+        flight = shot.flight
+        details = {
+            "object": shot.info.name,
+            "handle": f"{shot.handle:08X}",
+            "bytes": len(data),
+            "download_s": round(took_s, 6),
+            "released_s": flight.released_s,
+            "fetched_s": self._clock.now(),
+            **changed,
+        }
+        if shot.others:
+            details["other_files"] = list(shot.others)
+        if flight.held_s is not None:
+            details["bulb_held_s"] = round(flight.held_s, 3)
+        return Frame(
+            pixels=pixels,
+            requested=flight.setting,
+            applied=flight.applied,
+            timestamp_s=shot.ended_s,
+            index=flight.index,
+            black=known.record.black,
+            white=known.record.white,
+            original=OriginalFile(PurePath(shot.info.name).suffix.lower(), data),
+            details=details,
+        )
+
+    def _say_what_is_left(self, error: CameraError, waiting: Shot | None) -> None:
+        """Add to an error which pictures were taken and are still in the camera."""
+        left = [] if waiting is None else [waiting.name]
+        if self._flight is not None:
+            left.append(f"an exposure of {self._flight.setting.time_s:.6g} s")
+        if left and "in the camera" not in error.what:
+            error.what = f"{error.what}; {' and '.join(left)} stayed in the camera"
+            error.args = (f"{error.what}; {error.hint}" if error.hint else error.what,)
