@@ -1,0 +1,342 @@
+"""The Nikon CoolPix 990 on a serial line, as a camera: what it can set, and frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from types import TracebackType
+from typing import Self
+
+from camctl.camera import (
+    CameraInfo,
+    Choices,
+    ExposureControls,
+    ExposureSetting,
+    Frame,
+    FrameStream,
+    OriginalFile,
+)
+from camctl.clock import Clock, RealClock
+from camctl.errors import (
+    CameraDisconnectedError,
+    CameraNotFoundError,
+    DataError,
+    StorageError,
+    UsageError,
+    unknown_name,
+)
+from camctl.exposure.real import RealResponse
+from camctl.exposure.standard import STANDARDS, standard_response
+from camctl.profile import Profile, StillRecord, change_profile, load_profile
+from drivers.coolpix_body import CoolpixBody, Shot
+from drivers.coolpix_find import describe, ports, probe
+from drivers.coolpix_pictures import Progress
+from drivers.coolpix_settings import FORMATS
+from drivers.sierra_packets import SPEEDS
+from drivers.stillfile import Still, read_still
+
+_MICRO = 1_000_000
+_TOLERANCE = 1e-4  # 1/60 s is 16,666 us to the camera
+_BITS_A_BYTE = 10  # on the line: with start and stop bit
+_OPTIONS = ("format", "response", "speed")
+
+
+class CoolpixCamera:
+    """A CoolPix 990 (or a sister with the same protocol) behind any pyserial URL.
+
+    Exposures cannot overlap with transfers: the line carries one thing at a time.  A frame's
+    timestamp is when the camera said that it was done, which is a little after the exposure ended.
+    What its files are is taken from its profile, or from the newest picture on the card, or else
+    from a picture that is taken for it when `controls` is first read.
+
+    Args:
+        url: a port such as /dev/ttyUSB0, or a URL such as socket://host:port
+        format: jpeg or tiff
+        speed: the highest speed to use, baud: 9600, 19200, 38400, 57600 or 115200
+        response: of its files: linear, srgb, rec709 or power:GAMMA
+        timeout_s: seconds of silence after which a call gives up; an exposure may take its time
+        clock: the clock of its timestamps
+        progress: takes name, bytes and size while a picture comes over the line
+
+    Raises:
+        UsageError: an unknown format, speed or response, or no such kind of URL
+        CameraNotFoundError: no such port, or no permission to use it
+        CameraBusyError: another process holds the port
+        CameraTimeoutError: nobody answers at the other end
+        CameraError: the camera takes no shutter times: it is in an automatic mode
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        format: str = "jpeg",
+        speed: int = 115_200,
+        response: str = "srgb",
+        timeout_s: float = 10.0,
+        clock: Clock | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        if format not in FORMATS:
+            raise unknown_name("format of the CoolPix", format, FORMATS)
+        self._response = _response_of(response)
+        self._response_name = response
+        self._format = format
+        self._clock = clock or RealClock()
+        self._body = CoolpixBody(
+            url,
+            format,
+            speed=speed,
+            timeout_s=timeout_s,
+            clock=self._clock,
+            progress=progress,
+        )
+        self._is_open = True
+        try:
+            self._info = describe(self._body.sierra, url)
+        except BaseException:
+            self.close()
+            raise
+        self._record: StillRecord | None = None
+        self._learnt: list[str] = []
+
+    @property
+    def info(self) -> CameraInfo:
+        """Who it is, from its own registers."""
+        return self._info
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of its timestamps."""
+        return self._clock
+
+    @property
+    def controls(self) -> ExposureControls:
+        """What it can set; finding out what its files are may take a picture, and minutes."""
+        record = self._record or self._learn()
+        body = self._body
+        return ExposureControls(
+            time_s=Choices(tuple(us / _MICRO for us in body.times_us)),
+            f_number=Choices(tuple(body.apertures)) if body.apertures else None,
+            shape=(record.rows, record.columns),
+            layout=record.layout,
+            bits=record.bits,
+            black=record.black,
+            white=record.white,
+            response=self._response(record.bits, record.white - record.black),
+            tolerance=_TOLERANCE,
+            notes=self._notes(record),
+        )
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        """Take pictures one after the other; see `camctl.camera.Camera.shoot`."""
+        self._check_open()
+        controls = self.controls
+        for setting in settings:
+            controls.check(setting)
+        return self._frames([(wanted, _nearest(controls, wanted)) for wanted in settings])
+
+    def close(self) -> None:
+        """Give the camera back as it was found, and let go of the port."""
+        self._is_open = False
+        self._body.close()
+
+    def __enter__(self) -> Self:
+        """Return the camera itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the camera."""
+        self.close()
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise CameraDisconnectedError(
+                f"the camera at {self._body.url} is closed", hint="open it again"
+            )
+
+    def _frames(
+        self, pairs: Sequence[tuple[ExposureSetting, ExposureSetting]]
+    ) -> Generator[Frame, None, None]:
+        for index, (wanted, exact) in enumerate(pairs):
+            self._check_open()
+            shot = self._body.take(exact)
+            still = read_still(shot.data, shot.name)
+            self._remember(_record_of(still))
+            yield Frame(
+                pixels=still.pixels,
+                requested=wanted,
+                applied=shot.applied,
+                timestamp_s=shot.taken_s,
+                index=index,
+                black=still.black,
+                white=still.white,
+                original=OriginalFile(_suffix(shot), shot.data),
+                details=_details(shot),
+            )
+
+    # ---- what its files are
+
+    def _learn(self) -> StillRecord:
+        self._check_open()
+        try:
+            record = load_profile(self._info).stills.get(self._format)
+        except DataError as error:
+            record = None
+            self._learnt.append(str(error))
+        if record is not None:
+            self._record = record
+            return record
+        found = self._body.fetch_newest()
+        if found is not None:
+            name, data = found
+            self._learnt.append(f"what its files are was taken from {name} on its card")
+        else:
+            times = Choices(tuple(us / _MICRO for us in self._body.times_us))
+            shot = self._body.take(ExposureSetting(times.nearest(1 / 60)))
+            name, data = shot.name, shot.data
+            self._learnt.append(f"{name} was taken to see what its files are")
+        record = _record_of(read_still(data, name))
+        self._remember(record)
+        return record
+
+    def _remember(self, record: StillRecord) -> None:
+        if record == self._record:
+            return
+        self._record = record
+
+        def change(profile: Profile) -> None:
+            profile.stills[self._format] = record
+
+        try:
+            change_profile(self._info, change)
+        except (DataError, StorageError) as error:
+            self._learnt.append(f"what its files are could not be kept: {error.what}")
+
+    def _notes(self, record: StillRecord) -> tuple[str, ...]:
+        speed = self._body.sierra.link.speed
+        typical = FORMATS[self._format].typical_bytes
+        if self._format == "tiff":
+            typical = record.rows * record.columns * (3 if record.layout.value == "rgb" else 1)
+        minutes = typical * _BITS_A_BYTE / speed / 60
+        notes = [
+            f"a picture ({self._format}, about {typical / 1e6:.2g} MB) takes {minutes:.2g} minutes "
+            f"over the line at {speed} baud, and the next exposure begins when it has come",
+        ]
+        if self._format == "jpeg":
+            notes.append(
+                "JPEG loses levels; -O format=tiff keeps them, and takes minutes a picture"
+            )
+        if self._response_name == "srgb":
+            notes.append(
+                "the response of its files is assumed to be sRGB until camctl calibrate response "
+                "has measured it"
+            )
+        if self._body.apertures:
+            numbers = ", ".join(f"f/{number:g}" for number in self._body.apertures)
+            notes.append(
+                f"its apertures low, medium and high are assumed to be {numbers} (wide end of the "
+                "zoom; 1.6 times as much at the long end), not measured"
+            )
+        return (*notes, *self._body.steadied, *self._learnt)
+
+
+class CoolpixRoad:
+    """Opens ``coolpix:PORT``; options: format (jpeg, tiff), speed (baud), response."""
+
+    about = "Nikon CoolPix 990 on a serial port: coolpix:/dev/ttyUSB0 or any pyserial URL"
+
+    def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
+        """Return the cameras that answer on the machine's serial ports; none without `probe`."""
+        return _probe(ports()) if probe else ()
+
+    def open(self, address: str, options: Mapping[str, str]) -> CoolpixCamera:
+        """Open the camera on the port or URL `address`.
+
+        Raises:
+            UsageError: an unknown option or value
+            CameraError: as `CoolpixCamera`
+        """
+        for option in options:
+            if option not in _OPTIONS:
+                raise unknown_name("option of the CoolPix", option, _OPTIONS)
+        if not address:
+            raise CameraNotFoundError(
+                "a CoolPix needs its serial port",
+                hint="give it, such as coolpix:/dev/ttyUSB0; camctl cameras --probe looks for it",
+            )
+        return CoolpixCamera(
+            address,
+            format=options.get("format", "jpeg").lower(),
+            speed=_speed(options.get("speed", "115200")),
+            response=options.get("response", "srgb").lower(),
+        )
+
+
+_probe = probe
+
+
+def _speed(text: str) -> int:
+    known = {str(speed): speed for speed in SPEEDS}
+    if text.strip() not in known:
+        raise UsageError(f"a speed of '{text}'", hint=f"the camera knows {', '.join(known)} baud")
+    return known[text.strip()]
+
+
+def _response_of(text: str) -> Callable[[int, int], RealResponse | None]:
+    """Return what gives the response for bits and levels (white - black); None: linear."""
+    name, _, gamma = text.partition(":")
+    if name not in STANDARDS or (gamma and name != "power"):
+        raise unknown_name("camera response", text, (*STANDARDS[:-1], "power:GAMMA"))
+    try:
+        exponent = float(gamma) if gamma else 2.2
+    except ValueError:
+        raise UsageError(f"a response of '{text}'", hint="write it like power:2.2") from None
+
+    def response(bits: int, levels: int) -> RealResponse | None:
+        if name == "linear":
+            return None
+        return standard_response(name, bits, levels=levels, gamma=exponent)
+
+    response(8, 255)  # an impossible gamma is told now, not after the first picture
+    return response
+
+
+def _nearest(controls: ExposureControls, wanted: ExposureSetting) -> ExposureSetting:
+    """Return the exact values that stand for a setting within the tolerance."""
+    number = wanted.f_number
+    if number is not None and controls.f_number is not None:
+        number = controls.f_number.nearest(number)
+    return ExposureSetting(controls.time_s.nearest(wanted.time_s), 1.0, number)
+
+
+def _record_of(still: Still) -> StillRecord:
+    rows, columns = still.pixels.shape[:2]
+    return StillRecord(
+        rows=rows,
+        columns=columns,
+        layout=still.layout,
+        bits=still.bits,
+        black=still.black,
+        white=still.white,
+    )
+
+
+def _suffix(shot: Shot) -> str:
+    stem, dot, suffix = shot.name.rpartition(".")
+    if stem and suffix.isalnum():
+        return dot + suffix.lower()
+    return ".tif" if shot.data[:2] in (b"II", b"MM") else ".jpg"
+
+
+def _details(shot: Shot) -> dict[str, str | bool]:
+    details: dict[str, str | bool] = {"name_on_card": shot.name}
+    if shot.found_again:
+        details["found_again"] = True
+    if shot.left_on_card:
+        details["left_on_card"] = shot.left_on_card
+    return details

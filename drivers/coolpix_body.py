@@ -1,0 +1,345 @@
+"""A CoolPix 990 as it is at the other end of the line: prepared, exposing, and found again.
+
+A picture exists on the card before it comes over the line, so that whatever breaks in between
+costs time but no picture: `CoolpixBody.take` looks for it before it takes another.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+from camctl.camera import ExposureSetting
+from camctl.clock import Clock
+from camctl.errors import (
+    CameraDisconnectedError,
+    CameraError,
+    CameraProtocolError,
+    CameraTimeoutError,
+    RefusedSettingError,
+)
+from drivers.coolpix_pictures import (
+    OnCard,
+    Progress,
+    download,
+    follows,
+    newest,
+    wait_for_picture,
+    why_no_picture,
+)
+from drivers.coolpix_settings import (
+    AUTOMATIC,
+    FORMATS,
+    STEADYINGS,
+    find_apertures,
+    find_times_us,
+    takes,
+    told,
+)
+from drivers.exif import exposure_time_s
+from drivers.seriallink import SerialLink
+from drivers.sierra import Sierra
+from drivers.sierra_packets import (
+    FIRST_SPEED,
+    Action,
+    RefusedCommandError,
+    Register,
+    SessionOverError,
+)
+
+#: Seconds from the end of an exposure until the camera has written the picture to its card.
+WRITING_S = 10.0
+_ATTEMPTS = 2
+_MICRO = 1_000_000
+# Files give times as the dial does: 1/60 s for 16,666 us, 1/1000 s for what may be 1/1024 s.
+_LABEL_SLACK = 0.15
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture that was taken and fetched.
+
+    Attributes:
+        name: on the card
+        data: the file
+        applied: the exposure read back before the shutter was released
+        taken_s: when the camera said that it was done, on the clock, s
+        found_again: True where it was taken before the line broke, and fetched afterwards
+        left_on_card: name of a picture that was taken and not fetched, "" where there is none
+    """
+
+    name: str
+    data: bytes
+    applied: ExposureSetting
+    taken_s: float
+    found_again: bool
+    left_on_card: str
+
+
+@dataclass(frozen=True)
+class _Pending:
+    """A picture that was asked for and has not been fetched; `before` was the newest then."""
+
+    wanted: ExposureSetting
+    applied: ExposureSetting
+    before: OnCard
+    taken_s: float
+
+
+class CoolpixBody:
+    """The camera, in session.
+
+    Args:
+        url: the line, see `SerialLink`
+        file_format: a name in `FORMATS`
+        speed: the highest speed to use, baud
+        timeout_s: see `Sierra`
+        clock: what exposures are timed on
+        progress: takes name, bytes and size while a picture comes
+
+    Raises:
+        UsageError, CameraNotFoundError, CameraBusyError, CameraTimeoutError: it cannot be opened
+        CameraError: it is in a mode in which it cannot be used
+    """
+
+    def __init__(
+        self,
+        url: str,
+        file_format: str,
+        *,
+        speed: int,
+        timeout_s: float,
+        clock: Clock,
+        progress: Progress | None,
+    ) -> None:
+        self.url = url
+        self.steadied: list[str] = []
+        self._format = file_format
+        self._clock = clock
+        self._progress = progress
+        self._pending: _Pending | None = None
+        self._left = ""
+        self._base_aperture: int | None = None
+        self._old: dict[Register, int] = {}
+        self._prepared = 0
+        self._link = SerialLink(url, FIRST_SPEED)
+        try:
+            self.sierra = Sierra(self._link, speed=speed, timeout_s=timeout_s, clock=clock)
+            self.sierra.open()
+            self.apertures = find_apertures(self.sierra)
+            self.times_us = find_times_us(self.sierra)
+            self._prepare()
+        except BaseException:
+            self._link.close()
+            raise
+        self._is_well = True
+
+    def close(self) -> None:
+        """Give the camera back as it was found; a second call does nothing."""
+        if self._is_well:
+            with suppress(CameraError):
+                for register, value in self._old.items():
+                    takes(self.sierra, register, value)
+                self.sierra.close()
+        self._is_well = False
+        self._link.close()
+
+    def text(self, register: Register) -> str:
+        """Return a register of words, "" where the camera has none."""
+        try:
+            return self.sierra.text(register)
+        except RefusedCommandError:
+            return ""
+
+    def take(self, setting: ExposureSetting) -> Shot:
+        """Take a picture, or find the one that was taken when the line broke, and fetch it.
+
+        Args:
+            setting: times as in `times_us`, f-numbers as in `apertures`
+
+        Raises:
+            RefusedSettingError: the camera applied another shutter time or aperture
+            CameraError: it will not take pictures: no card, card full, battery low, lens
+            CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
+        """
+        try:
+            self._come_back()
+            picture = self._found_again(setting)
+            is_found = picture is not None
+            if picture is None:
+                picture = self._release(setting)
+            pending = self._pending
+            assert pending is not None
+            data = download(self.sierra, picture, self._progress)
+            self._check_file(data, picture, pending.applied)
+        except SessionOverError:
+            raise
+        except (CameraDisconnectedError, CameraTimeoutError) as error:
+            self._is_well = False
+            raise self._with_what_is_left(error) from error
+        left, self._left, self._pending = self._left, "", None
+        return Shot(picture.name, data, pending.applied, pending.taken_s, is_found, left)
+
+    def fetch_newest(self) -> tuple[str, bytes] | None:
+        """Return name and file of the newest picture if it is of the format and size in force."""
+        picture = newest(self.sierra)
+        if not picture.name.upper().endswith(FORMATS[self._format].suffixes):
+            return None
+        try:
+            summary = self.sierra.read(Register.PICTURE_SUMMARY, 256, picture=picture.number)
+        except RefusedCommandError:
+            return None
+        resolution = told(self.sierra, Register.RESOLUTION)
+        if len(summary) != 32 or int.from_bytes(summary[12:16], "little") != resolution:
+            return None
+        return picture.name, download(self.sierra, picture, self._progress)
+
+    # ---- before the exposure
+
+    def _come_back(self) -> None:
+        """Open the line again where it broke, and prepare a camera that has forgotten."""
+        if not self._is_well:
+            self._link.close()
+            self._link = self.sierra.link = SerialLink(self.url, FIRST_SPEED)
+            self.sierra.open()
+            self._is_well = True
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Set what must hold for all pictures, once a session."""
+        if self._prepared == self.sierra.sessions:
+            return
+        session = self.sierra.sessions
+        self.steadied.clear()
+        self._keep(Register.SHUTTER_US)
+        self._set_format()
+        for rule in STEADYINGS:
+            if self._keep(rule.register) in rule.unsteady:
+                done = takes(self.sierra, rule.register, rule.steady)
+                self.steadied.append(rule.note if done else f"not done: {rule.note}")
+        aperture = self._keep(Register.APERTURE)
+        if aperture == AUTOMATIC and self.apertures:
+            widest = min(self.apertures)
+            aperture = self.apertures[widest]
+            self._apply(Register.APERTURE, aperture, "f_number", 0.0)
+            self.steadied.append(f"its aperture is fixed at f/{widest:g}")
+        if self._base_aperture is None:
+            self._base_aperture = aperture
+        self._prepared = session
+
+    def _keep(self, register: Register) -> int | None:
+        """Return a register, and remember its first value for giving it back."""
+        value = told(self.sierra, register)
+        if value is not None:
+            self._old.setdefault(register, value)
+        return value
+
+    def _set_format(self) -> None:
+        wanted = FORMATS[self._format]
+        if self._keep(Register.RESOLUTION) in wanted.codes:
+            return
+        if not takes(self.sierra, Register.RESOLUTION, wanted.default):
+            raise CameraError(
+                f"the camera at {self.url} cannot be set to {self._format}",
+                hint="choose the quality with its own menu (HI is tiff), or another -O format",
+            )
+
+    def _apply(self, register: Register, value: int, control: str, wanted: float) -> None:
+        self.sierra.set(register, value)
+        found = self.sierra.get(register)
+        if found != value:
+            nearest = self._meaning(register, found)
+            raise RefusedSettingError(control, wanted, nearest)
+
+    def _meaning(self, register: Register, value: int) -> float:
+        """Return a register's value in SI units; 0 for what is automatic or unknown."""
+        if register is Register.SHUTTER_US:
+            return value / _MICRO
+        return next((number for number, code in self.apertures.items() if code == value), 0.0)
+
+    def _set_exposure(self, setting: ExposureSetting) -> ExposureSetting:
+        time_us = round(setting.time_s * _MICRO)
+        self._apply(Register.SHUTTER_US, time_us, "time_s", setting.time_s)
+        number = setting.f_number
+        code = self._base_aperture if number is None else self.apertures[number]
+        if code is not None and told(self.sierra, Register.APERTURE) != code:
+            wanted = self._meaning(Register.APERTURE, code)
+            self._apply(Register.APERTURE, code, "f_number", wanted)
+        return ExposureSetting(time_us / _MICRO, 1.0, number)
+
+    # ---- the exposure
+
+    def _release(self, setting: ExposureSetting) -> OnCard:
+        """Take one picture and return it; its exposure is certain."""
+        trouble: CameraError = SessionOverError(
+            f"the camera at {self.url} ends every session", hint="switch it off and on, then resume"
+        )
+        for _ in range(_ATTEMPTS):
+            self._prepare()
+            before = newest(self.sierra)
+            session = self.sierra.sessions
+            applied = self._set_exposure(setting)
+            if session != self.sierra.sessions:
+                continue  # a new session may have forgotten what was set a moment ago
+            self._pending = _Pending(setting, applied, before, self._clock.now())
+            refused = False
+            try:
+                self.sierra.act(Action.TAKE_PICTURE, wait_s=2 * setting.time_s + WRITING_S)
+            except RefusedCommandError:
+                refused = True
+            except SessionOverError as error:
+                trouble = error
+            except CameraDisconnectedError:
+                raise
+            except (CameraTimeoutError, CameraProtocolError) as error:
+                trouble = error
+            else:
+                trouble = CameraError("")
+            self._pending = _Pending(setting, applied, before, self._clock.now())
+            wait_s = 0.0 if refused else WRITING_S
+            picture = wait_for_picture(self.sierra, before, self._clock, wait_s)
+            if picture is not None:
+                return picture
+            self._pending = None
+            if refused or not trouble.what:
+                raise why_no_picture(self.sierra)
+        raise trouble
+
+    def _check_file(self, data: bytes, picture: OnCard, applied: ExposureSetting) -> None:
+        if not data.startswith(FORMATS[self._format].magic):
+            raise CameraProtocolError(
+                f"the camera's file {picture.name} is not {self._format}",
+                hint="choose the quality with the camera's own menu (HI is tiff)",
+            )
+        written_s = exposure_time_s(data)
+        if written_s and abs(written_s / applied.time_s - 1) > _LABEL_SLACK:
+            self._pending = None
+            raise CameraProtocolError(
+                f"the camera says in {picture.name} that it exposed for {written_s:.6g} s, "
+                f"not for {applied.time_s:.6g} s",
+                hint="turn its dial to M, and shoot again with times that it keeps",
+            )
+
+    # ---- after a break
+
+    def _found_again(self, setting: ExposureSetting) -> OnCard | None:
+        """Return the picture that is still to be fetched, if it is certainly the one wanted."""
+        pending = self._pending
+        if pending is None:
+            return None
+        last = newest(self.sierra)
+        if pending.wanted == setting and follows(last, pending.before):
+            return last
+        if last != pending.before:
+            self._left = last.name or f"picture {last.number}"
+        self._pending = None
+        return None
+
+    def _with_what_is_left(self, error: CameraError) -> CameraError:
+        if self._pending is None:
+            return error
+        return type(error)(
+            f"{error.what}, and a picture of {self._pending.wanted.time_s:g} s may be on its card "
+            "that was not fetched",
+            hint=error.hint,
+        )
