@@ -61,9 +61,9 @@ class Session:
         busy_s: how long it may say that it is busy before that is an error
 
     Attributes:
-        info: who the camera says it is
         maker: whose vendor codes it answers with, once that is known
         times_recovered: how often the pipes had to be brought back to order
+        times_busy: how often it said that it was busy
     """
 
     def __init__(
@@ -80,11 +80,16 @@ class Session:
         self._is_open = False
         self.times_recovered = 0
         self.maker = ""
-        self.info = self.device_info()
+        self.times_busy = 0
+        self._info: DeviceInfo | None = None
 
-    def device_info(self) -> DeviceInfo:
-        """Return who the camera is; needs no session."""
-        return DeviceInfo.parse(self.call(Op.GET_DEVICE_INFO, doing="asking who it is").data)
+    @property
+    def info(self) -> DeviceInfo:
+        """Who the camera says it is."""
+        if self._info is None:
+            answer = self.call(Op.GET_DEVICE_INFO, doing="asking who it is")
+            self._info = DeviceInfo.parse(answer.data)
+        return self._info
 
     def open(self) -> None:
         """Open the session; one that somebody else left open is closed first."""
@@ -156,6 +161,7 @@ class Session:
                 self.open()
             elif answer.code == DEVICE_BUSY and time.monotonic() < deadline:
                 tries += 1
+                self.times_busy += 1
                 time.sleep(pause_s)
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
             else:

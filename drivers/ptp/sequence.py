@@ -160,7 +160,11 @@ class ExposureSequence:
     def _frame(self, shot: Shot, known: KnownFormat) -> Frame:
         """Fetch a file and return it as a frame."""
         busy_s = NORMAL_S + (self._flight.left_s if self._flight is not None else 0.0)
+        refusals = self._body.session.times_busy
         data, took_s = self._shooter.fetch(shot, busy_s=busy_s, delete=self._delete)
+        if self._flight is not None and self._body.session.times_busy > refusals:
+            # It serves nothing while it exposes: then a frame need not wait for the next exposure.
+            self._overlaps = False
         still = read_still(data, shot.info.name)
         pixels, changed = pixels_of(still, known, shot.info.name)
         flight = shot.flight

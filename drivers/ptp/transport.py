@@ -165,7 +165,7 @@ class UsbTransport:
         parts: list[Bytes] = [memoryview(first)[HEADER.size : length]]
         missing = length - len(first)
         while missing > 0:
-            part = self._read_some(min(_CHUNK, self._whole_packets(missing)))
+            part = self._read_some(self._piece(missing))
             if len(part) == HEADER.size and self._is_response(part, transaction):
                 self._left_over = bytes(part)
                 raise HalfSentError(
@@ -187,9 +187,10 @@ class UsbTransport:
             0xA,
         )
 
-    def _whole_packets(self, count: int) -> int:
-        size = int(self._in.wMaxPacketSize)
-        return -(-count // size) * size
+    def _piece(self, missing: int) -> int:
+        """Return how much the next read asks for: whole packets, so that none is too large."""
+        packet = int(self._in.wMaxPacketSize)
+        return min(_CHUNK, -(-missing // packet) * packet)
 
     def _read_something(self, size: int) -> bytes:
         return bytes(self._read_some(size))
