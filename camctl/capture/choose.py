@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from camctl.camera import ExposureControls, ExposureSetting
+from camctl.camera import Control, ExposureControls, ExposureSetting
 from camctl.capture.request import CaptureRequest, Plan
 from camctl.errors import CaptureError
 from camctl.exposure.response import DesiredResponse
@@ -79,14 +79,7 @@ class SettingChooser:
         time, gain = self.controls.time_s, self.controls.gain.nearest(1.0)
         f_number = self._closed()
         if self.request.base_s is not None:
-            nearest = time.nearest(limit_s)
-            if not time.minimum * 0.99 <= limit_s <= time.maximum * 1.01:
-                raise CaptureError(
-                    f"a base exposure of {limit_s:.6g} s is beyond the camera's "
-                    f"{time.minimum:.6g} to {time.maximum:.6g} s",
-                    hint=f"the nearest possible is {nearest:.6g} s",
-                )
-            return [ExposureSetting(nearest, gain, f_number)]
+            return [ExposureSetting(_given_base(time, limit_s), gain, f_number)]
         times = self._whole_periods(time.between(limit_s * 2.0**-BASE_SLACK_STOPS, limit_s, _BASES))
         if not times:
             below = time.between(time.minimum, limit_s, 1)
@@ -176,6 +169,18 @@ class SettingChooser:
         return found
 
 
+def _given_base(time: Control, base_s: float) -> float:
+    """Return the shutter time nearest to a base that a person gave; CaptureError out of reach."""
+    nearest = time.nearest(base_s)
+    if not time.minimum * 0.99 <= base_s <= time.maximum * 1.01:
+        raise CaptureError(
+            f"a base exposure of {base_s:.6g} s is beyond the camera's "
+            f"{time.minimum:.6g} to {time.maximum:.6g} s",
+            hint=f"the nearest possible is {nearest:.6g} s",
+        )
+    return nearest
+
+
 def best_of_choices(
     controls: ExposureControls,
     request: CaptureRequest,
@@ -189,7 +194,8 @@ def best_of_choices(
     `limit_s` allows, or one up to a third of a stop below it.
 
     Raises:
-        UsageError: the list has too few times at or above the base
+        UsageError: the list is shorter than `count`, or a time budget is too short
+        CaptureError: the list has too few exposures at or above the base
 
     """
     gain = controls.gain.nearest(1.0)
@@ -198,14 +204,23 @@ def best_of_choices(
     for more in controls.gain.between(gain, controls.gain.maximum, _GAINS):
         offered.setdefault(times[-1] * more / gain, ExposureSetting(times[-1], more))
     base_s = max((time_s for time_s in times if time_s <= limit_s * (1 + 1e-9)), default=times[0])
+    least_s = base_s * 2.0 ** (-1 / 3)
     if request.base_s is not None:
-        base_s = controls.time_s.nearest(limit_s)
+        least_s = base_s = _given_base(controls.time_s, limit_s)
+    exposures = sorted(offered)
+    if count <= len(exposures) and exposures[-count] < least_s * (1 - 1e-9):
+        stops = math.floor(10 * math.log2(exposures[-count] / base_s)) / 10
+        raise CaptureError(
+            f"a shortest exposure of {base_s:.4g} s leaves fewer than {count} on this camera, "
+            f"which ends at {exposures[-1]:.4g} s",
+            hint=f"take fewer exposures, or shorten it with --compensation {stops:.1f}",
+        )
     found = solve_settings(
         controls.levels,
         desired,
         count,
-        sorted(offered),
-        base=(base_s if request.base_s is not None else base_s * 2.0 ** (-1 / 3), base_s),
+        exposures,
+        base=(least_s, base_s),
         total_limit=request.time_budget_s,
         levels_wanted=request.levels_wanted,
     )
