@@ -39,13 +39,13 @@ class Aperture:
     f_number: float
 
 
-# The lens is marked 1:2.5-4; the diaphragm closes by three stops.  These hold at the wide end of
-# the zoom, with medium in the middle; at the long end all are 1.6 times as much.  Descriptions of
-# the protocol do not agree on the number of "high".
+# The lens is marked 1:2.5-4 and closes in ten settings a third of a stop apart.  These hold at the
+# wide end of the zoom; at the long end all are 1.6 times as much.  Descriptions of the protocol do
+# not agree on the number of "high".
 APERTURES = (
     Aperture("low", (1,), 2.5),
-    Aperture("medium", (2,), 4.2),
-    Aperture("high", (3, 4), 7.1),
+    Aperture("medium", (2,), 4.0),
+    Aperture("high", (3, 4), 7.0),
 )
 
 
