@@ -288,8 +288,8 @@ class PtpCamera(StillVerbs, UsbDevice):
         self.body.mend()
         self.responder.is_silent = self._config.event_order == "never"
 
-    def do_busy(self, count: int = -1) -> None:
-        """Answer the next operations, or all, Device_Busy."""
+    def do_busy(self, count: int = 5) -> None:
+        """Answer the next operations, or all (-1), Device_Busy."""
         self.faults.busy = count
 
     def do_hang(self) -> None:
@@ -329,21 +329,20 @@ class PtpCamera(StillVerbs, UsbDevice):
     def state(self) -> dict[str, Any]:
         """Return properties by code, session, pictures on the card, and what was asked."""
         with self.lock:
-            responder, last = self.responder, self.body.exposed
+            responder = self.responder
             return {
                 "session": responder.session,
                 "properties": {f"{c:04X}": p.value for c, p in responder.properties.items()},
                 "pictures": responder.card.count,
-                "taken": self.body.taken,
                 "is_exposing": self.body.is_exposing,
-                "exposure": None if last is None else last.as_data(),
+                **self.body.state(),
                 "operations": dict(responder.operations_seen),
             }
 
     def do_log(self) -> dict[str, Any]:
-        """Return the last operations and their parameters."""
+        """Return the last operations, and the last exposures."""
         with self.lock:
-            return {"log": list(self.responder.log)}
+            return {"operations": list(self.responder.log), "shots": list(self.body.log)}
 
 
 def make(config: Mapping[str, Any]) -> PtpCamera:

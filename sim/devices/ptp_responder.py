@@ -63,7 +63,7 @@ class Responder:
     ) -> None:
         self.body = body
         self.config = config
-        self.card = Card(config.card_bytes)
+        self.card = Card(config.card_bytes, body.note_download)
         self.session = 0
         self.is_silent = config.event_order == "never"
         self.operations_seen: Counter[str] = Counter()

@@ -143,7 +143,7 @@ class SonyResponder(Responder):
         return Reply(data=reply.data, sent=self._fetched)
 
     def _fetched(self) -> None:
-        self._waiting.popleft()
+        self.body.note_download(self._waiting.popleft().name)
         self._show_oldest()
 
     @property

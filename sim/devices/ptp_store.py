@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from sim.devices.ptp_codes import Format, Response, Type
 from sim.devices.ptp_data import Reply, StoredObject, pack_list, pack_storage_info
@@ -32,13 +33,18 @@ def stored(picture: Picture, parent: int = PICTURE_FOLDER) -> StoredObject:
 class Card:
     """What is stored, and the operations that ask for it.
 
+    Args:
+        capacity: bytes
+        fetched: called with the name of a file that was sent to its end
+
     Attributes:
         objects: by handle; what is on the card
         memory: by handle; what waits in the camera's memory and is in no list
     """
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, fetched: Callable[[str], None]) -> None:
         self.capacity = capacity
+        self._fetched = fetched
         self.objects = {
             ROOT_FOLDER: StoredObject("DCIM", Format.FOLDER),
             PICTURE_FOLDER: StoredObject("100VIRTL", Format.FOLDER, parent=ROOT_FOLDER),
@@ -109,7 +115,9 @@ class Card:
         if item is None or item.format == Format.FOLDER:
             return Reply(Response.INVALID_HANDLE)
         part = item.data[first : first + most]
-        return Reply(data=part, parameters=() if is_whole else (len(part),))
+        is_end = first + len(part) >= len(item.data)
+        sent = partial(self._fetched, item.name) if is_end else None
+        return Reply(data=part, parameters=() if is_whole else (len(part),), sent=sent)
 
     def get_thumb(self, parameters: Sequence[int], data: bytes) -> Reply:
         """GetThumb (handle)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeVar
@@ -18,6 +19,7 @@ from sim.scene import DEFAULT_SCENE, load_scene
 from sim.sensor import DEFAULT_SENSOR, load_sensor
 
 CARD_BYTES = 256 * 1024 * 1024
+_LOG = 256  # exposures that are remembered
 BULB_MAX_S = 120.0  # a bulb exposure that nobody ends ends itself
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -111,10 +113,6 @@ class Exposure:
     light: float
     kinds: tuple[str, ...]
 
-    def as_data(self) -> dict[str, Any]:
-        """Return it ready for JSON."""
-        return asdict(self)
-
 
 @dataclass
 class Faults:
@@ -161,13 +159,13 @@ class StillBody:
     ) -> None:
         self.exposer = exposer
         self.faults = Faults()
+        self.quality = quality
         self.taken = 0
-        self.exposed: Exposure | None = None
+        self.log: deque[dict[str, Any]] = deque(maxlen=_LOG)
         self._lock = lock
         self._stem = stem
         self._delay_s = delay_s
         self._grey = grey
-        self._quality = quality
         self._object_bytes = object_bytes
         self._released = threading.Event()
         self._worker: threading.Thread | None = None
@@ -199,6 +197,17 @@ class StillBody:
         )
         self._worker.start()
 
+    def note_download(self, name: str) -> None:
+        """Hear that a file has been handed to the host to its end."""
+        for shot in reversed(self.log):
+            if name in shot["names"]:
+                shot["downloaded_s"] = shot["downloaded_s"] or time.monotonic()
+                return
+
+    def state(self) -> dict[str, Any]:
+        """Return how many pictures were taken, and the last exposure, ready for JSON."""
+        return {"shots": self.taken, "exposure": self.log[-1] if self.log else None}
+
     def end_bulb(self) -> None:
         """Close the shutter of a bulb exposure."""
         self._released.set()
@@ -217,7 +226,12 @@ class StillBody:
         pictures = self._develop(exposure, time_s)
         time.sleep(max(0.0, began + time_s + self._delay_s - time.monotonic()))
         with self._lock:
-            self.exposed = replace(exposure, time_s=time_s)
+            shot = asdict(replace(exposure, time_s=time_s))
+            ended_s = began + time_s
+            names = [picture.name for picture in pictures]
+            self.log.append(
+                {"began_s": began, "ended_s": ended_s, "downloaded_s": None, "names": names, **shot}
+            )
             self._worker = None
             done(pictures)
 
@@ -227,15 +241,16 @@ class StillBody:
             faults.wrong_left -= 1
             light *= faults.wrong_factor
         exposer = self.exposer
-        pixels = exposer.expose(time_s * light, exposure.gain, self.taken)
+        number = self.taken
         self.taken += 1
+        pixels = exposer.expose(time_s * light, exposure.gain, number)
         bits = exposer.sensor.bits
         exposed = Exposed(pixels, exposer.layout, bits, exposer.black, exposer.white, time_s)
         small = thumbnail(exposed)
         rows, columns = pixels.shape[:2]
         pictures = []
         for kind in exposure.kinds:
-            data = encode(kind, exposed, grey=self._grey, quality=self._quality)
+            data = encode(kind, exposed, grey=self._grey, quality=self.quality)
             data += bytes(max(0, self._object_bytes - len(data)))
             name = f"{self._stem}{self.taken:04d}.{SUFFIXES[kind]}"
             depth = bits * (3 if pixels.ndim == 3 else 1)
