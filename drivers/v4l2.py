@@ -1,0 +1,315 @@
+"""Webcams and machine-vision cameras through Video4Linux: the camera and the road to it.
+
+Frames come through OpenCV (`drivers.v4l2_capture`); controls, formats and names through ioctls on
+a descriptor of our own (`drivers.v4l2_node`); which frame had which exposure is told by
+`drivers.v4l2_stream`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping, Sequence
+from types import TracebackType
+from typing import Self
+
+from camctl.camera import CameraInfo, ExposureControls, ExposureSetting, Frame, FrameStream, Pixels
+from camctl.clock import Clock, RealClock
+from camctl.errors import (
+    CameraBusyError,
+    CameraDisconnectedError,
+    CameraNotFoundError,
+    CameraProtocolError,
+    unknown_name,
+)
+from camctl.profile import DelayRecord, load_profile
+from drivers.v4l2_capture import Capture, Picture, VideoOpener, open_video
+from drivers.v4l2_choice import choose_interval, choose_size, parse_bits, parse_rate, parse_size
+from drivers.v4l2_controls import ExposureControl
+from drivers.v4l2_find import DRIVER, describe, find_cameras, node_paths
+from drivers.v4l2_formats import SpoiltFrameError, choose_format
+from drivers.v4l2_node import Kernel, Node
+from drivers.v4l2_samples import read_samples
+from drivers.v4l2_stream import UNKNOWN_DELAY, Shot, Stream
+
+OPTIONS = ("bits", "format", "fps", "range", "response", "size")
+
+
+class V4l2Camera:
+    """A V4L2 camera; implements `PreviewingCamera` and `StreamingCamera` of `camctl.camera`.
+
+    Args:
+        path: its node, best the link in /dev/v4l/by-id
+        format: a name of `drivers.v4l2_formats.FORMATS`, "bayer", or "auto": the most honest
+        size: (width, height), pixels; None: the largest
+        fps: frames a second; None: the fewest that it offers, because no exposure is longer than
+            the interval between frames
+        bits: that the samples of y16 really have, 9 to 16
+        range: "full" or "limited" luma; "auto": as V4L2 says
+        response: one of `drivers.v4l2_samples.RESPONSES`; "auto": linear where samples are raw,
+            else sRGB
+        clock: the clock of the frames' timestamps
+        kernel, opener: system calls and video, for tests
+
+    Raises:
+        UsageError: an option that is no option, or that this camera does not have
+        DataError: its profile is damaged
+        CameraError: it cannot be opened, is no camera, or has no manual exposure
+        CameraBusyError, CameraDisconnectedError, CameraTimeoutError, CameraProtocolError
+
+    """
+
+    def __init__(
+        self,
+        path: str,
+        *,
+        format: str = "auto",
+        size: tuple[int, int] | None = None,
+        fps: float | None = None,
+        bits: int | None = None,
+        range: str = "auto",
+        response: str = "auto",
+        clock: Clock | None = None,
+        kernel: Kernel | None = None,
+        opener: VideoOpener = open_video,
+    ) -> None:
+        self._clock = clock or RealClock()
+        self._is_shooting = False
+        self._capture: Capture | None = None
+        self._node = Node(path, kernel)
+        try:
+            self._info = describe(path, self._node.check_capture())
+            chosen = choose_format(self._node.formats(), format, path)
+            wanted = choose_size(self._node.sizes(chosen.fourcc), size, path)
+            interval_s = choose_interval(self._node.intervals(chosen.fourcc, wanted), fps, path)
+            self._picture = Picture(chosen, wanted, interval_s)
+            self._capture = Capture(self._node, self._picture, self._clock, opener)
+            announced_s = self._node.interval_s() or interval_s
+            self._exposure = ExposureControl(self._node, announced_s)
+            samples = read_samples(chosen, self._node.picture(), bits, range, response)
+            self._samples = samples
+            self._stream = Stream(self, self._clock, announced_s, samples.white - samples.black)
+            self._stream.start()
+            self._picture = Picture(chosen, wanted, announced_s)
+            self._delay = load_profile(self._info).delays.get(self.mode)
+            self._controls = ExposureControls(
+                time_s=self._exposure.time_s,
+                shape=(wanted.height, wanted.width),
+                layout=chosen.layout,
+                bits=samples.bits,
+                black=samples.black,
+                white=samples.white,
+                response=samples.response,
+                delay_frames=None if self._delay is None else self._delay.frames,
+                frame_interval_s=self._stream.slots.interval_s,
+                notes=(
+                    *samples.notes,
+                    *self._exposure.notes,
+                    *_rate_notes(announced_s, self._stream.slots.interval_s),
+                    *_delay_notes(self._delay, self._info.id),
+                ),
+            )
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def info(self) -> CameraInfo:
+        """Who it is."""
+        return self._info
+
+    @property
+    def controls(self) -> ExposureControls:
+        """What it can set."""
+        return self._controls
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of its timestamps: the system's monotonic one."""
+        return self._clock
+
+    @property
+    def mode(self) -> str:
+        """Pixel format, size and frame rate, such as yuyv-640x480-30."""
+        rate = round(1 / self._picture.interval_s, 3)
+        return f"{self._picture.format.name}-{self._picture.size}-{rate:g}"
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        """Take the settings in their order; see `camctl.camera.Camera.shoot`."""
+        wanted = tuple(settings)
+        self._check_ready(wanted)
+        return self._shoot(wanted)
+
+    def preview(self, setting: ExposureSetting) -> Frame:
+        """Return one frame at `setting`, for metering; raises as `shoot` does."""
+        self._check_ready((setting,))
+        frames = self._shoot((setting,))
+        try:
+            return next(frames)
+        finally:
+            frames.close()
+
+    def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
+        """Return the frames that follow a change; see `camctl.camera.StreamingCamera.step`."""
+        self._check_ready((before, after))
+        shots = self._stream.step(before, after, frames)
+        return [self._frame(shot, after) for shot in shots]
+
+    def close(self) -> None:
+        """Stop the stream and let go of the device; a second call does nothing."""
+        capture, self._capture = self._capture, None
+        if capture is not None:
+            capture.close()
+        self._node.close()
+
+    def __enter__(self) -> Self:
+        """Return the camera itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the camera."""
+        self.close()
+
+    def grab(self) -> float:
+        """Wait for the next frame and return its timestamp, s: for the camera's own stream."""
+        return self._running().grab()
+
+    def retrieve(self) -> Pixels | None:
+        """Return the samples of the frame grabbed last, None where they came spoilt.
+
+        Raises:
+            CameraProtocolError: samples have more bits than they should
+
+        """
+        data = self._running().retrieve()
+        if data is None:
+            return None
+        try:
+            pixels = self._picture.format.samples(data, self._picture.size)
+        except SpoiltFrameError:
+            return None
+        most = int(pixels.max())
+        if most >= 2**self._samples.bits:
+            raise CameraProtocolError(
+                f"{self._node.path} sends {most}, which is no sample of {self._samples.bits} bits",
+                hint="name the bits with -O bits=..., or choose another -O format=...",
+            )
+        return pixels
+
+    def write(self, setting: ExposureSetting) -> ExposureSetting:
+        """Set the exposure and return it as read back: for the camera's own stream."""
+        self._running()
+        return ExposureSetting(self._exposure.write(setting.time_s))
+
+    def _running(self) -> Capture:
+        if self._capture is None:
+            raise CameraDisconnectedError(
+                f"the camera at {self._node.path} is closed", hint="open it again"
+            )
+        return self._capture
+
+    def _check_ready(self, settings: Sequence[ExposureSetting]) -> None:
+        self._running()
+        if self._is_shooting:
+            raise CameraBusyError(
+                f"{self._node.path} is still shooting", hint="finish or close that shot first"
+            )
+        for setting in settings:
+            self._controls.check(setting)
+
+    def _shoot(self, settings: tuple[ExposureSetting, ...]) -> Generator[Frame, None, None]:
+        if self._is_shooting:
+            raise CameraBusyError(
+                f"{self._node.path} is still shooting", hint="finish or close that shot first"
+            )
+        self._is_shooting = True
+        try:
+            if self._delay is not None and self._delay.frames is not None:
+                shots = self._stream.shoot(settings, self._delay.frames)
+            else:
+                largest = UNKNOWN_DELAY if self._delay is None else self._delay.largest
+                shots = self._stream.settle(settings, largest)
+            for shot in shots:
+                yield self._frame(shot, settings[shot.index])
+        finally:
+            self._is_shooting = False
+
+    def _frame(self, shot: Shot, requested: ExposureSetting) -> Frame:
+        return Frame(
+            pixels=shot.pixels,
+            requested=requested,
+            applied=shot.applied,
+            timestamp_s=shot.time_s,
+            index=shot.index,
+            black=self._samples.black,
+            white=self._samples.white,
+        )
+
+
+class V4l2Road:
+    """Opens ``v4l2:/dev/v4l/by-id/...`` and ``v4l2:/dev/videoN``.
+
+    Options: format, size (WIDTHxHEIGHT), fps, bits, range, response; see `V4l2Camera`.
+    """
+
+    def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
+        """Return the cameras whose nodes can be opened; no stream is started."""
+        return find_cameras()
+
+    def open(self, address: str, options: Mapping[str, str]) -> V4l2Camera:
+        """Return the camera at a node; without an address, the only one there is.
+
+        Raises:
+            UsageError: an unknown option, or a value that is none
+            CameraError: see `V4l2Camera`
+
+        """
+        for option in options:
+            if option not in OPTIONS:
+                raise unknown_name("option of V4L2 cameras", option, OPTIONS)
+        return V4l2Camera(
+            address or _only_node(),
+            format=options.get("format", "auto").lower(),
+            size=parse_size(options["size"]) if "size" in options else None,
+            fps=parse_rate(options["fps"]) if "fps" in options else None,
+            bits=parse_bits(options["bits"]) if "bits" in options else None,
+            range=options.get("range", "auto").lower(),
+            response=options.get("response", "auto").lower(),
+        )
+
+
+def _only_node() -> str:
+    found = [camera.id.partition(":")[2] for camera in find_cameras()] if node_paths() else []
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise CameraNotFoundError("no V4L2 camera is connected", hint="plug one in")
+    raise CameraNotFoundError(
+        f"{len(found)} V4L2 cameras are connected",
+        hint=f"name one of them: {', '.join(f'{DRIVER}:{path}' for path in found)}",
+    )
+
+
+def _rate_notes(announced_s: float, seen_s: float) -> tuple[str, ...]:
+    if abs(seen_s / announced_s - 1) < 0.1:
+        return ()
+    return (
+        f"the camera announces {1 / announced_s:.3g} frames a second and sends {1 / seen_s:.3g}",
+    )
+
+
+def _delay_notes(delay: DelayRecord | None, camera_id: str) -> tuple[str, ...]:
+    if delay is None:
+        return (
+            "control delay not measured: the stream settles for each exposure; run camctl "
+            f"calibrate delay --camera {camera_id}",
+        )
+    if delay.frames is None:
+        return (
+            f"the control delay is not constant ({delay.smallest} to {delay.largest} frames): "
+            "the stream settles for each exposure",
+        )
+    return ()

@@ -1,0 +1,244 @@
+"""The V4L2 ioctls that the driver uses, as the kernel lays them out.
+
+Source of numbers and layouts: linux/videodev2.h and linux/v4l2-controls.h.  The structures hold for
+all 64-bit Linux systems; a test compares their sizes and the ioctl numbers with the kernel's.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from enum import IntEnum, IntFlag
+
+_U8, _U32, _S32 = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_int32
+
+CAPTURE_BUFFER = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
+
+
+class Capability(ctypes.Structure):
+    """What a node is: struct v4l2_capability."""
+
+    _fields_ = (
+        ("driver", _U8 * 16),
+        ("card", _U8 * 32),
+        ("bus_info", _U8 * 32),
+        ("version", _U32),
+        ("capabilities", _U32),
+        ("device_caps", _U32),
+        ("reserved", _U32 * 3),
+    )
+
+
+class FormatDescription(ctypes.Structure):
+    """One entry of the list of pixel formats: struct v4l2_fmtdesc."""
+
+    _fields_ = (
+        ("index", _U32),
+        ("type", _U32),
+        ("flags", _U32),
+        ("description", _U8 * 32),
+        ("pixelformat", _U32),
+        ("reserved", _U32 * 4),
+    )
+
+
+class Format(ctypes.Structure):
+    """The picture that is set: struct v4l2_format with struct v4l2_pix_format in its union."""
+
+    _fields_ = (
+        ("type", _U32),
+        ("_alignment", _U32),
+        ("width", _U32),
+        ("height", _U32),
+        ("pixelformat", _U32),
+        ("field", _U32),
+        ("bytesperline", _U32),
+        ("sizeimage", _U32),
+        ("colorspace", _U32),
+        ("priv", _U32),
+        ("flags", _U32),
+        ("ycbcr_enc", _U32),
+        ("quantization", _U32),
+        ("xfer_func", _U32),
+        ("_rest", _U8 * 152),
+    )
+
+
+class StreamParameters(ctypes.Structure):
+    """The frame interval that is set: struct v4l2_streamparm with v4l2_captureparm in its union."""
+
+    _fields_ = (
+        ("type", _U32),
+        ("capability", _U32),
+        ("capturemode", _U32),
+        ("numerator", _U32),
+        ("denominator", _U32),
+        ("_rest", _U8 * 184),
+    )
+
+
+class ControlQuery(ctypes.Structure):
+    """A control's range: struct v4l2_queryctrl."""
+
+    _fields_ = (
+        ("id", _U32),
+        ("type", _U32),
+        ("name", _U8 * 32),
+        ("minimum", _S32),
+        ("maximum", _S32),
+        ("step", _S32),
+        ("default_value", _S32),
+        ("flags", _U32),
+        ("reserved", _U32 * 2),
+    )
+
+
+class MenuQuery(ctypes.Structure):
+    """One entry of a menu control: struct v4l2_querymenu (packed)."""
+
+    _pack_ = 1
+    _fields_ = (
+        ("id", _U32),
+        ("index", _U32),
+        ("name", _U8 * 32),
+        ("reserved", _U32),
+    )
+
+
+class ControlValue(ctypes.Structure):
+    """A control's value: struct v4l2_control."""
+
+    _fields_ = (("id", _U32), ("value", _S32))
+
+
+class SizeQuery(ctypes.Structure):
+    """One entry of the list of sizes: struct v4l2_frmsizeenum.
+
+    The six words are width and height where the type is discrete, else minimum, maximum and step
+    of the width, then of the height.
+    """
+
+    _fields_ = (
+        ("index", _U32),
+        ("pixel_format", _U32),
+        ("type", _U32),
+        ("words", _U32 * 6),
+        ("reserved", _U32 * 2),
+    )
+
+
+class IntervalQuery(ctypes.Structure):
+    """One entry of the list of frame intervals: struct v4l2_frmivalenum.
+
+    The words are fractions of a second, numerator and denominator: one where the type is discrete,
+    else minimum, maximum and step.
+    """
+
+    _fields_ = (
+        ("index", _U32),
+        ("pixel_format", _U32),
+        ("width", _U32),
+        ("height", _U32),
+        ("type", _U32),
+        ("words", _U32 * 6),
+        ("reserved", _U32 * 2),
+    )
+
+
+_READ, _WRITE = 2, 1
+
+
+def _request(direction: int, number: int, structure: type[ctypes.Structure]) -> int:
+    """Return an ioctl's number: direction, size, 'V' and running number (asm-generic/ioctl.h)."""
+    return direction << 30 | ctypes.sizeof(structure) << 16 | ord("V") << 8 | number
+
+
+class Request(IntEnum):
+    """Numbers of the ioctls."""
+
+    QUERYCAP = _request(_READ, 0, Capability)
+    ENUM_FMT = _request(_READ | _WRITE, 2, FormatDescription)
+    G_FMT = _request(_READ | _WRITE, 4, Format)
+    S_FMT = _request(_READ | _WRITE, 5, Format)
+    G_PARM = _request(_READ | _WRITE, 21, StreamParameters)
+    G_CTRL = _request(_READ | _WRITE, 27, ControlValue)
+    S_CTRL = _request(_READ | _WRITE, 28, ControlValue)
+    QUERYCTRL = _request(_READ | _WRITE, 36, ControlQuery)
+    QUERYMENU = _request(_READ | _WRITE, 37, MenuQuery)
+    ENUM_FRAMESIZES = _request(_READ | _WRITE, 74, SizeQuery)
+    ENUM_FRAMEINTERVALS = _request(_READ | _WRITE, 75, IntervalQuery)
+
+
+class Caps(IntFlag):
+    """Bits of `Capability.capabilities` and `device_caps`."""
+
+    VIDEO_CAPTURE = 0x00000001
+    STREAMING = 0x04000000
+    DEVICE_CAPS = 0x80000000
+
+
+class ControlFlag(IntFlag):
+    """Bits of `ControlQuery.flags`."""
+
+    DISABLED = 0x0001
+    READ_ONLY = 0x0004
+
+
+class ControlType(IntEnum):
+    """Kinds of controls with a 32-bit value."""
+
+    INTEGER = 1
+    BOOLEAN = 2
+    MENU = 3
+    INTEGER_MENU = 9
+
+
+class Grid(IntEnum):
+    """Kinds of `SizeQuery` and `IntervalQuery`."""
+
+    DISCRETE = 1
+    CONTINUOUS = 2
+    STEPWISE = 3
+
+
+class Quantization(IntEnum):
+    """Values of `Format.quantization`."""
+
+    DEFAULT = 0
+    FULL = 1
+    LIMITED = 2
+
+
+COLORSPACE_JPEG = 7
+
+_USER, _CAMERA = 0x00980900, 0x009A0900
+
+
+class ControlId(IntEnum):
+    """The controls that decide a frame's exposure, and those that would change it by themselves."""
+
+    AUTO_WHITE_BALANCE = _USER + 12
+    AUTOGAIN = _USER + 18
+    GAIN = _USER + 19
+    BACKLIGHT_COMPENSATION = _USER + 28
+    AUTOBRIGHTNESS = _USER + 32
+    EXPOSURE_AUTO = _CAMERA + 1
+    EXPOSURE_ABSOLUTE = _CAMERA + 2
+    EXPOSURE_AUTO_PRIORITY = _CAMERA + 3
+    AUTO_N_PRESET_WHITE_BALANCE = _CAMERA + 20
+    WIDE_DYNAMIC_RANGE = _CAMERA + 21
+    ISO_SENSITIVITY_AUTO = _CAMERA + 24
+    HDR_SENSOR_MODE = _CAMERA + 36
+
+
+MANUAL_EXPOSURE = 1  # entry of the menu EXPOSURE_AUTO
+
+
+def fourcc(code: str) -> int:
+    """Return a pixel format's number for its four characters."""
+    return int.from_bytes(code.encode("ascii"), "little")
+
+
+def text(field: ctypes.Array[ctypes.c_uint8]) -> str:
+    """Return the text in a fixed field: up to the first NUL, if there is one, and printable."""
+    spelt = bytes(field).split(b"\0", 1)[0].decode("utf-8", "replace")
+    return "".join(letter if letter.isprintable() else "?" for letter in spelt).strip()

@@ -1,0 +1,73 @@
+"""Which size and frame rate are streamed, and the words of the options that say so."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+from camctl.errors import UsageError
+from drivers.v4l2_capture import whole_rate
+from drivers.v4l2_offers import Size, SizeGrid
+
+_USUAL_INTERVAL_S = 1 / 30
+_SAME_RATE = 0.01
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return (width, height) of "WIDTHxHEIGHT"; raises `UsageError`."""
+    match = re.fullmatch(r"\s*([1-9]\d{0,5})\s*[xX×]\s*([1-9]\d{0,5})\s*", text)
+    if match is None:
+        raise UsageError(f"a size of '{text}'", hint="write WIDTHxHEIGHT, such as 640x480")
+    return int(match[1]), int(match[2])
+
+
+def parse_rate(text: str) -> float:
+    """Return frames a second; raises `UsageError`."""
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(f"an fps of '{text}'", hint="give a number, such as 30") from None
+
+
+def parse_bits(text: str) -> int:
+    """Return a number of bits; raises `UsageError`."""
+    if not re.fullmatch(r"\d{1,2}", text.strip()):
+        raise UsageError(f"bits of '{text}'", hint="give a whole number from 9 to 16")
+    return int(text)
+
+
+def choose_size(grid: SizeGrid, wanted: tuple[int, int] | None, path: str) -> Size:
+    """Return the size wanted, or the largest; raises `UsageError` where it is not offered."""
+    if wanted is None:
+        return grid.largest
+    size = Size(*wanted)
+    if not grid.has(size):
+        known = ", ".join(str(each) for each in grid.listed)
+        raise UsageError(f"{path} has no frames of {size}", hint=f"it offers {known}")
+    return size
+
+
+def choose_interval(offered: Sequence[float], fps: float | None, path: str) -> float:
+    """Return a frame interval, s: the one asked for, or the longest.
+
+    The longest, because no exposure may last longer than the interval: who has light enough asks
+    for a higher rate.  Only those count that OpenCV can ask for: the nearest to some whole number
+    of frames a second.  Raises `UsageError` where the rate asked for is not offered.
+    """
+    if fps is not None and not (math.isfinite(fps) and 0 < fps <= 10_000):
+        raise UsageError(f"an fps of {fps:g}", hint="give a positive number, such as 30")
+    usable = [
+        interval_s
+        for interval_s in offered
+        if min(offered, key=lambda each: abs(each - 1 / whole_rate(interval_s))) == interval_s
+    ]
+    if not usable:
+        return 1 / fps if fps is not None else _USUAL_INTERVAL_S
+    if fps is None:
+        return max(usable)
+    nearest = min(usable, key=lambda interval_s: abs(math.log(interval_s * fps)))
+    if abs(nearest * fps - 1) > _SAME_RATE:
+        known = ", ".join(f"{1 / interval_s:.4g}" for interval_s in sorted(usable, reverse=True))
+        raise UsageError(f"{path} has no {fps:g} frames a second", hint=f"it offers {known}")
+    return nearest
