@@ -1,0 +1,118 @@
+"""The example driver, installed as a package of its own, is a camera like any other."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+EXAMPLE = Path(__file__).parent / "example_driver"
+MODULE = EXAMPLE / "camctl_example.py"
+SUITE = """
+from camctl.testing import CameraConformance
+from camctl_example import ExampleCamera
+
+
+class TestExample(CameraConformance):
+    def open_camera(self):
+        return ExampleCamera("bright")
+"""
+
+Python = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the installed example, and nothing else."""
+    source = tmp_path_factory.mktemp("source") / "example"
+    shutil.copytree(EXAMPLE, source)
+    target = tmp_path_factory.mktemp("packages")
+    quiet = ("--quiet", "--no-deps", "--no-build-isolation", "--no-index")
+    words = [sys.executable, "-m", "pip", "install", *quiet, "--target", str(target), str(source)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    return target
+
+
+@pytest.fixture
+def python(packages: Path, tmp_path: Path) -> Python:
+    """Run Python words in a folder of their own, where the example is installed."""
+    found = os.pathsep.join([str(packages), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    surroundings = {**os.environ, "PYTHONPATH": found, "CAMCTL_CACHE": str(tmp_path / "cache")}
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, *words],
+            cwd=tmp_path,
+            env=surroundings,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+
+    return run
+
+
+def camctl(python: Python, *words: str) -> subprocess.CompletedProcess[str]:
+    return python("-c", "import sys; from camctl.cli import main; sys.exit(main())", *words)
+
+
+def test_it_is_small_enough_to_read() -> None:
+    assert len(MODULE.read_text().splitlines()) <= 60
+
+
+def test_it_is_not_here_unless_it_is_installed(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", "import camctl_example"]
+    bare = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    done = subprocess.run(words, cwd=tmp_path, env=bare, capture_output=True, check=False)
+    assert done.returncode != 0
+
+
+def test_cameras_lists_it(python: Python) -> None:
+    told = camctl(python, "cameras")
+    assert told.returncode == 0
+    cameras, roads = told.stdout.split("\n\n")
+    assert "example:bright  camctl" in cameras
+    assert "example:dim" in cameras
+    assert "an example of a driver: a gradient of light" in roads
+
+
+def test_shoot_takes_a_picture_with_it(python: Python, tmp_path: Path) -> None:
+    done = camctl(python, "shoot", "--camera", "example:bright", "--range", "low", "-o", "x")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    report = json.loads((tmp_path / "x" / "report.json").read_text())
+    assert report["status"] == "complete"
+    assert report["camera"]["serial"] == "bright"
+    assert all(frame["ratio"] is None or frame["ratio"]["agrees"] for frame in report["frames"])
+    assert (tmp_path / "x" / "radiance.exr").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said", "status"),
+    [
+        (["--camera", "example:brigth"], "no camera example:brigth; try example:bright", 1),
+        (["--camera", "example:dim", "-O", "a=b"], "no option 'a'; leave it out", 2),
+        (["--camera", "exampel:dim"], "unknown camera 'exampel'; did you mean example?", 2),
+    ],
+)
+def test_its_errors_are_one_line(python: Python, words: list[str], said: str, status: int) -> None:
+    done = camctl(python, "shoot", *words)
+    assert done.returncode == status
+    assert done.stderr.count("\n") == 1
+    assert said in done.stderr
+
+
+def test_it_passes_the_conformance_suite(python: Python, tmp_path: Path) -> None:
+    (tmp_path / "test_suite.py").write_text(SUITE)
+    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_suite.py")
+    assert done.returncode == 0, done.stdout
+    assert "skipped" not in done.stdout
+    assert "failed" not in done.stdout
