@@ -248,7 +248,7 @@ class CoolpixCamera:
 class CoolpixRoad:
     """Opens ``coolpix:PORT``; options: format (jpeg, tiff), speed (baud), response."""
 
-    about = "Nikon CoolPix 990 on a serial port: coolpix:/dev/ttyUSB0 or any pyserial URL"
+    about = "Nikon CoolPix 990 on a serial port, looked for with --probe; any pyserial URL opens"
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras that answer on the machine's serial ports; none without `probe`."""

@@ -255,6 +255,8 @@ class V4l2Road:
     Options: format, size (WIDTHxHEIGHT), fps, bits, range, response; see `V4l2Camera`.
     """
 
+    about = "webcams and machine-vision cameras that Linux shows as /dev/video0 and so on"
+
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras whose nodes can be opened; no stream is started."""
         return find_cameras()

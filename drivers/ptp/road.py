@@ -29,6 +29,8 @@ class PtpRoad:
         backend: a pyusb backend; None: libusb
     """
 
+    about = "still cameras on USB that speak PTP: DSLRs, mirrorless, compacts"
+
     def __init__(self, backend: Any = None) -> None:
         self._backend = backend
 
