@@ -233,8 +233,8 @@ class CoolpixCamera:
             )
         if self._response_name == "srgb":
             notes.append(
-                "the response of its files is assumed to be sRGB until camctl calibrate response "
-                "has measured it"
+                "the response of its files is assumed to be sRGB until it is measured: "
+                "-O response=..."
             )
         if self._body.apertures:
             numbers = ", ".join(f"f/{number:g}" for number in self._body.apertures)
