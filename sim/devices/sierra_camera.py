@@ -70,7 +70,7 @@ class SierraCamera:
         self._aperture = 0
         self._current = 0  # picture; 0 is the newest
         self._kept = dict(KEPT)
-        self._folder: tuple[str, ...] = ()
+        self._folder = FOLDER_PATH
         self._chosen_folder = 0
         self.asked_for: Picture | None = None
 
@@ -83,7 +83,7 @@ class SierraCamera:
             Register.SHUTTER: lambda: 0 if self._is_automatic else self._shutter_us,
             Register.PICTURE: lambda: self._current or len(self.pictures),
             Register.APERTURE: lambda: self._aperture,
-            Register.TAKEN: lambda: len(self.pictures),
+            Register.TAKEN: lambda: len(self.pictures) * (self._folder == FOLDER_PATH),
             Register.LEFT: lambda: self._free_bytes // self.body.largest_file,
             Register.SIZE: lambda: len(self._picture().data),
             Register.THUMBNAIL_SIZE: lambda: len(self._picture().thumbnail),
@@ -130,17 +130,10 @@ class SierraCamera:
             return self.asked_for.data
         if number == Register.THUMBNAIL:
             return self._picture().thumbnail
-        if number == Register.FILE_NAME:
-            return self._picture().name.encode("ascii")
         if number == Register.PICTURE_INFO:
             return self._info(self._picture())
-        if number == Register.SERIAL:
-            return self._serial.encode("ascii")
-        if number == Register.FOLDER:
-            return self._folder_name().encode("ascii")
-        if number in _TEXTS:
-            return _TEXTS[Register(number)].encode("ascii")
-        raise Refused
+        # Names end with a NUL, which libgphoto2 takes for granted.
+        return self._name(number).encode("ascii") + b"\0"
 
     def write_text(self, number: int, text: bytes) -> None:
         r"""Change the folder: "\" is the top (Refused: no such folder or register)."""
@@ -229,6 +222,17 @@ class SierraCamera:
         """Return sizes of file, thumbnail and sound, quality, lock, date and kind of film."""
         sizes = (len(picture.data), len(picture.thumbnail), 0)
         return struct.pack("<8I", *sizes, QUALITY_OF[picture.kind], 0, KEPT[2], 0, 0)
+
+    def _name(self, number: int) -> str:
+        if number == Register.FILE_NAME:
+            return self._picture().name
+        if number == Register.SERIAL:
+            return self._serial
+        if number == Register.FOLDER:
+            return self._folder_name()
+        if number in _TEXTS:
+            return _TEXTS[Register(number)]
+        raise Refused
 
     def _folder_name(self) -> str:
         """Return the name of the folder that register 83 chose, else of the one that is open."""

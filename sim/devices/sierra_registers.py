@@ -81,6 +81,7 @@ KEPT = {
     34: 1,  # screen
     35: 4,  # its brightness
     38: 30,  # when it switches off
+    40: 0,  # read by libgphoto2; what it says is not published
     53: 3,  # language
     69: 0,  # exposure compensation
     70: 5,  # metering
