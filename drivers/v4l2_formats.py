@@ -74,16 +74,19 @@ def _four_in_five(data: Bytes, size: Size) -> Pixels:
     """Four samples' upper 8 bits, then a byte of their lower 2 bits (MIPI RAW10)."""
     groups = data.reshape(-1, 5).astype(np.uint16)
     lower = (groups[:, 4:] >> np.array([0, 2, 4, 6], np.uint16)) & 3
-    samples = (groups[:, :4] << 2 | lower).astype(np.uint16, copy=False)
-    return samples.reshape(size.height, size.width)
+    return _lines((groups[:, :4] << 2 | lower).astype(np.uint16, copy=False), size)
 
 
 def _two_in_three(data: Bytes, size: Size) -> Pixels:
     """Two samples' upper 8 bits, then a byte of their lower 4 bits (MIPI RAW12)."""
     groups = data.reshape(-1, 3).astype(np.uint16)
     lower = (groups[:, 2:] >> np.array([0, 4], np.uint16)) & 15
-    samples = (groups[:, :2] << 4 | lower).astype(np.uint16, copy=False)
-    return samples.reshape(size.height, size.width)
+    return _lines((groups[:, :2] << 4 | lower).astype(np.uint16, copy=False), size)
+
+
+def _lines(groups: Pixels, size: Size) -> Pixels:
+    """Return samples line by line, without those that fill up the last group of a line."""
+    return groups.reshape(size.height, -1)[:, : size.width]
 
 
 def _jpeg(data: Bytes, size: Size) -> Pixels:
@@ -120,8 +123,8 @@ def _decode(stream: bytes) -> tuple[NDArray[Any] | None, list[str]]:
 
 WORDS = Packing(lambda width: 2 * width, _words)
 OCTETS = Packing(lambda width: width, _bytes)
-TENS = Packing(lambda width: width * 5 // 4, _four_in_five)
-TWELVES = Packing(lambda width: width * 3 // 2, _two_in_three)
+TENS = Packing(lambda width: -(-width // 4) * 5, _four_in_five)
+TWELVES = Packing(lambda width: -(-width // 2) * 3, _two_in_three)
 YUYV = Packing(lambda width: 2 * width, _first_of_two)
 UYVY = Packing(lambda width: 2 * width, _second_of_two)
 NV12 = Packing(lambda width: width, _first_plane)

@@ -66,6 +66,10 @@ class Slots:
         """Return how much of the slot after the frame seen last is over; above 1: all of it."""
         return (now_s - self.time_s) / self.interval_s
 
+    def at(self, phase: float) -> float:
+        """Return the time at which `phase` comes, s."""
+        return self.time_s + phase * self.interval_s
+
     def running(self, now_s: float) -> int:
         """Return the number of the slot that is exposed at `now_s`, not before the last frame."""
         assert self.number is not None

@@ -22,9 +22,11 @@ from camctl.clock import Clock
 from camctl.errors import CameraProtocolError
 from drivers.v4l2_slots import Slots
 
-#: Controls are written in the first half of a slot, or, where frames arrive later than that after
-#: their timestamp (which is when their transfer begins), within so much of a slot after they came.
-WINDOW, AFTER_ARRIVAL, END = 0.5, 0.25, 0.95
+#: Controls are written in the first half of a slot.  Where frames arrive later than that after
+#: their timestamp, which is when their transfer begins, controls are written within `AFTER_ARRIVAL`
+#: of a slot after that, up to `END`; and where `END` is too near, from `BEGIN` of the next slot on.
+WINDOW, AFTER_ARRIVAL, END, BEGIN = 0.5, 0.25, 0.95, 0.03
+_TOO_NEAR = 0.8
 #: A write that ended in this last share of a slot may have landed in the next.
 MARGIN = 0.25
 #: Frames until an exposure counts as settled where the delay was never measured.
@@ -88,7 +90,7 @@ class Stream:
         self._clock = clock
         self._range_dn = range_dn
         self.slots = Slots(interval_s)
-        self._window = WINDOW
+        self._window = (0.0, WINDOW)
         self._steps = 0
 
     def start(self, frames: int = 4) -> None:
@@ -180,8 +182,7 @@ class Stream:
                 pass
             self._catch_up()
             if self._steps % 2:
-                end_s = self.slots.time_s + 0.95 * self._window * self.slots.interval_s
-                self._clock.sleep_until(end_s)
+                self._clock.sleep_until(self.slots.at(0.95 * self._window[1]))
             write = self._write(0, after, 0)
             shots = self._run(write, frames)
             if write.earliest == write.latest and shots is not None:
@@ -215,10 +216,18 @@ class Stream:
     def _catch_up(self) -> None:
         """Throw away what has been waiting, until a slot has just begun."""
         for _ in range(_MOST_STALE):
-            if self.slots.phase(self._clock.now()) <= self._window:
+            if self._is_time_to_write():
                 return
             self._grab()
         raise self._irregular()
+
+    def _is_time_to_write(self) -> bool:
+        """Say whether controls may be written now, or in a moment, which is waited for."""
+        opens, closes = self._window
+        if self.slots.phase(self._clock.now()) > closes:
+            return False
+        self._clock.sleep_until(self.slots.at(opens))
+        return True
 
     def _fill(
         self,
@@ -229,17 +238,16 @@ class Stream:
     ) -> None:
         """Write the next setting if this slot has none yet and has just begun."""
         index = done + len(written)
-        now_s = self._clock.now()
-        if index >= len(settings) or self.slots.phase(now_s) > self._window:
+        if index >= len(settings) or not self._is_time_to_write():
             return
-        if written and self.slots.running(now_s) + 1 + delay <= written[-1].latest:
+        if written and self.slots.running(self._clock.now()) + 1 + delay <= written[-1].latest:
             return
         written.append(self._write(index, settings[index], delay))
 
     def _write(self, index: int, setting: ExposureSetting, delay: int) -> _Write:
         begun = self.slots.running(self._clock.now())
         applied = self._source.write(setting)
-        margin = min(MARGIN, (1 - self._window % 1) / 2)
+        margin = min(MARGIN, (1 - self._window[1] % 1) / 2)
         ended = self.slots.running(self._clock.now() + margin * self.slots.interval_s)
         return _Write(index, applied, begun + 1 + delay, ended + 1 + delay)
 
@@ -279,10 +287,12 @@ class Stream:
         )
 
 
-def _window(lateness: float) -> float:
-    """Return up to which phase after a timestamp controls may be written, in slots.
+def _window(lateness: float) -> tuple[float, float]:
+    """Return from when to when after a timestamp controls may be written, in slots.
 
     `lateness` is how long after its timestamp a frame arrives, in slots.
     """
     whole, part = divmod(max(lateness, 0.0), 1.0)
-    return whole + max(WINDOW, min(part + AFTER_ARRIVAL, END))
+    if part > _TOO_NEAR:
+        return whole + 1 + BEGIN, whole + 1 + WINDOW
+    return 0.0, whole + max(WINDOW, min(part + AFTER_ARRIVAL, END))

@@ -12,7 +12,7 @@ import numpy as np
 
 from camctl.clock import VirtualClock
 from drivers import v4l2_abi as abi
-from drivers.v4l2_abi import ControlId, ControlType, Request, fourcc
+from drivers.v4l2_abi import ControlId, ControlType, fourcc
 
 PATH = "/dev/video-of-the-model"
 ROWS, COLUMNS = 6, 8
@@ -90,6 +90,7 @@ class Model:
         self.pending = []  # (from which slot, ticks)
         self.ticks = 157
         self.writes = 0
+        self.written_in = []  # the slot of each write of the exposure
         self.used = []  # slots handed over by grab
         self.frozen = False
         self.unplugged = False
@@ -128,6 +129,7 @@ class Model:
         self.advance()
         delay = self.delays(self.writes) if self.delays else self.delay
         self.writes += 1
+        self.written_in.append(self.slot)
         if self.slot == 0 and self.slot_end_s is None:
             self.ticks = ticks
         # Slot `self.slot` is being exposed.
@@ -233,7 +235,7 @@ class Video:
     def isOpened(self):  # noqa: N802
         return self.model.opens
 
-    def set(self, propId, value):  # noqa: N803
+    def set(self, propId, value):
         self.set_up[propId] = value
         model = self.model
         if propId == cv2.CAP_PROP_BUFFERSIZE:
@@ -245,7 +247,7 @@ class Video:
         )
         return True
 
-    def get(self, propId):  # noqa: N803
+    def get(self, propId):
         assert propId == cv2.CAP_PROP_POS_MSEC
         return self.model.stamp_s(self.frame[1]) * 1000
 
@@ -307,5 +309,3 @@ def ticks_of(pixels, bits=8):
     """Return the exposure that a frame shows, by its pixels alone."""
     wanted = np.asarray(pixels, dtype=float)
     return next(t for t in range(1, 1001) if np.array_equal(brightness(t, bits), wanted))
-
-
