@@ -213,8 +213,9 @@ class StillBody:
         self._released.set()
 
     def wait(self, timeout_s: float = 10.0) -> None:
-        """Wait until nothing is exposed."""
-        if worker := self._worker:
+        """Wait until nothing is exposed, and nothing that was waiting for that."""
+        deadline = time.monotonic() + timeout_s
+        while (worker := self._worker) and time.monotonic() < deadline:
             worker.join(timeout_s)
 
     def _expose(self, exposure: Exposure, done: Callable[[Sequence[Picture]], None]) -> None:
