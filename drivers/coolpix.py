@@ -72,7 +72,7 @@ class CoolpixCamera:
         format: str = "jpeg",
         speed: int = 115_200,
         response: str = "srgb",
-        timeout_s: float = 10.0,
+        timeout_s: float = 12.0,
         clock: Clock | None = None,
         progress: Progress | None = None,
     ) -> None:

@@ -17,7 +17,7 @@ from drivers.sierra_packets import FIRST_SPEED, Register
 
 DRIVER = "coolpix"
 _DEADLINE_S = 0.9
-_TIMEOUT_S = 0.4
+_TIMEOUT_S = 0.6
 
 
 def describe(sierra: Sierra, url: str) -> CameraInfo:

@@ -82,6 +82,11 @@ class SerialLink:
             ) from error
 
     @property
+    def has_speed(self) -> bool:
+        """False where nothing at this end sets the line's speed: a plain socket carries bytes."""
+        return not self.url.startswith("socket://")
+
+    @property
     def speed(self) -> int:
         """The speed the line is set to, baud."""
         return int(self._line.baudrate)

@@ -39,8 +39,9 @@ from drivers.sierra_packets import (
 
 # Bad answers (NAK, damaged, stray) come at once and may come in bursts; silence costs time.
 _BAD_ANSWERS = 6
+# Half of the patience goes into asking again, the rest is left for opening the session again.
 _SILENCES = 3
-_REPLY_S = 2.0
+_REPLY_SHARE = 1 / (2 * _SILENCES)
 _WAKE_S = 0.5
 _SWITCH_S = 0.05
 
@@ -69,7 +70,7 @@ class Sierra:
         link: SerialLink,
         *,
         speed: int = 115_200,
-        timeout_s: float = 10.0,
+        timeout_s: float = 12.0,
         clock: Clock | None = None,
     ) -> None:
         if speed not in SPEEDS:
@@ -81,6 +82,7 @@ class Sierra:
         self.sessions = 0
         self.timeout_s = timeout_s
         self._clock = clock or RealClock()
+        self._reply_s = timeout_s * _REPLY_SHARE
         self._wanted = speed
         self._heard_s = 0.0
         self._is_first = True
@@ -178,7 +180,7 @@ class Sierra:
         self._send(payload)
         is_taken = False
         for _ in range(_BAD_ANSWERS):
-            patience_s = self.timeout_s + wait_s if is_taken else _SILENCES * _REPLY_S
+            patience_s = self.timeout_s + wait_s if is_taken else _SILENCES * self._reply_s
             reply = self._receive(patience_s)
             if reply is None:
                 raise self._silent(patience_s)
@@ -202,8 +204,9 @@ class Sierra:
 
     def _begin(self) -> None:
         self._wake()
-        slower = [speed for speed in SPEEDS if FIRST_SPEED < speed <= self._wanted]
-        for speed in sorted(slower, reverse=True) or [self._wanted]:
+        wanted = self._wanted if self.link.has_speed else FIRST_SPEED
+        faster = [speed for speed in SPEEDS if FIRST_SPEED < speed <= wanted]
+        for speed in sorted(faster, reverse=True) or [wanted]:
             if speed == FIRST_SPEED or self._speed_works(speed):
                 break
         self.sessions += 1
@@ -289,7 +292,7 @@ class Sierra:
         silences = 0
         self._send(payload)
         for _ in range(_BAD_ANSWERS):
-            reply = self._receive(self._patience(_REPLY_S))
+            reply = self._receive(self._patience(self._reply_s))
             if reply is None:
                 silences += 1
                 if silences == _SILENCES:
@@ -317,7 +320,7 @@ class Sierra:
         expected, bad, silent = 0, 0, 0
         self._send(payload)
         while bad < _BAD_ANSWERS:
-            reply = self._receive(self._patience(_REPLY_S))
+            reply = self._receive(self._patience(self._reply_s))
             if reply is None:
                 silent += 1
                 if silent == silences:
