@@ -191,8 +191,8 @@ class PtpCamera:
                 "frames"
             )
         self._notes.append(
-            "shutter times are what the camera calls them; a dial's 1/60 may be 1/64 s: measure "
-            "with camctl calibrate exposure"
+            "shutter times are what the camera calls them; a dial's 1/60 may be 1/64 s: compare "
+            "the ratios that the report has measured"
         )
         return Dials(
             dial, body.dial("gain", dialect.gains), body.dial("f_number", dialect.f_numbers)

@@ -16,7 +16,7 @@ Fractions and decimals are taken by their word.  Many cameras with a mechanical 
 round numbers what are powers of two (1/60 is 1/64 s, 30 s is 32 s: P. Debevec and J. Malik,
 "Recovering High Dynamic Range Radiance Maps from Photographs", 1997, section 2.1, measured it so);
 others mean the number that they say.  Which it is cannot be asked over PTP, so nothing is corrected
-here: `camctl calibrate exposure` measures it, and the notes say so.
+here, and the notes say so.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ from enum import Enum
 from fractions import Fraction
 
 from drivers.ptp.codes import Op, Prop
+
+#: As a parameter of a step that closes the shutter: the transaction that opened it.
+OPENING_TRANSACTION = -1
 
 
 class Source(Enum):
@@ -76,7 +79,7 @@ class Dialect:
         opening: operations after the session is open
         presets: properties to set then, where the camera can: single shots, onto the card
         releases: ways to take a picture, the best first; one whose operations are all there is used
-        bulb: number of the shutter property that means bulb
+        bulb: number of the shutter property that means bulb, where it must be set to that
         bulb_opens, bulb_closes: what opens and closes the shutter then
         ready: the operation that is answered "busy" until the camera is done
         polled: the operation that brings events, where they do not come by themselves
@@ -204,9 +207,8 @@ STANDARD = Dialect(
     battery=Prop.BATTERY_LEVEL,
     presets=(_SINGLE_SHOTS,),
     releases=(_INITIATE,),
-    bulb=0xFFFFFFFF,
     bulb_opens=(Step(Op.INITIATE_OPEN_CAPTURE, (0, 0)),),
-    bulb_closes=(Step(Op.TERMINATE_OPEN_CAPTURE, (_EVERYTHING,)),),
+    bulb_closes=(Step(Op.TERMINATE_OPEN_CAPTURE, (OPENING_TRANSACTION,)),),
 )
 
 NIKON = Dialect(
