@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from camctl.errors import (
@@ -75,17 +76,25 @@ def busy_error(path: str, holders: list[str] | None = None) -> CameraBusyError:
 
 
 def holding(path: str, proc: Path = Path("/proc")) -> Iterator[str]:
-    """Yield "process 123 (name)" for each other process that has the node `path` open.
+    """Yield "process 123 (name)" for each process that has the node `path` open.
 
-    Processes of other users are not seen without the rights of root.
+    Our own counts where it has it open twice: once is the caller's doing.  Processes of other
+    users are not seen without the rights of root.
     """
     node = os.path.realpath(path)
     for process in proc.glob("[0-9]*"):
-        if process.name == str(os.getpid()):
-            continue
+        allowed = 1 if process.name == str(os.getpid()) else 0
         try:
-            links = {str(link.readlink()) for link in (process / "fd").iterdir()}
-            if node in links:
+            if _count(node, process / "fd") > allowed:
                 yield f"process {process.name} ({(process / 'comm').read_text().strip()})"
         except OSError:  # it has ended meanwhile, or belongs to somebody else
             continue
+
+
+def _count(node: str, descriptors: Path) -> int:
+    """Return how many of a process's descriptors are of `node`."""
+    count = 0
+    for link in descriptors.iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile
+            count += str(link.readlink()) == node
+    return count

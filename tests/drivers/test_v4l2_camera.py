@@ -354,6 +354,11 @@ class TestTrouble:
             assert name in str(error)
             process.communicate()
         assert list(holding(str(node))) == []
+        with node.open():
+            assert list(holding(str(node))) == []
+            with node.open():
+                (name,) = holding(str(node))
+                assert name.startswith(f"process {os.getpid()} (")
 
 
 class TestRealSystem:
