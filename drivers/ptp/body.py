@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from camctl.errors import (
     CameraBusyError,
@@ -29,7 +29,7 @@ from drivers.ptp.vendordata import (
     parse_nikon_events,
     parse_sony_properties,
 )
-from drivers.ptp.vendors import Scale, Source, Step, dialect_of
+from drivers.ptp.vendors import OPENING_TRANSACTION, Scale, Source, Step, dialect_of
 
 # How long a body may take to show a setting that it has accepted, and pauses between looks.
 READ_BACK_S = 3.0
@@ -80,6 +80,7 @@ class Body:
         self._known: dict[int, PropertyDescription] = {}
         self._added: list[int] = []
         self._stepped: set[int] = set()
+        self._opening = 0
         for step in self.dialect.opening:
             self._do(step, "switching to remote control")
         self.look()
@@ -100,7 +101,7 @@ class Body:
             self._listen_eos()
 
     def _listen_eos(self) -> None:
-        answer = self.session.call(Op.EOS_EVENTS, doing="asking for news", repeatable=False)
+        answer = self.session.call(Op.EOS_EVENTS, doing="asking for news")
         news = parse_eos_events(answer.data)
         merge_eos(self._known, news, self._codes)
         self._added.extend(news.added)
@@ -235,6 +236,9 @@ class Body:
             now = self.number(code)
             if now == number or time.monotonic() > deadline:
                 return now
+            if Op.EOS_REQUEST_PROPERTY in self.session.info.operations:
+                # The record of the change may have been lost, or there was none to tell.
+                self.session.call(Op.EOS_REQUEST_PROPERTY, code, doing="reading a property")
             time.sleep(_LOOK_S)
 
     def _preset(self) -> None:
@@ -267,26 +271,26 @@ class Body:
 
     def open_bulb(self, dial: Dial) -> None:
         """Set the shutter to bulb and open it."""
-        assert self.dialect.bulb is not None
-        if self.number(dial.code) != self.dialect.bulb:
-            self._write(self._known[dial.code], self.dialect.bulb)
+        bulb = self.dialect.bulb
+        if bulb is not None and self.number(dial.code) != bulb:
+            self._write(self._known[dial.code], bulb)
         self.wait_ready()
         for step in self.dialect.bulb_opens:
             self._do(step, "opening the shutter")
+        self._opening = self.session.last_transaction
 
     def close_bulb(self) -> None:
         """Close the shutter of a bulb exposure."""
         for step in self.dialect.bulb_closes:
-            self._do(step, "closing the shutter")
+            parameters = (self._opening if p == OPENING_TRANSACTION else p for p in step.parameters)
+            self._do(replace(step, parameters=tuple(parameters)), "closing the shutter")
 
     def has_bulb(self, dial: Dial) -> bool:
         """Return whether the shutter can be held open from here."""
         steps = (*self.dialect.bulb_opens, *self.dialect.bulb_closes)
         choices = self._known[dial.code].choices
-        return (
-            bool(steps)
-            and self.dialect.bulb in choices
-            and all(step.operation in self.session.info.operations for step in steps)
+        return (self.dialect.bulb is None or self.dialect.bulb in choices) and all(
+            step.operation in self.session.info.operations for step in steps
         )
 
     def wait_ready(self) -> None:
@@ -304,6 +308,12 @@ class Body:
                 return answer.code
             if answer.code != OK:
                 raise self._why_not(answer.code)
+            # Canon's body says here why it did not, in numbers that differ between models.
+            if self.dialect.source is Source.EOS_EVENTS and any(answer.parameters[:1]):
+                raise CameraError(
+                    f"{self._who} did not take the picture (result {answer.parameters[0]})",
+                    hint="set the lens to manual focus (MF), take the lens cap off, check the card",
+                )
         return OK
 
     def _why_not(self, code: int) -> CameraError:
@@ -319,9 +329,11 @@ class Body:
     def battery(self) -> int | None:
         """Return the charge in per cent, where the camera tells."""
         with suppress(CameraError):
-            for code in (self.dialect.battery, Prop.BATTERY_LEVEL):
-                if code in self._known:
-                    return self.number(code)
+            if Prop.BATTERY_LEVEL in self.session.info.properties:
+                charge = self.session.description(Prop.BATTERY_LEVEL).current
+                return charge if isinstance(charge, int) else None
+            if self.dialect.battery in self._known:
+                return self.number(self.dialect.battery)
         return None
 
     def _do(self, step: Step, doing: str) -> None:
@@ -354,9 +366,7 @@ class Body:
         if self.dialect.polled == Op.NIKON_EVENTS:
             if Op.NIKON_EVENTS not in self.session.info.operations:
                 return []
-            answer = self.session.attempt(Op.NIKON_EVENTS)
-            if answer.code != OK:
-                return []
+            answer = self.session.call(Op.NIKON_EVENTS, doing="asking for news")
             return [handle for event, handle in parse_nikon_events(answer.data) if event in _ADDED]
         if self.dialect.source is Source.SONY_LIST and self.dialect.memory is not None:
             waiting = self.number(Prop.SONY_OBJECT_IN_MEMORY)

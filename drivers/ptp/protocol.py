@@ -64,6 +64,7 @@ class Session:
         maker: whose vendor codes it answers with, once that is known
         times_recovered: how often the pipes had to be brought back to order
         times_busy: how often it said that it was busy
+        last_transaction: number of the transaction that was begun last
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class Session:
     ) -> None:
         self._transport, self._who = transport, who
         self._silence_s, self._busy_s = silence_s, busy_s
-        self._transaction = self._number = 0
+        self._transaction = self.last_transaction = 0
         self._is_open = False
         self.times_recovered = 0
         self.maker = ""
@@ -92,9 +93,15 @@ class Session:
         return self._info
 
     def open(self) -> None:
-        """Open the session; one that somebody else left open is closed first."""
+        """Open the session; one that somebody else left open is closed first.
+
+        Pipes that somebody left halted, or half read, are brought to order first.
+        """
         self._transaction = 0
-        answer = self._attempt(Op.OPEN_SESSION, (_SESSION,))
+        try:
+            answer = self.attempt(Op.OPEN_SESSION, _SESSION)
+        except CameraProtocolError:
+            answer = self.attempt(Op.OPEN_SESSION, _SESSION)
         if answer.code == SESSION_ALREADY_OPEN:
             self._transaction = 1
             self._attempt(Op.CLOSE_SESSION, ())
@@ -197,7 +204,7 @@ class Session:
         number = self._transaction
         if self._is_open:
             self._transaction = number + 1 if number < _LAST_TRANSACTION else 1
-        self._number = number
+        self.last_transaction = number
         self._transport.send_command(operation, number, parameters)
         if data is not None:
             self._transport.send_data(operation, number, data)
@@ -216,9 +223,9 @@ class Session:
         self.times_recovered += 1
         if isinstance(error, HalfSentError):
             with suppress(CameraProtocolError):
-                self._transport.receive(self._number, limit=0)
+                self._transport.receive(self.last_transaction, limit=0)
                 return
-        if self._transport.recover(self._number):
+        if self._transport.recover(self.last_transaction):
             return
         self._transport.reset()
         if self._is_open:

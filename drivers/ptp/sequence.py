@@ -198,6 +198,6 @@ class ExposureSequence:
         left = [] if waiting is None else [waiting.name]
         if self._flight is not None:
             left.append(f"an exposure of {self._flight.setting.time_s:.6g} s")
-        if left and "in the camera" not in error.what:
-            error.what = f"{error.what}; {' and '.join(left)} stayed in the camera"
+        if left:
+            error.what = f"{error.what}; taken and not fetched: {' and '.join(left)}"
             error.args = (f"{error.what}; {error.hint}" if error.hint else error.what,)

@@ -191,7 +191,7 @@ class Shooter:
             made = (*found.values(), *passed_over)
             if made and complete_s is None:
                 complete_s = max(now, flight.began_s + flight.setting.time_s)
-            if complete_s is not None and now > complete_s + _GRACE_S:
+            if complete_s is not None and now > complete_s + min(_GRACE_S, self._silence_s / 2):
                 kinds = sorted({format_of(info) or "?" for info in made})
                 self._known.update(found)
                 raise CameraError(

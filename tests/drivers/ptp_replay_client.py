@@ -9,6 +9,7 @@ import hashlib
 import json
 import struct
 import sys
+from pathlib import Path
 
 import usb.core
 
@@ -32,7 +33,7 @@ class RecordedCuts(UsbTransport):
 def commands(recording):
     """Return (operation, transaction, parameters, how it was read first) of all commands."""
     found = []
-    with open(recording) as file:
+    with Path(recording).open() as file:
         for line in file:
             words = line.split()
             if len(words) < 10 or not words[0].startswith("USBDEVFS_REAP"):
@@ -52,7 +53,7 @@ def main(recording):
     result = {"id": found.id, "make": found.make, "serial": found.serial, "operations": []}
     device = usb.core.find(idVendor=0x04A9)
     session = None
-    for code, number, parameters, first in commands(recording):
+    for code, _, parameters, first in commands(recording):
         if first != 512:
             break  # from here on with a later gphoto2, which read 1024 bytes first
         if code == Op.OPEN_SESSION:
