@@ -19,24 +19,22 @@ from camctl.clock import Clock, RealClock
 from camctl.errors import (
     CameraDisconnectedError,
     CameraNotFoundError,
-    DataError,
-    StorageError,
     UsageError,
     unknown_name,
 )
 from camctl.exposure.real import RealResponse
 from camctl.exposure.standard import STANDARDS, standard_response
-from camctl.profile import Profile, StillRecord, change_profile, load_profile
+from camctl.profile import StillRecord
 from drivers.coolpix_body import CoolpixBody, Shot
-from drivers.coolpix_find import describe, ports, probe
+from drivers.coolpix_files import KnownFiles
+from drivers.coolpix_find import ask, describe, ports
 from drivers.coolpix_pictures import Progress
 from drivers.coolpix_settings import FORMATS
 from drivers.sierra_packets import SPEEDS
-from drivers.stillfile import Still, read_still
 
 _MICRO = 1_000_000
 _TOLERANCE = 1e-4  # 1/60 s is 16,666 us to the camera
-_BITS_A_BYTE = 10  # on the line: with start and stop bit
+_PROBE_S = 1 / 60
 _OPTIONS = ("format", "response", "speed")
 
 
@@ -93,11 +91,10 @@ class CoolpixCamera:
         self._is_open = True
         try:
             self._info = describe(self._body.sierra, url)
+            self._files = KnownFiles(self._info, format)
         except BaseException:
             self.close()
             raise
-        self._record: StillRecord | None = None
-        self._learnt: list[str] = []
 
     @property
     def info(self) -> CameraInfo:
@@ -112,11 +109,11 @@ class CoolpixCamera:
     @property
     def controls(self) -> ExposureControls:
         """What it can set; finding out what its files are may take a picture, and minutes."""
-        record = self._record or self._learn()
-        body = self._body
+        record = self._files.record or self._learn()
+        apertures = self._body.dials.apertures
         return ExposureControls(
-            time_s=Choices(tuple(us / _MICRO for us in body.times_us)),
-            f_number=Choices(tuple(body.apertures)) if body.apertures else None,
+            time_s=self._times,
+            f_number=Choices(tuple(apertures)) if apertures else None,
             shape=(record.rows, record.columns),
             layout=record.layout,
             bits=record.bits,
@@ -124,7 +121,7 @@ class CoolpixCamera:
             white=record.white,
             response=self._response(record.bits, record.white - record.black),
             tolerance=_TOLERANCE,
-            notes=self._notes(record),
+            notes=self._notes(),
         )
 
     def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
@@ -165,8 +162,8 @@ class CoolpixCamera:
         for index, (wanted, exact) in enumerate(pairs):
             self._check_open()
             shot = self._body.take(exact)
-            still = read_still(shot.data, shot.name)
-            self._remember(_record_of(still))
+            still = shot.still
+            self._files.learn(still)
             yield Frame(
                 pixels=still.pixels,
                 requested=wanted,
@@ -179,70 +176,41 @@ class CoolpixCamera:
                 details=_details(shot),
             )
 
-    # ---- what its files are
-
     def _learn(self) -> StillRecord:
+        """Find out what its files are, by fetching one, and by taking one if there is none."""
         self._check_open()
-        try:
-            record = load_profile(self._info).stills.get(self._format)
-        except DataError as error:
-            record = None
-            self._learnt.append(str(error))
-        if record is not None:
-            self._record = record
-            return record
         found = self._body.fetch_newest()
         if found is not None:
-            name, data = found
-            self._learnt.append(f"what its files are was taken from {name} on its card")
+            name, still = found
+            self._files.notes.append(f"what its files are was taken from {name} on its card")
         else:
-            times = Choices(tuple(us / _MICRO for us in self._body.times_us))
-            shot = self._body.take(ExposureSetting(times.nearest(1 / 60)))
-            name, data = shot.name, shot.data
-            self._learnt.append(f"{name} was taken to see what its files are")
-        record = _record_of(read_still(data, name))
-        self._remember(record)
-        return record
+            shot = self._body.take(ExposureSetting(self._times.nearest(_PROBE_S)))
+            name, still = shot.name, shot.still
+            self._files.notes.append(f"{name} was taken to see what its files are")
+        return self._files.learn(still)
 
-    def _remember(self, record: StillRecord) -> None:
-        if record == self._record:
-            return
-        self._record = record
+    @property
+    def _times(self) -> Choices:
+        return Choices(tuple(us / _MICRO for us in self._body.dials.times_us))
 
-        def change(profile: Profile) -> None:
-            profile.stills[self._format] = record
-
-        try:
-            change_profile(self._info, change)
-        except (DataError, StorageError) as error:
-            self._learnt.append(f"what its files are could not be kept: {error.what}")
-
-    def _notes(self, record: StillRecord) -> tuple[str, ...]:
-        speed = self._body.sierra.link.speed
-        typical = FORMATS[self._format].typical_bytes
-        if self._format == "tiff":
-            typical = record.rows * record.columns * (3 if record.layout.value == "rgb" else 1)
-        minutes = typical * _BITS_A_BYTE / speed / 60
-        notes = [
-            f"a picture ({self._format}, about {typical / 1e6:.2g} MB) takes {minutes:.2g} minutes "
-            f"over the line at {speed} baud, and the next exposure begins when it has come",
-        ]
+    def _notes(self) -> tuple[str, ...]:
+        notes = [self._files.note_of_line(self._body.sierra.link.speed)]
         if self._format == "jpeg":
             notes.append(
                 "JPEG loses levels; -O format=tiff keeps them, and takes minutes a picture"
             )
         if self._response_name == "srgb":
             notes.append(
-                "the response of its files is assumed to be sRGB until it is measured: "
-                "-O response=..."
+                "the response of its files is assumed to be sRGB until camctl calibrate response "
+                "has measured it"
             )
-        if self._body.apertures:
-            numbers = ", ".join(f"f/{number:g}" for number in self._body.apertures)
+        if self._body.dials.apertures:
+            numbers = ", ".join(f"f/{number:g}" for number in self._body.dials.apertures)
             notes.append(
                 f"its apertures low, medium and high are assumed to be {numbers} (wide end of the "
                 "zoom; 1.6 times as much at the long end), not measured"
             )
-        return (*notes, *self._body.steadied, *self._learnt)
+        return (*notes, *self._body.dials.steadied, *self._files.notes)
 
 
 class CoolpixRoad:
@@ -252,7 +220,7 @@ class CoolpixRoad:
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras that answer on the machine's serial ports; none without `probe`."""
-        return _probe(ports()) if probe else ()
+        return ask(ports()) if probe else ()
 
     def open(self, address: str, options: Mapping[str, str]) -> CoolpixCamera:
         """Open the camera on the port or URL `address`.
@@ -275,9 +243,6 @@ class CoolpixRoad:
             speed=_speed(options.get("speed", "115200")),
             response=options.get("response", "srgb").lower(),
         )
-
-
-_probe = probe
 
 
 def _speed(text: str) -> int:
@@ -312,18 +277,6 @@ def _nearest(controls: ExposureControls, wanted: ExposureSetting) -> ExposureSet
     if number is not None and controls.f_number is not None:
         number = controls.f_number.nearest(number)
     return ExposureSetting(controls.time_s.nearest(wanted.time_s), 1.0, number)
-
-
-def _record_of(still: Still) -> StillRecord:
-    rows, columns = still.pixels.shape[:2]
-    return StillRecord(
-        rows=rows,
-        columns=columns,
-        layout=still.layout,
-        bits=still.bits,
-        black=still.black,
-        white=still.white,
-    )
 
 
 def _suffix(shot: Shot) -> str:

@@ -16,8 +16,8 @@ from camctl.errors import (
     CameraError,
     CameraProtocolError,
     CameraTimeoutError,
-    RefusedSettingError,
 )
+from drivers.coolpix_dials import CoolpixDials
 from drivers.coolpix_pictures import (
     OnCard,
     Progress,
@@ -27,15 +27,7 @@ from drivers.coolpix_pictures import (
     wait_for_picture,
     why_no_picture,
 )
-from drivers.coolpix_settings import (
-    AUTOMATIC,
-    FORMATS,
-    STEADYINGS,
-    find_apertures,
-    find_times_us,
-    takes,
-    told,
-)
+from drivers.coolpix_settings import FORMATS, told
 from drivers.exif import exposure_time_s
 from drivers.seriallink import SerialLink
 from drivers.sierra import Sierra
@@ -46,22 +38,23 @@ from drivers.sierra_packets import (
     Register,
     SessionOverError,
 )
+from drivers.stillfile import Still
 
 #: Seconds from the end of an exposure until the camera has written the picture to its card.
 WRITING_S = 10.0
 _ATTEMPTS = 2
-_MICRO = 1_000_000
 # Files give times as the dial does: 1/60 s for 16,666 us, 1/1000 s for what may be 1/1024 s.
 _LABEL_SLACK = 0.15
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shot:
     """A picture that was taken and fetched.
 
     Attributes:
         name: on the card
         data: the file
+        still: what it holds
         applied: the exposure read back before the shutter was released
         taken_s: when the camera said that it was done, on the clock, s
         found_again: True where it was taken before the line broke, and fetched afterwards
@@ -70,6 +63,7 @@ class Shot:
 
     name: str
     data: bytes
+    still: Still
     applied: ExposureSetting
     taken_s: float
     found_again: bool
@@ -113,22 +107,16 @@ class CoolpixBody:
         progress: Progress | None,
     ) -> None:
         self.url = url
-        self.steadied: list[str] = []
         self._format = file_format
         self._clock = clock
         self._progress = progress
         self._pending: _Pending | None = None
         self._left = ""
-        self._base_aperture: int | None = None
-        self._old: dict[Register, int] = {}
-        self._prepared = 0
         self._link = SerialLink(url, FIRST_SPEED)
         try:
             self.sierra = Sierra(self._link, speed=speed, timeout_s=timeout_s, clock=clock)
             self.sierra.open()
-            self.apertures = find_apertures(self.sierra)
-            self.times_us = find_times_us(self.sierra)
-            self._prepare()
+            self.dials = CoolpixDials(self.sierra, file_format)
         except BaseException:
             self._link.close()
             raise
@@ -138,24 +126,16 @@ class CoolpixBody:
         """Give the camera back as it was found; a second call does nothing."""
         if self._is_well:
             with suppress(CameraError):
-                for register, value in self._old.items():
-                    takes(self.sierra, register, value)
+                self.dials.restore()
                 self.sierra.close()
         self._is_well = False
         self._link.close()
-
-    def text(self, register: Register) -> str:
-        """Return a register of words, "" where the camera has none."""
-        try:
-            return self.sierra.text(register)
-        except RefusedCommandError:
-            return ""
 
     def take(self, setting: ExposureSetting) -> Shot:
         """Take a picture, or find the one that was taken when the line broke, and fetch it.
 
         Args:
-            setting: times as in `times_us`, f-numbers as in `apertures`
+            setting: times and f-numbers as the dials have them
 
         Raises:
             RefusedSettingError: the camera applied another shutter time or aperture
@@ -170,7 +150,7 @@ class CoolpixBody:
                 picture = self._release(setting)
             pending = self._pending
             assert pending is not None
-            data = download(self.sierra, picture, self._progress)
+            data, still = download(self.sierra, picture, self._progress)
             self._check_file(data, picture, pending.applied)
         except SessionOverError:
             raise
@@ -178,10 +158,10 @@ class CoolpixBody:
             self._is_well = False
             raise self._with_what_is_left(error) from error
         left, self._left, self._pending = self._left, "", None
-        return Shot(picture.name, data, pending.applied, pending.taken_s, is_found, left)
+        return Shot(picture.name, data, still, pending.applied, pending.taken_s, is_found, left)
 
-    def fetch_newest(self) -> tuple[str, bytes] | None:
-        """Return name and file of the newest picture if it is of the format and size in force."""
+    def fetch_newest(self) -> tuple[str, Still] | None:
+        """Return name and contents of the newest picture, if of the format and size in force."""
         picture = newest(self.sierra)
         if not picture.name.upper().endswith(FORMATS[self._format].suffixes):
             return None
@@ -192,7 +172,8 @@ class CoolpixBody:
         resolution = told(self.sierra, Register.RESOLUTION)
         if len(summary) != 32 or int.from_bytes(summary[12:16], "little") != resolution:
             return None
-        return picture.name, download(self.sierra, picture, self._progress)
+        _, still = download(self.sierra, picture, self._progress)
+        return picture.name, still
 
     # ---- before the exposure
 
@@ -200,72 +181,10 @@ class CoolpixBody:
         """Open the line again where it broke, and prepare a camera that has forgotten."""
         if not self._is_well:
             self._link.close()
-            self._link = self.sierra.link = SerialLink(self.url, FIRST_SPEED)
-            self.sierra.open()
+            self._link = SerialLink(self.url, FIRST_SPEED)
+            self.sierra.reopen(self._link)
             self._is_well = True
-        self._prepare()
-
-    def _prepare(self) -> None:
-        """Set what must hold for all pictures, once a session."""
-        if self._prepared == self.sierra.sessions:
-            return
-        session = self.sierra.sessions
-        self.steadied.clear()
-        self._keep(Register.SHUTTER_US)
-        self._set_format()
-        for rule in STEADYINGS:
-            if self._keep(rule.register) in rule.unsteady:
-                done = takes(self.sierra, rule.register, rule.steady)
-                self.steadied.append(rule.note if done else f"not done: {rule.note}")
-        aperture = self._keep(Register.APERTURE)
-        if aperture == AUTOMATIC and self.apertures:
-            widest = min(self.apertures)
-            aperture = self.apertures[widest]
-            self._apply(Register.APERTURE, aperture, "f_number", 0.0)
-            self.steadied.append(f"its aperture is fixed at f/{widest:g}")
-        if self._base_aperture is None:
-            self._base_aperture = aperture
-        self._prepared = session
-
-    def _keep(self, register: Register) -> int | None:
-        """Return a register, and remember its first value for giving it back."""
-        value = told(self.sierra, register)
-        if value is not None:
-            self._old.setdefault(register, value)
-        return value
-
-    def _set_format(self) -> None:
-        wanted = FORMATS[self._format]
-        if self._keep(Register.RESOLUTION) in wanted.codes:
-            return
-        if not takes(self.sierra, Register.RESOLUTION, wanted.default):
-            raise CameraError(
-                f"the camera at {self.url} cannot be set to {self._format}",
-                hint="choose the quality with its own menu (HI is tiff), or another -O format",
-            )
-
-    def _apply(self, register: Register, value: int, control: str, wanted: float) -> None:
-        self.sierra.set(register, value)
-        found = self.sierra.get(register)
-        if found != value:
-            nearest = self._meaning(register, found)
-            raise RefusedSettingError(control, wanted, nearest)
-
-    def _meaning(self, register: Register, value: int) -> float:
-        """Return a register's value in SI units; 0 for what is automatic or unknown."""
-        if register is Register.SHUTTER_US:
-            return value / _MICRO
-        return next((number for number, code in self.apertures.items() if code == value), 0.0)
-
-    def _set_exposure(self, setting: ExposureSetting) -> ExposureSetting:
-        time_us = round(setting.time_s * _MICRO)
-        self._apply(Register.SHUTTER_US, time_us, "time_s", setting.time_s)
-        number = setting.f_number
-        code = self._base_aperture if number is None else self.apertures[number]
-        if code is not None and told(self.sierra, Register.APERTURE) != code:
-            wanted = self._meaning(Register.APERTURE, code)
-            self._apply(Register.APERTURE, code, "f_number", wanted)
-        return ExposureSetting(time_us / _MICRO, 1.0, number)
+        self.dials.prepare()
 
     # ---- the exposure
 
@@ -275,10 +194,10 @@ class CoolpixBody:
             f"the camera at {self.url} ends every session", hint="switch it off and on, then resume"
         )
         for _ in range(_ATTEMPTS):
-            self._prepare()
+            self.dials.prepare()
             before = newest(self.sierra)
             session = self.sierra.sessions
-            applied = self._set_exposure(setting)
+            applied = self.dials.expose_for(setting)
             if session != self.sierra.sessions:
                 continue  # a new session may have forgotten what was set a moment ago
             self._pending = _Pending(setting, applied, before, self._clock.now())

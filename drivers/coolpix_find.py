@@ -13,7 +13,7 @@ from camctl.camera import CameraInfo
 from camctl.errors import CamctlError
 from drivers.seriallink import SerialLink
 from drivers.sierra import Sierra
-from drivers.sierra_packets import FIRST_SPEED, Register
+from drivers.sierra_packets import FIRST_SPEED, RefusedCommandError, Register
 
 DRIVER = "coolpix"
 _DEADLINE_S = 0.9
@@ -22,16 +22,23 @@ _TIMEOUT_S = 0.6
 
 def describe(sierra: Sierra, url: str) -> CameraInfo:
     """Return who the camera in session is."""
+
+    def words(register: Register) -> str:
+        try:
+            return sierra.text(register)
+        except RefusedCommandError:
+            return ""
+
     return CameraInfo(
         id=f"{DRIVER}:{url}",
-        make=sierra.text(Register.MAKER) or "unknown",
-        model=sierra.text(Register.MODEL) or "camera of the Sierra protocol",
-        serial=sierra.text(Register.SERIAL_NUMBER),
+        make=words(Register.MAKER) or "unknown",
+        model=words(Register.MODEL) or "camera of the Sierra protocol",
+        serial=words(Register.SERIAL_NUMBER),
         driver=DRIVER,
     )
 
 
-def probe(urls: Sequence[str]) -> list[CameraInfo]:
+def ask(urls: Sequence[str]) -> list[CameraInfo]:
     """Return the cameras that answer on these lines, all asked at once, within a second.
 
     A line is asked with one NUL byte at 19,200 baud, and only what answers as a camera does is
@@ -39,14 +46,14 @@ def probe(urls: Sequence[str]) -> list[CameraInfo]:
     """
     found: dict[str, CameraInfo] = {}
 
-    def ask(url: str) -> None:
+    def ask_one(url: str) -> None:
         with suppress(CamctlError), closing(SerialLink(url, FIRST_SPEED)) as link:
             sierra = Sierra(link, speed=FIRST_SPEED, timeout_s=_TIMEOUT_S)
             if sierra.hears():
                 found[url] = describe(sierra, url)
                 sierra.close()
 
-    threads = [threading.Thread(target=ask, args=(url,), daemon=True) for url in urls]
+    threads = [threading.Thread(target=ask_one, args=(url,), daemon=True) for url in urls]
     for thread in threads:
         thread.start()
     deadline_s = time.monotonic() + _DEADLINE_S

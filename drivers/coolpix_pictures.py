@@ -10,6 +10,7 @@ from camctl.errors import CameraError, CameraProtocolError
 from drivers.coolpix_settings import told
 from drivers.sierra import Sierra
 from drivers.sierra_packets import RefusedCommandError, Register
+from drivers.stillfile import Still, read_still
 
 MAX_PICTURE_BYTES = 1 << 26
 _ATTEMPTS = 3
@@ -65,16 +66,18 @@ def wait_for_picture(sierra: Sierra, before: OnCard, clock: Clock, wait_s: float
         clock.sleep_until(clock.now() + _POLL_S)
 
 
-def download(sierra: Sierra, picture: OnCard, progress: Progress | None) -> bytes:
-    """Return the file of a picture, asked for again where it comes short.
+def download(sierra: Sierra, picture: OnCard, progress: Progress | None) -> tuple[bytes, Still]:
+    """Return the file of a picture and what it holds, asked for again where that is not whole.
 
     Raises:
         CameraProtocolError: it comes short or damaged each time
+        UsageError: it is a file of a kind that something is not installed for
         CameraTimeoutError, CameraDisconnectedError
     """
     for attempt in range(_ATTEMPTS):
         try:
-            return _whole(sierra, picture, progress)
+            data = _whole(sierra, picture, progress)
+            return data, read_still(data, picture.name)
         except CameraProtocolError:
             if attempt == _ATTEMPTS - 1:
                 raise

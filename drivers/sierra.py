@@ -9,39 +9,27 @@ from typing import TypeVar
 from camctl.clock import Clock, RealClock
 from camctl.errors import CameraProtocolError, CameraTimeoutError, UsageError
 from drivers.seriallink import SerialLink
+from drivers.sierra_commands import BAD_ANSWERS, SILENCES, Commands
 from drivers.sierra_packets import (
-    ACK,
     ACT,
-    DATA,
-    DC1,
     DRAIN_BYTES,
-    ENQ,
     FIRST_SPEED,
     GET_DATA,
     GET_INTEGER,
-    LAST_DATA,
     MAX_DATA,
     NAK,
     NUL,
     SESSION_END,
-    SESSION_OVER,
     SPEEDS,
     Action,
     RefusedCommandError,
     Register,
-    Reply,
     SessionOverError,
     command_packet,
     drain,
-    receive,
     setting,
 )
 
-# Bad answers (NAK, damaged, stray) come at once and may come in bursts; silence costs time.
-_BAD_ANSWERS = 6
-# Half of the patience goes into asking again, the rest is left for opening the session again.
-_SILENCES = 3
-_REPLY_SHARE = 1 / (2 * _SILENCES)
 _WAKE_S = 0.5
 _SWITCH_S = 0.05
 
@@ -80,12 +68,9 @@ class Sierra:
             )
         self.link = link
         self.sessions = 0
-        self.timeout_s = timeout_s
         self._clock = clock or RealClock()
-        self._reply_s = timeout_s * _REPLY_SHARE
+        self._commands = Commands(link, timeout_s, self._clock)
         self._wanted = speed
-        self._heard_s = 0.0
-        self._is_first = True
 
     # ---- what a camera driver uses
 
@@ -96,8 +81,13 @@ class Sierra:
             CameraTimeoutError: nobody answers
             CameraDisconnectedError: the line has gone
         """
-        self._heard_s = self._clock.now()
+        self._commands.is_patient_again()
         self._begin()
+
+    def reopen(self, link: SerialLink) -> None:
+        """Go on over another line; raises as `open`."""
+        self.link = self._commands.link = link
+        self.open()
 
     def hears(self) -> bool:
         """Say whether a camera answers one NUL at 19,200 baud; it is in session then.
@@ -105,9 +95,9 @@ class Sierra:
         Raises:
             CameraDisconnectedError: the line has gone
         """
-        self._heard_s = self._clock.now()
+        self._commands.is_patient_again()
         self.link.write(bytes((NUL,)))
-        self._is_first = True
+        self._commands.begins()
         return self._is_answered_with_nak()
 
     def get(self, register: Register, *, picture: int | None = None) -> int:
@@ -119,7 +109,7 @@ class Sierra:
         """
         data = self._of_picture(picture, bytes((GET_INTEGER, register)), 4)
         if len(data) != 4:
-            raise self._nonsense(f"register {register} has {len(data)} bytes instead of 4")
+            raise self._commands.nonsense(f"register {register} has {len(data)} bytes instead of 4")
         return int.from_bytes(data, "little")
 
     def set(self, register: Register, value: int) -> None:
@@ -129,7 +119,7 @@ class Sierra:
             RefusedCommandError: the camera will not
             CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
-        self._exchange(lambda: self._order(setting(register, value)))
+        self._exchange(lambda: self._commands.order(setting(register, value)))
 
     def read(
         self,
@@ -173,31 +163,16 @@ class Sierra:
             CameraTimeoutError, CameraProtocolError: whether it was done is not known
             CameraDisconnectedError: the line has gone
         """
-        self._heard_s = self._clock.now()
+        self._commands.is_patient_again()
         if self._has_ended():
-            raise self._over()
-        payload = bytes((ACT, action, 0))
-        self._send(payload)
-        is_taken = False
-        for _ in range(_BAD_ANSWERS):
-            patience_s = self.timeout_s + wait_s if is_taken else _SILENCES * self._reply_s
-            reply = self._receive(patience_s)
-            if reply is None:
-                raise self._silent(patience_s)
-            self._raise_if_refused(reply)
-            if reply.kind == ENQ or (reply.kind == ACK and is_taken):
-                return
-            if reply.kind == ACK:
-                is_taken = True
-            elif reply.kind == NAK and not is_taken:
-                self._send(payload)
-        raise self._nonsense("it does not say whether it has done what it was told")
+            raise self._commands.over()
+        self._commands.act(bytes((ACT, action, 0)), wait_s)
 
     def close(self) -> None:
         """End the session, so that the camera goes back to 19,200 baud and to its own buttons."""
-        self._heard_s = self._clock.now()
-        self._send(bytes((ACT, Action.END_SESSION, 0)))
-        self._receive(_WAKE_S)
+        self._commands.is_patient_again()
+        self.link.write(command_packet(bytes((ACT, Action.END_SESSION, 0))))
+        self._commands.receive(_WAKE_S)
         self.link.speed = FIRST_SPEED
 
     # ---- sessions
@@ -219,21 +194,21 @@ class Sierra:
         """
         for other in itertools.cycle(sorted(SPEEDS, reverse=True)):
             self.link.speed = FIRST_SPEED
-            for _ in range(_SILENCES):
+            for _ in range(SILENCES):
                 self.link.waiting(DRAIN_BYTES)
                 self.link.write(bytes((NUL,)))
                 if self._is_answered_with_nak():
-                    self._is_first = True
+                    self._commands.begins()
                     return
             self.link.speed = other
             self.link.write(command_packet(bytes((ACT, Action.END_SESSION, 0))))
             drain(self.link)
 
     def _is_answered_with_nak(self) -> bool:
-        for _ in range(_BAD_ANSWERS):
-            came = self.link.read(1, self._patience(_WAKE_S))
+        for _ in range(BAD_ANSWERS):
+            came = self.link.read(1, self._commands.patience(_WAKE_S))
             if came == bytes((NAK,)):
-                self._heard_s = self._clock.now()
+                self._commands.is_patient_again()
                 return True
             if not came:
                 return False
@@ -242,13 +217,13 @@ class Sierra:
 
     def _speed_works(self, speed: int) -> bool:
         try:
-            self._order(setting(Register.SPEED, SPEEDS[speed]))
+            self._commands.order(setting(Register.SPEED, SPEEDS[speed]))
         except CameraProtocolError:
             return False
         self.link.speed = speed
         self._clock.sleep_until(self._clock.now() + _SWITCH_S)
         try:
-            self._ask(bytes((GET_INTEGER, Register.PICTURES)), 4, silences=1)
+            self._commands.ask(bytes((GET_INTEGER, Register.PICTURES)), 4, silences=1)
         except RefusedCommandError:
             return True  # it was understood
         except (CameraProtocolError, CameraTimeoutError, SessionOverError):
@@ -258,10 +233,10 @@ class Sierra:
 
     def _exchange(self, once: Callable[[], T]) -> T:
         """Return what `once` does, with the session opened again where it has broken off."""
-        self._heard_s = self._clock.now()
+        self._commands.is_patient_again()
         try:
             if self._has_ended():
-                raise self._over()
+                raise self._commands.over()
             return once()
         except (SessionOverError, CameraTimeoutError):
             self._begin()
@@ -269,8 +244,6 @@ class Sierra:
 
     def _has_ended(self) -> bool:
         return SESSION_END in self.link.waiting(DRAIN_BYTES)
-
-    # ---- commands
 
     def _of_picture(
         self,
@@ -282,131 +255,7 @@ class Sierra:
         # A new session has forgotten which picture was chosen: choosing belongs to each attempt.
         def once() -> bytes:
             if picture is not None:
-                self._order(setting(Register.PICTURE, picture))
-            return self._ask(payload, limit, progress)
+                self._commands.order(setting(Register.PICTURE, picture))
+            return self._commands.ask(payload, limit, progress)
 
         return self._exchange(once)
-
-    def _order(self, payload: bytes) -> None:
-        """Send a command that is answered with ACK."""
-        silences = 0
-        self._send(payload)
-        for _ in range(_BAD_ANSWERS):
-            reply = self._receive(self._patience(self._reply_s))
-            if reply is None:
-                silences += 1
-                if silences == _SILENCES:
-                    raise self._silent()
-            else:
-                self._raise_if_refused(reply)
-                if reply.kind == ACK:
-                    return
-                if reply.kind in (ENQ, NUL):
-                    continue  # a late word on something earlier
-            self._send(payload)
-        raise self._nonsense("it does not acknowledge what it is sent")
-
-    def _ask(
-        self,
-        payload: bytes,
-        limit: int,
-        progress: Callable[[int], None] | None = None,
-        *,
-        silences: int = _SILENCES,
-    ) -> bytes:
-        """Send a command that is answered with data packets; acknowledge and return them."""
-        data = bytearray()
-        last: bytes | None = None
-        expected, bad, silent = 0, 0, 0
-        self._send(payload)
-        while bad < _BAD_ANSWERS:
-            reply = self._receive(self._patience(self._reply_s))
-            if reply is None:
-                silent += 1
-                if silent == silences:
-                    raise self._silent()
-                self._send_again(payload, is_answered=last is not None)
-                continue
-            self._raise_if_refused(reply)
-            if reply.kind not in (DATA, LAST_DATA):
-                bad += 1
-                if reply.kind is None:
-                    self.link.write(bytes((NAK,)))
-                elif reply.kind == NAK:
-                    self._send_again(payload, is_answered=last is not None)
-                continue
-            if reply.data == last and reply.sequence == (expected - 1) % 256:
-                bad += 1  # our acknowledgement was lost
-                self.link.write(bytes((ACK,)))
-                continue
-            if reply.sequence != expected % 256:
-                raise self._nonsense(f"packet {reply.sequence} came instead of {expected % 256}")
-            if reply.kind == DATA and not reply.data:
-                raise self._nonsense("an empty packet that is not the last one")
-            data += reply.data
-            if len(data) > limit:
-                raise self._nonsense(f"more than {limit} bytes")
-            self.link.write(bytes((ACK,)))
-            if progress is not None:
-                progress(len(data))
-            if reply.kind == LAST_DATA:
-                return bytes(data)
-            last, expected, bad, silent = reply.data, expected + 1, 0, 0
-        raise self._nonsense("its packets come damaged, again and again")
-
-    def _send(self, payload: bytes) -> None:
-        self.link.write(command_packet(payload, first=self._is_first))
-
-    def _send_again(self, payload: bytes, *, is_answered: bool) -> None:
-        """Ask for the last packet again, or for the first one by the whole command."""
-        if is_answered:
-            self.link.write(bytes((NAK,)))
-        else:
-            self._send(payload)
-
-    # ---- the line
-
-    def _receive(self, silence_s: float) -> Reply | None:
-        """Return the next packet or single byte, None where the line stays silent."""
-        reply = receive(self.link, silence_s)
-        if reply is not None and reply.kind is not None:
-            self._heard_s = self._clock.now()
-            if reply.kind != NAK:
-                self._is_first = False
-        return reply
-
-    def _patience(self, wanted_s: float) -> float:
-        """Return how long to wait for the next byte."""
-        left_s = self._heard_s + self.timeout_s - self._clock.now()
-        if left_s <= 0:
-            raise self._silent()
-        return min(wanted_s, left_s)
-
-    # ---- errors
-
-    def _raise_if_refused(self, reply: Reply) -> None:
-        if reply.kind in SESSION_OVER:
-            raise self._over()
-        if reply.kind == DC1:
-            raise RefusedCommandError(
-                f"the camera at {self.link.url} will not do what it is told",
-                hint="see what its display says",
-            )
-
-    def _over(self) -> SessionOverError:
-        return SessionOverError(
-            f"the camera at {self.link.url} has ended the session", hint="try again"
-        )
-
-    def _silent(self, seconds: float | None = None) -> CameraTimeoutError:
-        waited_s = self.timeout_s if seconds is None else seconds
-        return CameraTimeoutError(
-            f"the camera at {self.link.url} has not answered for {waited_s:g} s",
-            hint="see that it is on and the cable fits, switch it off and on, then try again",
-        )
-
-    def _nonsense(self, what: str) -> CameraProtocolError:
-        return CameraProtocolError(
-            f"the camera at {self.link.url} answers nonsense: {what}",
-            hint="try a lower speed (-O speed=19200) or another cable",
-        )

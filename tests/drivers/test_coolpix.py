@@ -22,7 +22,7 @@ from camctl.profile import StillRecord, change_profile, load_profile, profile_di
 from camctl.testing import CameraConformance
 from drivers import coolpix
 from drivers.coolpix import CoolpixCamera, CoolpixRoad
-from drivers.coolpix_find import probe
+from drivers.coolpix_find import ask
 from drivers.coolpix_settings import CANDIDATES_US
 from drivers.sierra_packets import Register
 from drivers.stillfile import read_still
@@ -430,7 +430,7 @@ class TestRoad:
     def test_what_is_no_camera_hears_one_byte_only(self):
         master, slave = os.openpty()
         try:
-            assert probe([os.ttyname(slave)]) == []
+            assert ask([os.ttyname(slave)]) == []
             os.set_blocking(master, False)
             assert os.read(master, 100) == b"\0"
         finally:
