@@ -54,8 +54,9 @@ class KnownFiles:
         if self.record is not None and self._format == "tiff":
             channels = 3 if self.record.layout is Layout.RGB else 1
             size = self.record.rows * self.record.columns * channels
-        minutes = size * _BITS_A_BYTE / speed / 60
+        seconds = size * _BITS_A_BYTE / speed
+        time = f"{seconds / 60:.2g} minutes" if seconds >= 60 else f"{seconds:.2g} s"
         return (
-            f"a picture ({self._format}, about {size / 1e6:.2g} MB) takes {minutes:.2g} minutes "
-            f"over the line at {speed} baud, and the next exposure begins when it has come"
+            f"a picture ({self._format}, about {size / 1e6:.2g} MB) takes {time} over the line at "
+            f"{speed} baud, and the next exposure begins when it has come"
         )

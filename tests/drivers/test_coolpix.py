@@ -1,11 +1,15 @@
 """The CoolPix driver against the virtual CoolPix on a pseudo-terminal."""
 
 import os
+import select
+import socket
+import threading
 import time
 from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
+import serial
 
 from camctl.camera import ExposureSetting, Layout
 from camctl.errors import (
@@ -154,7 +158,11 @@ class TestPictures:
     def test_the_notes_say_how_long_a_tiff_takes(self, device):
         with opened(device, speed=9600) as camera:
             # 32 x 24 pixels of three bytes, 10 bits each on the line, at 9,600 bits a second
-            assert "takes 0.04 minutes over the line at 9600 baud" in camera.controls.notes[0]
+            assert "takes 2.4 s over the line at 9600 baud" in camera.controls.notes[0]
+            record = StillRecord(rows=1536, columns=2048, layout="rgb", bits=8, black=0, white=255)
+            change_profile(camera.info, lambda found: found.stills.update(tiff=record))
+        with opened(device) as camera:
+            assert "(tiff, about 9.4 MB) takes 14 minutes" in camera.controls.notes[0]
 
     def test_the_camera_is_given_back_as_it_was_found(self, device):
         before = device.do("state")
@@ -404,6 +412,52 @@ class TestBrokenLines:
         with self.open(device), pytest.raises(CameraBusyError, match="another process") as caught:
             self.open(device)
         one_line(caught.value)
+
+
+@contextmanager
+def served(path):
+    """Serve a terminal on a socket, at the speed that a camera begins with; yield the URL."""
+    line = serial.Serial(path, 19200, timeout=0)
+    listener = socket.create_server(("127.0.0.1", 0))
+    over = threading.Event()
+
+    def serve():
+        client, _ = listener.accept()
+        with client:
+            while not over.is_set():
+                ready, _, _ = select.select([client, line.fileno()], [], [], 0.05)
+                if client in ready:
+                    # Or each acknowledgement of ours waits 40 ms for the server's own.
+                    client.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+                    line.write(client.recv(4096))
+                if line.fileno() in ready:
+                    client.sendall(line.read(4096))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield f"socket://127.0.0.1:{listener.getsockname()[1]}"
+    finally:
+        over.set()
+        thread.join()
+        listener.close()
+        line.close()
+
+
+class TestUrls:
+    def test_a_socket(self, device):
+        linear = {"format": "tiff", "response": "linear"}
+        with served(device.line.path) as url, CoolpixCamera(url, **linear) as camera:
+            (frame,) = shoot(camera, SETTINGS[:1])
+            assert "at 19200 baud" in camera.controls.notes[0]
+        assert np.array_equal(frame.pixels[..., 0], device.body.exposer.expose(0.002))
+
+    def test_a_line_that_is_listened_in_on(self, device, capsys):
+        url = f"spy://{device.line.path}"
+        with CoolpixCamera(url, format="tiff", response="linear") as camera:
+            assert camera.info.id == f"coolpix:{url}"
+            assert len(shoot(camera)) == 2
+        assert "1B 53" in capsys.readouterr().err
 
 
 class TestRoad:
