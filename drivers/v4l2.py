@@ -83,15 +83,16 @@ class V4l2Camera:
             self._picture = Picture(chosen, wanted, interval_s)
             self._capture = Capture(self._node, self._picture, self._clock, opener)
             announced_s = self._node.interval_s() or interval_s
-            self._exposure = ExposureControl(self._node, announced_s)
+            self._exposure = ExposureControl(self._node)
             samples = read_samples(chosen, self._node.picture(), bits, range, response)
             self._samples = samples
             self._stream = Stream(self, self._clock, announced_s, samples.white - samples.black)
             self._stream.start()
+            seen_s = self._stream.slots.interval_s
             self._picture = Picture(chosen, wanted, announced_s)
             self._delay = load_profile(self._info).delays.get(self.mode)
             self._controls = ExposureControls(
-                time_s=self._exposure.time_s,
+                time_s=self._exposure.times(min(announced_s, seen_s)),
                 shape=(wanted.height, wanted.width),
                 layout=chosen.layout,
                 bits=samples.bits,
@@ -99,11 +100,11 @@ class V4l2Camera:
                 white=samples.white,
                 response=samples.response,
                 delay_frames=None if self._delay is None else self._delay.frames,
-                frame_interval_s=self._stream.slots.interval_s,
+                frame_interval_s=seen_s,
                 notes=(
                     *samples.notes,
                     *self._exposure.notes,
-                    *_rate_notes(announced_s, self._stream.slots.interval_s),
+                    *_rate_notes(announced_s, seen_s),
                     *_delay_notes(self._delay, self._info.id),
                 ),
             )
@@ -296,7 +297,7 @@ def _only_node() -> str:
 
 
 def _rate_notes(announced_s: float, seen_s: float) -> tuple[str, ...]:
-    if abs(seen_s / announced_s - 1) < 0.1:
+    if seen_s == announced_s:
         return ()
     return (
         f"the camera announces {1 / announced_s:.3g} frames a second and sends {1 / seen_s:.3g}",

@@ -49,7 +49,6 @@ class ExposureControl:
 
     Args:
         node: the camera's node, streaming or not
-        interval_s: the frame interval, which no exposure may exceed where frames keep their rate
 
     Attributes:
         notes: what could not be turned off, and what the gain is
@@ -60,17 +59,16 @@ class ExposureControl:
 
     """
 
-    def __init__(self, node: Node, interval_s: float) -> None:
+    def __init__(self, node: Node) -> None:
         self._node = node
         self.notes: list[str] = []
         self._be_manual()
         for automatic in AUTOMATICS:
             self._turn_off(automatic)
         self._hold_gain()
-        self.time_s = self._times(interval_s)
 
     def write(self, time_s: float) -> float:
-        """Set an exposure time that `time_s` of this object has; return the time read back, s.
+        """Set an exposure time, one of `times`; return the time read back, s.
 
         Raises:
             RefusedSettingError: the camera took another time, which is the nearest
@@ -144,8 +142,16 @@ class ExposureControl:
             f"{(gain.maximum - gain.minimum) // gain.step} steps do is not known"
         )
 
-    def _times(self, interval_s: float) -> Steps:
-        """Return the exposure times, s, up to the frame interval."""
+    def times(self, interval_s: float) -> Steps:
+        """Return the exposure times, s.
+
+        They end at the frame interval, which no exposure may exceed where frames keep their rate.
+
+        Raises:
+            CameraError: the shortest is longer than a frame
+            CameraProtocolError: there is none
+
+        """
         control = self._node.control(ControlId.EXPOSURE_ABSOLUTE)
         if control is None:
             raise self._not_manual("lost its control for the exposure time")

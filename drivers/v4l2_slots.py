@@ -14,6 +14,8 @@ from statistics import median
 
 #: A gap between timestamps that differs from whole intervals by more tells no number.
 SURE = 0.35
+#: A camera whose frames differ by more from what it announces has another rate.
+OTHER_RATE = 0.1
 _GAPS = 15
 
 
@@ -54,12 +56,16 @@ class Slots:
         return is_sure
 
     def learn(self, times_s: list[float]) -> bool:
-        """Take the interval from a run of timestamps; False where they have no common one."""
+        """Take the interval from a run of timestamps; False where they have no common one.
+
+        The announced one stays where they do not clearly contradict it: it is the more precise.
+        """
         gaps = [after - before for before, after in pairwise(times_s)]
         usual = median(gaps)
         if not (usual > 0 and sum(abs(gap / usual - 1) <= SURE for gap in gaps) * 2 > len(gaps)):
             return False
-        self.interval_s = usual
+        if abs(usual / self.interval_s - 1) > OTHER_RATE:
+            self.interval_s = usual
         return True
 
     def phase(self, now_s: float) -> float:
