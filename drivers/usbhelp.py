@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import usb.core
@@ -109,8 +111,22 @@ def no_libusb() -> CameraNotFoundError:
 
 
 def device_name(device: Any) -> str:
-    """Return how errors call a device before it can be asked: bus and address."""
-    return f"the camera at USB {device.bus:03d}:{device.address:03d}"
+    """Return how errors call a device: its name, where it can be read, bus and address."""
+    name = usb_string(device, device.iProduct) or "the camera"
+    return f"{name} at USB {device.bus:03d}:{device.address:03d}"
+
+
+def holders(device: Any) -> str:
+    """Return which programs have a device open, as far as this user may see; "" where none."""
+    node = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if process.name != str(os.getpid()) and any(
+                link.readlink() == Path(node) for link in (process / "fd").iterdir()
+            ):
+                found.append(f"{(process / 'comm').read_text().strip()} (process {process.name})")
+    return ", ".join(found)
 
 
 def usb_identity(device: Any, driver: str) -> CameraInfo:

@@ -174,17 +174,17 @@ class PtpCamera:
         )
 
     def _find_dials(self) -> Dials:
-        dialect, body = self._body.dialect, self._body
-        body.check_card()
-        dial = body.dial("time_s", dialect.times)
+        dialect, properties = self._body.dialect, self._body.properties
+        self._body.check_card()
+        dial = properties.dial("time_s", dialect.times)
         if dial is None:
-            body.check_mode(dialect.times[0].code)
+            properties.check_mode(dialect.times[0].code)
             raise CameraError(
                 f"{self._who} has no shutter time that can be set over USB",
                 hint="turn the mode dial to M; else its model is not supported",
             )
-        body.check_mode(dial.code)
-        dial = body.dial("time_s", dialect.times) or dial
+        properties.check_mode(dial.code)
+        dial = properties.dial("time_s", dialect.times) or dial
         if dialect is not STANDARD:
             self._notes.append(
                 f"the operations of {dialect.name} are unproven on real bodies: check the first "
@@ -194,9 +194,12 @@ class PtpCamera:
             "shutter times are what the camera calls them; a dial's 1/60 may be 1/64 s: compare "
             "the ratios that the report has measured"
         )
-        return Dials(
-            dial, body.dial("gain", dialect.gains), body.dial("f_number", dialect.f_numbers)
-        )
+        gain = properties.dial("gain", dialect.gains)
+        if gain is None and properties.has_any(dialect.gains):
+            raise CameraError(
+                f"{self._who} chooses its sensitivity itself", hint="set its ISO to a number"
+            )
+        return Dials(dial, gain, properties.dial("f_number", dialect.f_numbers))
 
     def _check_bulb(self, bulb_s: float | None) -> float:
         if bulb_s is None:

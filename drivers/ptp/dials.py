@@ -70,15 +70,18 @@ def make_dial(
         numbers = [n for n in description.choices if isinstance(n, int)]
     if not numbers and description.span is not None and scale.unit is not None:
         return Dial(name, scale, description.data_type, _steps(scale, description))
-    is_stepped = not numbers
+    stepped_through = () if numbers else tuple(listed)
+    if not numbers and not stepped_through and isinstance(description.current, int):
+        numbers = [description.current]  # it lists nothing: it stays where it is
     by_value: dict[float, int] = {}
-    for number in numbers or listed:
+    for number in (*numbers, *stepped_through):
         value = scale.decode(number)
         if value is not None:
             by_value.setdefault(value, number)
     if not by_value:
         return None
     control = Choices(tuple(sorted(by_value)))
+    is_stepped = bool(stepped_through)
     return Dial(name, scale, description.data_type, control, is_stepped, by_value)
 
 

@@ -8,6 +8,7 @@ nonsense, and opens the session again where the camera has lost it.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -39,6 +40,7 @@ UNKNOWN_SIZE = 0xFFFFFFFF
 _TRIES = 3
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.02, 0.5
 _SESSION = 1
+_CLOSING_S = 2.0
 _LAST_TRANSACTION = 0xFFFFFFFE
 
 
@@ -65,6 +67,7 @@ class Session:
         times_recovered: how often the pipes had to be brought back to order
         times_busy: how often it said that it was busy
         last_transaction: number of the transaction that was begun last
+        after_reopening: called where the session had to be opened again
     """
 
     def __init__(
@@ -78,7 +81,8 @@ class Session:
         self._transport, self._who = transport, who
         self._silence_s, self._busy_s = silence_s, busy_s
         self._transaction = self.last_transaction = 0
-        self._is_open = False
+        self._is_open = self._is_reopening = False
+        self.after_reopening: Callable[[], None] | None = None
         self.times_recovered = 0
         self.maker = ""
         self.times_busy = 0
@@ -116,6 +120,7 @@ class Session:
         """Close the session, as far as the camera still listens."""
         if self._is_open:
             self._is_open = False
+            self._transport.silence_s = min(self._silence_s, _CLOSING_S)
             with suppress(CamctlError):
                 self._attempt(Op.CLOSE_SESSION, ())
 
@@ -140,7 +145,8 @@ class Session:
             doing: what it is called in errors
             data: what to send with it
             limit: data bytes that may come
-            repeatable: doing it twice does no harm
+            repeatable: doing it again does no harm: twice after a stall or nonsense, once after
+                silence
             silence_s: how long the camera may be silent; None: as long as usual
             busy_s: how long it may be busy; None: as long as usual
 
@@ -158,6 +164,11 @@ class Session:
                 )
             except CameraDisconnectedError:
                 raise
+            except CameraTimeoutError:
+                if tries <= 0:
+                    raise
+                tries = 0  # after such a wait it is tried once more, and not twice
+                continue
             except CameraError:
                 if tries <= 0:
                     raise
@@ -165,7 +176,7 @@ class Session:
             if answer.code == OK:
                 return answer
             if answer.code == SESSION_NOT_OPEN and self._is_open and tries > 0:
-                self.open()
+                self._reopen()
             elif answer.code == DEVICE_BUSY and time.monotonic() < deadline:
                 tries += 1
                 self.times_busy += 1
@@ -229,9 +240,22 @@ class Session:
             return
         self._transport.reset()
         if self._is_open:
-            self._is_open = False
             with suppress(CameraTimeoutError, CameraProtocolError):
-                self.open()
+                self._reopen()
+
+    def _reopen(self) -> None:
+        """Open a session that the camera has lost, once: opening it may fail in the same way."""
+        if self._is_reopening:
+            raise CameraDisconnectedError(
+                f"{self._who} keeps losing its session", hint="switch it off and on again"
+            )
+        self._is_reopening, self._is_open = True, False
+        try:
+            self.open()
+            if self.after_reopening is not None:
+                self.after_reopening()
+        finally:
+            self._is_reopening = False
 
     def _refused(self, code: int, doing: str) -> CameraError:
         return response_error(code, doing, self._who, self.maker)

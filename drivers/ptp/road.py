@@ -11,7 +11,7 @@ import usb.core
 from camctl.camera import CameraInfo
 from camctl.errors import CameraNotFoundError, UsageError, unknown_name
 from drivers.ptp.camera import PtpCamera
-from drivers.ptp.transport import still_interface_number
+from drivers.ptp.interface import still_interface_number
 from drivers.usbhelp import no_libusb, typed_usb_errors, usb_identity
 
 _OPTIONS = ("bulb", "delete", "format", "response")

@@ -235,15 +235,17 @@ class Shooter:
         ended_s = min(self._clock.now(), flight.released_s + flight.setting.time_s)
         return Shot(flight, handle, info, ended_s, others)
 
-    def fetch(self, shot: Shot, *, busy_s: float, delete: bool) -> tuple[bytes, float]:
+    def fetch(self, shot: Shot, *, busy_s: float) -> tuple[bytes, float]:
         """Return the bytes of a shot's file and how many seconds they took."""
         began = time.monotonic()
         session = self._body.session
         data = session.object(shot.handle, shot.info.size, busy_s=busy_s)
-        took_s = time.monotonic() - began
-        if delete and shot.handle != self._body.dialect.memory:
-            session.delete(shot.handle)
-        return data, took_s
+        return data, time.monotonic() - began
+
+    def delete(self, shot: Shot) -> None:
+        """Delete a shot's file from the card."""
+        if shot.handle != self._body.dialect.memory:
+            self._body.session.delete(shot.handle)
 
     def settle(self, flight: Flight, limit_s: float) -> None:
         """Wait for the end of an exposure that nobody wants any more; its files stay on the card.

@@ -27,11 +27,11 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from drivers.ptp.interface import claim, endpoint, still_interface
 from drivers.usbhelp import typed_usb_errors
 
 Bytes: TypeAlias = "bytes | memoryview | array[int]"
 
-STILL_IMAGE = (6, 1, 1)  # class, subclass, protocol
 COMMAND, DATA, RESPONSE, EVENT = 1, 2, 3, 4
 HEADER = struct.Struct("<IHHI")
 
@@ -86,17 +86,16 @@ class UsbTransport:
         self.device, self._who = device, who
         self.silence_s = NORMAL_S
         with typed_usb_errors(who):
-            self._interface = _still_interface(device, who)
+            self._interface = still_interface(device, who)
             self._number = int(self._interface.bInterfaceNumber)
-            self._in = _endpoint(self._interface, usb.util.ENDPOINT_TYPE_BULK, is_in=True)
-            self._out = _endpoint(self._interface, usb.util.ENDPOINT_TYPE_BULK, is_in=False)
-            self._events = _endpoint(self._interface, usb.util.ENDPOINT_TYPE_INTR, is_in=True)
+            self._in = endpoint(self._interface, usb.util.ENDPOINT_TYPE_BULK, is_in=True)
+            self._out = endpoint(self._interface, usb.util.ENDPOINT_TYPE_BULK, is_in=False)
+            self._events = endpoint(self._interface, usb.util.ENDPOINT_TYPE_INTR, is_in=True)
             if self._in is None or self._out is None:
                 raise CameraNotFoundError(
                     f"{who} has a still-image interface without bulk pipes", hint="use another"
                 )
-            _free_from_kernel(device, self._number)
-            usb.util.claim_interface(device, self._number)
+            claim(device, self._number, who)
         self._left_over = b""
 
     # ---- sending
@@ -243,8 +242,7 @@ class UsbTransport:
         self._class_out(_CANCEL, struct.pack("<HI", _CANCELLED, transaction & 0xFFFFFFFF))
         deadline = time.monotonic() + _RECOVERY_S
         while True:
-            for endpoint in (self._in, self._out):
-                self._clear_halt(endpoint)
+            self._clear_halts()
             self._drain()
             status = self._status()
             if status == _STATUS_OK or status is None:
@@ -256,9 +254,12 @@ class UsbTransport:
     def reset(self) -> None:
         """Ask the camera to start anew; its session is closed afterwards."""
         self._class_out(_RESET, b"")
-        for endpoint in (self._in, self._out):
-            self._clear_halt(endpoint)
+        self._clear_halts()
         self._drain()
+
+    def _clear_halts(self) -> None:
+        self._clear_halt(self._in)
+        self._clear_halt(self._out)
 
     def _drain(self) -> None:
         """Read what the camera still sends, within bounds of time and size."""
@@ -317,56 +318,3 @@ class UsbTransport:
 
 class HalfSentError(CameraProtocolError):
     """A data phase ended too early; the transaction itself was answered."""
-
-
-def still_interface_number(device: Any) -> int | None:
-    """Return the number of a device's still-image interface, read from its descriptors alone."""
-    for configuration in device:
-        for interface in configuration:
-            if _kind(interface) == STILL_IMAGE:
-                return int(interface.bInterfaceNumber)
-    return None
-
-
-def _kind(interface: Any) -> tuple[int, int, int]:
-    return (
-        interface.bInterfaceClass,
-        interface.bInterfaceSubClass,
-        interface.bInterfaceProtocol,
-    )
-
-
-def _still_interface(device: Any, who: str) -> Any:
-    # Setting the configuration that is set already restarts the interfaces of some cameras.
-    try:
-        configuration = device.get_active_configuration()
-    except usb.core.USBError as error:
-        if error.errno in (errno.EACCES, errno.ENODEV):
-            raise
-        device.set_configuration()
-        configuration = device.get_active_configuration()
-    for interface in configuration:
-        if _kind(interface) == STILL_IMAGE:
-            return interface
-    raise CameraNotFoundError(
-        f"{who} is not a still camera",
-        hint="switch its USB mode to PTP (PC remote), not mass storage",
-    )
-
-
-def _endpoint(interface: Any, kind: int, *, is_in: bool) -> Any:
-    wanted = usb.util.ENDPOINT_IN if is_in else usb.util.ENDPOINT_OUT
-    for endpoint in interface:
-        if (
-            usb.util.endpoint_type(endpoint.bmAttributes) == kind
-            and usb.util.endpoint_direction(endpoint.bEndpointAddress) == wanted
-        ):
-            return endpoint
-    return None
-
-
-def _free_from_kernel(device: Any, number: int) -> None:
-    """Detach a kernel driver; no kernel drives class 6, but a camera that changed its mode."""
-    with suppress(NotImplementedError):
-        if device.is_kernel_driver_active(number):
-            device.detach_kernel_driver(number)

@@ -77,7 +77,8 @@ class Dialect:
         program: the property with the mode dial, and its numbers for manual exposure
         battery: the property with the charge in per cent
         opening: operations after the session is open
-        presets: properties to set then, where the camera can: single shots, onto the card
+        presets: properties to set then, where the camera can: single shots, no automatic ISO, onto
+            the card
         releases: ways to take a picture, the best first; one whose operations are all there is used
         bulb: number of the shutter property that means bulb, where it must be set to that
         bulb_opens, bulb_closes: what opens and closes the shutter then
@@ -220,7 +221,7 @@ NIKON = Dialect(
     f_numbers=(_F_NUMBER,),
     program=_MANUAL,
     battery=Prop.BATTERY_LEVEL,
-    presets=(_SINGLE_SHOTS,),
+    presets=(_SINGLE_SHOTS, (Prop.NIKON_ISO_AUTO, 0)),
     releases=(
         # Without autofocus, onto the card.
         (Step(Op.NIKON_CAPTURE_TO, (_EVERYTHING, 0)),),

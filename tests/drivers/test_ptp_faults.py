@@ -218,3 +218,54 @@ def test_the_udev_rules_name_still_cameras():
         line.startswith(("#", "ACTION", "SUBSYSTEM", "MODE", "LABEL", "TAG"))
         for line in UDEV_RULES.strip().splitlines()
     )
+
+
+@pytest.mark.parametrize("vendor", VENDORS)
+def test_a_session_that_the_camera_loses_is_opened_again(vendor):
+    with camera_on(vendor=vendor) as (camera, device):
+        settings = settings_at(camera, 1 / 125, 1 / 60, 1 / 250)
+        first = shoot(camera, settings[:1])
+        device.responder.close_session()  # what a reset inside the camera does
+        assert_sound(first + shoot(camera, settings[1:]))
+
+
+def test_a_camera_that_loses_each_session_is_told():
+    with camera_on() as (camera, device):
+        settings = settings_at(camera, 1 / 125)
+        execute = device.responder.execute
+
+        def forgetful(code, *arguments):
+            device.responder.close_session()
+            return execute(code, *arguments)
+
+        device.responder.execute = forgetful
+        with pytest.raises(CameraDisconnectedError, match="session"):
+            shoot(camera, settings)
+
+
+def test_a_release_without_an_answer_does_not_become_the_next_frame(monkeypatch):
+    """The exposure is taken, its response is rubbish; the next frame is the next exposure's."""
+    with camera_on() as (camera, device):
+        long, short = settings_at(camera, 1 / 4, 1 / 250)
+        (reference,) = shoot(camera, [short])
+        execute = device.responder.execute
+
+        def garble(code, *arguments):
+            if code == 0x100E:
+                device.do("garbage", count=1)
+            return execute(code, *arguments)
+
+        monkeypatch.setattr(device.responder, "execute", garble)
+        with pytest.raises(CameraError):
+            shoot(camera, [long])
+        monkeypatch.undo()
+        (frame,) = shoot(camera, [short])
+        assert np.array_equal(frame.pixels, reference.pixels)
+
+
+def test_a_file_of_another_exposure_is_not_handed_over(monkeypatch):
+    with camera_on() as (camera, device):
+        (setting,) = settings_at(camera, 1 / 125)
+        monkeypatch.setattr(device.responder, "exposure_time_s", lambda: 1 / 30)
+        with pytest.raises(CameraProtocolError, match="by its own word"):
+            shoot(camera, [setting])
