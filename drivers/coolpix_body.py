@@ -196,9 +196,8 @@ class CoolpixBody:
         for _ in range(_ATTEMPTS):
             self.dials.prepare()
             before = newest(self.sierra)
-            session = self.sierra.sessions
             applied = self.dials.expose_for(setting)
-            if session != self.sierra.sessions:
+            if not self.dials.are_prepared:
                 continue  # a new session may have forgotten what was set a moment ago
             self._pending = _Pending(setting, applied, before, self._clock.now())
             refused = False

@@ -17,6 +17,7 @@ from drivers.sierra import Sierra
 from drivers.sierra_packets import Register
 
 _MICRO = 1_000_000
+_ATTEMPTS = 2
 
 
 class CoolpixDials:
@@ -47,6 +48,11 @@ class CoolpixDials:
         self.times_us = find_times_us(sierra)
         self.prepare()
 
+    @property
+    def are_prepared(self) -> bool:
+        """True where the camera has not forgotten what was set: the session is still the same."""
+        return self._prepared == self._sierra.sessions
+
     def prepare(self) -> None:
         """Set what must hold for all pictures, once a session.
 
@@ -54,7 +60,7 @@ class CoolpixDials:
             CameraError: it cannot be set to the file format
             CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
-        if self._prepared == self._sierra.sessions:
+        if self.are_prepared:
             return
         session = self._sierra.sessions
         self.steadied.clear()
@@ -113,11 +119,15 @@ class CoolpixDials:
             )
 
     def _apply(self, register: Register, value: int, control: str, wanted: float) -> None:
-        self._sierra.set(register, value)
-        found = self._sierra.get(register)
-        if found != value:
-            nearest = self._meaning(register, found)
-            raise RefusedSettingError(control, wanted, nearest)
+        for _ in range(_ATTEMPTS):
+            session = self._sierra.sessions
+            self._sierra.set(register, value)
+            found = self._sierra.get(register)
+            if found == value:
+                return
+            if session == self._sierra.sessions:
+                break  # otherwise it forgot between writing and reading
+        raise RefusedSettingError(control, wanted, self._meaning(register, found))
 
     def _meaning(self, register: Register, value: int) -> float:
         """Return a register's value in SI units; 0 for what is automatic or unknown."""

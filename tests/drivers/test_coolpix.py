@@ -28,7 +28,7 @@ from drivers import coolpix
 from drivers.coolpix import CoolpixCamera, CoolpixRoad
 from drivers.coolpix_find import ask
 from drivers.coolpix_settings import CANDIDATES_US
-from drivers.sierra_packets import Register
+from drivers.sierra_packets import Action, Register
 from drivers.stillfile import read_still
 from sim.devices.sierra import make
 from sim.devices.sierra_camera import Refused
@@ -69,18 +69,18 @@ def shoot(camera, settings=SETTINGS):
         return list(frames)
 
 
-def once(camera, register, act):
-    """Let `act` happen just before the register is read for the next time."""
+def once(camera, how, what, act):
+    """Let `act` happen just before the session is next asked `how` (get, read, act) for `what`."""
     sierra = camera._body.sierra
-    read = sierra.read
+    plain = getattr(sierra, how)
 
-    def read_once(which, *words, **named):
-        if which == register:
-            sierra.read = read
+    def after_it(which, *words, **named):
+        if which == what:
+            setattr(sierra, how, plain)
             act()
-        return read(which, *words, **named)
+        return plain(which, *words, **named)
 
-    sierra.read = read_once
+    setattr(sierra, how, after_it)
 
 
 def one_line(error):
@@ -247,7 +247,7 @@ class TestFaults:
     def test_a_download_cut_short_is_asked_for_again(self, device):
         with opened(device, timeout_s=10.0) as camera:
             camera.controls  # noqa: B018
-            once(camera, Register.PICTURE_DATA, lambda: device.do("truncate", count=1))
+            once(camera, "read", Register.PICTURE_DATA, lambda: device.do("truncate", count=1))
             (frame,) = shoot(camera, SETTINGS[:1])
         assert np.array_equal(frame.pixels[..., 0], device.body.exposer.expose(0.002))
         assert len(device.camera.pictures) == 2
@@ -364,7 +364,7 @@ class TestBrokenLines:
     def test_a_picture_taken_before_the_line_broke_is_fetched_after(self, device):
         with self.open(device) as camera:
             camera.controls  # noqa: B018
-            once(camera, Register.PICTURE_DATA, lambda: device.do("unplug"))
+            once(camera, "read", Register.PICTURE_DATA, lambda: device.do("unplug"))
             with pytest.raises(CameraDisconnectedError, match="may be on its card") as caught:
                 shoot(camera, SETTINGS[:1])
             one_line(caught.value)
@@ -379,7 +379,7 @@ class TestBrokenLines:
     def test_a_picture_that_may_be_another_is_not_taken_for_it(self, device):
         with self.open(device) as camera:
             camera.controls  # noqa: B018
-            once(camera, Register.PICTURE_DATA, lambda: device.do("unplug"))
+            once(camera, "read", Register.PICTURE_DATA, lambda: device.do("unplug"))
             with pytest.raises(CameraDisconnectedError):
                 shoot(camera, SETTINGS[:1])
             left = device.camera.pictures[-1].name
@@ -388,25 +388,47 @@ class TestBrokenLines:
         assert frame.applied.time_s == 0.008
         assert frame.details["left_on_card"] == left
 
-    @pytest.mark.parametrize("register", [Register.PICTURE_DATA, Register.PICTURE_NAME])
-    def test_power_off_and_on_in_between_costs_no_frame(self, device, register):
+    @pytest.mark.parametrize(
+        ("how", "what"),
+        [
+            ("read", Register.PICTURE_NAME),
+            ("get", Register.SHUTTER_US),
+            ("get", Register.APERTURE),
+            ("act", Action.TAKE_PICTURE),
+            ("get", Register.PICTURE_BYTES),
+            ("read", Register.PICTURE_DATA),
+        ],
+    )
+    def test_power_off_and_on_in_between_costs_no_frame(self, device, monkeypatch, how, what):
+        monkeypatch.setattr("drivers.coolpix_body.WRITING_S", 0.5)
+
         def cycle():
             with device.lock:
                 device._end_session()
+                device.camera._quality = 0x13
                 device.camera._set_shutter(0)
-                device.camera._aperture = 0
+                device.camera._aperture = 3
                 device.camera._current = 0
 
         with self.open(device) as camera:
             camera.controls  # noqa: B018
             taken = len(device.camera.pictures)
-            once(camera, register, cycle)
+            once(camera, how, what, cycle)
             frames = shoot(camera)
         assert [frame.applied.time_s for frame in frames] == [0.002, 0.008]
         for frame, setting in zip(frames, SETTINGS, strict=True):
             exposed = device.body.exposer.expose(setting.time_s)
             assert np.array_equal(frame.pixels[..., 0], exposed)
         assert len(device.camera.pictures) == taken + 2
+
+    def test_a_session_that_ends_before_the_shutter_opens_costs_no_frame(self, device, monkeypatch):
+        monkeypatch.setattr("drivers.coolpix_body.WRITING_S", 0.5)
+        linear = {"format": "tiff", "response": "linear"}
+        with CoolpixCamera(device.name, speed=19200, timeout_s=2.0, **linear) as camera:
+            camera.controls  # noqa: B018
+            once(camera, "act", Action.TAKE_PICTURE, lambda: device.do("break"))
+            assert len(shoot(camera)) == 2
+        assert len(device.camera.pictures) == 3
 
     def test_a_second_program_is_told_that_the_port_is_held(self, device):
         with self.open(device), pytest.raises(CameraBusyError, match="another process") as caught:
