@@ -209,6 +209,16 @@ FORMATS: tuple[PixelFormat, ...] = (
 )
 
 
+#: OpenCV opens a camera only in one of these (cap_v4l.cpp); another can be chosen after that.
+OPENED: frozenset[int] = frozenset(
+    fourcc(code)
+    for code in (
+        *("BGR3", "RGB3", "YV12", "YU12", "411P", "YUYV", "UYVY", "NV12", "NV21", "BA81", "GBRG"),
+        *("GRBG", "XR24", "AR24", "S910", "MJPG", "JPEG", "Y16 ", "Y12 ", "Y10 ", "GREY"),
+    )
+)
+
+
 def choose_format(offered: Sequence[int], wanted: str, path: str) -> PixelFormat:
     """Return the most honest of the formats offered, or the one wanted.
 
@@ -228,6 +238,11 @@ def choose_format(offered: Sequence[int], wanted: str, path: str) -> PixelFormat
         raise CameraError(
             f"{path} has no pixel format that can be read, only {listed}",
             hint="use a camera that offers YUYV, MJPG or raw samples",
+        )
+    if OPENED.isdisjoint(offered):
+        raise CameraError(
+            f"OpenCV opens no camera that offers only {', '.join(map(_spelt, offered))}",
+            hint="use a camera that offers YUYV, MJPG, Y16 or 8-bit mosaics, too",
         )
     for format_ in usable:
         if wanted in (format_.name, "auto") or (wanted == "bayer" and format_.layout.is_mosaic):

@@ -183,22 +183,22 @@ class TestFormats:
             assert camera.mode.startswith(f"{name}-")
 
     @pytest.mark.parametrize(
-        ("code", "bits", "layout"),
+        ("codes", "bits", "layout"),
         [
-            ("Y16 ", 16, Layout.MONO),
-            ("Y12 ", 12, Layout.MONO),
-            ("Y10 ", 10, Layout.MONO),
-            ("RG10", 10, Layout.RGGB),
-            ("RGGB", 8, Layout.RGGB),
-            ("GRBG", 8, Layout.GRBG),
-            ("GBRG", 8, Layout.GBRG),
-            ("BA81", 8, Layout.BGGR),
-            ("GREY", 8, Layout.MONO),
-            ("YUYV", 8, Layout.MONO),
+            (("Y16 ",), 16, Layout.MONO),
+            (("Y12 ",), 12, Layout.MONO),
+            (("Y10 ",), 10, Layout.MONO),
+            (("RG10", "YUYV"), 10, Layout.RGGB),
+            (("RGGB", "YUYV"), 8, Layout.RGGB),
+            (("GRBG",), 8, Layout.GRBG),
+            (("GBRG",), 8, Layout.GBRG),
+            (("BA81",), 8, Layout.BGGR),
+            (("GREY",), 8, Layout.MONO),
+            (("YUYV",), 8, Layout.MONO),
         ],
     )
-    def test_samples_come_as_they_are(self, code, bits, layout):
-        with open_model(Model(formats=(code,))) as camera:
+    def test_samples_come_as_they_are(self, codes, bits, layout):
+        with open_model(Model(formats=codes)) as camera:
             frame = one_frame(camera)
             assert (camera.controls.bits, camera.controls.layout) == (bits, layout)
             assert camera.controls.white == 2**bits - 1
@@ -277,6 +277,9 @@ class TestFormats:
     def test_a_format_that_nobody_reads(self):
         message = refused(CameraError, Model(formats=("H264", "\1\2\3\4")))
         assert "H264" in message
+
+    def test_a_format_that_opencv_does_not_open(self):
+        assert "OpenCV opens no camera" in refused(CameraError, Model(formats=("RGGB", "RG10")))
 
     def test_the_largest_size(self):
         model = Model(sizes=((4, 2), (COLUMNS, ROWS), (6, 4)))
