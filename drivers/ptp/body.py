@@ -6,13 +6,16 @@ The tables are in `vendors`; here is what is done with them.  Nothing here knows
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from camctl.errors import (
     CameraBusyError,
     CameraError,
+    CameraProtocolError,
 )
 from drivers.ptp.codes import DEVICE_BUSY, OK, Event, Op, Prop, response_error
+from drivers.ptp.datasets import StorageInfo
 from drivers.ptp.dials import Dial
 from drivers.ptp.properties import Properties
 from drivers.ptp.protocol import Session
@@ -199,12 +202,14 @@ class Body:
         """Raise `CameraError` where the camera has nothing to put a picture on."""
         if Op.GET_STORAGE_IDS not in self.session.info.operations:
             return
-        stores = self.session.stores()
+        stores: tuple[StorageInfo, ...] = ()
+        with suppress(CameraProtocolError):  # the release itself will tell
+            stores = self.session.stores()
         if stores and not any(store.is_writable for store in stores):
             raise CameraError(
                 f"{self._who}: its card cannot be written", hint="take the lock off the card"
             )
-        if stores and all(store.free_bytes == 0 or store.free_images == 0 for store in stores):
+        if stores and all(store.free_bytes == 0 and store.free_images == 0 for store in stores):
             raise CameraError(
                 f"{self._who}: its card is full",
                 hint="make room on the card or put another one in",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 
 from camctl.errors import (
     CameraBusyError,
+    CameraDisconnectedError,
     CameraError,
     CameraProtocolError,
     CameraTimeoutError,
@@ -29,6 +30,17 @@ from drivers.ptp.vendors import Dialect, Scale, Source
 READ_BACK_S = 3.0
 _LOOK_S = 0.02
 _MOST_STEPS = 200
+
+
+@contextmanager
+def _what_it_can() -> Iterator[None]:
+    """Pass over a property that a camera lists and then knows nothing of."""
+    try:
+        yield
+    except (CameraBusyError, CameraDisconnectedError, CameraTimeoutError):
+        raise
+    except CameraError:
+        pass
 
 
 class Properties:
@@ -65,10 +77,11 @@ class Properties:
         source = self._dialect.source
         if source is Source.ASKED:
             for code in sorted(self._codes.intersection(self._session.info.properties)):
-                self._known[code] = self._session.description(code)
+                with _what_it_can():
+                    self._known[code] = self._session.description(code)
         elif source is Source.SONY_LIST:
             answer = self._session.call(Op.SONY_PROPERTIES, doing="asking for its properties")
-            self._known = parse_sony_properties(answer.data)
+            self._known.update(parse_sony_properties(answer.data))
         else:
             self._listen_eos()
 
@@ -228,7 +241,8 @@ class Properties:
                 and description.current != number
                 and (not description.choices or number in description.choices)
             ):
-                self.write(description, number)
+                with _what_it_can():
+                    self.write(description, number)
 
     def battery(self) -> int | None:
         """Return the charge in per cent, where the camera tells."""

@@ -1,8 +1,10 @@
 """What goes wrong on the wire and in the camera: waited out, repaired, or told in time."""
 
 import errno
+import random
 import time
-from contextlib import closing
+from contextlib import closing, suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import usb.core
 from ptp_bench import SILENCE_S, camera_on, open_quick, settings_at, virtual
 
 from camctl.errors import (
+    CamctlError,
     CameraBusyError,
     CameraDisconnectedError,
     CameraError,
@@ -269,3 +272,32 @@ def test_a_file_of_another_exposure_is_not_handed_over(monkeypatch):
         monkeypatch.setattr(device.responder, "exposure_time_s", lambda: 1 / 30)
         with pytest.raises(CameraProtocolError, match="by its own word"):
             shoot(camera, [setting])
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("vendor", VENDORS)
+def test_a_camera_whose_answers_are_damaged_ends_in_typed_errors(vendor, seed, monkeypatch):
+    """Well-formed containers, nonsense within: in what they describe, list, and say of pictures."""
+    monkeypatch.setattr("drivers.ptp.properties.READ_BACK_S", 0.05)
+    monkeypatch.setattr("drivers.ptp.sequence.NORMAL_S", 0.1)
+    monkeypatch.setattr("drivers.ptp.shooting.NORMAL_S", 0.1)
+    device, backend = virtual(vendor=vendor)
+    rng = random.Random(seed)
+    rate = (0.02, 0.05, 0.1, 0.3)[seed % 4]
+    execute = device.responder.execute
+
+    def damaged(*arguments):
+        reply = execute(*arguments)
+        if reply is None or not reply.data or rng.random() > rate:
+            return reply
+        data = bytearray(reply.data)
+        for _ in range(rng.randint(1, 4)):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+        return replace(reply, data=bytes(data[: rng.randint(len(data) // 2, len(data))]))
+
+    monkeypatch.setattr(device.responder, "execute", damaged)
+    began = time.monotonic()
+    for _ in range(6):
+        with suppress(CamctlError), open_quick(backend, silence_s=0.1, capture_s=0.2) as camera:
+            shoot(camera, settings_at(camera, 1 / 125, 1 / 60))
+    assert time.monotonic() - began < 30
