@@ -59,9 +59,9 @@ def delay(
 ) -> None:
     """Measure how many frames pass until a new exposure shows, and keep it.
 
-    Point the camera at something steady under steady light first; it needs a few seconds.  Where
-    the delay is constant, n exposures then take n frames and the delay; where it is not, or is not
-    known, the stream settles for each exposure.
+    Point the camera at something steady under steady light first.  A trial takes some 20 frames.
+    Where the delay is constant, n exposures then take n frames and the delay; where it is not, or
+    is not known, the stream settles for each exposure.
     """
     from camctl.calibration import measure_delay
     from camctl.camera import StreamingCamera
@@ -107,4 +107,4 @@ def delay_text(record: DelayRecord) -> str:
 def _so_that(record: DelayRecord) -> str:
     if record.frames is None:
         return f"the stream settles for {record.largest} frames at each exposure"
-    return f"n exposures take n + {record.frames} frames"
+    return f"n exposures take n + {record.frames} frames" if record.frames else "no frame is lost"
