@@ -44,6 +44,7 @@ _WHO_HOLDS_IT = (
     "gvfsd-gphoto2, gphoto2 or darktable, and try again"
 )
 _PLUG_AGAIN = "plug it in and switch it on, then try again"
+_SYSFS = Path("/sys/bus/usb/devices")
 
 
 class StalledError(CameraProtocolError):
@@ -112,7 +113,7 @@ def no_libusb() -> CameraNotFoundError:
 
 def device_name(device: Any) -> str:
     """Return how errors call a device: its name, where it can be read, bus and address."""
-    name = usb_string(device, device.iProduct) or "the camera"
+    name = usb_string(device, device.iProduct, "product") or "the camera"
     return f"{name} at USB {device.bus:03d}:{device.address:03d}"
 
 
@@ -134,28 +135,39 @@ def usb_identity(device: Any, driver: str) -> CameraInfo:
 
     Needs no claim and opens no session, so that a camera that is in use can be listed as well.
     """
-    serial = usb_string(device, device.iSerialNumber)
+    serial = usb_string(device, device.iSerialNumber, "serial")
     # A serial number with a colon would be taken for bus and address.
     address = serial if serial and ":" not in serial else f"{device.bus:03d}:{device.address:03d}"
     return CameraInfo(
         f"{driver}:{address}",
-        usb_string(device, device.iManufacturer) or f"USB vendor {device.idVendor:04x}",
-        usb_string(device, device.iProduct) or f"product {device.idProduct:04x}",
+        usb_string(device, device.iManufacturer, "manufacturer")
+        or f"USB vendor {device.idVendor:04x}",
+        usb_string(device, device.iProduct, "product") or f"product {device.idProduct:04x}",
         serial,
         driver,
     )
 
 
-def usb_string(device: Any, index: int) -> str:
+def usb_string(device: Any, index: int, attribute: str) -> str:
     """Return a string descriptor in printable form; "" where there is none or it cannot be read.
 
-    Reading one needs permission to open the device, and broken devices stall on it: neither is a
+    Reading one needs permission to open the device; whoever has none is told what the kernel read
+    (`attribute` in sysfs), so that a camera keeps its id.  Broken devices stall on it, which is no
     reason not to list a camera.
     """
     if not index:
         return ""
     try:
         text = usb.util.get_string(device, index)
-    except (usb.core.USBError, ValueError, NotImplementedError, UnicodeDecodeError):
+    except (usb.core.USBError, NotImplementedError, UnicodeDecodeError):
         return ""
+    except ValueError:  # "no langid": what pyusb says of a device that may not be opened
+        text = _as_the_kernel_read_it(device, attribute)
     return "".join(c for c in (text or "") if c.isprintable()).strip()
+
+
+def _as_the_kernel_read_it(device: Any, attribute: str) -> str:
+    ports = ".".join(map(str, device.port_numbers or ()))
+    with suppress(OSError, UnicodeDecodeError):
+        return (_SYSFS / f"{device.bus}-{ports}" / attribute).read_text()
+    return ""

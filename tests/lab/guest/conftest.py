@@ -3,6 +3,7 @@
 import signal
 from pathlib import Path
 
+import lab
 import pytest
 
 OUT = Path("/lab_out")
@@ -38,3 +39,47 @@ def pytest_runtest_protocol(item, nextitem):
         return (yield)
     finally:
         signal.alarm(0)
+
+
+@pytest.fixture(scope="session")
+def own_profiles(tmp_path_factory):
+    """What is measured of the laboratory's cameras goes to a folder of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CAMCTL_PROFILES", str(tmp_path_factory.mktemp("profiles")))
+        yield
+
+
+@pytest.fixture(scope="session")
+def running():
+    """The process of all devices, and the hub to speak to them."""
+    process, hub = lab.start_devices()
+    try:
+        yield hub
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+@pytest.fixture(scope="session")
+def measured(running, own_profiles):
+    """The delays of all streaming cameras are known, in their first mode."""
+    for device in lab.DEVICES:
+        if device.kind == "uvc":
+            lab.know_delay(device, *device.delays)
+
+
+@pytest.fixture
+def hub(running, measured):
+    """All devices, plugged in and well."""
+    yield running
+    for device in lab.DEVICES:
+        lab.make_well(running, device)
+
+
+@pytest.fixture
+def camctl(capfd, tmp_path, monkeypatch):
+    """Run a command line in an empty folder."""
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    return lambda *words: lab.camctl(capfd, *words)

@@ -1,0 +1,48 @@
+"""How long it takes to find out that no camera is connected.
+
+    python tests/bench/bench_discovery.py          on this machine
+    python tests/lab/run.py --bench                in the laboratory's guest, with the other two
+
+Each look is one call of `camctl.registry.discover_cameras` with the roads' modules imported, as in
+the menu; the command line with its imports is measured beside it.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from camctl.registry import discover_cameras
+
+LOOKS = 5
+MOST_S = 1.0
+
+
+def main() -> int:
+    """Print the times; return 1 if the slowest look took longer than `MOST_S`."""
+    began = time.perf_counter()
+    cameras, problems = discover_cameras()
+    first_s = time.perf_counter() - began
+    real = [camera.id for camera in cameras if camera.driver != "sim"]
+    looks = []
+    for _ in range(LOOKS):
+        began = time.perf_counter()
+        discover_cameras()
+        looks.append(time.perf_counter() - began)
+    began = time.perf_counter()
+    command = Path(sys.executable).with_name("camctl")
+    subprocess.run([command, "cameras"], check=True, stdout=subprocess.DEVNULL)
+    whole_s = time.perf_counter() - began
+    print(f"cameras connected: {', '.join(real) or 'none'}")
+    for problem in problems:
+        print(f"could not look: {problem}")
+    print(f"first look, with imports  {first_s:6.3f} s")
+    print(f"slowest of {LOOKS} more        {max(looks):6.3f} s   (at most {MOST_S:g} s)")
+    print(f"camctl cameras, a process {whole_s:6.3f} s")
+    return int(max(looks) > MOST_S)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,124 @@
+"""The CoolPix 990 over a serial line of the kernel: cdc-acm at one end, a gadget at the other."""
+
+import subprocess
+import sys
+from contextlib import closing
+
+import lab
+import pytest
+
+from camctl.camera import ExposureSetting
+from camctl.capture import read_report
+from camctl.errors import CameraError
+from camctl.testing import CameraConformance
+
+
+class TestTiff(CameraConformance):
+    @pytest.fixture(autouse=True)
+    def _devices(self, hub):
+        self.hub = hub
+
+    def open_camera(self):
+        return lab.opened(lab.COOLPIX)
+
+    def middle_s(self, camera):
+        return camera.controls.time_s.nearest(0.01)
+
+
+def test_whole_capture(hub, camctl):
+    done = camctl("shoot", *lab.words_of(lab.COOLPIX), *lab.BRACKET, "-o", "bracket")
+    assert done.status == 0, done.err
+    report = read_report(lab.here() / "bracket")
+    assert report.status == "complete"
+    assert not lab.distrusted(report)
+    assert all(frame.ratio.agrees for frame in report.frames[1:])
+    assert all(frame.original for frame in report.frames)
+
+
+class TestFaults:
+    @pytest.fixture(autouse=True)
+    def _hub(self, hub):
+        self.hub = hub
+
+    def fault(self, verb, **arguments):
+        return self.hub.do(lab.COOLPIX.name, verb, **arguments)
+
+    def shoot(self):
+        with lab.opened(lab.COOLPIX) as camera:
+            control = camera.controls.time_s
+            settings = [ExposureSetting(control.nearest(t)) for t in (0.004, 0.008)]
+            with closing(camera.shoot(settings)) as frames:
+                return list(frames)
+
+    def test_packets_that_are_not_acknowledged_are_sent_again(self):
+        self.fault("nak", count=3)
+        assert len(self.shoot()) == 2
+
+    def test_a_speed_that_is_refused(self):
+        self.fault("no_speed")
+        assert len(self.shoot()) == 2
+
+    @pytest.mark.parametrize("verb", ["hang", "card_full", "battery_low"])
+    def test_what_does_not_pass_is_one_line(self, camctl, verb):
+        self.fault(verb)
+        done = camctl("shoot", *lab.words_of(lab.COOLPIX), *lab.BRACKET, "-o", verb)
+        assert done.status == 1
+        assert done.err.count("\n") == 1, done.err
+        assert "internal error" not in done.err
+        assert done.seconds < 60
+
+    @pytest.mark.parametrize("verb", ["truncate", "garbage"])
+    def test_a_spoilt_transfer_is_never_a_frame(self, camctl, verb):
+        with lab.once_a_frame_is_kept(lab.here() / verb, lambda: self.fault(verb)):
+            done = camctl("shoot", *lab.words_of(lab.COOLPIX), *lab.BRACKET, "-o", verb)
+        if done.status:
+            assert done.err.count("\n") == 1, done.err
+            assert "--resume" in done.err
+            self.fault("ok")
+            again = camctl("shoot", "--resume", verb)
+            assert again.status == 0, again.err
+        report = read_report(lab.here() / verb)
+        assert report.status == "complete"
+        assert all(frame.ratio.agrees for frame in report.frames[1:])
+
+    def test_silent_clamping_is_not_believed(self):
+        with lab.opened(lab.COOLPIX) as camera:
+            settings = [lab.setting(camera, time_s) for time_s in (0.002, 0.008)]
+            self.fault("clamp", max_s=0.005)
+            with pytest.raises(CameraError) as caught, closing(camera.shoot(settings)) as frames:
+                list(frames)
+        lab.one_line(caught.value)
+
+    def test_the_line_goes_away_in_a_capture_and_comes_back(self, camctl):
+        with lab.once_a_frame_is_kept(lab.here() / "cut", lambda: self.fault("unplug")):
+            cut = camctl("shoot", *lab.words_of(lab.COOLPIX), *lab.BRACKET, "-o", "cut")
+        assert cut.status == 1
+        assert cut.err.count("\n") == 1, cut.err
+        assert "--resume" in cut.err
+        self.fault("plug")
+        done = camctl("shoot", "--resume", "cut")
+        assert done.status == 0, done.err
+        assert read_report(lab.here() / "cut").status == "complete"
+
+    def test_another_process_holds_the_line(self, camctl):
+        holder = subprocess.Popen(
+            [sys.executable, "-c", HOLD, str(lab.tty_node())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        try:
+            assert holder.stdout.readline().strip() == b"held"
+            done = camctl("shoot", *lab.words_of(lab.COOLPIX), *lab.BRACKET, "-o", "busy")
+        finally:
+            holder.communicate()
+        assert done.status == 1
+        assert done.err.count("\n") == 1, done.err
+        assert "process" in done.err
+
+
+HOLD = """
+import sys, serial
+line = serial.Serial(sys.argv[1], exclusive=True)
+print("held", flush=True)
+sys.stdin.read()
+"""

@@ -1,0 +1,82 @@
+"""The same picture by four roads: one scene, sensor, seed and list of exposures, one sum."""
+
+import lab
+import numpy as np
+import pytest
+import tifffile
+
+from sim.camera import SimulatedCamera
+from sim.scene import load_scene
+from sim.sensor import load_sensor
+
+# Largest and mean difference of a frame's sample that a JPEG of quality 95 of this scene may have.
+JPEG_MOST, JPEG_MEAN = 6, 1.0
+
+
+@pytest.fixture(scope="module")
+def pure():
+    """The sum of the in-process camera's frames, by sensor."""
+    sums = {}
+
+    def of(device):
+        sensor = device.model["sensor"]
+        if sensor not in sums:
+            columns, rows = map(int, lab.SIZE.split("x"))
+            camera = SimulatedCamera(
+                load_scene(device.model["scene"], shape=(rows, columns)),
+                load_sensor(sensor),
+                seed=device.model["seed"],
+                repeat_noise=True,
+            )
+            settings = [lab.setting(camera, time_s) for time_s in lab.EXPOSURES_S]
+            white = np.uint32(camera.controls.white)
+            frames = [np.minimum(frame.pixels, white) for frame in camera.shoot(settings)]
+            sums[sensor] = np.sum(frames, axis=0)
+        return sums[sensor]
+
+    return of
+
+
+def sum_by(camctl, device, **options):
+    done = camctl("shoot", *lab.words_of(device, **options), *lab.BRACKET, "-o", device.name)
+    assert done.status == 0, done.err
+    return tifffile.imread(lab.here() / device.name / "sum.tiff")
+
+
+@pytest.mark.parametrize(
+    "device",
+    [
+        pytest.param(lab.WEB, id="v4l2-yuyv"),
+        pytest.param(lab.MACHINE, id="v4l2-y16"),
+        pytest.param(lab.STILL, id="ptp-tiff"),
+        pytest.param(lab.RAW, id="ptp-dng"),
+    ],
+)
+def test_bit_for_bit(hub, camctl, pure, device):
+    assert np.array_equal(sum_by(camctl, device), pure(device))
+
+
+def test_bit_for_bit_over_a_serial_line_coolpix(hub, camctl, pure):
+    """A CoolPix's TIFF is RGB: three equal channels of a grey sensor."""
+    total = sum_by(camctl, lab.COOLPIX)
+    expected = pure(lab.COOLPIX)
+    assert np.array_equal(total, np.repeat(expected[..., np.newaxis], 3, axis=2))
+
+
+@pytest.mark.parametrize(
+    ("device", "options"),
+    [
+        pytest.param(lab.WEB, {"format": "mjpg"}, id="v4l2-mjpg"),
+        pytest.param(lab.SNAPSHOT, {}, id="ptp-jpeg"),
+        pytest.param(lab.COOLPIX, {"format": "jpeg"}, id="coolpix-jpeg"),
+    ],
+)
+def test_within_the_loss_of_jpeg(hub, camctl, pure, device, options):
+    total = sum_by(camctl, device, **options).astype(np.int64)
+    expected = pure(device).astype(np.int64)
+    if total.ndim == 3:
+        expected = expected[..., np.newaxis]
+    difference = np.abs(total - expected)
+    assert difference.max() <= JPEG_MOST * len(lab.EXPOSURES_S)
+    assert difference.mean() <= JPEG_MEAN * len(lab.EXPOSURES_S)
+    assert difference.max() > 0  # else it is no JPEG, and the test above is the one to pass
