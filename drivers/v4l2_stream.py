@@ -19,7 +19,7 @@ import numpy as np
 
 from camctl.camera import ExposureSetting, Pixels
 from camctl.clock import Clock
-from camctl.errors import CameraProtocolError
+from camctl.errors import CameraError, CameraProtocolError
 from drivers.v4l2_slots import Slots
 
 #: Controls are written in the first half of a slot.  Where frames arrive later than that after
@@ -66,12 +66,16 @@ class Shot:
 
 @dataclass(frozen=True)
 class _Write:
-    """A setting on its way: the first slot that may have it, and the first that must."""
+    """A setting on its way: the first slot that may have it, and the first that must.
+
+    Where it failed, `error` says so once the frames before it are handed over.
+    """
 
     index: int
     applied: ExposureSetting
     earliest: int
     latest: int
+    error: CameraError | None = None
 
 
 class Stream:
@@ -133,6 +137,10 @@ class Stream:
                 tries += 1
                 self._catch_up()
             self._fill(written, settings, done, delay)
+            if not written:  # the time to write has just run out
+                continue
+            if (error := written[0].error) is not None:
+                raise error
             if not self._grab():
                 written.clear()  # which slots these frames were, nobody can tell
                 continue
@@ -162,7 +170,7 @@ class Stream:
         """
         for index, setting in enumerate(settings):
             self._catch_up()
-            write = self._write(index, setting, delay)
+            write = self._must_write(index, setting, delay)
             yield self._settled(write)
 
     def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Shot]:
@@ -177,13 +185,13 @@ class Stream:
         """
         for _ in range(_TRIES):
             self._catch_up()
-            settled = self._write(0, before, UNKNOWN_DELAY + 2).latest
+            settled = self._must_write(0, before, UNKNOWN_DELAY + 2).latest
             while self._grab() and self._number < settled:
                 pass
             self._catch_up()
             if self._steps % 2:
                 self._clock.sleep_until(self.slots.at(0.95 * self._window[1]))
-            write = self._write(0, after, 0)
+            write = self._must_write(0, after, 0)
             shots = self._run(write, frames)
             if write.earliest == write.latest and shots is not None:
                 self._steps += 1
@@ -238,7 +246,9 @@ class Stream:
     ) -> None:
         """Write the next setting if this slot has none yet and has just begun."""
         index = done + len(written)
-        if index >= len(settings) or not self._is_time_to_write():
+        if index >= len(settings) or (written and written[-1].error is not None):
+            return
+        if not self._is_time_to_write():
             return
         if written and self.slots.running(self._clock.now()) + 1 + delay <= written[-1].latest:
             return
@@ -246,10 +256,20 @@ class Stream:
 
     def _write(self, index: int, setting: ExposureSetting, delay: int) -> _Write:
         begun = self.slots.running(self._clock.now())
-        applied = self._source.write(setting)
+        applied, error = setting, None
+        try:
+            applied = self._source.write(setting)
+        except CameraError as refusal:
+            error = refusal
         margin = min(MARGIN, (1 - self._window[1] % 1) / 2)
         ended = self.slots.running(self._clock.now() + margin * self.slots.interval_s)
-        return _Write(index, applied, begun + 1 + delay, ended + 1 + delay)
+        return _Write(index, applied, begun + 1 + delay, ended + 1 + delay, error)
+
+    def _must_write(self, index: int, setting: ExposureSetting, delay: int) -> _Write:
+        write = self._write(index, setting, delay)
+        if write.error is not None:
+            raise write.error
+        return write
 
     def _settled(self, write: _Write) -> Shot:
         """Return the second of two frames in a row that look alike and lie after the delay."""

@@ -8,10 +8,17 @@ from v4l2_model import PATH, Model, ticks_of
 
 from camctl.calibration import measure_delay
 from camctl.camera import CameraInfo, ExposureSetting
-from camctl.errors import CameraDisconnectedError, CameraProtocolError, CameraTimeoutError
+from camctl.clock import VirtualClock
+from camctl.errors import (
+    CameraDisconnectedError,
+    CameraProtocolError,
+    CameraTimeoutError,
+    RefusedSettingError,
+)
 from camctl.profile import DelayRecord, Profile, save_profile
 from camctl.testing import CameraConformance
 from drivers.v4l2 import V4l2Camera
+from drivers.v4l2_abi import ControlId
 
 TICKS = (40, 10, 160, 20, 80, 40, 320, 11)
 
@@ -270,6 +277,20 @@ class TestStep:
 
 
 class TestFaults:
+    @pytest.mark.parametrize("delay", [0, 2, 5])
+    @pytest.mark.parametrize("place", range(8))
+    def test_frames_before_a_refused_setting_are_handed_over(self, delay, place):
+        know(delay)
+        model = Model(delay=delay)
+        ticks = [*TICKS[:place], 450, *TICKS[place:]]
+        got = []
+        with open_model(model) as camera:
+            model.controls[ControlId.EXPOSURE_ABSOLUTE].clamp = 400
+            with pytest.raises(RefusedSettingError) as caught:
+                got.extend(ticks_of(frame.pixels) for frame in camera.shoot(settings(ticks)))
+        assert got == list(TICKS[:place])
+        assert caught.value.nearest == pytest.approx(0.04)
+
     def test_a_frozen_camera(self):
         know(2)
         model = Model()
@@ -303,3 +324,21 @@ class TestFaults:
         model.stamp_s = lambda end_s: 1000.5
         with pytest.raises(CameraProtocolError, match="irregular"):
             open_model(model)
+
+
+class Hasty(VirtualClock):
+    """Every look at it takes a while, as it does on a computer that is busy."""
+
+    def now(self):
+        self.sleep_until(super().now() + 0.007)
+        return super().now()
+
+
+def test_a_busy_computer():
+    know(2)
+    model = Model()
+    model.clock = Hasty(1000.0)
+    with open_model(model) as camera:
+        for _ in range(20):
+            assert shown(camera.shoot(settings(TICKS))) == list(TICKS)
+            model.clock.sleep_until(model.clock.now() + 0.033)
