@@ -141,6 +141,19 @@ def test_a_lost_frame_is_shot_again(first, count):
         assert [frame.index for frame in frames] == list(range(len(TICKS)))
 
 
+def test_a_frame_that_nobody_needs_may_be_lost():
+    """It costs the one slot in which no control could be written; nothing is shot again."""
+    know(3)
+    model = Model(delay=3)
+    with open_model(model) as camera:
+        model.lose = {model.slot + 2}  # on the way of the first setting
+        began_s = model.clock.now()
+        frames = list(camera.shoot(settings(TICKS)))
+        assert shown(frames) == list(TICKS)
+        slots = (frames[-1].timestamp_s - began_s) / 0.1
+        assert slots <= len(TICKS) + 3 + 2
+
+
 @pytest.mark.parametrize("slot", range(5, 16))
 def test_a_spoilt_frame_is_shot_again(slot):
     know(2)
@@ -339,6 +352,6 @@ def test_a_busy_computer():
     model = Model()
     model.clock = Hasty(1000.0)
     with open_model(model) as camera:
-        for _ in range(20):
-            assert shown(camera.shoot(settings(TICKS))) == list(TICKS)
-            model.clock.sleep_until(model.clock.now() + 0.033)
+        for pause_s in np.arange(0, 0.1, 0.003):
+            assert shown(camera.shoot(settings(TICKS[:3]))) == list(TICKS[:3])
+            model.clock.sleep_until(model.clock.now() + float(pause_s))
