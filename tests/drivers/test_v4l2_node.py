@@ -4,6 +4,7 @@ import ctypes
 import errno
 import os
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -191,3 +192,40 @@ def test_samples_are_taken_apart_as_v4l2_packs_them(code, raw, samples):
     size = Size(len(samples), 1)
     found = format_.samples(np.array([raw], np.uint8), size)
     assert found.tolist() == [samples]
+
+
+def jpeg():
+    rows = np.random.default_rng(1).integers(0, 255, (16, 16)).astype(np.uint8)
+    done, data = cv2.imencode(".jpg", rows)
+    assert done
+    return data.tobytes()
+
+
+@pytest.mark.parametrize("harm", ["cut", "no end", "hole", "other size", "nothing"])
+def test_a_damaged_jpeg_is_told_from_a_whole_one(harm, capfd):
+    """Decoders invent what is missing, and say so only where the user would see it."""
+    format_ = next(each for each in FORMATS if each.code == "MJPG")
+    whole, size = jpeg(), Size(16, 16)
+    spoilt = {
+        "cut": whole[: len(whole) // 2] + b"\xff\xd9",
+        "no end": whole[:-2],
+        "hole": whole[:-60] + b"\xff\xd9" + whole[-58:],
+        "other size": whole,
+        "nothing": b"\xff\xd8\xff\xd9",
+    }[harm]
+    if harm == "other size":
+        size = Size(8, 8)
+    assert format_.samples(np.frombuffer(whole, np.uint8), Size(16, 16)).shape == (16, 16)
+    with pytest.raises(SpoiltFrameError):
+        format_.samples(np.frombuffer(spoilt, np.uint8), size)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_bytes_before_the_end_of_a_jpeg_are_harmless(capfd):
+    """Many webcams send some."""
+    format_ = next(each for each in FORMATS if each.code == "MJPG")
+    padded = jpeg()[:-2] + b"\0\0\0\xff\xd9\0\0"
+    found = format_.samples(np.frombuffer(padded, np.uint8), Size(16, 16))
+    wanted = format_.samples(np.frombuffer(jpeg(), np.uint8), Size(16, 16))
+    assert np.array_equal(found, wanted)
+    assert capfd.readouterr() == ("", "")
