@@ -20,7 +20,6 @@ from sim.devices.ptp_data import (
     Reply,
     StoredObject,
     pack_list,
-    pack_storage_info,
     unpack_number,
 )
 from sim.devices.ptp_properties import battery
@@ -188,7 +187,7 @@ class CanonResponder(Responder):
         return Reply()
 
     def _get_storage_info(self, parameters: Sequence[int], data: bytes) -> Reply:
-        return Reply(data=pack_storage_info(self.card.capacity, self.card.free_bytes, 999))
+        return Reply(data=self.card.packed())
 
     def _get_part(self, parameters: Sequence[int], data: bytes) -> Reply:
         return self.card.get_part(parameters, data, is_whole=True)

@@ -98,8 +98,9 @@ class PtpConfig(BaseModel):
     absolute: bool = True
 
 
-# Property 5004: what each number stands for is the maker's own.
-COMPRESSIONS: dict[str, int] = {"jpeg": 2, "tiff": 3, "dng": 4, "dng+jpeg": 7}
+# Property 5004: what each number stands for is the maker's own; these are Nikon's, and Sony's.
+COMPRESSIONS = {"jpeg": 2, "tiff": 3, "dng": 4, "dng+jpeg": 7}
+SONY_COMPRESSIONS = {"jpeg": 0x03, "tiff": 0x04, "dng": 0x10, "dng+jpeg": 0x13}
 
 
 def kinds_of(choice: str) -> tuple[str, ...]:

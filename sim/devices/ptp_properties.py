@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
 
 from sim.devices.ptp_codes import Property, Type
@@ -73,11 +74,13 @@ def aperture(config: PtpConfig) -> list[DeviceProperty]:
     return [DeviceProperty(Property.F_NUMBER, Type.UINT16, widest, config.f_numbers)]
 
 
-def compression(config: PtpConfig) -> list[DeviceProperty]:
-    """Return property 5004, where there is a choice."""
-    if len(config.files) < 2:
+def compression(
+    config: PtpConfig, codes: Mapping[str, int], *, is_always_there: bool = False
+) -> list[DeviceProperty]:
+    """Return property 5004, where there is a choice; `codes` are what the maker calls each."""
+    if len(config.files) < 2 and not is_always_there:
         return []
-    choices = tuple(COMPRESSIONS[choice] for choice in config.files)
+    choices = tuple(codes[choice] for choice in config.files)
     return [DeviceProperty(Property.COMPRESSION, Type.UINT8, choices[0], choices)]
 
 
@@ -86,7 +89,7 @@ def standard_properties(config: PtpConfig) -> list[DeviceProperty]:
     clock = DeviceProperty(Property.DATE_TIME, Type.STRING, "20240101T120000", is_writable=False)
     return [
         battery(),
-        *compression(config),
+        *compression(config, COMPRESSIONS),
         *aperture(config),
         shutter(config),
         program(config),

@@ -6,7 +6,7 @@ The words are the standard's: the camera is the responder, the host the initiato
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ClassVar
 
 from sim.devices.ptp_codes import Event, Format, Operation, Property, Response
@@ -45,6 +45,7 @@ class Responder:
     # The properties that are the shutter time.
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.EXPOSURE_TIME,)
     program_code: ClassVar[int] = Property.EXPOSURE_PROGRAM
+    compressions: ClassVar[Mapping[str, int]] = COMPRESSIONS
     battery_code: ClassVar[int] = Property.BATTERY_LEVEL
     events: ClassVar[tuple[int, ...]] = (
         Event.OBJECT_ADDED,
@@ -86,7 +87,9 @@ class Responder:
         """Do an operation; None: it is answered later."""
         if len(self.operations_seen) < _LOG:
             self.operations_seen[f"{code:04X}"] += 1
-        self.log.append({"operation": f"{code:04X}", "parameters": list(parameters)})
+        self.log.append(
+            {"operation": f"{code:04X}", "parameters": list(parameters), "data": data[:64].hex()}
+        )
         self._transaction = transaction
         handler = self.operations.get(code)
         if handler is None:
@@ -256,7 +259,7 @@ class Responder:
             return kinds_of(self.config.files[0])
         wanted = self.number(Property.COMPRESSION)
         return next(
-            kinds_of(choice) for choice in self.config.files if COMPRESSIONS[choice] == wanted
+            kinds_of(choice) for choice in self.config.files if self.compressions[choice] == wanted
         )
 
     # The standard's operations.

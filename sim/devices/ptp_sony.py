@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 from sim.devices.ptp_codes import Event, Operation, Property, Response, Type
-from sim.devices.ptp_config import Identity
+from sim.devices.ptp_config import SONY_COMPRESSIONS, Identity
 from sim.devices.ptp_data import (
     DeviceProperty,
     Handler,
@@ -33,6 +33,8 @@ _MEMORY = 16  # pictures that it holds
 _READY = 0x8000  # added to how many there are
 _PRESSED, _LET_GO = 2, 1
 _VERSION = 0xC8
+_FOCUS_BY_HAND = 1
+_BY_HOST = 1  # property D25A: whose settings count, the dials' or the host's
 _UP, _DOWN = 1, 0xFF  # a step of a dial
 _HANDSHAKE = (1, 2, 3)
 
@@ -55,6 +57,7 @@ class SonyResponder(Responder):
         Operation.SONY_CONTROL,
     }
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.SONY_SHUTTER,)
+    compressions: ClassVar[Mapping[str, int]] = SONY_COMPRESSIONS
     events: ClassVar[tuple[int, ...]] = (Event.SONY_OBJECT_ADDED, Event.SONY_PROPERTY_CHANGED)
 
     def make_properties(self) -> list[DeviceProperty]:
@@ -71,10 +74,12 @@ class SonyResponder(Responder):
         )
         items = [
             battery(),
-            *compression(config),
+            *compression(config, self.compressions, is_always_there=True),
             *aperture(config),
+            DeviceProperty(Property.FOCUS_MODE, Type.UINT16, _FOCUS_BY_HAND, is_writable=False),
             program(config),
             shutter,
+            DeviceProperty(Property.SONY_PRIORITY, Type.INT8, 0, (0, _BY_HOST)),
             DeviceProperty(Property.SONY_OBJECT_IN_MEMORY, Type.UINT16, 0, is_writable=False),
         ]
         if config.isos:

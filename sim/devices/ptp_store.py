@@ -12,6 +12,7 @@ from sim.devices.stillbody import Picture
 STORE = 0x0001_0001
 ROOT_FOLDER, PICTURE_FOLDER = 0x1000_0001, 0x1000_0002
 ALL = 0xFFFF_FFFF
+_FREE_IMAGES = 999  # a number for people: it counts nothing
 _FIRST_PICTURE = 0x2000_0001
 FORMATS = {"jpeg": Format.JPEG, "tiff": Format.TIFF, "dng": Format.DNG}
 
@@ -73,6 +74,10 @@ class Card:
         """Return what has this handle, be it on the card or in memory."""
         return self.objects.get(handle) or self.memory.get(handle)
 
+    def packed(self) -> bytes:
+        """Return the storage info dataset."""
+        return pack_storage_info(self.capacity, self.free_bytes, _FREE_IMAGES)
+
     def get_storage_ids(self, parameters: Sequence[int], data: bytes) -> Reply:
         """GetStorageIDs: one."""
         return Reply(data=pack_list([STORE], Type.UINT32))
@@ -81,7 +86,7 @@ class Card:
         """GetStorageInfo (storage)."""
         if tuple(parameters[:1]) != (STORE,):
             return Reply(Response.INVALID_STORAGE)
-        return Reply(data=pack_storage_info(self.capacity, self.free_bytes, 0xFFFF_FFFF))
+        return Reply(data=self.packed())
 
     def get_number(self, parameters: Sequence[int], data: bytes) -> Reply:
         """GetNumObjects (storage, format, folder): in the response's parameter."""

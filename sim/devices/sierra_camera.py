@@ -70,7 +70,7 @@ class SierraCamera:
         self._aperture = 0
         self._current = 0  # picture; 0 is the newest
         self._kept = dict(KEPT)
-        self._folder = FOLDER_PATH
+        self._folder: tuple[str, ...] = FOLDER_PATH
         self._chosen_folder = 0
         self.asked_for: Picture | None = None
 
