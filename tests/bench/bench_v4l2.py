@@ -23,7 +23,6 @@ def main() -> int:
     try:
         for delay in DELAYS:
             with lab.delayed(hub, lab.WEB, delay):
-                lab.know_delay(lab.WEB, delay, delay)
                 used = lab.frames_used(hub, lab.WEB)
             ratio = used.frames / (used.settings + delay)
             off += ratio != 1

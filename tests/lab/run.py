@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import shutil
 import sys
 import tempfile
@@ -23,6 +24,8 @@ HERE = Path(__file__).resolve().parent
 REPOSITORY = HERE.parents[1]
 LIMIT_S = 360.0
 SKIPPED = 77
+BENCH = REPOSITORY / "tests" / "bench"
+BENCHES = ("bench_discovery.py", "bench_v4l2.py", "bench_ptp.py")
 # In the guest every module of the tests finds its neighbours.
 MODULES = (HERE / "guest", REPOSITORY / "tests" / "sim" / "devices")
 
@@ -59,7 +62,7 @@ def main() -> int:
         trouble = str(error)
     else:
         print(f"the guest was up after {result.boot_s:.0f} s, start {result.boots}")
-        if words.command:
+        if words.command or words.bench:
             return result.status
         if result.status:
             trouble = f"pytest ended with status {result.status}"
@@ -92,7 +95,12 @@ def _parser() -> argparse.ArgumentParser:
 
 def _tests(words: argparse.Namespace) -> list[str]:
     if words.bench:
-        return [sys.executable, str(HERE / "guest" / "bench.py")]
+        scripts = [shlex.join([sys.executable, str(BENCH / name)]) for name in BENCHES]
+        return [
+            "sh",
+            "-c",
+            "status=0; " + "; ".join(f"{each} || status=1" for each in scripts) + "; exit $status",
+        ]
     wanted = " and ".join(f"({each})" for each in (words.road, words.k) if each)
     select = ["-k", wanted] if wanted else []
     options = ["-v", "-ra", "--tb=short", "--durations=15", "-p", "no:cacheprovider"]

@@ -8,13 +8,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
 import usb.core
-from sim.devices.hub import Hub
 
 from camctl.camera import Camera, ExposureSetting, StreamingCamera
 from camctl.capture.report import CaptureReport
@@ -22,9 +22,10 @@ from camctl.cli import main
 from camctl.errors import CamctlError
 from camctl.profile import DelayRecord, change_profile
 from camctl.registry import open_camera
+from sim.devices.hub import Hub
 
 DIRECTORY = Path("/run/laboratory")
-SIZE = "160x120"
+SIZE, SHAPE = "160x120", (120, 160)
 
 # All look at the same ramp of light and draw the same noise for every frame, so that a frame
 # depends on its exposure alone.
@@ -60,19 +61,19 @@ LINEAR = {"response": "linear"}
 WEB = Device(
     "web",
     "uvc",
-    {**EIGHT_BITS, "formats": ["yuyv", "mjpg"], "fps": [10, 5], "delay": 2, "luma": "full"},
-    {**LINEAR, "format": "yuyv", "range": "full"},
+    {**EIGHT_BITS, "formats": ["yuyv", "mjpg"], "fps": [15, 5], "delay": 2, "luma": "full"},
+    {**LINEAR, "format": "yuyv", "range": "full", "fps": "15"},
 )
 MACHINE = Device(
     "machine",
     "uvc",
-    {**TWELVE_BITS, "formats": ["y16"], "fps": [10, 5], "delay": 1},
-    {**LINEAR, "format": "y16", "bits": "12"},
+    {**TWELVE_BITS, "formats": ["y16"], "fps": [15, 5], "delay": 1},
+    {**LINEAR, "format": "y16", "bits": "12", "fps": "15"},
 )
 SHAKY = Device(
     "shaky",
     "uvc",
-    {**EIGHT_BITS, "formats": ["yuyv"], "fps": [10], "delay": 1, "jitter": 2, "luma": "full"},
+    {**EIGHT_BITS, "formats": ["yuyv"], "fps": [15], "delay": 1, "jitter": 2, "luma": "full"},
     {**LINEAR, "format": "yuyv", "range": "full"},
 )
 STILL = Device(
@@ -95,6 +96,9 @@ DEVICES = (WEB, MACHINE, SHAKY, STILL, RAW, SNAPSHOT, COOLPIX)
 # Exposures that all roads have exactly; half of the ramp is saturated in the longest.
 EXPOSURES_S = (0.002, 0.008, 0.125)
 BRACKET = ("--ratios", "1,4,62.5", "--base", "0.002")
+# The same for streams of 15 frames a second.
+SHORT_EXPOSURES_S = (0.002, 0.008, 0.032)
+SHORT_BRACKET = ("--ratios", "1,4,16", "--base", "0.002")
 
 
 def wait_for(what: str, condition: Any, seconds: float = 20.0) -> Any:
@@ -117,14 +121,9 @@ def video_node(device: Device) -> Path | None:
 
 
 def usb_device(device: Device) -> Any:
-    return next(
-        (
-            found
-            for found in usb.core.find(find_all=True, idVendor=None) or ()
-            if found.iSerialNumber and found.serial_number == device.serial
-        ),
-        None,
-    )
+    """Return the pyusb device; None where it is not there."""
+    found = usb.core.find(find_all=True)
+    return next((each for each in found if each.serial_number == device.serial), None)
 
 
 def tty_node() -> Path | None:
@@ -178,6 +177,63 @@ def know_delay(device: Device, smallest: int, largest: int) -> None:
         measured_at="2026-01-01T00:00:00+00:00",
     )
     change_profile(info, lambda profile: profile.delays.update({mode: record}))
+
+
+@contextmanager
+def delayed(hub: Hub, device: Device, delay: int) -> Iterator[None]:
+    """Let the controls of a device be `delay` frames late, and its profile say so."""
+    hub.do(device.name, "delay", frames=delay)
+    know_delay(device, delay, delay)
+    try:
+        yield
+    finally:
+        smallest, largest = device.delays
+        hub.do(device.name, "delay", frames=smallest, jitter=largest - smallest)
+        know_delay(device, smallest, largest)
+
+
+@dataclass(frozen=True)
+class Used:
+    """What a list of exposures cost.
+
+    Attributes:
+        settings: how many there were
+        frames: slots of the device from the first that had not begun when the first setting was
+            written to the one that had the last setting
+        by_timestamps: the same, as the timestamps of the driver's frames tell it
+        wanted, exposed: exposure times as they were set, and of the slots handed over, s
+    """
+
+    settings: int
+    frames: int
+    by_timestamps: int
+    wanted: list[float]
+    exposed: list[float]
+
+
+def frames_used(hub: Hub, device: Device) -> Used:
+    """Shoot six exposures that no other frame has; return what they cost."""
+    wanted = [0.0021, 0.0043, 0.0087, 0.0033, 0.0065, 0.0129]
+    with opened(device) as camera:
+        settings = [setting(camera, time_s) for time_s in wanted]
+        with closing(camera.shoot(settings)) as stream:
+            stamps = [frame.timestamp_s for frame in stream]
+        interval_s = camera.controls.frame_interval_s
+        log = hub.do(device.name, "log")
+    first = next(w for w in reversed(log["writes"]) if w["time_s"] == pytest.approx(wanted[0]))
+    slots = {}
+    for frame in log["frames"]:  # the last ones of each exposure, first slot of it
+        slots.setdefault(round(frame["time_s"], 6), frame["slot"])
+    last = slots[wanted[-1]]
+    since_last = {s["slot"]: s["ended_s"] for s in log["frames"]}
+    begin_s = since_last[first["upcoming"]] - interval_s
+    return Used(
+        settings=len(wanted),
+        frames=last - first["upcoming"] + 1,
+        by_timestamps=round((stamps[-1] - begin_s) / interval_s),
+        wanted=wanted,
+        exposed=[time_s for time_s in slots if time_s in wanted],
+    )
 
 
 def start_devices(devices: Sequence[Device] = DEVICES) -> tuple[subprocess.Popen[bytes], Hub]:

@@ -61,14 +61,12 @@ def test_the_next_exposure_starts_before_the_last_download_ended(hub):
         with closing(camera.shoot(settings)) as frames:
             details = [frame.details for frame in frames]
     assert all(
-        later["released_s"] < earlier["fetched_s"]
-        for earlier, later in itertools.pairwise(details)
+        later["released_s"] < earlier["fetched_s"] for earlier, later in itertools.pairwise(details)
     )
     # By the camera's own clock, too.
     shots = hub.do(lab.STILL.name, "log")["shots"][-4:]
     assert all(
-        later["began_s"] < earlier["downloaded_s"]
-        for earlier, later in itertools.pairwise(shots)
+        later["began_s"] < earlier["downloaded_s"] for earlier, later in itertools.pairwise(shots)
     )
 
 
