@@ -4,7 +4,7 @@
 
 CONFIG.json holds ``{"devices": [{"name": "cam0", "kind": "uvc", ...}]}``; what else stands there
 is the kind's own.  USB devices are plugged into the kernel's virtual controller, serial ones open
-their line; with ``"line": "pty"`` DIRECTORY/NAME is a link to its pseudo-terminal.
+their line; without one, or with ``"line": "pty"``, DIRECTORY/NAME is a link to a pseudo-terminal.
 
 DIRECTORY/ctl is a UNIX socket that appears once all are attached.  It takes one JSON object a line,
 ``{"device": "cam0", "do": "freeze", ...arguments}``, and answers with one: what the verb returns
@@ -57,6 +57,7 @@ KINDS: Mapping[str, str] = {
     "ptp": "sim.devices.ptp",
     "sierra": "sim.devices.sierra",
 }
+_SERIAL = ("sierra",)
 
 
 def make_device(config: Mapping[str, Any], directory: Path) -> VirtualDevice:
@@ -68,7 +69,7 @@ def make_device(config: Mapping[str, Any], directory: Path) -> VirtualDevice:
     kind = str(config.get("kind"))
     if kind not in KINDS:
         raise unknown_name("kind of virtual device", kind, KINDS)
-    if config.get("line") == "pty":
+    if kind in _SERIAL and config.get("line", "pty") == "pty":
         config = {"link": str(directory / str(config["name"])), **config}
     make: Make = import_module(KINDS[kind]).make
     device = make(config)

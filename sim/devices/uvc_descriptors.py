@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 
 from camctl.camera import Layout
 
@@ -61,7 +62,7 @@ class ControlSpec:
         entity, selector, bit: where it is, and its bit in the entity's bmControls
         size: bytes
         minimum, maximum, step, default: its range; for a bitmap `step` is the choices
-        is_signed: its number may be negative
+        is_bitmap: a choice of one bit
     """
 
     entity: int
@@ -72,15 +73,24 @@ class ControlSpec:
     maximum: int
     step: int
     default: int
+    is_bitmap: bool = False
 
     def pack(self, value: int) -> bytes:
         """Return a value as the wire has it."""
         return value.to_bytes(self.size, "little")
 
+    def allows(self, value: int) -> bool:
+        """Say whether the control can be set to a value."""
+        if self.is_bitmap:
+            return value.bit_count() == 1 and bool(value & self.step)
+        return self.minimum <= value <= self.maximum
+
 
 MANUAL, APERTURE_PRIORITY = 1, 8  # of ae_mode's bitmap
 CONTROLS: Mapping[str, ControlSpec] = {
-    "ae_mode": ControlSpec(CAMERA, 0x02, 1, 1, 1, 8, MANUAL | APERTURE_PRIORITY, APERTURE_PRIORITY),
+    "ae_mode": ControlSpec(
+        CAMERA, 0x02, 1, 1, 1, 8, MANUAL | APERTURE_PRIORITY, APERTURE_PRIORITY, is_bitmap=True
+    ),
     "ae_priority": ControlSpec(CAMERA, 0x03, 2, 1, 0, 1, 1, 1),
     "exposure": ControlSpec(CAMERA, 0x04, 3, 4, 1, 100_000, 1, 157),  # 100 us
     "backlight": ControlSpec(PROCESSING, 0x01, 8, 2, 0, 2, 1, 1),
@@ -90,6 +100,19 @@ CONTROLS: Mapping[str, ControlSpec] = {
     "wb_temperature": ControlSpec(PROCESSING, 0x0A, 6, 2, 2800, 6500, 10, 4000),
     "wb_auto": ControlSpec(PROCESSING, 0x0B, 12, 1, 0, 1, 1, 1),
 }
+
+
+class Transfer(IntEnum):
+    """How brightness follows light, in the colour matching descriptor (3.9.2.6)."""
+
+    UNSPECIFIED = 0
+    LINEAR = 6
+    SRGB = 7
+
+    @classmethod
+    def of(cls, curve: object) -> Transfer:
+        """Return that of a sensor's curve (`sim.sensor.Sensor.curve`)."""
+        return {"linear": cls.LINEAR, "srgb": cls.SRGB}.get(str(curve), cls.UNSPECIFIED)
 
 
 def _u16(value: int) -> bytes:
@@ -139,10 +162,12 @@ def _frames(
 
 
 def _streaming_interface(
-    formats: Sequence[str], sizes: Sequence[tuple[int, int]], intervals: Sequence[int]
+    formats: Sequence[str],
+    sizes: Sequence[tuple[int, int]],
+    intervals: Sequence[int],
+    transfer: Transfer,
 ) -> bytes:
-    # sRGB primaries, BT.709 transfer, SMPTE 170M luma (3.9.2.6): what a webcam claims.
-    colours = bytes([6, 0x24, 0x0D, 1, 1, 4])
+    colours = bytes([6, 0x24, 0x0D, 1, transfer, 4])  # sRGB primaries, SMPTE 170M luma (3.9.2.6)
     body = b""
     for number, name in enumerate(formats, 1):
         form = FORMATS[name]
@@ -160,7 +185,10 @@ def _streaming_interface(
 
 
 def configuration_descriptor(
-    formats: Sequence[str], sizes: Sequence[tuple[int, int]], intervals: Sequence[int]
+    formats: Sequence[str],
+    sizes: Sequence[tuple[int, int]],
+    intervals: Sequence[int],
+    transfer: Transfer,
 ) -> bytes:
     """Return the one configuration: video control, and video streaming on a bulk endpoint.
 
@@ -168,10 +196,11 @@ def configuration_descriptor(
         formats: names in `FORMATS`
         sizes: (rows, columns)
         intervals: from frame to frame, 100 ns; the first is the default
+        transfer: what all formats claim
     """
     body = bytes([8, 0x0B, 0, 2, 0x0E, 3, 0, 2])
     body += bytes([9, 4, 0, 0, 0, 0x0E, 1, 0, 2]) + _control_interface()
     body += bytes([9, 4, 1, 0, 1, 0x0E, 2, 0, 0])
-    body += _streaming_interface(formats, sizes, intervals)
+    body += _streaming_interface(formats, sizes, intervals, transfer)
     body += bytes([7, 5, STREAM_IN, 2, *_u16(PACKET), 0])
     return bytes([9, 2, *_u16(9 + len(body)), 2, 1, 0, 0x80, 250]) + body

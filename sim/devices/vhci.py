@@ -18,6 +18,7 @@ from camctl.errors import CameraNotFoundError
 from sim.devices.usb import Read, Refusal, Speed, UsbDevice
 
 _CONTROLLER = Path("/sys/devices/platform/vhci_hcd.0")
+_attaching = threading.Lock()  # from finding a free port to having it
 _BUS = 1  # of the device id that the kernel sends back with each request
 _FREE = 4  # VDEV_ST_NULL, in the `status` file
 
@@ -149,25 +150,8 @@ class VhciPort:
         """
         if self._line is not None:
             self.detach()
-        number = _free_port(device.speed)
-        ours, kernels = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
-        line = _Line(device, number, ours)
-        device.connect()
-        thread = threading.Thread(target=line.serve, name=f"vhci-{number}", daemon=True)
-        thread.start()
-        identity = _BUS << 16 | (number + 1)
-        try:
-            (_CONTROLLER / "attach").write_text(
-                f"{number} {kernels.fileno()} {identity} {int(device.speed)}"
-            )
-        except OSError as error:
-            ours.shutdown(socket.SHUT_RDWR)
-            raise CameraNotFoundError(
-                f"the kernel does not take a virtual device ({error.strerror})", hint="be root"
-            ) from error
-        finally:
-            kernels.close()
-        self._line, self._thread = line, thread
+        with _attaching:
+            self._line, self._thread = _plug_in(device, _free_port(device.speed))
 
     def detach(self) -> None:
         """Pull the plug; returns when our side has let go."""
@@ -182,6 +166,27 @@ class VhciPort:
             pass
         if thread is not threading.current_thread():
             thread.join(timeout=5.0)
+
+
+def _plug_in(device: UsbDevice, number: int) -> tuple[_Line, threading.Thread]:
+    ours, kernels = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+    line = _Line(device, number, ours)
+    device.connect()
+    thread = threading.Thread(target=line.serve, name=f"vhci-{number}", daemon=True)
+    thread.start()
+    identity = _BUS << 16 | (number + 1)
+    try:
+        (_CONTROLLER / "attach").write_text(
+            f"{number} {kernels.fileno()} {identity} {int(device.speed)}"
+        )
+    except OSError as error:
+        ours.shutdown(socket.SHUT_RDWR)
+        raise CameraNotFoundError(
+            f"the kernel does not take a virtual device ({error.strerror})", hint="be root"
+        ) from error
+    finally:
+        kernels.close()
+    return line, thread
 
 
 def _free_port(speed: Speed) -> int:
