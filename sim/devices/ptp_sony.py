@@ -35,7 +35,6 @@ _PRESSED, _LET_GO = 2, 1
 _VERSION = 0xC8
 _FOCUS_BY_HAND = 1
 _BY_HOST = 1  # property D25A: whose settings count, the dials' or the host's
-_UP, _DOWN = 1, 0xFF  # a step of a dial
 _HANDSHAKE = (1, 2, 3)
 
 
@@ -63,13 +62,15 @@ class SonyResponder(Responder):
     def make_properties(self) -> list[DeviceProperty]:
         """Return the battery, the standard's aperture, and Sony's own."""
         config = self.config
-        times = [time_s.numerator << 16 | time_s.denominator for time_s in config.times]
+        # Longest first, bulb before them: a step up the dial is the next shorter time.
+        longest_first = sorted(config.times, reverse=True)
+        times = [time_s.numerator << 16 | time_s.denominator for time_s in longest_first]
         start = min(times, key=lambda value: abs(_seconds(value) - 0.1))
         shutter = DeviceProperty(
             Property.SONY_SHUTTER,
             Type.UINT32,
             start,
-            (*times, *([BULB] if config.bulb else [])),
+            (*([BULB] if config.bulb else []), *times),
             is_writable=config.mode == "manual",
         )
         items = [
@@ -203,11 +204,12 @@ class SonyResponder(Responder):
         item = self.properties.get(code)
         if item is None or not item.choices:
             return Reply(Response.PROPERTY_NOT_SUPPORTED)
-        step = {_UP: 1, _DOWN: -1}.get(data[0] if data else 0, 0)
-        place = item.choices.index(self.number(code)) + step
-        if not step or not 0 <= place < len(item.choices):
-            return Reply()  # the dial is at its end
-        return Reply(self.set_number(item, item.choices[place]))
+        steps = unpack_number(Type.INT8, data[:1])
+        if steps is None:
+            return Reply(Response.INVALID_VALUE_FORMAT)
+        place = item.choices.index(self.number(code)) + steps
+        last = len(item.choices) - 1
+        return Reply(self.set_number(item, item.choices[min(max(place, 0), last)]))
 
     def _press(self, button: int | None) -> Reply | None:
         if button == _LET_GO:

@@ -296,11 +296,13 @@ def test_an_older_sony_is_stepped():
         _, value, choices = sony_properties(host)[0xD20D]
         place = choices.index(value)
         assert value == 1 << 16 | 10
-        host.good(0x9207, 0xD20D, data=b"\xff")
-        assert sony_properties(host)[0xD20D][1] == choices[place - 1]
-        for _ in range(2):
-            host.good(0x9207, 0xD20D, data=b"\x01")
-        assert sony_properties(host)[0xD20D][1] == choices[place + 1]
+        # Up the dial is shorter, and several steps may be taken at once.
+        host.good(0x9207, 0xD20D, data=b"\x01")
+        assert sony_properties(host)[0xD20D][1] == choices[place + 1] == 1 << 16 | 13
+        host.good(0x9207, 0xD20D, data=b"\xfd")
+        assert sony_properties(host)[0xD20D][1] == choices[place - 2]
+        host.good(0x9207, 0xD20D, data=b"\x7f")
+        assert sony_properties(host)[0xD20D][1] == 1 << 16 | 8000
 
 
 def test_sonys_two_files_come_one_after_the_other():
