@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -24,7 +26,10 @@ from camctl.profile import DelayRecord, change_profile
 from camctl.registry import open_camera
 from sim.devices.hub import Hub
 
-DIRECTORY = Path("/run/laboratory")
+# The tests run as two processes side by side, streams in one and all else in the other: most of
+# the time goes by in time-outs.  Each has devices of its own.
+STREAMS = os.environ.get("CAMCTL_LAB_PART") == "streams"
+DIRECTORY = Path("/run/laboratory", "streams" if STREAMS else "stills")
 SIZE, SHAPE = "160x120", (120, 160)
 
 # All look at the same ramp of light and draw the same noise for every frame, so that a frame
@@ -32,6 +37,8 @@ SIZE, SHAPE = "160x120", (120, 160)
 BEFORE_THE_RAMP = {"scene": "ramp", "seed": 5, "size": SIZE, "repeat_noise": True}
 EIGHT_BITS = {**BEFORE_THE_RAMP, "sensor": "standard"}
 TWELVE_BITS = {**BEFORE_THE_RAMP, "sensor": "machine-vision"}
+# V4L2 tells nobody of a black level, so that this one has none.
+TWELVE_BITS_WITHOUT_BLACK = {**BEFORE_THE_RAMP, "sensor": "ideal-12"}
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,7 @@ WEB = Device(
 MACHINE = Device(
     "machine",
     "uvc",
-    {**TWELVE_BITS, "formats": ["y16"], "fps": [15, 5], "delay": 1},
+    {**TWELVE_BITS_WITHOUT_BLACK, "formats": ["y16"], "fps": [15, 5], "delay": 1},
     {**LINEAR, "format": "y16", "bits": "12", "fps": "15"},
 )
 SHAKY = Device(
@@ -90,8 +97,8 @@ COOLPIX = Device(
     {**EIGHT_BITS, "files": ["tiff", "jpeg"], "line": "/dev/ttyGS0"},
     {**LINEAR, "format": "tiff", "speed": "115200"},
 )
-HUB = ("-m", "sim.devices")
-DEVICES = (WEB, MACHINE, SHAKY, STILL, RAW, SNAPSHOT, COOLPIX)
+SPARE = Device("spare", "uvc", {**EIGHT_BITS, "formats": ["yuyv"], "fps": [15]}, WEB.options)
+DEVICES = (WEB, MACHINE, SHAKY) if STREAMS else (STILL, RAW, SNAPSHOT, COOLPIX, SPARE)
 
 # Exposures that all roads have exactly; half of the ramp is saturated in the longest.
 EXPOSURES_S = (0.002, 0.008, 0.125)
@@ -164,6 +171,12 @@ def make_well(hub: Hub, device: Device) -> None:
     wait_for(device.name, lambda: is_there(device))
 
 
+def unplug(hub: Hub, device: Device) -> None:
+    """Pull a device's plug; the kernel has noticed it when this returns."""
+    hub.do(device.name, "unplug")
+    wait_for(f"end of {device.name}", lambda: not is_there(device))
+
+
 def know_delay(device: Device, smallest: int, largest: int) -> None:
     """Write a camera's delay into its profile, as `camctl calibrate delay` would."""
     with opened(device) as camera:
@@ -221,12 +234,12 @@ def frames_used(hub: Hub, device: Device) -> Used:
         interval_s = camera.controls.frame_interval_s
         log = hub.do(device.name, "log")
     first = next(w for w in reversed(log["writes"]) if w["time_s"] == pytest.approx(wanted[0]))
-    slots = {}
-    for frame in log["frames"]:  # the last ones of each exposure, first slot of it
+    since = [frame for frame in log["frames"] if frame["slot"] >= first["upcoming"]]
+    slots: dict[float, int] = {}  # the first slot of each exposure
+    for frame in since:
         slots.setdefault(round(frame["time_s"], 6), frame["slot"])
     last = slots[wanted[-1]]
-    since_last = {s["slot"]: s["ended_s"] for s in log["frames"]}
-    begin_s = since_last[first["upcoming"]] - interval_s
+    begin_s = since[0]["ended_s"] - interval_s
     return Used(
         settings=len(wanted),
         frames=last - first["upcoming"] + 1,
@@ -238,14 +251,19 @@ def frames_used(hub: Hub, device: Device) -> Used:
 
 def start_devices(devices: Sequence[Device] = DEVICES) -> tuple[subprocess.Popen[bytes], Hub]:
     """Start all devices in a process of their own; they are there when this returns."""
-    modprobe("-a", "vhci-hcd", "uvcvideo", "dummy_hcd", "cdc-acm")
-    modprobe("g_serial", "use_acm=1")
-    wait_for("/dev/ttyGS0", Path("/dev/ttyGS0").exists)
-    DIRECTORY.mkdir(exist_ok=True)
+    DIRECTORY.mkdir(exist_ok=True, parents=True)
     config = DIRECTORY / "config.json"
     config.write_text(json.dumps({"devices": [device.config for device in devices]}))
-    process = subprocess.Popen([sys.executable, *HUB, "--dir", str(DIRECTORY), str(config)])
-    wait_for("hub", (DIRECTORY / "ctl").exists, 60)
+    # Two processes that look for a free port at once would take the same one.
+    with (DIRECTORY.parent / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        modprobe("-a", "vhci-hcd", "uvcvideo", "dummy_hcd", "cdc-acm")
+        modprobe("g_serial", "use_acm=1")
+        wait_for("/dev/ttyGS0", Path("/dev/ttyGS0").exists)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sim.devices", "--dir", str(DIRECTORY), str(config)]
+        )
+        wait_for("hub", (DIRECTORY / "ctl").exists, 60)
     for device in devices:
         wait_for(device.name, lambda device=device: is_there(device))
     return process, Hub(DIRECTORY)
@@ -254,11 +272,18 @@ def start_devices(devices: Sequence[Device] = DEVICES) -> tuple[subprocess.Popen
 @contextmanager
 def once_a_frame_is_kept(directory: Path, strike: Callable[[], Any]) -> Iterator[None]:
     """Let `strike` happen in a thread as soon as a capture has kept its first frame."""
+    with once(directory / "frames", "*.npy", strike):
+        yield
+
+
+@contextmanager
+def once(folder: Path, pattern: str, strike: Callable[[], Any]) -> Iterator[None]:
+    """Let `strike` happen in a thread as soon as a file of that pattern lies in `folder`."""
     over = threading.Event()
 
     def watch() -> None:
         while not over.is_set():
-            if next((directory / "frames").glob("*.npy"), None) is not None:
+            if next(folder.glob(pattern), None) is not None:
                 strike()
                 return
             time.sleep(0.005)
@@ -270,6 +295,13 @@ def once_a_frame_is_kept(directory: Path, strike: Callable[[], Any]) -> Iterator
     finally:
         over.set()
         thread.join()
+
+
+@contextmanager
+def once_a_frame_is_rejected(directory: Path, strike: Callable[[], Any]) -> Iterator[None]:
+    """Let `strike` happen in a thread as soon as a capture has rejected a frame."""
+    with once(directory / "frames", "*-rejected-*.npy", strike):
+        yield
 
 
 def timed(act: Callable[[], str]) -> tuple[str, float]:

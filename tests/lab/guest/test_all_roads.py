@@ -49,7 +49,7 @@ def readable():
     Path(sys.prefix).chmod(0o755)
 
 
-@pytest.mark.parametrize("device", [lab.WEB, lab.STILL, lab.COOLPIX], ids=lambda d: d.name)
+@pytest.mark.parametrize("device", [lab.SPARE, lab.STILL, lab.COOLPIX], ids=lambda d: d.name)
 def test_no_permission(hub, readable, device):
     """An ordinary user who may not open the device is told what to do."""
     with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:

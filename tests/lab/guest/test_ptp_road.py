@@ -78,6 +78,8 @@ class TestFaults:
         self.hub = hub
 
     def fault(self, verb, **arguments):
+        if verb == "unplug":
+            return lab.unplug(self.hub, self.device)
         return self.hub.do(self.device.name, verb, **arguments)
 
     def shoot(self, count=3):
@@ -149,6 +151,18 @@ class TestFaults:
         report = read_report(lab.here() / "wrong")
         assert report.rejected
         assert all(frame.ratio.agrees for frame in report.frames[1:])
+
+    def test_an_exposure_that_stays_wrong_is_marked(self, camctl):
+        def strike():
+            self.fault("wrong", factor=2.0)
+
+        folder = lab.here() / "marked"
+        with lab.once_a_frame_is_kept(folder, strike), lab.once_a_frame_is_rejected(folder, strike):
+            done = camctl("shoot", *lab.words_of(self.device), *LONG, "-o", "marked")
+        assert done.status == 0, done.err
+        report = read_report(folder)
+        assert report.rejected
+        assert lab.distrusted(report)
 
     def test_another_process_holds_the_interface(self, camctl):
         holder = subprocess.Popen(
