@@ -157,7 +157,7 @@ def _frames(
         for interval in (max(intervals), min(intervals)):  # least and most bits a second
             found += _u32(min(size * 8 * _UNITS_A_SECOND // interval, 2**32 - 1))
         found += _u32(size) + _u32(intervals[0]) + bytes([len(intervals)])
-        found += b"".join(map(_u32, intervals))
+        found += b"".join(map(_u32, sorted(intervals)))  # hosts rely on the order (3.1.2)
     return found
 
 

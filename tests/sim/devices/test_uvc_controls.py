@@ -48,7 +48,11 @@ def parts(data):
 
 @pytest.mark.parametrize(
     ("formats", "sizes", "rates"),
-    [(["yuyv", "mjpg"], ["80x60", "20x10"], [10, 5]), (["grey"], [], [30]), (["y16"], [], [7.5])],
+    [
+        (["yuyv", "mjpg"], ["80x60", "20x10"], [10, 30, 5]),
+        (["grey"], [], [30]),
+        (["y16"], [], [7.5]),
+    ],
 )
 def test_descriptors_count_and_measure_themselves(formats, sizes, rates):
     camera = make({**SMALL, "formats": formats, "sizes": sizes, "fps": rates})
@@ -71,7 +75,9 @@ def test_descriptors_count_and_measure_themselves(formats, sizes, rates):
     assert [struct.unpack_from("<HH", d, 5) for d in frames] == wanted * len(formats)
     for frame in frames:
         intervals = struct.unpack_from(f"<{frame[25]}I", frame, 26)
-        assert [round(1e7 / interval, 1) for interval in intervals] == rates
+        assert sorted(intervals) == list(intervals)
+        assert {round(1e7 / interval, 1) for interval in intervals} == set(rates)
+        assert round(1e7 / struct.unpack_from("<I", frame, 21)[0], 1) == rates[0]  # the default
         least, most = struct.unpack_from("<II", frame, 9)
         assert 0 < least <= most
 
