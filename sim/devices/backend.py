@@ -25,7 +25,8 @@ import usb.backend
 from usb.core import USBError, USBTimeoutError
 
 from sim.devices.descriptors import parse_configuration, parse_device
-from sim.devices.usb import IN, Read, Refusal, UsbDevice
+from sim.devices.pipes import Read
+from sim.devices.usb import IN, Refusal, UsbDevice
 
 BUS = 250  # beyond what a machine has
 

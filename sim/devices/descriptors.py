@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from types import SimpleNamespace
 
-from sim.devices.usb import descriptors
+from sim.devices.pipes import descriptors
 
 _DEVICE = (
     "<BBHBBBBHHHBBBB",

@@ -15,7 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from camctl.errors import CameraNotFoundError
-from sim.devices.usb import Read, Refusal, Speed, UsbDevice
+from sim.devices.pipes import Read
+from sim.devices.usb import Refusal, Speed, UsbDevice
 
 _CONTROLLER = Path("/sys/devices/platform/vhci_hcd.0")
 _attaching = threading.Lock()  # from finding a free port to having it

@@ -6,7 +6,7 @@ import time
 from contextlib import contextmanager
 
 from sim.devices import ptp
-from sim.devices.usb import Read
+from sim.devices.pipes import Read
 
 OK, BUSY = 0x2001, 0x2019
 TIMEOUT_S = 5.0
