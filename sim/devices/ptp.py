@@ -28,10 +28,12 @@ from sim.devices.ptp_descriptors import (
     configuration_descriptor,
     device_descriptor,
 )
+from sim.devices.ptp_faults import WireFaults, WireVerbs
 from sim.devices.ptp_nikon import NikonResponder
 from sim.devices.ptp_responder import Responder
 from sim.devices.ptp_sony import SonyResponder
-from sim.devices.stillbody import StillBody, StillVerbs, checked, split_config
+from sim.devices.scenery import checked, split_config
+from sim.devices.stillbody import StillBody, StillVerbs
 from sim.devices.usb import IN, STALL, Answer, UsbDevice
 from sim.exposer import Exposer
 
@@ -55,29 +57,6 @@ _OBJECTS = (
 )
 
 
-@dataclass
-class WireFaults:
-    """What is wrong with the cable and the firmware at the moment.
-
-    Attributes:
-        busy: operations that are answered Device_Busy; -1: all of them
-        is_hanging: operations are not answered
-        stalls: operations that stall the bulk endpoints
-        truncations: objects of which half is sent ..
-        answers_truncated: .. and a response after it, as if nothing had happened
-        garbage: replies that are rubbish
-        unplug_after: bytes of the next object after which the plug is pulled; -1: none
-    """
-
-    busy: int = 0
-    is_hanging: bool = False
-    stalls: int = 0
-    truncations: int = 0
-    answers_truncated: bool = False
-    garbage: int = 0
-    unplug_after: int = -1
-
-
 @dataclass(frozen=True)
 class _Command:
     code: int
@@ -85,7 +64,7 @@ class _Command:
     parameters: tuple[int, ...]
 
 
-class PtpCamera(StillVerbs, UsbDevice):
+class PtpCamera(WireVerbs, StillVerbs, UsbDevice):
     """See the module; `config` says what camera it is, `exposer` what it sees."""
 
     def __init__(self, config: PtpConfig, exposer: Exposer) -> None:
@@ -287,26 +266,6 @@ class PtpCamera(StillVerbs, UsbDevice):
         self.faults = WireFaults()
         self.body.mend()
         self.responder.is_silent = self._config.event_order == "never"
-
-    def do_busy(self, count: int = 5) -> None:
-        """Answer the next operations, or all (-1), Device_Busy."""
-        self.faults.busy = count
-
-    def do_hang(self) -> None:
-        """Answer no operation."""
-        self.faults.is_hanging = True
-
-    def do_stall(self, count: int = 1) -> None:
-        """Stall instead of doing the next operations."""
-        self.faults.stalls = count
-
-    def do_truncate(self, count: int = 1, answers: bool = False) -> None:
-        """Send half of the next objects, and after that nothing, or a response."""
-        self.faults.truncations, self.faults.answers_truncated = count, answers
-
-    def do_garbage(self, count: int = 1) -> None:
-        """Reply rubbish."""
-        self.faults.garbage = count
 
     def do_unplug(self, after_bytes: int | None = None) -> None:
         """Pull the plug, or do so once so many bytes of the next object have gone out."""

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from camctl.errors import CameraNotFoundError
+
 _SPEEDS = {
     getattr(termios, f"B{speed}"): speed for speed in (9600, 19200, 38400, 57600, 115200, 230400)
 }
@@ -64,7 +66,7 @@ class SerialLine:
         return None
 
     def open(self) -> None:
-        """Plug it in (OSError: the node cannot be opened)."""
+        """Plug it in (CameraNotFoundError: the node cannot be opened)."""
         if self._node == "pty":
             self._file, self._hosts_end = os.openpty()
             tty.setraw(self._hosts_end)
@@ -73,8 +75,7 @@ class SerialLine:
                 self._link.unlink(missing_ok=True)
                 self._link.symlink_to(self.path)
         else:
-            self._file = os.open(self._node, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-            tty.setraw(self._file)
+            self._file = _opened(self._node)
         self._is_closing.clear()
         self._thread = threading.Thread(target=self._run, name="serial-line", daemon=True)
         self._thread.start()
@@ -127,3 +128,20 @@ class SerialLine:
                 else:
                     time.sleep(_TICK_S)
             self._tick()
+
+
+def _opened(node: str) -> int:
+    try:
+        file = os.open(node, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError as error:
+        raise CameraNotFoundError(
+            f"a virtual camera's line {node}: {error.strerror}", hint="is its driver loaded?"
+        ) from error
+    try:
+        tty.setraw(file)
+    except termios.error as error:
+        os.close(file)
+        raise CameraNotFoundError(
+            f"a virtual camera's line {node} is no terminal", hint="give a serial node, or pty"
+        ) from error
+    return file

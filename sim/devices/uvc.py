@@ -25,7 +25,7 @@ from dataclasses import asdict
 from typing import Any
 
 from camctl.errors import UsageError
-from sim.devices.stillbody import checked, split_config
+from sim.devices.scenery import checked, split_config
 from sim.devices.usb import SILENCE, STALL, Answer, UsbDevice
 from sim.devices.uvc_config import UvcConfig, check_format
 from sim.devices.uvc_controls import CAN_GET_AND_SET, INFO, LENGTH, SET, Controls

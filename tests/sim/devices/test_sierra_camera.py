@@ -11,7 +11,7 @@ import pytest
 import serial
 import tifffile
 
-from camctl.errors import UsageError
+from camctl.errors import CameraNotFoundError, UsageError
 from sim.devices import sierra
 
 ACK, NAK, ENQ, INVALID, SESSION = b"\x06", b"\x15", b"\x05", b"\x11", b"\xfc"
@@ -334,6 +334,14 @@ def test_a_bad_configuration_is_one_line(bad):
     with pytest.raises(UsageError) as caught:
         sierra.make({"scene": "ramp", "size": "48x32", **bad})
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("node", ["/dev/nothing", "/dev/null"])
+def test_a_line_that_is_not_there(node):
+    device = sierra.make({"scene": "ramp", "size": "48x32", "line": node})
+    with pytest.raises(CameraNotFoundError, match=node):
+        device.attach()
+    device.detach()
 
 
 def test_an_unknown_verb():
