@@ -9,6 +9,9 @@ SOURCE = Path(__file__).with_name("modem_lines.c")
 TIMEOUT_S = 120
 SHUTTER_US = "/Camera Configuration/Picture Settings/Shutter Speed (microseconds, 0 auto)"
 
+# For ("shutterspeed", ...): 1/60 s, by `vendor` of the virtual camera's configuration.
+SIXTIETH = {"none": "0.0167s", "nikon": "1/60", "canon": "1/60", "sony": "1/60"}
+
 
 def missing():
     """Return why gphoto2 cannot be run here; None where it can."""
