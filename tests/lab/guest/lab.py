@@ -97,7 +97,9 @@ COOLPIX = Device(
     {**EIGHT_BITS, "files": ["tiff", "jpeg"], "line": "/dev/ttyGS0"},
     {**LINEAR, "format": "tiff", "speed": "115200"},
 )
-SPARE = Device("spare", "uvc", {**EIGHT_BITS, "formats": ["yuyv"], "fps": [15]}, WEB.options)
+SPARE = Device(
+    "spare", "uvc", {**EIGHT_BITS, "formats": ["yuyv"], "fps": [15], "delay": 2}, WEB.options
+)
 DEVICES = (WEB, MACHINE, SHAKY) if STREAMS else (STILL, RAW, SNAPSHOT, COOLPIX, SPARE)
 
 # Exposures that all roads have exactly; half of the ramp is saturated in the longest.
@@ -214,14 +216,13 @@ class Used:
         frames: slots of the device from the first that had not begun when the first setting was
             written to the one that had the last setting
         by_timestamps: the same, as the timestamps of the driver's frames tell it
-        wanted, exposed: exposure times as they were set, and of the slots handed over, s
+        slots: the slot that had each setting
     """
 
     settings: int
     frames: int
     by_timestamps: int
-    wanted: list[float]
-    exposed: list[float]
+    slots: list[int]
 
 
 def frames_used(hub: Hub, device: Device) -> Used:
@@ -235,17 +236,17 @@ def frames_used(hub: Hub, device: Device) -> Used:
         log = hub.do(device.name, "log")
     first = next(w for w in reversed(log["writes"]) if w["time_s"] == pytest.approx(wanted[0]))
     since = [frame for frame in log["frames"] if frame["slot"] >= first["upcoming"]]
-    slots: dict[float, int] = {}  # the first slot of each exposure
-    for frame in since:
-        slots.setdefault(round(frame["time_s"], 6), frame["slot"])
-    last = slots[wanted[-1]]
+    frames = iter(since)
+    slots = [
+        next(frame["slot"] for frame in frames if round(frame["time_s"], 6) == time_s)
+        for time_s in wanted
+    ]
     begin_s = since[0]["ended_s"] - interval_s
     return Used(
         settings=len(wanted),
-        frames=last - first["upcoming"] + 1,
+        frames=slots[-1] - first["upcoming"] + 1,
         by_timestamps=round((stamps[-1] - begin_s) / interval_s),
-        wanted=wanted,
-        exposed=[time_s for time_s in slots if time_s in wanted],
+        slots=slots,
     )
 
 

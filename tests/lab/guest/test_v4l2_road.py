@@ -22,9 +22,10 @@ class OnV4l2(CameraConformance):
         self.hub = hub
 
     @pytest.fixture(scope="class")
-    def streaming(self, running, measured):
+    @classmethod
+    def streaming(cls, running, measured):
         """One camera for the whole suite: to learn how a stream runs takes seconds."""
-        with self.open_camera() as camera:
+        with lab.opened(cls.device) as camera:
             yield camera
 
     @pytest.fixture
@@ -33,6 +34,12 @@ class OnV4l2(CameraConformance):
 
     def open_camera(self):
         return lab.opened(self.device)
+
+    def test_constant_delay_costs_n_plus_d_frames(self, camera):
+        # The list is to arrive right after a frame, as on a camera that has just been opened: late
+        # in a slot the driver waits for the next one, and the suite counts that time.
+        self.shoot(camera, self.times(camera, [1]))
+        super().test_constant_delay_costs_n_plus_d_frames(camera)
 
     def test_a_closed_camera_says_so(self, streaming):
         streaming.close()  # nobody else may stream from the node meanwhile
@@ -115,7 +122,7 @@ class TestDelay:
             used = lab.frames_used(hub, lab.WEB)
         assert used.frames / (used.settings + delay) == 1.0
         assert used.by_timestamps / (used.settings + delay) == 1.0
-        assert used.exposed == used.wanted
+        assert used.slots == list(range(used.slots[0], used.slots[0] + used.settings))
 
 
 class TestFaults:
@@ -128,7 +135,7 @@ class TestFaults:
             return lab.unplug(self.hub, lab.WEB)
         return self.hub.do(lab.WEB.name, verb, **arguments)
 
-    def strike_after_first_frame(self, strike, count=4):
+    def strike_after_first_frame(self, strike, count=12):
         """Shoot, let `strike` happen after the first frame; return what the camera then raises."""
         time_s = 0.01
         with lab.opened(lab.WEB) as camera:
