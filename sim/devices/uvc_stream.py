@@ -112,8 +112,9 @@ class Stream:
         self._lock = threading.Lock()  # of the sensor's registers; never held while it renders
         self._is_over = threading.Event()
         self._clock = RealClock()
-        self._began_s = self._clock.now()
         self._device = SimulatedDevice(sensor, self._render, self._clock, seed=mode.seed)
+        # Not before the device begins, or its slots would be waited for with the lock held.
+        self._began_s = self._clock.now()
         self._device.write(ExposureSetting(*setting))
         self._exposed: Exposed | None = None
         self._light = 1.0
