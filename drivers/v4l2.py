@@ -22,7 +22,7 @@ from camctl.errors import (
 )
 from camctl.profile import DelayRecord, load_profile
 from drivers.v4l2_capture import Capture, Picture, VideoOpener, open_video
-from drivers.v4l2_choice import choose_interval, choose_size, parse_bits, parse_rate, parse_size
+from drivers.v4l2_choice import choose_interval, choose_size, parse_rate, parse_size, parse_whole
 from drivers.v4l2_controls import ExposureControl
 from drivers.v4l2_find import DRIVER, describe, find_cameras, node_paths
 from drivers.v4l2_formats import SpoiltFrameError, choose_format
@@ -30,7 +30,7 @@ from drivers.v4l2_node import Kernel, Node
 from drivers.v4l2_samples import read_samples
 from drivers.v4l2_stream import UNKNOWN_DELAY, Shot, Stream
 
-OPTIONS = ("bits", "format", "fps", "range", "response", "size")
+OPTIONS = ("bits", "black", "format", "fps", "range", "response", "size")
 
 
 class V4l2Camera:
@@ -43,6 +43,7 @@ class V4l2Camera:
         fps: frames a second; None: the fewest that it offers, because no exposure is longer than
             the interval between frames
         bits: that the samples of y16 really have, 9 to 16
+        black: brightness without light, DN; None: 0, or 16 of limited luma
         range: "full" or "limited" luma; "auto": as V4L2 says
         response: one of `drivers.v4l2_samples.RESPONSES`; "auto": linear where samples are raw,
             else sRGB
@@ -65,6 +66,7 @@ class V4l2Camera:
         size: tuple[int, int] | None = None,
         fps: float | None = None,
         bits: int | None = None,
+        black: int | None = None,
         range: str = "auto",
         response: str = "auto",
         clock: Clock | None = None,
@@ -84,7 +86,14 @@ class V4l2Camera:
             self._capture = Capture(self._node, self._picture, self._clock, opener)
             announced_s = self._node.interval_s() or interval_s
             self._exposure = ExposureControl(self._node)
-            samples = read_samples(chosen, self._node.picture(), bits, range, response)
+            samples = read_samples(
+                chosen,
+                self._node.picture(),
+                bits=bits,
+                black=black,
+                range_=range,
+                response=response,
+            )
             self._samples = samples
             self._stream = Stream(self, self._clock, announced_s, samples.white - samples.black)
             self._stream.start()
@@ -253,7 +262,7 @@ class V4l2Camera:
 class V4l2Road:
     """Opens ``v4l2:/dev/v4l/by-id/...`` and ``v4l2:/dev/videoN``.
 
-    Options: format, size (WIDTHxHEIGHT), fps, bits, range, response; see `V4l2Camera`.
+    Options: format, size (WIDTHxHEIGHT), fps, bits, black, range, response; see `V4l2Camera`.
     """
 
     about = "webcams and machine-vision cameras that Linux shows as /dev/video0 and so on"
@@ -278,7 +287,8 @@ class V4l2Road:
             format=options.get("format", "auto").lower(),
             size=parse_size(options["size"]) if "size" in options else None,
             fps=parse_rate(options["fps"]) if "fps" in options else None,
-            bits=parse_bits(options["bits"]) if "bits" in options else None,
+            bits=parse_whole("bits", options["bits"]) if "bits" in options else None,
+            black=parse_whole("black", options["black"]) if "black" in options else None,
             range=options.get("range", "auto").lower(),
             response=options.get("response", "auto").lower(),
         )

@@ -16,7 +16,7 @@ _SAME_RATE = 0.01
 
 def parse_size(text: str) -> tuple[int, int]:
     """Return (width, height) of "WIDTHxHEIGHT"; raises `UsageError`."""
-    match = re.fullmatch(r"\s*([1-9]\d{0,5})\s*[xX×]\s*([1-9]\d{0,5})\s*", text)
+    match = re.fullmatch(r"\s*([1-9]\d{0,5})\s*[xX×]\s*([1-9]\d{0,5})\s*", text, re.ASCII)
     if match is None:
         raise UsageError(f"a size of '{text}'", hint="write WIDTHxHEIGHT, such as 640x480")
     return int(match[1]), int(match[2])
@@ -30,10 +30,10 @@ def parse_rate(text: str) -> float:
         raise UsageError(f"an fps of '{text}'", hint="give a number, such as 30") from None
 
 
-def parse_bits(text: str) -> int:
-    """Return a number of bits; raises `UsageError`."""
-    if not re.fullmatch(r"\d{1,2}", text.strip()):
-        raise UsageError(f"bits of '{text}'", hint="give a whole number from 9 to 16")
+def parse_whole(name: str, text: str) -> int:
+    """Return the whole number that an option is; raises `UsageError`."""
+    if not re.fullmatch(r"\d{1,6}", text.strip(), re.ASCII):
+        raise UsageError(f"{name} of '{text}'", hint="give a whole number")
     return int(text)
 
 

@@ -27,7 +27,13 @@ class Samples:
 
 
 def read_samples(
-    format_: PixelFormat, picture: abi.Format, bits: int | None, range_: str, response: str
+    format_: PixelFormat,
+    picture: abi.Format,
+    *,
+    bits: int | None,
+    black: int | None,
+    range_: str,
+    response: str,
 ) -> Samples:
     """Return what samples are, by their format, what V4L2 says of it, and what the user says.
 
@@ -35,6 +41,7 @@ def read_samples(
         format_: the pixel format
         picture: what the camera says of the picture that is set
         bits: that samples of y16 really have; None: all
+        black: brightness without light, DN; None: that of the range
         range_: one of `RANGES`
         response: one of `RESPONSES`
 
@@ -57,8 +64,16 @@ def read_samples(
         raise UsageError(
             f"a limited range of the pixel format {format_.name}", hint="only YUV luma has one"
         )
-    black, white = (_BLACK, _WHITE) if is_limited else (0, 2**depth - 1)
+    lowest, white = (_BLACK, _WHITE) if is_limited else (0, 2**depth - 1)
+    dark = lowest if black is None else black
+    if not 0 <= dark < white:
+        raise UsageError(f"a black level of {dark}", hint=f"give 0 to {white - 1} DN")
     notes = []
+    if format_.is_raw and black is None:
+        notes.append(
+            "black is taken as 0, for V4L2 does not tell it: cover the lens, look at the mean "
+            "brightness, and give it with -O black=..."
+        )
     if format_.is_lossy:
         notes.append(
             "JPEG frames lose levels: the union of levels of several exposures no longer holds; "
@@ -72,7 +87,7 @@ def read_samples(
     if response == "auto" and not format_.is_raw:
         notes.append("the response is assumed to be sRGB until it is measured: -O response=...")
     name = ("linear" if format_.is_raw else "srgb") if response == "auto" else response
-    return Samples(depth, black, white, _response(name, depth, white - black), tuple(notes))
+    return Samples(depth, dark, white, _response(name, depth, white - dark), tuple(notes))
 
 
 def _is_limited(picture: abi.Format) -> bool:

@@ -177,19 +177,20 @@ class Stream:
         """Settle at `before`, write `after`, and return the next `frames` frames, none missing.
 
         The write goes out at the begin of a slot and at the end of its first half in turn: where
-        that makes a difference, the delay is not constant, and no measurement may hide it.
+        that makes a difference, the delay is not constant, and no measurement may hide it.  (A
+        write that takes so long that it may end in the next slot is tried at the other end.)
 
         Raises:
             CameraProtocolError: frames are lost again and again
 
         """
-        for _ in range(_TRIES):
+        for tries in range(_TRIES):
             self._catch_up()
             settled = self._must_write(0, before, UNKNOWN_DELAY + 2).latest
-            while self._grab() and self._number < settled:
-                pass
+            while self._number < settled:
+                self._grab()
             self._catch_up()
-            if self._steps % 2:
+            if (self._steps + tries) % 2:
                 self._clock.sleep_until(self.slots.at(0.95 * self._window[1]))
             write = self._must_write(0, after, 0)
             shots = self._run(write, frames)

@@ -263,6 +263,8 @@ class TestFormats:
             {"fps": -1.0},
             {"bits": 12},
             {"range": "half"},
+            {"black": 255},
+            {"black": -1},
             {"response": "gamma"},
             {"response": "power:x"},
             {"response": "srgb:2"},
@@ -270,6 +272,14 @@ class TestFormats:
     )
     def test_options_that_do_not_fit(self, options):
         refused(UsageError, Model(), **options)
+
+    def test_black_of_raw_samples(self):
+        with open_model(Model(formats=("Y12 ",)), black=60) as camera:
+            assert (camera.controls.black, camera.controls.levels.M) == (60, 4095 - 60)
+            assert one_frame(camera).black == 60
+            assert not camera.controls.notes[:-2]
+        with open_model(Model(formats=("Y12 ",))) as camera:
+            assert any("-O black=" in note for note in camera.controls.notes)
 
     def test_padded_lines_are_refused(self):
         assert "pads" in refused(CameraError, Model(bytesperline=2 * COLUMNS + 16))
@@ -393,7 +403,8 @@ class TestRoad:
             V4l2Road().open("/dev/null", {"fsp": "30"})
 
     @pytest.mark.parametrize(
-        "options", [{"size": "big"}, {"fps": "fast"}, {"bits": "1.5"}, {"size": "0x5"}]
+        "options",
+        [{"size": "big"}, {"fps": "fast"}, {"bits": "1.5"}, {"black": "²"}, {"size": "0x5"}],
     )
     def test_values_that_are_none(self, options):
         with pytest.raises(UsageError):
