@@ -9,6 +9,7 @@ the menu; the command line with its imports is measured beside it.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -21,7 +22,7 @@ MOST_S = 1.0
 
 
 def main() -> int:
-    """Print the times; return 1 if the slowest look took longer than `MOST_S`."""
+    """Print the times; return 1 if the slowest look on this machine took longer than `MOST_S`."""
     began = time.perf_counter()
     cameras, problems = discover_cameras()
     first_s = time.perf_counter() - began
@@ -41,7 +42,8 @@ def main() -> int:
     print(f"first look, with imports  {first_s:6.3f} s")
     print(f"slowest of {LOOKS} more        {max(looks):6.3f} s   (at most {MOST_S:g} s)")
     print(f"camctl cameras, a process {whole_s:6.3f} s")
-    return int(max(looks) > MOST_S)
+    # An emulated processor says nothing of how long it takes on a real one.
+    return int(max(looks) > MOST_S and not os.environ.get("CAMCTL_IN_GUEST"))
 
 
 if __name__ == "__main__":

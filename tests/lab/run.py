@@ -100,7 +100,7 @@ def _tests(words: argparse.Namespace) -> list[str]:
         each = "; ".join(f"{script} || status=1" for script in scripts)
         return ["sh", "-c", f"status=0; {each}; exit $status"]
     wanted = [f"({each})" for each in (words.road, words.k) if each]
-    options = ["-v", "-ra", "--tb=short", "--durations=15", "-p", "no:cacheprovider"]
+    options = ["-q", "-ra", "--tb=short", "-p", "no:cacheprovider"]
     halves = []
     for part, own in (("streams", "v4l2"), ("stills", "not v4l2")):
         select = " and ".join([f"({own})", *wanted])

@@ -20,10 +20,31 @@ def pytest_collection_finish(session):
     _note("collected", len(session.items))
 
 
-def pytest_runtest_logreport(report):
-    # Of a test's three phases, that of the call counts, and any other that did not pass.
-    if report.when == "call" or report.failed or (report.skipped and report.when == "setup"):
-        _note(report.outcome)
+class Lines:
+    """One line a test, in one piece: two processes share the console."""
+
+    def __init__(self, terminal):
+        self._terminal = terminal
+
+    def pytest_runtest_logreport(self, report):
+        # Of a test's three phases, that of the call counts, and any other that did not pass.
+        if report.when == "call" or report.failed or (report.skipped and report.when == "setup"):
+            _note(report.outcome)
+            name = report.nodeid.removeprefix("tests/lab/guest/")
+            line = f"{report.outcome:8}{report.duration:6.1f} s  {name}\n"
+            self._terminal.write(line, flush=True)
+
+
+def pytest_sessionstart(session):
+    session.config.pluginmanager.register(Lines(session.config.get_terminal_writer()))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_report_teststatus(report):
+    """Keep pytest's own letters from between the lines."""
+    if report.when == "call" or not report.passed:
+        return (report.outcome, "", "")
+    return None
 
 
 @pytest.hookimpl(wrapper=True)
