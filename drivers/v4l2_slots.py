@@ -14,7 +14,7 @@ from statistics import median
 
 #: A gap between timestamps that differs from whole intervals by more tells no number.
 SURE = 0.35
-#: A camera whose frames differ by more from what it announces has another rate.
+#: A rate that differs by more is another.
 OTHER_RATE = 0.1
 _GAPS = 15
 
@@ -56,16 +56,18 @@ class Slots:
         return is_sure
 
     def learn(self, times_s: list[float]) -> bool:
-        """Take the interval from a run of timestamps; False where they have no common one.
+        """Take the interval from a run of timestamps; False where they do not tell it.
 
-        The announced one stays where they do not clearly contradict it: it is the more precise.
+        The announced one stays where the usual gap is like it: it is the more precise.  Another
+        is believed only where all gaps agree: a camera that has just begun may hurry or stumble.
         """
         gaps = [after - before for before, after in pairwise(times_s)]
         usual = median(gaps)
-        if not (usual > 0 and sum(abs(gap / usual - 1) <= SURE for gap in gaps) * 2 > len(gaps)):
+        if abs(usual / self.interval_s - 1) <= OTHER_RATE:
+            return True
+        if usual <= 0 or _share(gaps, usual, OTHER_RATE) < 1:
             return False
-        if abs(usual / self.interval_s - 1) > OTHER_RATE:
-            self.interval_s = usual
+        self.interval_s = usual
         return True
 
     def phase(self, now_s: float) -> float:
@@ -80,3 +82,8 @@ class Slots:
         """Return the number of the slot that is exposed at `now_s`, not before the last frame."""
         assert self.number is not None
         return self.number + max(1, math.ceil(self.phase(now_s)))
+
+
+def _share(gaps: list[float], interval_s: float, tolerance: float) -> float:
+    """Return the share of gaps that differ from an interval by at most so much of it."""
+    return sum(abs(gap / interval_s - 1) <= tolerance for gap in gaps) / len(gaps)

@@ -97,7 +97,7 @@ class Stream:
         self._window = (0.0, WINDOW)
         self._steps = 0
 
-    def start(self, frames: int = 4) -> None:
+    def start(self, frames: int = 5) -> None:
         """Take the first frames and learn their interval.
 
         Raises:

@@ -220,6 +220,29 @@ def test_a_camera_that_is_slower_than_it_says():
         assert shown(camera.shoot(settings(TICKS))) == list(TICKS)
 
 
+@pytest.mark.parametrize("interval_s", [0.05, 0.0667, 0.12, 0.2])
+def test_any_other_rate_than_announced(interval_s):
+    know(1)
+    model = Model(delay=1, announced_s=0.1, interval_s=interval_s, lateness_s=0.001)
+    with open_model(model) as camera:
+        assert shown(camera.shoot(settings(TICKS))) == list(TICKS)
+        assert camera.controls.time_s.maximum <= min(0.1, interval_s) + 1e-9
+        assert camera.controls.frame_interval_s == pytest.approx(interval_s)
+
+
+@pytest.mark.parametrize(
+    "offsets_s", [(0.03, 0.015, 0, 0), (0.09, 0.07, 0.05, 0.03), (0.5, 0, 0, 0)]
+)
+def test_a_camera_that_stumbles_at_the_start(offsets_s):
+    know(2)
+    offsets_s = dict(enumerate(offsets_s, start=1))
+    model = Model(jitter_s=lambda slot: offsets_s.get(slot, 0.0))
+    with open_model(model) as camera:
+        assert camera.controls.frame_interval_s == 0.1
+        assert not any("announces" in note for note in camera.controls.notes)
+        assert shown(camera.shoot(settings(TICKS))) == list(TICKS)
+
+
 def test_two_lists_after_each_other_and_one_cut_short():
     know(3)
     with open_model(Model(delay=3)) as camera:
