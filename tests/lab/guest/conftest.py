@@ -43,7 +43,7 @@ def pytest_sessionstart(session):
 def pytest_report_teststatus(report):
     """Keep pytest's own letters from between the lines."""
     if report.when == "call" or not report.passed:
-        return (report.outcome, "", "")
+        return (report.outcome, "", report.outcome.upper())
     return None
 
 
