@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
-from types import TracebackType
-from typing import Self
 
 from camctl.camera import (
     CameraInfo,
@@ -16,6 +14,7 @@ from camctl.camera import (
     OriginalFile,
 )
 from camctl.clock import Clock, RealClock
+from camctl.closing import Closing
 from camctl.errors import (
     CameraDisconnectedError,
     CameraNotFoundError,
@@ -38,7 +37,7 @@ _PROBE_S = 1 / 60
 _OPTIONS = ("format", "response", "speed")
 
 
-class CoolpixCamera:
+class CoolpixCamera(Closing):
     """A CoolPix 990 (or a sister with the same protocol) behind any pyserial URL.
 
     Exposures cannot overlap with transfers: the line carries one thing at a time.  A frame's
@@ -136,19 +135,6 @@ class CoolpixCamera:
         """Give the camera back as it was found, and let go of the port."""
         self._is_open = False
         self._body.close()
-
-    def __enter__(self) -> Self:
-        """Return the camera itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the camera."""
-        self.close()
 
     def _check_open(self) -> None:
         if not self._is_open:

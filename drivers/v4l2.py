@@ -8,11 +8,10 @@ a descriptor of our own (`drivers.v4l2_node`); which frame had which exposure is
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
-from types import TracebackType
-from typing import Self
 
 from camctl.camera import CameraInfo, ExposureControls, ExposureSetting, Frame, FrameStream, Pixels
 from camctl.clock import Clock, RealClock
+from camctl.closing import Closing
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -33,7 +32,7 @@ from drivers.v4l2_stream import UNKNOWN_DELAY, Shot, Stream
 OPTIONS = ("bits", "black", "format", "fps", "range", "response", "size")
 
 
-class V4l2Camera:
+class V4l2Camera(Closing):
     """A V4L2 camera; implements `PreviewingCamera` and `StreamingCamera` of `camctl.camera`.
 
     Args:
@@ -169,19 +168,6 @@ class V4l2Camera:
         if capture is not None:
             capture.close()
         self._node.close()
-
-    def __enter__(self) -> Self:
-        """Return the camera itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the camera."""
-        self.close()
 
     def grab(self) -> float:
         """Wait for the next frame and return its timestamp, s: for the camera's own stream."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import TracebackType
-from typing import Self
 
 from camctl.camera import (
     CameraInfo,
@@ -16,6 +14,7 @@ from camctl.camera import (
     Pixels,
 )
 from camctl.clock import Clock, VirtualClock
+from camctl.closing import Closing
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -51,7 +50,7 @@ class Faults:
     wrong_exposure: Mapping[int, float] = field(default_factory=dict)
 
 
-class SimulatedCamera:
+class SimulatedCamera(Closing):
     """A camera with `sensor` before `scene`; implements `PreviewingCamera` and `StreamingCamera`.
 
     Args:
@@ -185,19 +184,6 @@ class SimulatedCamera:
     def close(self) -> None:
         """Let go of the device; every call but this one then raises `CameraDisconnectedError`."""
         self._is_open = False
-
-    def __enter__(self) -> Self:
-        """Return the camera itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the camera."""
-        self.close()
 
     def _render(self, slot: Slot) -> Pixels:
         if self._repeat_noise:

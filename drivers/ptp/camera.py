@@ -10,8 +10,7 @@ import math
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, suppress
 from functools import cached_property
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from camctl.camera import (
     CameraInfo,
@@ -24,6 +23,7 @@ from camctl.camera import (
     Steps,
 )
 from camctl.clock import Clock, RealClock
+from camctl.closing import Closing
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -55,7 +55,7 @@ _CLOSING_S = 5.0
 MOST_BULB_S = 3600.0
 
 
-class PtpCamera:
+class PtpCamera(Closing):
     """A still camera on USB.
 
     Args:
@@ -289,16 +289,3 @@ class PtpCamera:
         self._is_open = False
         with self._closing, suppress(CameraError):
             self._sequence.settle(_CLOSING_S)
-
-    def __enter__(self) -> Self:
-        """Return the camera itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the camera."""
-        self.close()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from types import TracebackType
-from typing import Self
 
 import cv2
 import numpy as np
@@ -21,6 +19,7 @@ from camctl.camera import (
     OriginalFile,
 )
 from camctl.clock import VirtualClock
+from camctl.closing import Closing
 from camctl.errors import CameraDisconnectedError
 from camctl.exposure.standard import standard_response
 
@@ -30,7 +29,7 @@ APERTURES = Choices(tuple(2.0 ** (k / 6) for k in range(9, 25)))
 SPEEDS = Choices(tuple(2.0 ** (k / 3) for k in range(13)))
 
 
-class StillCamera:
+class StillCamera(Closing):
     """Counts its actuations; `response` "srgb" makes 8-bit files, "linear" raw ones of `bits`.
 
     `light` is irradiance, (rows, columns), full scales a second at gain 1 and, with an aperture,
@@ -106,17 +105,6 @@ class StillCamera:
     def close(self) -> None:
         """Let go of it."""
         self._is_open = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def ramp(brightest: float = 1.0, span: float = 1000.0) -> NDArray[np.float64]:
