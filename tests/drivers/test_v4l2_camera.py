@@ -4,6 +4,9 @@ import errno
 import os
 import subprocess
 import sys
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +28,7 @@ from drivers.v4l2_abi import Caps, ControlFlag, ControlId, ControlType, Request
 from drivers.v4l2_capture import open_video
 from drivers.v4l2_faults import camera_error, holding
 
+NOBODY = 65534
 AUTOMATICS = {
     ControlId.EXPOSURE_AUTO: 1,
     ControlId.EXPOSURE_AUTO_PRIORITY: 0,
@@ -374,6 +378,20 @@ class TestTrouble:
                 assert name.startswith(f"process {os.getpid()} (")
 
 
+@contextmanager
+def nobody_in_particular(folder):
+    """Be a user who may write in `folder`, and may not open everything as root may."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.chown(folder, NOBODY, -1)
+    os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
 class TestRealSystem:
     def test_no_such_node(self):
         with pytest.raises(CameraNotFoundError):
@@ -385,12 +403,12 @@ class TestRealSystem:
             V4l2Camera(path)
         assert "\n" not in str(caught.value)
 
-    @pytest.mark.skipif(os.geteuid() == 0, reason="root may open everything")
-    def test_permission(self, tmp_path):
-        node = tmp_path / "video0"
-        node.touch(mode=0)
-        with pytest.raises(CameraError, match="group"):
-            V4l2Camera(str(node))
+    def test_permission(self):
+        with tempfile.TemporaryDirectory() as folder, nobody_in_particular(folder):
+            node = Path(folder) / "video0"
+            node.touch(mode=0)
+            with pytest.raises(CameraError, match="group"):
+                V4l2Camera(str(node))
 
     def test_opencv_keeps_quiet(self, capfd):
         assert not open_video("/dev/video-that-is-not-there").isOpened()
