@@ -25,11 +25,12 @@ from drivers.v4l2_choice import choose_interval, choose_size, parse_rate, parse_
 from drivers.v4l2_controls import ExposureControl
 from drivers.v4l2_find import DRIVER, describe, find_cameras, node_paths
 from drivers.v4l2_formats import SpoiltFrameError, choose_format
+from drivers.v4l2_gain import GainUnit, parse_gain
 from drivers.v4l2_node import Kernel, Node
 from drivers.v4l2_samples import read_samples
 from drivers.v4l2_stream import UNKNOWN_DELAY, Shot, Stream
 
-OPTIONS = ("bits", "black", "format", "fps", "range", "response", "size")
+OPTIONS = ("bits", "black", "format", "fps", "gain", "range", "response", "size")
 
 
 class V4l2Camera(Closing):
@@ -43,6 +44,7 @@ class V4l2Camera(Closing):
             the interval between frames
         bits: that the samples of y16 really have, 9 to 16
         black: brightness without light, DN; None: 0, or 16 of limited luma
+        gain: what the steps of its gain do; None: unknown, so that it is held
         range: "full" or "limited" luma; "auto": as V4L2 says
         response: one of `drivers.v4l2_samples.RESPONSES`; "auto": linear where samples are raw,
             else sRGB
@@ -66,6 +68,7 @@ class V4l2Camera(Closing):
         fps: float | None = None,
         bits: int | None = None,
         black: int | None = None,
+        gain: GainUnit | None = None,
         range: str = "auto",
         response: str = "auto",
         clock: Clock | None = None,
@@ -84,7 +87,7 @@ class V4l2Camera(Closing):
             self._picture = Picture(chosen, wanted, interval_s)
             self._capture = Capture(self._node, self._picture, self._clock, opener)
             announced_s = self._node.interval_s() or interval_s
-            self._exposure = ExposureControl(self._node)
+            self._exposure = ExposureControl(self._node, gain)
             samples = read_samples(
                 chosen,
                 self._node.picture(),
@@ -101,6 +104,7 @@ class V4l2Camera(Closing):
             self._delay = load_profile(self._info).delays.get(self.mode)
             self._controls = ExposureControls(
                 time_s=self._exposure.times(min(announced_s, seen_s)),
+                gain=self._exposure.gains,
                 shape=(wanted.height, wanted.width),
                 layout=chosen.layout,
                 bits=samples.bits,
@@ -198,7 +202,7 @@ class V4l2Camera(Closing):
     def write(self, setting: ExposureSetting) -> ExposureSetting:
         """Set the exposure and return it as read back: for the camera's own stream."""
         self._running()
-        return ExposureSetting(self._exposure.write(setting.time_s))
+        return self._exposure.write(setting)
 
     def _running(self) -> Capture:
         if self._capture is None:
@@ -248,7 +252,7 @@ class V4l2Camera(Closing):
 class V4l2Road:
     """Opens ``v4l2:/dev/v4l/by-id/...`` and ``v4l2:/dev/videoN``.
 
-    Options: format, size (WIDTHxHEIGHT), fps, bits, black, range, response; see `V4l2Camera`.
+    Options: format, size (WIDTHxHEIGHT), fps, bits, black, gain, range, response; see `V4l2Camera`.
     """
 
     about = "webcams and machine-vision cameras that Linux shows as /dev/video0 and so on"
@@ -275,6 +279,7 @@ class V4l2Road:
             fps=parse_rate(options["fps"]) if "fps" in options else None,
             bits=parse_whole("bits", options["bits"]) if "bits" in options else None,
             black=parse_whole("black", options["black"]) if "black" in options else None,
+            gain=parse_gain(options["gain"]) if "gain" in options else None,
             range=options.get("range", "auto").lower(),
             response=options.get("response", "auto").lower(),
         )

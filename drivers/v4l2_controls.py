@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from camctl.camera import Steps
+from camctl.camera import Choices, ExposureSetting, Steps
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
     CameraProtocolError,
     CameraTimeoutError,
     RefusedSettingError,
+    UsageError,
 )
 from drivers.v4l2_abi import MANUAL_EXPOSURE, ControlId
+from drivers.v4l2_gain import GainUnit, registers
 from drivers.v4l2_node import Node
 
 #: Unit of V4L2_CID_EXPOSURE_ABSOLUTE is 100 us.
@@ -50,31 +52,70 @@ class ExposureControl:
     Args:
         node: the camera's node, streaming or not
 
+        gain: what the steps of its gain do; None: the gain is held
+
     Attributes:
         notes: what could not be turned off, and what the gain is
 
     Raises:
+        UsageError: `gain` is given, and the camera has none
         CameraError: the camera has no manual exposure
         CameraProtocolError: a control does not keep what it was set to
 
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, gain: GainUnit | None = None) -> None:
         self._node = node
         self.notes: list[str] = []
+        self._registers: dict[float, int] = {}
+        self._gain_set: int | None = None
         self._be_manual()
         for automatic in AUTOMATICS:
             self._turn_off(automatic)
-        self._hold_gain()
+        if gain is None:
+            self._hold_gain()
+        else:
+            self._take_gain(gain)
 
-    def write(self, time_s: float) -> float:
-        """Set an exposure time, one of `times`; return the time read back, s.
+    @property
+    def gains(self) -> Choices:
+        """The linear gains; 1 alone where it is held."""
+        return Choices(tuple(self._registers) or (1.0,))
+
+    def write(self, setting: ExposureSetting) -> ExposureSetting:
+        """Set a time of `times` and a gain of `gains`; return both as read back.
 
         Raises:
-            RefusedSettingError: the camera took another time, which is the nearest
+            RefusedSettingError: the camera took another one, which is the nearest
             CameraProtocolError: the camera read back no exposure time at all
 
         """
+        return ExposureSetting(self._write_time(setting.time_s), self._write_gain(setting.gain))
+
+    def _write_gain(self, wanted: float) -> float:
+        if not self._registers:
+            return 1.0
+        gain = self.gains.nearest(wanted)
+        register = self._registers[gain]
+        if register != self._gain_set:
+            self._gain_set = self._node.set(ControlId.GAIN, register)
+        if self._gain_set != register:
+            applied = self._gain_set
+            nearest = min(self._registers, key=lambda each: abs(self._registers[each] - applied))
+            raise RefusedSettingError("gain", wanted, nearest)
+        return gain
+
+    def _take_gain(self, unit: GainUnit) -> None:
+        gain = self._node.control(ControlId.GAIN)
+        if gain is None or gain.is_read_only:
+            raise UsageError(f"{self._node.path} has no gain that can be set", hint="leave it out")
+        self._registers = registers(gain, unit)
+        self._write_gain(1.0)
+        self.notes.append(
+            f"the gain is what -O gain says of its steps, and 1 at its lowest, {gain.minimum}"
+        )
+
+    def _write_time(self, time_s: float) -> float:
         ticks = round(time_s * TICKS_PER_S)
         applied = self._node.set(ControlId.EXPOSURE_ABSOLUTE, ticks)
         if applied <= 0:
@@ -139,7 +180,7 @@ class ExposureControl:
             return
         self.notes.append(
             f"gain is held at its default, {default}, called 1: what its other "
-            f"{(gain.maximum - gain.minimum) // gain.step} steps do is not known"
+            f"{(gain.maximum - gain.minimum) // gain.step} steps do is not known (-O gain says it)"
         )
 
     def times(self, interval_s: float) -> Steps:

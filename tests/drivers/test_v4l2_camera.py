@@ -27,6 +27,7 @@ from drivers.v4l2 import V4l2Camera, V4l2Road
 from drivers.v4l2_abi import Caps, ControlFlag, ControlId, ControlType, Request
 from drivers.v4l2_capture import open_video
 from drivers.v4l2_faults import camera_error, holding
+from drivers.v4l2_gain import parse_gain
 
 NOBODY = 65534
 AUTOMATICS = {
@@ -390,6 +391,51 @@ def nobody_in_particular(folder):
         yield
     finally:
         os.seteuid(0)
+
+
+class TestGain:
+    def test_its_steps_do_what_the_user_says(self):
+        model = Model()
+        with open_model(model, gain=parse_gain("linear:0.0625")) as camera:
+            gains = camera.controls.gain
+            assert (gains.minimum, gains.maximum) == (1.0, 1 + 255 / 16)
+            assert model.controls[ControlId.GAIN].value == 0
+            for gain, register in ((2.0, 16), (1.0, 0), (16.9375, 255)):
+                (frame,) = camera.shoot([ExposureSetting(0.01, gain)])
+                assert frame.applied.gain == gain
+                assert model.controls[ControlId.GAIN].value == register
+            assert any("-O gain" in note for note in camera.controls.notes)
+
+    def test_decibels(self):
+        with open_model(Model(), gain=parse_gain("db:0.1")) as camera:
+            assert camera.controls.gain.values[200] == pytest.approx(10.0)
+
+    def test_between_its_steps_it_is_refused(self):
+        with (
+            open_model(Model(), gain=parse_gain("linear:0.0625")) as camera,
+            pytest.raises(RefusedSettingError) as refused,
+        ):
+            camera.shoot([ExposureSetting(0.01, 1.03)])
+        assert refused.value.nearest in (1.0, 1.0625)
+
+    def test_one_that_the_camera_changes_silently_is_refused(self):
+        model = Model()
+        with open_model(model, gain=parse_gain("linear:0.0625")) as camera:
+            model.controls[ControlId.GAIN].clamp = 32
+            with pytest.raises(RefusedSettingError) as refused:
+                list(camera.shoot([ExposureSetting(0.01, 9.0)]))
+        assert refused.value.nearest == 3.0
+
+    def test_a_camera_without_gain_says_so(self):
+        model = Model()
+        del model.controls[ControlId.GAIN]
+        with pytest.raises(UsageError, match="no gain"):
+            open_model(model, gain=parse_gain("db:1"))
+
+    @pytest.mark.parametrize("text", ["", "2", "linear", "db:", "db:0", "db:-1", "iso:100", "db:x"])
+    def test_what_is_no_unit(self, text):
+        with pytest.raises(UsageError, match=r"linear:0\.0625"):
+            parse_gain(text)
 
 
 class TestRealSystem:

@@ -77,6 +77,17 @@ class TestWholeCapture:
         assert 0 <= report.frames[0].saturated_fraction < 0.02
         assert report.achieved.effective_levels > 100
 
+    def test_gain_makes_up_for_time(self, hub):
+        """The virtual webcam's gain is 1 + register / 16."""
+        with lab.opened(lab.WEB, gain="linear:0.0625") as camera:
+            times = camera.controls.time_s
+            settings = [
+                ExposureSetting(times.nearest(0.016 / gain), float(gain)) for gain in (1, 2, 4, 1)
+            ]
+            means = [float(frame.pixels.mean()) for frame in camera.shoot(settings)]
+        assert means == pytest.approx([means[0]] * 4, rel=0.02)
+        assert 20 < means[0] < 235
+
     def test_without_a_measured_delay_it_settles_and_says_so(
         self, hub, camctl, monkeypatch, tmp_path
     ):
