@@ -187,8 +187,8 @@ class CoolpixCamera(Closing):
             )
         if self._response_name == "srgb":
             notes.append(
-                "the response of its files is assumed to be sRGB until camctl calibrate response "
-                "has measured it"
+                "the response of its files is assumed to be sRGB, not measured (-O response=... "
+                "says another)"
             )
         if self._body.dials.apertures:
             numbers = ", ".join(f"f/{number:g}" for number in self._body.dials.apertures)
