@@ -88,10 +88,3 @@ def look_for_cameras(*, probe: bool = False) -> list[Look]:
         except CamctlError as error:
             looks.append(Look(name, about, problem=str(error)))
     return looks
-
-
-def discover_cameras(*, probe: bool = False) -> tuple[list[CameraInfo], list[str]]:
-    """Return all cameras that can be opened now, and a line for each road that could not look."""
-    looks = look_for_cameras(probe=probe)
-    problems = [f"{look.road}: {look.problem}" for look in looks if look.problem]
-    return [camera for look in looks for camera in look.cameras], problems

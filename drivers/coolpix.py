@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 
 from camctl.camera import (
     CameraInfo,
@@ -21,14 +21,13 @@ from camctl.errors import (
     UsageError,
     unknown_name,
 )
-from camctl.exposure.real import RealResponse
-from camctl.exposure.standard import STANDARDS, standard_response
 from camctl.profile import StillRecord
 from drivers.coolpix_body import CoolpixBody, Shot
 from drivers.coolpix_files import KnownFiles
 from drivers.coolpix_find import ask, describe, ports
 from drivers.coolpix_pictures import Progress
 from drivers.coolpix_settings import FORMATS
+from drivers.responses import named_response
 from drivers.sierra_packets import SPEEDS
 
 _MICRO = 1_000_000
@@ -75,7 +74,8 @@ class CoolpixCamera(Closing):
     ) -> None:
         if format not in FORMATS:
             raise unknown_name("format of the CoolPix", format, FORMATS)
-        self._response = _response_of(response)
+        # An impossible response is told now, not after the first picture.
+        named_response(response, 8, 255)
         self._response_name = response
         self._format = format
         self._clock = clock or RealClock()
@@ -118,7 +118,7 @@ class CoolpixCamera(Closing):
             bits=record.bits,
             black=record.black,
             white=record.white,
-            response=self._response(record.bits, record.white - record.black),
+            response=named_response(self._response_name, record.bits, record.white - record.black),
             tolerance=_TOLERANCE,
             notes=self._notes(),
         )
@@ -236,25 +236,6 @@ def _speed(text: str) -> int:
     if text.strip() not in known:
         raise UsageError(f"a speed of '{text}'", hint=f"the camera knows {', '.join(known)} baud")
     return known[text.strip()]
-
-
-def _response_of(text: str) -> Callable[[int, int], RealResponse | None]:
-    """Return what gives the response for bits and levels (white - black); None: linear."""
-    name, _, gamma = text.partition(":")
-    if name not in STANDARDS or (gamma and name != "power"):
-        raise unknown_name("camera response", text, (*STANDARDS[:-1], "power:GAMMA"))
-    try:
-        exponent = float(gamma) if gamma else 2.2
-    except ValueError:
-        raise UsageError(f"a response of '{text}'", hint="write it like power:2.2") from None
-
-    def response(bits: int, levels: int) -> RealResponse | None:
-        if name == "linear":
-            return None
-        return standard_response(name, bits, levels=levels, gamma=exponent)
-
-    response(8, 255)  # an impossible gamma is told now, not after the first picture
-    return response
 
 
 def _nearest(controls: ExposureControls, wanted: ExposureSetting) -> ExposureSetting:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from camctl.camera import CameraInfo, Layout
 from camctl.errors import DataError, StorageError
-from camctl.profile import Profile, StillRecord, change_profile, load_profile
+from camctl.profile import StillRecord, change_profile, load_profile
 from drivers.coolpix_settings import FORMATS
 from drivers.stillfile import Still
 
@@ -26,24 +26,14 @@ class KnownFiles:
 
     def learn(self, still: Still) -> StillRecord:
         """Take from a file what files are, keep it in the profile if it is news, and return it."""
-        rows, columns = still.pixels.shape[:2]
-        record = StillRecord(
-            rows=rows,
-            columns=columns,
-            layout=still.layout,
-            bits=still.bits,
-            black=still.black,
-            white=still.white,
-        )
+        record = still.record
         if record == self.record:
             return record
         self.record = record
-
-        def change(profile: Profile) -> None:
-            profile.stills[self._format] = record
-
         try:
-            change_profile(self._info, change)
+            change_profile(
+                self._info, lambda profile: profile.stills.update({self._format: record})
+            )
         except (DataError, StorageError) as error:
             self.notes.append(f"what its files are could not be kept: {error.what}")
         return record

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import Layout, Pixels
 from camctl.errors import CameraProtocolError, UsageError
+from camctl.profile import StillRecord
 
 # The largest still cameras (pixel shift with a medium-format back) make 400 million pixels.
 MAX_PIXELS = 1 << 29
@@ -78,6 +79,19 @@ class Still:
     white: int
     is_linear: bool
     notes: tuple[str, ...] = ()
+
+    @property
+    def record(self) -> StillRecord:
+        """What the file is, without its pixels, as a profile keeps it."""
+        rows, columns = self.pixels.shape[:2]
+        return StillRecord(
+            rows=rows,
+            columns=columns,
+            layout=self.layout,
+            bits=self.bits,
+            black=self.black,
+            white=self.white,
+        )
 
 
 def read_still(data: bytes, name: str) -> Still:

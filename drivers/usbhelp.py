@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,6 +20,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from drivers.holders import holding
 
 #: Lets the person at the machine use still cameras, webcams and serial adapters; to be put into
 #: /etc/udev/rules.d/70-camctl.rules.  Devices show the interface classes of a configuration in
@@ -120,14 +120,8 @@ def device_name(device: Any) -> str:
 def holders(device: Any) -> str:
     """Return which programs have a device open, as far as this user may see; "" where none."""
     node = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            if process.name != str(os.getpid()) and any(
-                link.readlink() == Path(node) for link in (process / "fd").iterdir()
-            ):
-                found.append(f"{(process / 'comm').read_text().strip()} (process {process.name})")
-    return ", ".join(found)
+    found = (each for each in holding(node) if not each.is_us)
+    return ", ".join(f"{each.program} (process {each.process})" for each in found)
 
 
 def usb_identity(device: Any, driver: str) -> CameraInfo:

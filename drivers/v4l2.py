@@ -46,7 +46,7 @@ class V4l2Camera(Closing):
         black: brightness without light, DN; None: 0, or 16 of limited luma
         gain: what the steps of its gain do; None: unknown, so that it is held
         range: "full" or "limited" luma; "auto": as V4L2 says
-        response: one of `drivers.v4l2_samples.RESPONSES`; "auto": linear where samples are raw,
+        response: one of `drivers.responses.RESPONSES`; "auto": linear where samples are raw,
             else sRGB
         clock: the clock of the frames' timestamps
         kernel, opener: system calls and video, for tests

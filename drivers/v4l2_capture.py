@@ -178,7 +178,7 @@ class Capture:
 
     def _no_stream(self, what: str) -> CameraError:
         self._check_plug()
-        holders = list(holding(self._node.path))
+        holders = holding(self._node.path)
         if holders:
             return busy_error(self._node.path, holders)
         return CameraProtocolError(

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator
-from contextlib import suppress
-from pathlib import Path
 
 from camctl.errors import (
     CameraBusyError,
@@ -16,6 +13,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from drivers import holders
 
 PLUG_IN = "plug it in and open it again"
 _SEE_CAMERAS = "camctl cameras lists what is connected"
@@ -68,33 +66,14 @@ def camera_error(error: OSError, path: str, doing: str) -> CameraError:
     return kind(f"cannot {doing} {path}: {what}", hint=hint)
 
 
-def busy_error(path: str, holders: list[str] | None = None) -> CameraBusyError:
+def busy_error(path: str, names: list[str] | None = None) -> CameraBusyError:
     """Return the error for a node that another process streams from, naming the process."""
-    names = list(holding(path)) if holders is None else holders
+    names = holding(path) if names is None else names
     who = ", ".join(names[:_MOST_HOLDERS]) or "another process"
     return CameraBusyError(f"{who} is using {path}", hint="close it there and try again")
 
 
-def holding(path: str, proc: Path = Path("/proc")) -> Iterator[str]:
-    """Yield "process 123 (name)" for each process that has the node `path` open.
-
-    Our own counts where it has it open twice: once is the caller's doing.  Processes of other
-    users are not seen without the rights of root.
-    """
-    node = os.path.realpath(path)
-    for process in proc.glob("[0-9]*"):
-        allowed = 1 if process.name == str(os.getpid()) else 0
-        try:
-            if _count(node, process / "fd") > allowed:
-                yield f"process {process.name} ({(process / 'comm').read_text().strip()})"
-        except OSError:  # it has ended meanwhile, or belongs to somebody else
-            continue
-
-
-def _count(node: str, descriptors: Path) -> int:
-    """Return how many of a process's descriptors are of `node`."""
-    count = 0
-    for link in descriptors.iterdir():
-        with suppress(FileNotFoundError):  # closed meanwhile
-            count += str(link.readlink()) == node
-    return count
+def holding(path: str) -> list[str]:
+    """Return "process 123 (name)" for each process that has the node `path` open."""
+    found = holders.holding(os.path.realpath(path))
+    return [f"process {each.process} ({each.program})" for each in found]

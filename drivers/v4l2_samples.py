@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 from camctl.errors import UsageError, unknown_name
 from camctl.exposure.response import RealResponse
-from camctl.exposure.standard import standard_response
 from drivers import v4l2_abi as abi
+from drivers.responses import named_response
 from drivers.v4l2_formats import PixelFormat
 
 RANGES = ("auto", "full", "limited")
-RESPONSES = ("auto", "linear", "srgb", "rec709", "power:GAMMA")
 _BLACK, _WHITE = 16, 235  # of 8-bit luma in limited range, ITU-R BT.601
 
 
@@ -87,7 +86,7 @@ def read_samples(
     if response == "auto" and not format_.is_raw:
         notes.append("the response is assumed to be sRGB until it is measured: -O response=...")
     name = ("linear" if format_.is_raw else "srgb") if response == "auto" else response
-    return Samples(depth, dark, white, _response(name, depth, white - dark), tuple(notes))
+    return Samples(depth, dark, white, named_response(name, depth, white - dark), tuple(notes))
 
 
 def _is_limited(picture: abi.Format) -> bool:
@@ -95,16 +94,3 @@ def _is_limited(picture: abi.Format) -> bool:
     if picture.quantization == abi.Quantization.DEFAULT:
         return bool(picture.colorspace != abi.COLORSPACE_JPEG)
     return bool(picture.quantization != abi.Quantization.FULL)
-
-
-def _response(name: str, bits: int, levels: int) -> RealResponse | None:
-    if name == "linear":
-        return None
-    kind, _, gamma = name.partition(":")
-    if kind != "power" and gamma:
-        raise unknown_name("camera response", name, RESPONSES)
-    try:
-        exponent = float(gamma) if gamma else 2.2
-    except ValueError:
-        raise UsageError(f"a response of '{name}'", hint="write power:2.2") from None
-    return standard_response(kind, bits, levels=levels, gamma=exponent)

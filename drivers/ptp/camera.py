@@ -42,7 +42,6 @@ from drivers.ptp.stills import (
     KnownFormat,
     from_profile,
     newest,
-    record_of,
     remember,
 )
 from drivers.ptp.transport import CAPTURE_S, NORMAL_S, UsbTransport
@@ -233,7 +232,7 @@ class PtpCamera(Closing):
             on_card = self._try_one()
         handle, info, name = on_card
         still = read_still(self._session.object(handle, info.size), info.name)
-        known = KnownFormat(name, record_of(still))
+        known = KnownFormat(name, still.record)
         problem = remember(self._info, known)
         self._notes.extend((*still.notes, *((problem,) if problem else ())))
         return known

@@ -6,7 +6,6 @@ All numbers are little-endian (USB).  Whatever arrives, parsing ends in a value 
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -115,11 +114,6 @@ def pack_integer(value: int, data_type: int) -> bytes:
     """Return `value` as a PTP integer; the caller got type and value from the camera itself."""
     size, signed = _INTEGERS[data_type]
     return value.to_bytes(size, "little", signed=signed)
-
-
-def pack_u32(*values: int) -> bytes:
-    """Return 32-bit integers one after the other."""
-    return struct.pack(f"<{len(values)}I", *values)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from camctl.camera import CameraInfo, Pixels
 from camctl.errors import CameraProtocolError, StorageError
-from camctl.profile import Profile, StillRecord, change_profile, load_profile
+from camctl.profile import StillRecord, change_profile, load_profile
 from drivers.ptp.body import Body
 from drivers.ptp.datasets import ObjectInfo
 from drivers.ptp.objects import FORMATS, format_of, stem_of
@@ -31,27 +31,10 @@ class KnownFormat:
     record: StillRecord
 
 
-def record_of(still: Still) -> StillRecord:
-    """Return what a file is, without its pixels."""
-    rows, columns = still.pixels.shape[:2]
-    return StillRecord(
-        rows=rows,
-        columns=columns,
-        layout=still.layout,
-        bits=still.bits,
-        black=still.black,
-        white=still.white,
-    )
-
-
 def remember(info: CameraInfo, known: KnownFormat) -> str | None:
     """Put what is known into the camera's profile; return a note where that cannot be written."""
-
-    def change(profile: Profile) -> None:
-        profile.stills[known.format] = known.record
-
     try:
-        change_profile(info, change)
+        change_profile(info, lambda profile: profile.stills.update({known.format: known.record}))
     except StorageError as error:
         return f"its profile could not be kept: {error.what}"
     return None

@@ -52,11 +52,6 @@ class SerialLine:
         self._is_closing = threading.Event()
 
     @property
-    def is_open(self) -> bool:
-        """True while the plug is in."""
-        return self._thread is not None
-
-    @property
     def host_speed(self) -> int | None:
         """The speed that the host has set, where that can be known."""
         if self._hosts_end < 0:

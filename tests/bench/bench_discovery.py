@@ -3,7 +3,7 @@
     python tests/bench/bench_discovery.py          on this machine
     python tests/lab/run.py --bench                in the laboratory's guest, with the other two
 
-Each look is one call of `camctl.registry.discover_cameras` with the roads' modules imported, as in
+Each look is one call of `camctl.registry.look_for_cameras` with the roads' modules imported, as in
 the menu; the command line with its imports is measured beside it.
 """
 
@@ -15,7 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-from camctl.registry import discover_cameras
+from camctl.registry import look_for_cameras
 
 LOOKS = 5
 MOST_S = 1.0
@@ -24,20 +24,20 @@ MOST_S = 1.0
 def main() -> int:
     """Print the times; return 1 if the slowest look on this machine took longer than `MOST_S`."""
     began = time.perf_counter()
-    cameras, problems = discover_cameras()
+    found = look_for_cameras()
     first_s = time.perf_counter() - began
-    real = [camera.id for camera in cameras if camera.driver != "sim"]
+    real = [camera.id for look in found for camera in look.cameras if camera.driver != "sim"]
     looks = []
     for _ in range(LOOKS):
         began = time.perf_counter()
-        discover_cameras()
+        look_for_cameras()
         looks.append(time.perf_counter() - began)
     began = time.perf_counter()
     command = Path(sys.executable).with_name("camctl")
     subprocess.run([command, "cameras"], check=True, stdout=subprocess.DEVNULL)
     whole_s = time.perf_counter() - began
     print(f"cameras connected: {', '.join(real) or 'none'}")
-    for problem in problems:
+    for problem in (f"{look.road}: {look.problem}" for look in found if look.problem):
         print(f"could not look: {problem}")
     print(f"first look, with imports  {first_s:6.3f} s")
     print(f"slowest of {LOOKS} more        {max(looks):6.3f} s   (at most {MOST_S:g} s)")

@@ -10,12 +10,12 @@ import pytest
 from camctl.camera import ExposureSetting, Layout
 from camctl.clock import RealClock, VirtualClock
 from camctl.errors import CamctlError, CameraNotFoundError, DataError, UsageError
-from camctl.registry import discover_cameras, open_camera
+from camctl.registry import look_for_cameras, open_camera
 from sim.road import SimulatedRoad, parse_size
 
 
 def test_it_is_found_through_its_entry_point() -> None:
-    cameras, _ = discover_cameras()
+    cameras = [camera for look in look_for_cameras() for camera in look.cameras]
     assert "sim" in [camera.id for camera in cameras]
     with open_camera("sim") as camera:
         assert camera.info.id == "sim"
