@@ -21,7 +21,8 @@ from typing import Self
 from platformdirs import user_data_dir
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from camctl.camera import CameraInfo, Layout
+from camctl.camera import CameraInfo
+from camctl.controls import Layout
 from camctl.errors import DataError, StorageError, UsageError, unknown_name
 from camctl.files import storage_error, write_bytes
 

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from sim.render import simulate_frame
-from sim.scene import load_scene
-from sim.sensor import load_sensor
+from sim.scenes.scene import load_scene
+from sim.sensors.sensor import load_sensor
 
 TIMES_S = {
     "ball": 0.02,

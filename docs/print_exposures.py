@@ -11,12 +11,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from camctl.exposure.certificate import certify
-from camctl.exposure.desired import DesiredResponse
 from camctl.exposure.effective import EffectiveCamera, effective_levels
+from camctl.exposure.lower_bound import certify
 from camctl.exposure.objective import xi
-from camctl.exposure.response import linear_response
 from camctl.exposure.solver import solve
+from camctl.response.camera import linear_response
+from camctl.response.desired import DesiredResponse
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "exposure"))
 from cells import CELLS

@@ -7,12 +7,10 @@ import queue
 import threading
 from collections.abc import Callable
 
+from camctl.capture.sequencer import Progress
 from camctl.errors import CamctlError, InterruptedCaptureError, UsageError
 from menu.machine import step
-from menu.model import Model, State
-from menu.panel import SMALLEST, Key, Panel
-from menu.screens import screen, settled
-from menu.signals import (
+from menu.messages import (
     Cancel,
     Cancelled,
     Done,
@@ -27,7 +25,9 @@ from menu.signals import (
     Quit,
     Shoot,
 )
-from menu.work import Cost, Job, Progress, Summary
+from menu.model import Model, State
+from menu.ports import SMALLEST, Cost, Job, Key, Panel, Summary
+from menu.screens import screen, settled
 
 _log = logging.getLogger(__name__)
 

@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import TypeAlias
 
-from menu.model import RANGES, RESPONSES, Action, Model, State
-from menu.panel import Key
-from menu.signals import (
+from menu.messages import (
     Cancel,
     Cancelled,
     Done,
@@ -28,6 +26,8 @@ from menu.signals import (
     Quit,
     Shoot,
 )
+from menu.model import RANGES, RESPONSES, Action, Model, State
+from menu.ports import Key
 
 Symbol: TypeAlias = Key | Action | type[Event]
 
@@ -41,7 +41,7 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True)
-class Face:
+class StateSpec:
     """What a state is.
 
     Attributes:
@@ -73,30 +73,30 @@ _PICK = ("enter: next", "exit: back", "up/down: select")
 _READ = ("enter: do it", "left/right: select", "up/down: scroll", "exit: back")
 _WAY_ON = (Action.RETRY, Action.BACK, Action.QUIT)
 
-STATES: dict[State, Face] = {
-    State.RESPONSE: Face(
+STATES: dict[State, StateSpec] = {
+    State.RESPONSE: StateSpec(
         Kind.LIST, "Desired response", ("enter: next", "exit: quit", "up/down: select")
     ),
-    State.RANGE: Face(Kind.LIST, "Dynamic range", _PICK),
-    State.PREDICTING: Face(Kind.WAIT, "Working out costs", ("exit: back",), effect=_predict),
-    State.PREDICTION_FAILED: Face(Kind.PAGE, "No costs", _READ, _WAY_ON),
-    State.EXPOSURES: Face(Kind.LIST, "Exposures: cost", _PICK),
-    State.PLANNING: Face(
+    State.RANGE: StateSpec(Kind.LIST, "Dynamic range", _PICK),
+    State.PREDICTING: StateSpec(Kind.WAIT, "Working out costs", ("exit: back",), effect=_predict),
+    State.PREDICTION_FAILED: StateSpec(Kind.PAGE, "No costs", _READ, _WAY_ON),
+    State.EXPOSURES: StateSpec(Kind.LIST, "Exposures: cost", _PICK),
+    State.PLANNING: StateSpec(
         Kind.WAIT,
         "Metering",
         ("exit: back",),
         effect=lambda model: MakePlan(model.ticket, model.choice),
     ),
-    State.PLAN_FAILED: Face(Kind.PAGE, "No plan", _READ, _WAY_ON),
-    State.REVIEW: Face(Kind.PAGE, "Review", _READ, (Action.SHOOT, Action.BACK, Action.QUIT)),
-    State.SHOOTING: Face(Kind.WAIT, "Shooting", ("exit: cancel",), effect=_shoot),
-    State.CANCELLING: Face(
+    State.PLAN_FAILED: StateSpec(Kind.PAGE, "No plan", _READ, _WAY_ON),
+    State.REVIEW: StateSpec(Kind.PAGE, "Review", _READ, (Action.SHOOT, Action.BACK, Action.QUIT)),
+    State.SHOOTING: StateSpec(Kind.WAIT, "Shooting", ("exit: cancel",), effect=_shoot),
+    State.CANCELLING: StateSpec(
         Kind.WAIT, "Cancelling", ("exit: quit now",), effect=lambda model: Cancel(model.ticket)
     ),
-    State.CANCELLED: Face(Kind.PAGE, "Cancelled", _READ, _WAY_ON),
-    State.SHOT_FAILED: Face(Kind.PAGE, "Failed", _READ, _WAY_ON),
-    State.RESULT: Face(Kind.PAGE, "Done", _READ, (Action.AGAIN, Action.MENU, Action.QUIT)),
-    State.QUIT: Face(Kind.WAIT, "Good-bye", (), effect=lambda model: Quit()),
+    State.CANCELLED: StateSpec(Kind.PAGE, "Cancelled", _READ, _WAY_ON),
+    State.SHOT_FAILED: StateSpec(Kind.PAGE, "Failed", _READ, _WAY_ON),
+    State.RESULT: StateSpec(Kind.PAGE, "Done", _READ, (Action.AGAIN, Action.MENU, Action.QUIT)),
+    State.QUIT: StateSpec(Kind.WAIT, "Good-bye", (), effect=lambda model: Quit()),
 }
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, StrEnum, auto
 
-from menu.work import Choice, Cost, Plan, Progress, Summary
+from camctl.capture.request import CapturePlan
+from camctl.capture.sequencer import Progress
+from menu.ports import Choice, Cost, Summary
 
 
 class State(StrEnum):
@@ -86,7 +88,7 @@ class Model:
     count: int = 3
     costs: tuple[Cost, ...] = ()
     base_s: float | None = None
-    plan: Plan | None = None
+    plan: CapturePlan | None = None
     progress: Progress | None = None
     summary: Summary | None = None
     trouble: str = ""

@@ -10,12 +10,12 @@ import textwrap
 import unicodedata
 from dataclasses import dataclass, replace
 
-from camctl.camera import ExposureSetting
+from camctl.capture.request import CapturePlan
+from camctl.controls import ExposureSetting
 from menu.machine import STATES, Kind
 from menu.model import RANGES, RESPONSES, Model, State
 from menu.numbers import count_of, exact_time, multiple, share, short_time, times
-from menu.panel import Highlight
-from menu.work import Cost, Plan
+from menu.ports import Cost, Highlight
 
 _WIDE = 40  # columns from which there is room for words beside numbers
 _HELPFUL = 6  # rows from which the keys are told at the bottom
@@ -183,7 +183,7 @@ def _cost(cost: Cost, base_s: float | None, columns: int) -> str:
     return f"{line} {textwrap.shorten(ratios, columns - len(line) - 2, placeholder=' ..')}"
 
 
-def _plan_lines(plan: Plan) -> list[str]:
+def _plan_lines(plan: CapturePlan) -> list[str]:
     settings = [_setting(setting) for setting in plan.settings]
     width = max(map(len, settings), default=0)
     lines = [

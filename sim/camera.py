@@ -5,28 +5,21 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from camctl.camera import (
-    CameraInfo,
-    ExposureControls,
-    ExposureSetting,
-    Frame,
-    FrameStream,
-    Pixels,
-)
+from camctl.camera import CameraInfo, Closing, Frame, FrameStream, Pixels
 from camctl.clock import Clock, VirtualClock
-from camctl.closing import Closing
+from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
     CameraProtocolError,
     CameraTimeoutError,
 )
-from sim.budget import FramePlan
-from sim.device import Buffer, SimulatedDevice, Slot
+from sim.effects.budget import FramePlan
 from sim.render import Renderer
-from sim.scene import Scene
-from sim.sensor import Sensor
-from sim.view import View, photons_per_unit
+from sim.scenes.scene import Scene
+from sim.scenes.view import View, photons_per_unit
+from sim.sensors.sensor import Sensor
+from sim.streaming_device import Buffer, SimulatedDevice, Slot
 
 SILENCE_S = 5.0
 
@@ -55,7 +48,7 @@ class SimulatedCamera(Closing):
 
     Args:
         scene: what it looks at; the frame has the scene's size
-        sensor: see `sim.sensor.Sensor`
+        sensor: see `sim.sensors.sensor.Sensor`
         clock: virtual by default, so that nothing waits
         seed: of all noise; the same seed, settings and calls give the same frames
         faults: what goes wrong
@@ -65,7 +58,7 @@ class SimulatedCamera(Closing):
             out: averages over a bracket of interleaved exposures show far less than a level, and
             a tolerance of more than 0.05 would spoil them.
         repeat_noise: every frame draws the noise of frame 0 as if the camera had been opened just
-            then, so that it depends on its exposure alone, as in `sim.exposer`
+            then, so that it depends on its exposure alone, as in `sim.devices.scenery`
 
     Raises:
         UsageError: a seed or a tolerance out of range

@@ -12,18 +12,20 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import ExposureSetting, Frame, Layout, Pixels
+from camctl.camera import Frame, Pixels
+from camctl.controls import ExposureSetting, Layout
 from camctl.errors import UsageError
-from sim.budget import FramePlan, check_tolerance, plan_frame
-from sim.curve import Curve
-from sim.effects import EFFECTS, Effect, Shot, Stage, Tile
+from sim.effects import EFFECTS
+from sim.effects.budget import FramePlan, check_tolerance, plan_frame
 from sim.effects.charge import bloom
 from sim.effects.optics import flicker_lines
 from sim.effects.readout import bend_adc
+from sim.effects.record import Effect, Shot, Stage, Tile
 from sim.noise import TILE, TileNoise
-from sim.scene import Scene
-from sim.sensor import Sensor
-from sim.view import Light, View, photons_per_unit, sample
+from sim.scenes.scene import Scene
+from sim.scenes.view import Light, View, photons_per_unit, sample
+from sim.sensors.parts import Curve
+from sim.sensors.sensor import Sensor
 
 _MAX_THREADS = 2
 
@@ -41,7 +43,7 @@ class Renderer:
 
     Args:
         view: the scene as the sensor sees it, or bare photons a second on each sample
-        sensor: see `sim.sensor.Sensor`
+        sensor: see `sim.sensors.sensor.Sensor`
         seed: of all noise and of the sensor's own pattern
         threads: 1 or 2
         tolerance_dn: most that leaving effects out may change in any sample of a frame, before

@@ -78,8 +78,8 @@ def test_a_result_that_does_not_fit_is_not_there_and_the_frames_are(
         from camctl.capture import CaptureRequest, capture
         from camctl.errors import StorageError
         from sim.camera import SimulatedCamera
-        from sim.scene import load_scene
-        from sim.sensor import load_sensor
+        from sim.scenes.scene import load_scene
+        from sim.sensors.sensor import load_sensor
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         scene = load_scene("tile-floor", (120, 200))
         camera = SimulatedCamera(scene, load_sensor("standard"))

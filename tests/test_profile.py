@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from camctl.camera import CameraInfo, Layout
+from camctl.camera import CameraInfo
+from camctl.controls import Layout
 from camctl.errors import CamctlError, DataError, StorageError, UsageError
 from camctl.profile import (
     DelayRecord,

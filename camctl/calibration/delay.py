@@ -14,7 +14,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from camctl.camera import Camera, Control, ExposureSetting, Frame, StreamingCamera
+from camctl.camera import Camera, Frame, StreamingCamera
+from camctl.controls import Control, ExposureSetting
 from camctl.errors import CameraProtocolError, CaptureError, UsageError
 from camctl.profile import DelayRecord
 

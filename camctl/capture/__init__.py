@@ -2,14 +2,14 @@
 
 from camctl.capture.plan import plan_capture
 from camctl.capture.report import CaptureReport, read_report
-from camctl.capture.request import CaptureRequest, Metering, Plan
+from camctl.capture.request import CapturePlan, CaptureRequest, Metering
 from camctl.capture.sequencer import Progress, capture, resume
 
 __all__ = [
+    "CapturePlan",
     "CaptureReport",
     "CaptureRequest",
     "Metering",
-    "Plan",
     "Progress",
     "capture",
     "plan_capture",

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Camera, ExposureSetting, Frame, PreviewingCamera
-from camctl.capture.colour import planes
+from camctl.camera import Camera, Frame, PreviewingCamera
+from camctl.capture.demosaic import planes
 from camctl.capture.request import Metering
+from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
-from camctl.exposure.response import FloatArray
+from camctl.response.camera import FloatArray
 
 #: Share of a channel's samples that may lie above "the highlights": glints and hot pixels.
 GLINTS = 1e-4

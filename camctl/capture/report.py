@@ -7,8 +7,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from camctl.camera import CameraInfo, ExposureSetting, Layout
-from camctl.capture.request import CaptureRequest, Plan
+from camctl.camera import CameraInfo
+from camctl.capture.request import CapturePlan, CaptureRequest
+from camctl.controls import ExposureSetting, Layout
 from camctl.errors import DataError
 from camctl.files import storage_error, write_bytes
 
@@ -86,7 +87,7 @@ class CaptureReport(_Record):
     source: dict[str, Any]
     layout: Layout
     request: CaptureRequest
-    plan: Plan
+    plan: CapturePlan
     frames: list[FrameRecord | None]
     rejected: list[str] = []
     white: int

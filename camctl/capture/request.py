@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from camctl.camera import ExposureSetting
-from camctl.exposure.response import DesiredResponse, desired_response, tabulated_desired
+from camctl.controls import ExposureSetting
+from camctl.response.desired import DesiredResponse, desired_response, tabulated_desired
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Metering:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CapturePlan:
     """The very exposures that will be shot, and what they should give.
 
     Attributes:

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 import camctl
 from camctl.camera import Camera, Frame, Pixels
-from camctl.capture.archive import Archive
-from camctl.capture.checks import NeighbourCheck
-from camctl.capture.handover import hand_over
+from camctl.capture.accumulator import Accumulator, sum_dtype
+from camctl.capture.exposure_check import NeighbourCheck
+from camctl.capture.frame_store import FrameStore
+from camctl.capture.outputs import write_outputs
 from camctl.capture.plan import plan_capture
 from camctl.capture.report import CaptureReport, FrameRecord, read_report
-from camctl.capture.request import CaptureRequest, Plan
-from camctl.capture.summing import Accumulator, sum_dtype
+from camctl.capture.request import CapturePlan, CaptureRequest
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
 from camctl.exposure.table import ExposureTable
 
@@ -56,7 +56,7 @@ def capture(
     request: CaptureRequest,
     directory: Path,
     *,
-    plan: Plan | None = None,
+    plan: CapturePlan | None = None,
     table: ExposureTable | None = None,
     source: Mapping[str, Any] | None = None,
     progress: _Report | None = None,
@@ -68,7 +68,7 @@ def capture(
     Args:
         camera: an open camera
         request: what is wanted
-        directory: made where it does not exist; see `camctl.capture.archive` for what it will hold
+        directory: made where it does not exist; see `camctl.capture.frame_store` for what it will hold
         plan: the plan to follow, as `plan_capture` made it of this request; None: made now
         table: where the ratios are looked up; None: the shipped table, else solved and kept
         source: what is needed to open this camera again; kept in the report
@@ -83,7 +83,7 @@ def capture(
         StorageError: a file could not be written
 
     """
-    Archive.check_free(directory, overwrite=overwrite)
+    FrameStore.check_free(directory, overwrite=overwrite)
     tell = progress or (lambda _: None)
     started = time.perf_counter()
     tell(Progress(0, len(request.ratios or ()) or request.count, "metering"))
@@ -96,7 +96,7 @@ def capture(
         )
     controls = camera.controls
     sum_dtype(len(plan.settings), controls.white)
-    archive = Archive.create(directory, overwrite=overwrite)
+    archive = FrameStore.create(directory, overwrite=overwrite)
     report = CaptureReport(
         status="incomplete",
         camera=camera.info,
@@ -156,7 +156,7 @@ def resume(
             report.frames[position] = None
     sequence = _Sequence(
         camera,
-        Archive(directory),
+        FrameStore(directory),
         report,
         progress or (lambda _: None),
         cancelled or (lambda: False),
@@ -170,7 +170,7 @@ class _Sequence:
     def __init__(
         self,
         camera: Camera,
-        archive: Archive,
+        archive: FrameStore,
         report: CaptureReport,
         tell: _Report,
         cancelled: _Cancelled,
@@ -201,7 +201,7 @@ class _Sequence:
             self.report.timing["shooting_wall_s"] = time.perf_counter() - wall
             assert self.sum is not None
             self._tell("writing")
-            hand_over(self.report, self.sum.total, self.controls, self.archive.directory)
+            write_outputs(self.report, self.sum.total, self.controls, self.archive.directory)
         except KeyboardInterrupt:
             raise self._stopped("interrupted", InterruptedCaptureError) from None
         except InterruptedCaptureError as error:

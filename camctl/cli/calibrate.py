@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from camctl.cli import kinds, options
+from camctl.cli import options
+from camctl.cli import parameters as kinds
 from camctl.cli.commands import LazyGroup, command
-from camctl.cli.output import fields, say, say_json, warn
-from camctl.cli.progress import progress_bar, share_only
+from camctl.cli.output import fields, progress_bar, say, say_json, share_only, warn
 
 if TYPE_CHECKING:
     from camctl.profile import DelayRecord
@@ -63,10 +63,10 @@ def delay(
     Where the delay is constant, n exposures then take n frames and the delay; where it is not, or
     is not known, the stream settles for each exposure.
     """
-    from camctl.calibration import measure_delay
+    from camctl.backends import open_camera
+    from camctl.calibration.delay import measure_delay
     from camctl.camera import StreamingCamera
     from camctl.profile import Profile, change_profile
-    from camctl.registry import open_camera
 
     beside = options.camera_options(
         words, scene=scene, sensor=sensor, size=size, seed=seed, real_time=real_time

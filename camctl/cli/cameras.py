@@ -42,11 +42,11 @@ def cameras(probe: bool, udev_rules: bool, as_json: bool) -> None:
     if udev_rules:
         if probe or as_json:
             raise UsageError("--udev-rules goes alone")
-        from drivers.usbhelp import UDEV_RULES
+        from drivers.common.usb import UDEV_RULES
 
         say(UDEV_RULES.rstrip("\n"))
         return
-    from camctl.registry import look_for_cameras
+    from camctl.backends import look_for_cameras
 
     looks = look_for_cameras(probe=probe)
     for look in looks:

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import click
 
-from camctl.cli import kinds, options
+from camctl.cli import options
+from camctl.cli import parameters as kinds
+from camctl.cli.capture_output import fresh_directory, source_of
 from camctl.cli.commands import command
 from camctl.cli.output import say, warn
-from camctl.cli.source import fresh_directory, source_of
 from camctl.errors import UsageError
 
 
@@ -58,10 +59,10 @@ def menu(
     First the response, then the range, then the number of exposures.  Beside each number stands
     what it costs: how long the shutter is open, and how many effective levels that buys.
     """
+    from camctl.backends import PANELS, load, open_camera
     from camctl.capture.request import CaptureRequest
-    from camctl.registry import PANELS, load, open_camera
     from menu.app import run
-    from menu.job import CameraJob
+    from menu.camera_job import CameraJob
 
     name, _, address = panel_id.partition(":")
     kind = load(PANELS, "panel", name)

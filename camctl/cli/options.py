@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from camctl.cli.kinds import Name, NameOrFile, Number, Range, Size, Whole, Word
+from camctl.cli.parameters import Name, NameOrFile, Number, Range, Size, Whole, Word
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
-    from camctl.exposure.goal import NoiseTerm
-    from camctl.exposure.response import DesiredResponse
+    from camctl.exposure.objective import NoiseTerm
+    from camctl.response.desired import DesiredResponse
 
 RESPONSES = ("linear", "gamma", "log")
 
@@ -148,7 +148,8 @@ objective = all_of(
 
 def desired(response: str, dynamic_range: float, exponent: float | None) -> DesiredResponse:
     """Return the wanted response that `response`, `dynamic_range` and `exponent` describe."""
-    from camctl.exposure.response import desired_response, read_desired
+    from camctl.response.desired import desired_response
+    from camctl.response.measured import read_desired
 
     if response not in RESPONSES:
         if given(click.get_current_context()) & {"dynamic_range", "exponent"}:
@@ -165,7 +166,7 @@ def desired(response: str, dynamic_range: float, exponent: float | None) -> Desi
 
 def noise_term(sigma: float | None, weight: float, kind: str) -> NoiseTerm | None:
     """Return the noise term that `objective`'s options describe."""
-    from camctl.exposure.goal import NoiseTerm
+    from camctl.exposure.objective import NoiseTerm
 
     return None if sigma is None else NoiseTerm(sigma, weight, kind)
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 
 class ClosedOutputError(Exception):
@@ -93,3 +96,84 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], *, right: Iterabl
         ).rstrip()
         for line in lines
     )
+
+
+if TYPE_CHECKING:
+    from camctl.capture.sequencer import Progress as CaptureProgress
+
+Tick: TypeAlias = Callable[[float, str], None]
+"""Takes the share that is done, 0 to 1, and what is being done now."""
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Tick | None]:
+    """Show a bar with the time left while the block runs; yield None where nobody looks."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+    from rich.progress import TimeRemainingColumn as TimeLeftColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(
+        *columns,
+        TimeLeftColumn(elapsed_when_finished=True),
+        console=Console(stderr=True),
+        transient=True,
+    ) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda share, now: bar.update(task, completed=share, description=now or what)
+
+
+def share_only(tick: Tick | None) -> Callable[[float], None] | None:
+    """Return `tick` for work that knows only the share that is done."""
+    return None if tick is None else lambda share: tick(share, "")
+
+
+@contextmanager
+def capture_progress() -> Iterator[Callable[[CaptureProgress], None] | None]:
+    """Show how far a capture is while the block runs; yield None where nobody looks."""
+    with progress_bar("opening") as tick:
+        if tick is None:
+            yield None
+            return
+        show = tick
+        yield lambda now: show(now.share, now.stage)
+
+
+def share_of_time(done: int, each: int, count: int) -> float:
+    """Return the share of the work in the first `done` rows: `each` rows a number, most first."""
+    from camctl.exposure.solver import EFFORT, MOST_EFFORT
+
+    work = [0.0] + [n * EFFORT.get(n, MOST_EFFORT) for n in range(2, count + 1)]
+    spent = sum(
+        weight * min(max(done - each * place, 0), each)
+        for place, weight in enumerate(reversed(work))
+    )
+    return spent / (sum(work) * each) if count > 1 else done / each
+
+
+@contextmanager
+def executor_of(workers: int) -> Iterator[Executor | None]:
+    """Yield processes to work with; None for one worker, which is this one."""
+    if workers == 1:
+        yield None
+        return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    pool = ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),  # Control-C is for us to answer
+    )
+    try:
+        yield pool
+    except BaseException:
+        for child in multiprocessing.active_children():
+            child.terminate()  # a row can take a long while, and nobody waits for it
+        pool.shutdown(cancel_futures=True)
+        raise
+    pool.shutdown()

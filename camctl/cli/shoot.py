@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from camctl.cli import kinds, options
+from camctl.cli import options
+from camctl.cli import parameters as kinds
+from camctl.cli.capture_output import capture_lines, fresh_directory, source_of
 from camctl.cli.commands import command
-from camctl.cli.output import say, say_json, warn
-from camctl.cli.progress import capture_progress
-from camctl.cli.results import capture_lines
-from camctl.cli.source import fresh_directory, source_of
+from camctl.cli.output import capture_progress, say, say_json, warn
 from camctl.errors import DataError, UsageError
 
 if TYPE_CHECKING:
@@ -216,9 +215,9 @@ def _shoot(
     directory: Path,
     force: bool,
 ) -> CaptureReport:
-    from camctl.capture import capture
+    from camctl.backends import open_camera
+    from camctl.capture.sequencer import capture
     from camctl.exposure.table import ExposureTable
-    from camctl.registry import open_camera
 
     with open_camera(camera_id, beside) as camera, capture_progress() as progress:
         table = None
@@ -236,8 +235,9 @@ def _shoot(
 
 
 def _resume(directory: Path) -> CaptureReport:
-    from camctl.capture import read_report, resume
-    from camctl.registry import open_camera
+    from camctl.backends import open_camera
+    from camctl.capture.report import read_report
+    from camctl.capture.sequencer import resume
 
     source = read_report(directory).source
     camera_id, beside = source.get("camera"), source.get("options")

@@ -11,15 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from camctl.cli import kinds, options
+from camctl.cli import options
+from camctl.cli import parameters as kinds
+from camctl.cli.capture_output import percent
 from camctl.cli.commands import command
 from camctl.cli.output import duration, fields, number, say, say_json, table, warn
-from camctl.cli.results import percent
 from camctl.errors import StorageError, UsageError, unknown_name
 
 if TYPE_CHECKING:
-    from camctl.camera import Control, Frame
-    from sim.budget import FramePlan
+    from camctl.camera import Frame
+    from camctl.controls import Control
+    from sim.effects.budget import FramePlan
 
 SUFFIXES = (".tiff", ".tif", ".png", ".npy")
 DEFAULT_SENSOR = "complete"
@@ -122,8 +124,8 @@ def simulate(
     """
     wanted_s = _wanted(time_s, times_s, bracket)
     files = _files(output, len(wanted_s), force)
-    from camctl.camera import ExposureSetting
-    from camctl.registry import open_camera
+    from camctl.backends import open_camera
+    from camctl.controls import ExposureSetting
     from sim.camera import SimulatedCamera
 
     beside = options.camera_options(

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import click
 
-from camctl.cli import kinds, options
-from camctl.cli.certificate import prove
+from camctl.cli import options
+from camctl.cli import parameters as kinds
 from camctl.cli.commands import command
-from camctl.cli.output import warn
-from camctl.cli.progress import progress_bar, share_only
-from camctl.cli.realcamera import real_camera, real_response
-from camctl.cli.solution import made_of, tell
+from camctl.cli.output import progress_bar, share_only, warn
+from camctl.cli.response_options import real_camera, real_response
+from camctl.cli.solve_output import made_of, prove, tell
 from camctl.errors import UsageError
 
 WITHOUT = {
@@ -126,8 +125,8 @@ def solve(
         if option in named and named & without:
             extra = ", ".join(options.spelling(context, name) for name in sorted(named & without))
             raise UsageError(f"--{option} goes without {extra}")
-    from camctl.exposure.goal import Goal
-    from camctl.exposure.settings import solve_settings
+    from camctl.exposure.grid_search import solve_settings
+    from camctl.exposure.objective import Objective
     from camctl.exposure.solver import describe, fewest
     from camctl.exposure.solver import solve as search
 
@@ -145,7 +144,7 @@ def solve(
             real,
             desired,
             proof.exposures,
-            Goal(wanted),
+            Objective(wanted),
             seconds=proof.seconds,
             evaluations=proof.evaluations,
         )

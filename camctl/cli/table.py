@@ -8,20 +8,28 @@ from typing import TYPE_CHECKING
 
 import click
 
-from camctl.cli import kinds, options
+from camctl.cli import options
+from camctl.cli import parameters as kinds
 from camctl.cli.commands import LazyGroup, command
-from camctl.cli.output import number, range_name, say, say_json, warn
+from camctl.cli.evaluate import rows_text, sensitivity_facts
+from camctl.cli.output import (
+    executor_of,
+    number,
+    progress_bar,
+    range_name,
+    say,
+    say_json,
+    share_of_time,
+    warn,
+)
 from camctl.cli.output import table as columns
-from camctl.cli.progress import progress_bar
-from camctl.cli.realcamera import real_camera, real_response
-from camctl.cli.sensitivity import rows_text, sensitivity_facts
-from camctl.cli.workers import executor_of, share_of_time
+from camctl.cli.response_options import real_camera, real_response
 from camctl.errors import CamctlError, DataError, StorageError, UsageError
 
 if TYPE_CHECKING:
-    from camctl.exposure.response import RealResponse
-    from camctl.exposure.rows import TableEntry
-    from camctl.exposure.sensitivity import Sensitivity
+    from camctl.exposure.robustness import Robustness
+    from camctl.exposure.table import TableEntry
+    from camctl.response.camera import CameraResponse
 
 table = LazyGroup(
     "table",
@@ -104,7 +112,8 @@ def show(
     Each row belongs to one camera's levels, one response, one range and one number of exposures.
     With --bits, --phase or --curve the table must be of that camera.
     """
-    from camctl.exposure.table import ExposureTable, default_table
+    from camctl.exposure.lookup import default_table
+    from camctl.exposure.table import ExposureTable
 
     found = default_table() if path is None else ExposureTable.load(path)
     real = None
@@ -137,15 +146,15 @@ def show(
         say(rows_text(entries, judged) if judged else _rows(entries))
 
 
-def _judged(entries: list[TableEntry], real: RealResponse | None) -> list[Sensitivity]:
+def _judged(entries: list[TableEntry], real: CameraResponse | None) -> list[Robustness]:
     """Return the sensitivity of each row; without `real`, of the camera that its levels tell."""
-    from camctl.exposure.response import desired_response
-    from camctl.exposure.sensitivity import sensitivity
+    from camctl.exposure.robustness import sensitivity
+    from camctl.response.desired import desired_response
 
     judged = []
     weight = sum(entry.n for entry in entries)
     with progress_bar(f"disturbing {len(entries)} rows") as tick:
-        cameras: dict[str, RealResponse] = {}
+        cameras: dict[str, CameraResponse] = {}
         for entry in entries:
             if entry.camera not in cameras:
                 cameras[entry.camera] = real or _camera_of(entry)
@@ -162,7 +171,7 @@ def _judged(entries: list[TableEntry], real: RealResponse | None) -> list[Sensit
     return judged
 
 
-def _camera_of(entry: TableEntry) -> RealResponse:
+def _camera_of(entry: TableEntry) -> CameraResponse:
     """Return the linear camera whose levels a row names; others the user has to name."""
     for bits in range(1, 17):
         for phase in (0.0, 0.5):
@@ -271,7 +280,7 @@ def build(
     Takes seconds a row, most of them for five exposures and more.  Finished rows are kept beside
     the table, so that the same command goes on where an interrupted one stopped.
     """
-    from camctl.exposure.table import build_table
+    from camctl.exposure.build import build_table
 
     if output.exists() and not force:
         raise StorageError(f"{output} exists", hint="choose another name with -o, or say --force")

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from camctl.errors import UsageError
-from camctl.exposure.desired import RANGES, RESPONSES, DesiredResponse, desired_response
-from camctl.exposure.real import RealResponse
-from camctl.exposure.rows import ExposureTable, TableEntry, read_entry, write_text
 from camctl.exposure.solver import check_count, solve
+from camctl.exposure.table import ExposureTable, TableEntry, read_entry, write_text
+from camctl.response.camera import CameraResponse
+from camctl.response.desired import RANGES, RESPONSES, DesiredResponse, desired_response
 
 COUNTS: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
 
@@ -27,7 +27,7 @@ COUNTS: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
 class Job:
     """One row to solve; it can be pickled, so that it may be solved anywhere."""
 
-    real: RealResponse
+    real: CameraResponse
     desired: DesiredResponse
     n: int
     levels_wanted: float | None = None
@@ -76,7 +76,7 @@ def solve_job(job: Job, progress: Callable[[float], None] | None = None) -> Tabl
 
 
 def build_table(
-    real: RealResponse | Sequence[RealResponse],
+    real: CameraResponse | Sequence[CameraResponse],
     responses: Iterable[str | DesiredResponse] = RESPONSES,
     ranges: Iterable[str | float] = tuple(RANGES),
     counts: Iterable[int] = COUNTS,
@@ -105,7 +105,7 @@ def build_table(
         DataError: for a damaged row in `state`; names the file to delete
         StorageError: if `state` cannot be written
     """
-    cameras = [real] if isinstance(real, RealResponse) else list(real)
+    cameras = [real] if isinstance(real, CameraResponse) else list(real)
     spans, numbers = list(ranges), list(counts)
     wishes: list[DesiredResponse] = []
     for response in responses:

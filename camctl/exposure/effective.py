@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camctl.errors import UsageError
-from camctl.exposure.desired import DesiredResponse
-from camctl.exposure.real import FloatArray, RealResponse
+from camctl.response.camera import CameraResponse, FloatArray
+from camctl.response.desired import DesiredResponse
 
 MAX_EXPOSURES = 16
 
@@ -84,12 +84,12 @@ class EffectiveCamera:
         levels: (n*M,) float64 ascending, all levels with multiplicity
     """
 
-    response: RealResponse
+    response: CameraResponse
     exposures: tuple[float, ...]
     levels: FloatArray
 
     @classmethod
-    def of(cls, response: RealResponse, exposures: Sequence[float]) -> EffectiveCamera:
+    def of(cls, response: CameraResponse, exposures: Sequence[float]) -> EffectiveCamera:
         """Return the camera; raises `UsageError` for exposures that cannot be."""
         values = check_exposures(exposures)
         return cls(response, values, union_of_levels(response.levels, values))

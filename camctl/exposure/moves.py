@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camctl.exposure.real import FloatArray
+from camctl.response.camera import FloatArray
 
 SMALLEST_STEP = 1e-5
 LARGEST_STEP = 2.0

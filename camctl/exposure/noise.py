@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import UsageError
-from camctl.exposure.desired import DesiredResponse
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.real import FloatArray, RealResponse
+from camctl.response.camera import CameraResponse, FloatArray
+from camctl.response.desired import DesiredResponse
 
 SAMPLES = 4096
 WIDEST_NOISE = 64.0
@@ -27,7 +27,7 @@ def normal_cdf(x: FloatArray) -> FloatArray:
     return np.asarray(np.interp(x, _GRID, _CDF, left=0.0, right=1.0))
 
 
-def signal(response: RealResponse, E: FloatArray) -> FloatArray:
+def signal(response: CameraResponse, E: FloatArray) -> FloatArray:
     """Return what the quantiser sees, in brightness levels: k at level k, straight in between."""
     levels, counts = np.unique(response.levels, return_counts=True)
     height = np.cumsum(counts).astype(np.float64)
@@ -51,7 +51,7 @@ def _check(read_noise_levels: float, electrons_per_level: float) -> None:
 
 
 def _frame_noise(
-    response: RealResponse, E: FloatArray, read_noise: float, electrons: float
+    response: CameraResponse, E: FloatArray, read_noise: float, electrons: float
 ) -> FloatArray:
     """Return the standard deviation of one frame at E (its own exposure), in levels."""
     photon = response.slope(E) ** 2 * E / (electrons * (response.M + 1))

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camctl.errors import UsageError
-from camctl.exposure.desired import DesiredResponse
+from camctl.exposure.batch import FINEST_FLOAT32, BatchScore
 from camctl.exposure.effective import MAX_EXPOSURES, EffectiveCamera, effective_levels
-from camctl.exposure.goal import Goal, NoiseTerm
-from camctl.exposure.kernels import FINEST_FLOAT32, BatchScore
 from camctl.exposure.moves import Moves
-from camctl.exposure.real import FloatArray, RealResponse
+from camctl.exposure.objective import NoiseTerm, Objective
+from camctl.response.camera import CameraResponse, FloatArray
+from camctl.response.desired import DesiredResponse
 
 Progress = Callable[[float], None]
 
@@ -78,10 +78,10 @@ def check_count(n: int) -> None:
 
 
 def describe(
-    response: RealResponse,
+    response: CameraResponse,
     desired: DesiredResponse,
     exposures: tuple[float, ...],
-    goal: Goal,
+    goal: Objective,
     *,
     seconds: float = 0.0,
     evaluations: int = 1,
@@ -104,10 +104,10 @@ class _Search:
 
     def __init__(
         self,
-        response: RealResponse,
+        response: CameraResponse,
         desired: DesiredResponse,
         n: int,
-        goal: Goal,
+        goal: Objective,
         *,
         seed: int,
         effort: float,
@@ -204,10 +204,10 @@ def _best(sets: FloatArray, scores: FloatArray, count: int) -> tuple[FloatArray,
 
 
 def _from_coarse(
-    response: RealResponse,
+    response: CameraResponse,
     desired: DesiredResponse,
     n: int,
-    goal: Goal,
+    goal: Objective,
     *,
     seed: int,
     limit: float,
@@ -218,7 +218,7 @@ def _from_coarse(
     One as it is, one with the small ratios, which interleave levels, shrunk as the levels are.
     """
     kept = np.arange(1, COARSE + 1) * (response.M + 1) // (COARSE + 1) - 1
-    coarse = RealResponse(response.levels[kept], f"{response.name}, {COARSE} of its levels")
+    coarse = CameraResponse(response.levels[kept], f"{response.name}, {COARSE} of its levels")
     found = solve(
         coarse,
         desired,
@@ -236,7 +236,7 @@ def _from_coarse(
 
 
 def solve(
-    response: RealResponse,
+    response: CameraResponse,
     desired: DesiredResponse,
     n: int,
     *,
@@ -270,7 +270,7 @@ def solve(
         UsageError: for n, G, p or a limit that cannot be
     """
     check_count(n)
-    goal = Goal(n * response.M if levels_wanted is None else levels_wanted, p, noise, jitter)
+    goal = Objective(n * response.M if levels_wanted is None else levels_wanted, p, noise, jitter)
     limit = math.inf if total_limit is None else total_limit
     if not limit >= n:
         raise UsageError(
@@ -303,7 +303,7 @@ def solve(
 
 
 def fewest(
-    response: RealResponse,
+    response: CameraResponse,
     desired: DesiredResponse,
     tolerance: float,
     levels_wanted: float,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from camctl.exposure.desired import DesiredResponse
-from camctl.exposure.real import RealResponse
-from camctl.exposure.table import look_up
+from camctl.exposure.lookup import look_up
+from camctl.response.camera import CameraResponse
+from camctl.response.desired import DesiredResponse
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Choice:
 
 
 def predict(
-    real: RealResponse,
+    real: CameraResponse,
     desired: DesiredResponse,
     counts: Iterable[int] = range(1, 7),
     *,

@@ -18,7 +18,8 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from camctl.camera import Camera, Choices, ExposureSetting, Frame, Layout, PreviewingCamera
+from camctl.camera import Camera, Frame, PreviewingCamera
+from camctl.controls import Choices, ExposureSetting, Layout
 from camctl.errors import CameraError, RefusedSettingError, UsageError
 
 

@@ -5,7 +5,7 @@ and `shooting` take exposures and find their files, `stills` knows what the file
 the dialects of `vendors`; `protocol` does transactions; `transport` moves containers.
 """
 
+from drivers.ptp.backend import PtpBackend
 from drivers.ptp.camera import PtpCamera
-from drivers.ptp.road import PtpRoad
 
-__all__ = ["PtpCamera", "PtpRoad"]
+__all__ = ["PtpBackend", "PtpCamera"]

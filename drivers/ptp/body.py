@@ -9,21 +9,15 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from camctl.errors import (
-    CameraBusyError,
-    CameraError,
-    CameraProtocolError,
-)
+from camctl.errors import CameraBusyError, CameraError, CameraProtocolError
 from drivers.ptp.codes import DEVICE_BUSY, OK, Event, Op, Prop, response_error
 from drivers.ptp.datasets import StorageInfo
+from drivers.ptp.dialects import OPENING_TRANSACTION, Source, Step, dialect_of
 from drivers.ptp.dials import Dial
 from drivers.ptp.properties import Properties
-from drivers.ptp.protocol import Session
+from drivers.ptp.session import Session
 from drivers.ptp.transport import CAPTURE_S
-from drivers.ptp.vendordata import (
-    parse_nikon_events,
-)
-from drivers.ptp.vendors import OPENING_TRANSACTION, Source, Step, dialect_of
+from drivers.ptp.vendor_datasets import parse_nikon_events
 
 # How long a body may take to show a setting that it has accepted, and pauses between looks.
 READ_BACK_S = 3.0

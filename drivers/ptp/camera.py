@@ -12,18 +12,9 @@ from contextlib import ExitStack, suppress
 from functools import cached_property
 from typing import Any
 
-from camctl.camera import (
-    CameraInfo,
-    Choices,
-    Control,
-    ExposureControls,
-    ExposureSetting,
-    Frame,
-    FrameStream,
-    Steps,
-)
+from camctl.camera import CameraInfo, Closing, Frame, FrameStream
 from camctl.clock import Clock, RealClock
-from camctl.closing import Closing
+from camctl.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -31,23 +22,24 @@ from camctl.errors import (
     UsageError,
     unknown_name,
 )
-from camctl.exposure.standard import STANDARDS, standard_response
+from camctl.response.camera import STANDARDS, standard_response
+from drivers.common.still_file import read_still
+from drivers.common.usb import device_name, usb_identity
 from drivers.ptp.body import Body
 from drivers.ptp.datasets import ObjectInfo
-from drivers.ptp.objects import FORMATS, format_of
-from drivers.ptp.protocol import Session
+from drivers.ptp.dialects import STANDARD
 from drivers.ptp.sequence import Dials, ExposureSequence
+from drivers.ptp.session import Session
 from drivers.ptp.shooting import Shooter
-from drivers.ptp.stills import (
+from drivers.ptp.still_formats import (
+    FORMATS,
     KnownFormat,
+    format_of,
     from_profile,
     newest,
     remember,
 )
 from drivers.ptp.transport import CAPTURE_S, NORMAL_S, UsbTransport
-from drivers.ptp.vendors import STANDARD
-from drivers.stillfile import read_still
-from drivers.usbhelp import device_name, usb_identity
 
 _TRY_S = 0.01
 _CLOSING_S = 5.0

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from camctl.camera import Choices, Control, Steps
+from camctl.controls import Choices, Control, Steps
 from camctl.errors import CameraProtocolError
 from drivers.ptp.datasets import PropertyDescription
-from drivers.ptp.vendors import Scale
+from drivers.ptp.dialects import Scale
 
 _MOST_NUMBER = 0xFFFFFFFF
 
@@ -18,7 +18,7 @@ class Dial:
     """One property that sets the exposure.
 
     Attributes:
-        name: field of `camctl.camera.ExposureSetting`
+        name: field of `camctl.controls.ExposureSetting`
         scale: what its numbers mean
         data_type: PTP data type of its numbers
         control: what it can be set to, SI units
@@ -56,7 +56,7 @@ def make_dial(
     """Return the dial that a description describes; None where there is nothing to turn.
 
     Args:
-        name: field of `camctl.camera.ExposureSetting`
+        name: field of `camctl.controls.ExposureSetting`
         scale: what its numbers mean
         description: as the camera gives it
         listed: numbers it can be stepped through, where it lists none itself

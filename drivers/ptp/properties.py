@@ -16,15 +16,15 @@ from camctl.errors import (
 )
 from drivers.ptp.codes import Op, Prop
 from drivers.ptp.datasets import PropertyDescription, Reader, pack_integer
+from drivers.ptp.dialects import Dialect, Scale, Source
 from drivers.ptp.dials import Dial, make_dial
-from drivers.ptp.protocol import Session
-from drivers.ptp.vendordata import (
+from drivers.ptp.session import Session
+from drivers.ptp.vendor_datasets import (
     merge_eos,
     pack_eos_property,
     parse_eos_events,
     parse_sony_properties,
 )
-from drivers.ptp.vendors import Dialect, Scale, Source
 
 # How long a body may take to show a setting that it has accepted, and pauses between looks.
 READ_BACK_S = 3.0

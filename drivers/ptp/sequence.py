@@ -12,16 +12,17 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
-from camctl.camera import ExposureSetting, Frame, OriginalFile
+from camctl.camera import Frame, OriginalFile
 from camctl.clock import Clock
+from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
-from drivers.exif import exposure_time_s
+from drivers.common.exif import exposure_time_s
+from drivers.common.still_file import read_still
 from drivers.ptp.body import Body
 from drivers.ptp.dials import Dial
-from drivers.ptp.shooting import Flight, Shooter, Shot
-from drivers.ptp.stills import KnownFormat, pixels_of
+from drivers.ptp.shooting import PendingExposure, Shooter, Shot
+from drivers.ptp.still_formats import KnownFormat, pixels_of
 from drivers.ptp.transport import NORMAL_S
-from drivers.stillfile import read_still
 
 # Labels and true times of one setting differ by up to 10 %, neighbouring settings by 26 %.
 _SAME_TIME = 1.2
@@ -54,7 +55,7 @@ class ExposureSequence:
     ) -> None:
         self._body, self._shooter, self._dials = body, shooter, dials
         self._who, self._clock, self._delete = who, clock, delete
-        self._flight: Flight | None = None
+        self._flight: PendingExposure | None = None
         self._overlaps = True
 
     def run(
@@ -113,7 +114,7 @@ class ExposureSequence:
         assert flight is not None
         return self._wait(flight, wanted)
 
-    def _wait(self, flight: Flight, wanted: str | None) -> Shot:
+    def _wait(self, flight: PendingExposure, wanted: str | None) -> Shot:
         try:
             shot = self._shooter.wait(flight, wanted)
         except (CameraTimeoutError, CameraProtocolError):
@@ -159,7 +160,7 @@ class ExposureSequence:
 
     def _release(
         self, setting: ExposureSetting, applied: ExposureSetting, index: int, *, patient: bool
-    ) -> Flight | None:
+    ) -> PendingExposure | None:
         """Release; None where the camera wants the last picture to be fetched first."""
         # Until the camera has said clearly that it took no picture, it may have taken one, which
         # must not be mistaken for the next.
@@ -177,7 +178,9 @@ class ExposureSequence:
             raise
         return self._flight
 
-    def _hold(self, setting: ExposureSetting, applied: ExposureSetting, index: int) -> Flight:
+    def _hold(
+        self, setting: ExposureSetting, applied: ExposureSetting, index: int
+    ) -> PendingExposure:
         body = self._body
         released_s = self._clock.now()
         body.open_bulb(self._dials.time_s)

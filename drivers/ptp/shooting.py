@@ -10,19 +10,14 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from camctl.camera import ExposureSetting
 from camctl.clock import Clock
-from camctl.errors import (
-    CameraBusyError,
-    CameraError,
-    CameraProtocolError,
-    CameraTimeoutError,
-)
+from camctl.controls import ExposureSetting
+from camctl.errors import CameraBusyError, CameraError, CameraProtocolError, CameraTimeoutError
 from drivers.ptp.body import Body
 from drivers.ptp.codes import DEVICE_BUSY, FOLDER
 from drivers.ptp.datasets import ObjectInfo
-from drivers.ptp.objects import format_of, stem_of
-from drivers.ptp.protocol import UNKNOWN_SIZE
+from drivers.ptp.session import UNKNOWN_SIZE
+from drivers.ptp.still_formats import format_of, stem_of
 from drivers.ptp.transport import CAPTURE_S, NORMAL_S
 
 # Lists of handles are long on a full card: they are asked for now and then, beside events.
@@ -34,7 +29,7 @@ _MOST_IN_MEMORY = 32
 
 
 @dataclass(frozen=True)
-class Flight:
+class PendingExposure:
     """An exposure that has been released.
 
     Attributes:
@@ -71,7 +66,7 @@ class Shot:
         others: names of files that the camera made of it beside this one
     """
 
-    flight: Flight
+    flight: PendingExposure
     handle: int
     info: ObjectInfo
     ended_s: float
@@ -114,7 +109,7 @@ class Shooter:
         index: int,
         *,
         patient: bool,
-    ) -> Flight | None:
+    ) -> PendingExposure | None:
         """Release an exposure; None where the camera is busy and `patient` is False.
 
         Raises:
@@ -144,12 +139,12 @@ class Shooter:
         index: int,
         released_s: float,
         began_s: float,
-    ) -> Flight:
-        """Return an exposure that has begun; arguments as `Flight` has them."""
+    ) -> PendingExposure:
+        """Return an exposure that has begun; arguments as `PendingExposure` has them."""
         deadline_s = began_s + setting.time_s + self._silence_s
-        return Flight(setting, applied, index, released_s, began_s, deadline_s)
+        return PendingExposure(setting, applied, index, released_s, began_s, deadline_s)
 
-    def wait(self, flight: Flight, wanted: str | None) -> Shot:
+    def wait(self, flight: PendingExposure, wanted: str | None) -> Shot:
         """Return the file of an exposure, once it is there.
 
         Args:
@@ -225,7 +220,7 @@ class Shooter:
                 return handle
         return None
 
-    def _shot(self, flight: Flight, handle: int, found: dict[int, ObjectInfo]) -> Shot:
+    def _shot(self, flight: PendingExposure, handle: int, found: dict[int, ObjectInfo]) -> Shot:
         info = found[handle]
         memory = self._body.dialect.memory
         self._known.update(h for h in found if h != memory)
@@ -247,7 +242,7 @@ class Shooter:
         if shot.handle != self._body.dialect.memory:
             self._body.session.delete(shot.handle)
 
-    def settle(self, flight: Flight, limit_s: float) -> None:
+    def settle(self, flight: PendingExposure, limit_s: float) -> None:
         """Wait for the end of an exposure that nobody wants any more; its files stay on the card.
 
         Returns after `limit_s` beyond the exposure at the latest.

@@ -27,8 +27,8 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
-from drivers.ptp.interface import claim, endpoint, still_interface
-from drivers.usbhelp import typed_usb_errors
+from drivers.common.usb import typed_usb_errors
+from drivers.ptp.usb_interface import claim, endpoint, still_interface
 
 Bytes: TypeAlias = "bytes | memoryview | array[int]"
 

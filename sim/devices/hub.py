@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 from camctl.errors import CamctlError, CameraTimeoutError, DataError, UsageError, unknown_name
-from sim.devices.usb import UsbDevice
-from sim.devices.vhci import VhciPort
+from sim.devices.usb.device import UsbDevice
+from sim.devices.usb.vhci import VhciPort
 
 CONTROL = "ctl"
 _LONGEST_LINE = 64 * 1024
@@ -53,9 +53,9 @@ Make: TypeAlias = Callable[[Mapping[str, Any]], VirtualDevice]
 
 #: Modules by kind; each has a function `make(config)`.
 KINDS: Mapping[str, str] = {
-    "uvc": "sim.devices.uvc",
-    "ptp": "sim.devices.ptp",
-    "sierra": "sim.devices.sierra",
+    "uvc": "sim.devices.uvc.camera",
+    "ptp": "sim.devices.ptp.camera",
+    "sierra": "sim.devices.sierra.device",
 }
 _SERIAL = ("sierra",)
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.noise import TileNoise, largest_noise
-from sim.sensor import Sensor
-from sim.view import Statistics, View
+from sim.scenes.view import Statistics, View
+from sim.sensors.sensor import Sensor
 
 Light: TypeAlias = NDArray[np.float32]
 Lines: TypeAlias = tuple[Light | None, Light | None]

@@ -19,9 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from camctl.camera import CameraInfo, ExposureControls, ExposureSetting, Frame, Layout, Steps
-from camctl.capture import CaptureRequest, capture
+from camctl.camera import CameraInfo, Frame
+from camctl.capture.request import CaptureRequest
+from camctl.capture.sequencer import capture
 from camctl.clock import RealClock, VirtualClock
+from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
 
 RATIOS = (1.0, 3.98, 16.0, 64.2, 305.4, 1130.0)
 
@@ -90,8 +92,8 @@ def resident_mb() -> float:
 def slots() -> None:
     """Print the time of captures in virtual time, in frame slots."""
     from sim.camera import SimulatedCamera
-    from sim.scene import load_scene
-    from sim.sensor import load_sensor
+    from sim.scenes.scene import load_scene
+    from sim.sensors.sensor import load_sensor
 
     scene = load_scene("tile-floor", (60, 80))
     for delay in range(6):
@@ -107,8 +109,8 @@ def slots() -> None:
 def real_time() -> None:
     """Print frames lost at 30 frames a second, 2 megapixels, with everything written to disk."""
     from sim.camera import SimulatedCamera
-    from sim.scene import load_scene
-    from sim.sensor import load_sensor
+    from sim.scenes.scene import load_scene
+    from sim.sensors.sensor import load_sensor
 
     scene = load_scene("tile-floor", (1080, 1920))
     ratios = tuple(1 + 0.01 * k for k in range(16))

@@ -1,9 +1,9 @@
 """How long it takes to find out that no camera is connected.
 
     python tests/bench/bench_discovery.py          on this machine
-    python tests/lab/run.py --bench                in the laboratory's guest, with the other two
+    python tests/virtual_hardware/run.py --bench                in the laboratory's guest, with the other two
 
-Each look is one call of `camctl.registry.look_for_cameras` with the roads' modules imported, as in
+Each look is one call of `camctl.backends.look_for_cameras` with the roads' modules imported, as in
 the menu; the command line with its imports is measured beside it.
 """
 
@@ -15,7 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-from camctl.registry import look_for_cameras
+from camctl.backends import look_for_cameras
 
 LOOKS = 5
 MOST_S = 1.0

@@ -1,6 +1,6 @@
 """How fast pictures come from a PTP camera: overlap, and an 8 MB object against a bare read loop.
 
-    python tests/lab/run.py --bench
+    python tests/virtual_hardware/run.py --bench
 
 Runs in the laboratory's guest, through usbfs and libusb.  The bare loop is pyusb alone on the same
 device in the same run: one GetObject, then reads of 1 MB until the object is there.
@@ -15,18 +15,18 @@ import sys
 import time
 from contextlib import closing
 
-import lab
 import usb.core
 import usb.util
+import virtual_devices as rig
 
-from drivers.ptp.protocol import Session
+from drivers.ptp.session import Session
 from drivers.ptp.transport import HEADER, UsbTransport
 
 OBJECT_BYTES = 8 * 1024 * 1024
 ROUNDS = 3
 LEAST_SHARE = 0.5
-BIG = lab.Device(
-    "big", "ptp", {**lab.EIGHT_BITS, "files": ["jpeg"], "object_bytes": OBJECT_BYTES}, lab.LINEAR
+BIG = rig.Device(
+    "big", "ptp", {**rig.EIGHT_BITS, "files": ["jpeg"], "object_bytes": OBJECT_BYTES}, rig.LINEAR
 )
 _GET_OBJECT, _OPEN_SESSION, _CLOSE_SESSION = 0x1009, 0x1002, 0x1003
 _IN, _OUT, _CHUNK = 0x81, 0x02, 1 << 20
@@ -34,10 +34,10 @@ _IN, _OUT, _CHUNK = 0x81, 0x02, 1 << 20
 
 def main() -> int:
     """Print overlap and throughput; return 1 if either is not good enough."""
-    process, _ = lab.start_devices([BIG])
+    process, _ = rig.start_devices([BIG])
     try:
-        with lab.opened(BIG) as camera:
-            settings = [lab.setting(camera, 0.5)] * 4
+        with rig.opened(BIG) as camera:
+            settings = [rig.setting(camera, 0.5)] * 4
             with closing(camera.shoot(settings)) as frames:
                 details = [frame.details for frame in frames]
         overlaps = sum(
@@ -61,7 +61,7 @@ def main() -> int:
 
 
 def _ours(handle: int) -> float:
-    transport = UsbTransport(lab.usb_device(BIG), "the camera")
+    transport = UsbTransport(rig.usb_device(BIG), "the camera")
     session = Session(transport, "the camera")
     session.open()
     began = time.perf_counter()
@@ -74,7 +74,7 @@ def _ours(handle: int) -> float:
 
 
 def _bare(handle: int) -> float:
-    device = lab.usb_device(BIG)
+    device = rig.usb_device(BIG)
     usb.util.claim_interface(device, 0)
     _transaction(device, _OPEN_SESSION, 0, 1)
     began = time.perf_counter()

@@ -22,12 +22,12 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Layout
+from camctl.controls import Layout
 from sim.noise import TILE, TileNoise, normal_quantiles, tile_bits
 from sim.render import Renderer
-from sim.scene import load_scene
-from sim.sensor import Sensor, load_sensor
-from sim.view import light_on
+from sim.scenes.scene import load_scene
+from sim.scenes.view import light_on
+from sim.sensors.sensor import Sensor, load_sensor
 
 TIME_S = 0.01
 NAIVE = "naive Poisson + normal, float64"

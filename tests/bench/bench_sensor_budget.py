@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from sim.budget import plan_frame
-from sim.effects import Shot
+from sim.effects.budget import plan_frame
+from sim.effects.record import Shot
 from sim.render import Renderer
-from sim.scene import load_scene, scene_names
-from sim.sensor import load_sensor
-from sim.view import View
+from sim.scenes.scene import load_scene, scene_names
+from sim.scenes.view import View
+from sim.sensors.sensor import load_sensor
 
 TOLERANCES = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 

@@ -23,15 +23,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.exposure.auto import auto_response
+from camctl.exposure.batch import BatchScore
 from camctl.exposure.build import build_table
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.goal import Goal
-from camctl.exposure.kernels import BatchScore
-from camctl.exposure.objective import xi
-from camctl.exposure.response import desired_response, linear_response
-from camctl.exposure.settings import solve_settings
+from camctl.exposure.grid_search import solve_settings
+from camctl.exposure.objective import Objective, xi
 from camctl.exposure.solver import solve
+from camctl.response.auto import auto_response
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "exposure"))
 from cells import CELLS, Cell
@@ -52,7 +52,7 @@ class Watched:
 
     def __init__(self, cell: Cell, limit_s: float, goal: float, lend: bool) -> None:
         self.cell = cell
-        self.batch = BatchScore(EIGHT_BIT, cell.desired, Goal(cell.levels_wanted), cell.n)
+        self.batch = BatchScore(EIGHT_BIT, cell.desired, Objective(cell.levels_wanted), cell.n)
         self.score = self.batch if lend else self.exact
         self.limit_s, self.goal = limit_s, goal
         self.best, self.reached_s = np.inf, np.inf

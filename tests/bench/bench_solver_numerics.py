@@ -14,7 +14,8 @@ from pathlib import Path
 
 from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.objective import xi
-from camctl.exposure.response import desired_response, linear_response
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
 
 ORACLE = Path(__file__).parents[1] / "oracle" / "exposure_oracle.json"
 

@@ -17,10 +17,11 @@ from functools import partial
 import cv2
 import numpy as np
 
-from camctl.capture.pictures import Tables
-from camctl.capture.summing import Accumulator
+from camctl.capture.accumulator import Accumulator
+from camctl.capture.outputs import Tables
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.response import desired_response, linear_response
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
 
 WHITE = 250
 _STRIP = 1 << 20

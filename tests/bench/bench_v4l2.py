@@ -1,6 +1,6 @@
 """Frames that a list of exposures costs on V4L2: n + d where the control delay is d.
 
-    python tests/lab/run.py --bench
+    python tests/virtual_hardware/run.py --bench
 
 Runs in the laboratory's guest: a virtual camera with a delay of 0 to 5 frames streams through the
 kernel's uvcvideo.  Frames used are those whose exposure began after the first setting was written,
@@ -11,19 +11,19 @@ from __future__ import annotations
 
 import sys
 
-import lab
+import virtual_devices as rig
 
 DELAYS = range(6)
 
 
 def main() -> int:
     """Print frames used over n + d; return 1 unless all are 1."""
-    process, hub = lab.start_devices([lab.WEB])
+    process, hub = rig.start_devices([rig.WEB])
     off = 0
     try:
         for delay in DELAYS:
-            with lab.delayed(hub, lab.WEB, delay):
-                used = lab.frames_used(hub, lab.WEB)
+            with rig.delayed(hub, rig.WEB, delay):
+                used = rig.frames_used(hub, rig.WEB)
             ratio = used.frames / (used.settings + delay)
             off += ratio != 1
             print(

@@ -10,18 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.calibration import measure_delay
-from camctl.calibration.delay import FRAMES, MOST_FRAMES, Landing, Spoiled, read_step
-from camctl.camera import Choices, ExposureSetting, Frame
-from camctl.errors import (
-    CameraDisconnectedError,
-    CameraProtocolError,
-    CaptureError,
-    UsageError,
-)
+from camctl.calibration.delay import FRAMES, MOST_FRAMES, Landing, Spoiled, measure_delay, read_step
+from camctl.camera import Frame
+from camctl.controls import Choices, ExposureSetting
+from camctl.errors import CameraDisconnectedError, CameraProtocolError, CaptureError, UsageError
 from sim.camera import Faults, SimulatedCamera
-from sim.scene import Scene, load_scene
-from sim.sensor import Sensor, load_sensor
+from sim.scenes.scene import Scene, load_scene
+from sim.sensors.sensor import Sensor, load_sensor
 
 
 def camera(

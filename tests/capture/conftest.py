@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sim.camera import Faults, SimulatedCamera
-from sim.scene import Scene
-from sim.sensor import Sensor, load_sensor
+from sim.scenes.scene import Scene
+from sim.sensors.sensor import Sensor, load_sensor
 
 
 def gradient(rows=60, columns=80, low=1e-3, colours=1):

@@ -8,20 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import (
-    CameraInfo,
-    Choices,
-    ExposureControls,
-    ExposureSetting,
-    Frame,
-    FrameStream,
-    Layout,
-    OriginalFile,
-)
+from camctl.camera import CameraInfo, Closing, Frame, FrameStream, OriginalFile
 from camctl.clock import VirtualClock
-from camctl.closing import Closing
+from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout
 from camctl.errors import CameraDisconnectedError
-from camctl.exposure.standard import standard_response
+from camctl.response.camera import standard_response
 
 DOWNLOAD_S = 0.75
 THIRDS = Choices(tuple(2.0 ** (k / 3) for k in range(-36, 16)))

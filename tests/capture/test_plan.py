@@ -9,17 +9,19 @@ import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.camera import Choices, ExposureControls, ExposureSetting, Layout, Steps
-from camctl.capture import capture, read_report
-from camctl.capture.choose import BASE_SLACK_STOPS, SettingChooser
-from camctl.capture.plan import plan_capture, relative
-from camctl.capture.ratios import check_ratios
+from camctl.capture.plan import check_ratios, plan_capture, relative
+from camctl.capture.report import read_report
 from camctl.capture.request import CaptureRequest
+from camctl.capture.sequencer import capture
+from camctl.capture.setting_selection import BASE_SLACK_STOPS, SettingChooser
+from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout, Steps
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.lookup import look_up
 from camctl.exposure.objective import xi
-from camctl.exposure.response import desired_response, linear_response
-from camctl.exposure.table import ExposureTable, look_up
+from camctl.exposure.table import ExposureTable
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
 
 THIRDS = Choices(tuple(2.0 ** (k / 3) for k in range(-36, 16)))
 HUNDRED_US = Steps(1e-4, 10.0, 1e-4)

@@ -8,8 +8,11 @@ import OpenEXR
 import pytest
 import tifffile
 
-from camctl.camera import ExposureSetting, Layout
-from camctl.capture import CaptureRequest, capture, plan_capture, read_report, resume
+from camctl.capture.plan import plan_capture
+from camctl.capture.report import read_report
+from camctl.capture.request import CaptureRequest
+from camctl.capture.sequencer import capture, resume
+from camctl.controls import ExposureSetting, Layout
 from camctl.errors import (
     CameraDisconnectedError,
     CameraTimeoutError,
@@ -20,7 +23,7 @@ from camctl.errors import (
 )
 from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.objective import xi
-from camctl.exposure.response import desired_response
+from camctl.response.desired import desired_response
 from sim.camera import Faults
 
 GIVEN = CaptureRequest("log", 1000.0, ratios=(1.0, 4.0, 16.0))

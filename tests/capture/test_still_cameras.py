@@ -12,10 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from still_fakes import THIRDS, StillCamera, ramp
 
-from camctl.camera import Choices, ExposureSetting, FrameStream
-from camctl.capture import CaptureRequest, Plan, capture, plan_capture, resume
+from camctl.camera import FrameStream
+from camctl.capture.plan import plan_capture
+from camctl.capture.request import CapturePlan, CaptureRequest
+from camctl.capture.sequencer import capture, resume
+from camctl.controls import Choices, ExposureSetting
 from camctl.errors import CameraDisconnectedError, CaptureError, UsageError
-from camctl.testing import CameraConformance
+from camctl.testing.conformance import CameraConformance
 
 METERED = CaptureRequest(spend_shutter=True)
 
@@ -24,7 +27,7 @@ def asked(**changes: object) -> CaptureRequest:
     return CaptureRequest(**{**vars(METERED), **changes})
 
 
-def planned(camera: StillCamera, request: CaptureRequest) -> tuple[Plan | None, str]:
+def planned(camera: StillCamera, request: CaptureRequest) -> tuple[CapturePlan | None, str]:
     try:
         return plan_capture(camera, request), ""
     except (CaptureError, UsageError) as error:

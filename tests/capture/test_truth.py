@@ -4,11 +4,12 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from camctl.capture import CaptureRequest, capture
+from camctl.capture.request import CaptureRequest
+from camctl.capture.sequencer import capture
 from camctl.exposure.effective import EffectiveCamera
 from sim.camera import SimulatedCamera
-from sim.scene import load_scene
-from sim.sensor import load_sensor
+from sim.scenes.scene import load_scene
+from sim.sensors.sensor import load_sensor
 
 LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])
 

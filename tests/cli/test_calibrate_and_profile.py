@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from camctl import registry
-from camctl.camera import Camera, CameraInfo, Layout
+from camctl import backends as registry
+from camctl.camera import Camera, CameraInfo
+from camctl.controls import Layout
 from camctl.profile import StillRecord, change_profile, list_profiles
 
 if TYPE_CHECKING:

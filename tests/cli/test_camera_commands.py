@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import tifffile
 
-from camctl import registry
+from camctl import backends as registry
 from camctl.camera import CameraInfo
 from camctl.errors import CameraNotFoundError
+from sim.backend import SimulatedBackend
 from sim.camera import Faults, SimulatedCamera
-from sim.road import SimulatedRoad
-from sim.scene import load_scene
-from sim.sensor import load_sensor
+from sim.scenes.scene import load_scene
+from sim.sensors.sensor import load_sensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -257,7 +257,7 @@ def test_cameras(run: Run) -> None:
     cameras, roads = out.split("\n\n")
     assert any(line.startswith("sim ") for line in cameras.splitlines()[1:])
     (road,) = [line for line in roads.splitlines() if line.startswith("sim ")]
-    assert road.split() == ["sim", "1", *SimulatedRoad.about.split()]
+    assert road.split() == ["sim", "1", *SimulatedBackend.about.split()]
 
 
 class Blind:
@@ -385,7 +385,7 @@ def test_menu_shoots_into_the_folder_that_was_named(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import menu.app
-    from menu.work import Choice, Job, Summary
+    from menu.ports import Choice, Job, Summary
 
     def picked(panel: object, job: Job) -> Summary:
         return job.shoot(job.plan(Choice("log", 256.0, 2)), lambda _: None, lambda: False)

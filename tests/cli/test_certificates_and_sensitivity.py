@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from camctl.cli.certificate import USUAL_SETS, certificate_text
-from camctl.cli.sensitivity import count, warnings_of
-from camctl.exposure.certificate import Certificate
+from camctl.cli.evaluate import count, warnings_of
+from camctl.cli.solve_output import USUAL_SETS, certificate_text
 from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.lookup import default_table
+from camctl.exposure.lower_bound import Certificate
 from camctl.exposure.objective import xi
-from camctl.exposure.response import desired_response, linear_response
-from camctl.exposure.sensitivity import Sensitivity, Spread
-from camctl.exposure.table import default_table
+from camctl.exposure.robustness import Robustness, Spread
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
 
 if TYPE_CHECKING:
     from conftest import Run
@@ -173,7 +174,7 @@ def spread(levels: float, worst: float) -> Spread:
 
 
 def test_sentences_come_where_they_matter() -> None:
-    steady = Sensitivity(
+    steady = Robustness(
         xi=1.0,
         effective_levels=100.0,
         exposure_errors={0.001: spread(99, 96), 0.01: spread(96, 90)},
@@ -182,7 +183,7 @@ def test_sentences_come_where_they_matter() -> None:
         phase=spread(99, 97),
     )
     assert warnings_of(steady, (1, 5)) == []
-    shaky = Sensitivity(
+    shaky = Robustness(
         xi=1.0,
         effective_levels=100.0,
         exposure_errors={0.001: spread(99, 96), 0.01: spread(94, 90)},

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from camctl.cli import options, realcamera
+from camctl.cli import options
+from camctl.cli import response_options as realcamera
+from camctl.cli.output import share_of_time
 from camctl.cli.table import InterruptedBuildError
-from camctl.cli.workers import share_of_time
-from camctl.exposure.goal import NOISE_KINDS
-from camctl.exposure.response import RANGES, RESPONSES
-from camctl.exposure.standard import STANDARDS
-from camctl.exposure.table import default_table
+from camctl.exposure.lookup import default_table
+from camctl.exposure.objective import NOISE_KINDS
+from camctl.response.camera import STANDARDS
+from camctl.response.desired import RANGES, RESPONSES
 
 if TYPE_CHECKING:
     from conftest import Run

@@ -18,14 +18,14 @@ import usb.core
 from ptp_bench import virtual
 from v4l2_model import Model
 
-import drivers.coolpix
+import drivers.coolpix.camera
 from camctl.profile import list_profiles
-from drivers import v4l2
-from drivers.usbhelp import UDEV_RULES
-from drivers.v4l2_node import Linux
-from sim.devices.backend import VirtualBackend
-from sim.devices.ptp import PtpCamera as VirtualStill
-from sim.devices.sierra import SierraDevice, make
+from drivers.common.usb import UDEV_RULES
+from drivers.v4l2 import backend as v4l2
+from drivers.v4l2.node import Linux
+from sim.devices.ptp.camera import PtpCamera as VirtualStill
+from sim.devices.sierra.device import SierraDevice, make
+from sim.devices.usb.backend import VirtualBackend
 
 if TYPE_CHECKING:
     from conftest import Run
@@ -278,7 +278,7 @@ def test_a_line_that_answers_nonsense_is_no_camera(
     run: Run, coolpix: SierraDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hurried = functools.partial(drivers.coolpix.CoolpixCamera, timeout_s=0.5)
-    monkeypatch.setattr(drivers.coolpix, "CoolpixCamera", hurried)
+    monkeypatch.setattr(drivers.coolpix.backend, "CoolpixCamera", hurried)
     coolpix.do("garbage", count=1_000_000)
     said = refusal(run, "shoot", "--camera", f"coolpix:{coolpix.line.path}", *BASE)
     assert coolpix.line.path in said
@@ -287,7 +287,7 @@ def test_a_line_that_answers_nonsense_is_no_camera(
 def test_probing_finds_a_coolpix_and_looking_leaves_the_line_alone(
     run: Run, coolpix: SierraDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.coolpix.ports", lambda: [coolpix.line.path])
+    monkeypatch.setattr("drivers.coolpix.backend.ports", lambda: [coolpix.line.path])
     assert "coolpix" not in {each["driver"] for each in run("cameras", "--json").json}
     assert coolpix.camera is not None
     found = {each["driver"] for each in run("cameras", "--probe", "--json").json}

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from camctl.camera import CameraInfo, Choices, ExposureControls, Frame, Layout
+from camctl.camera import CameraInfo, Frame
 from camctl.clock import RealClock
+from camctl.controls import Choices, ExposureControls, Layout
 from camctl.errors import CameraDisconnectedError, CameraNotFoundError, UsageError
 
 LIGHT = {"bright": 20.0, "dim": 2.0}  # of the brightest column, full scales a second
@@ -46,7 +47,7 @@ class ExampleCamera:
     __enter__, __exit__ = (lambda self: self), (lambda self, *_: self.close())
 
 
-class ExampleRoad:
+class ExampleBackend:
     about = "an example of a driver: a gradient of light"
 
     def discover(self, *, probe=False):

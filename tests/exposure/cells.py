@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from camctl.exposure.desired import DesiredResponse, desired_response
+from camctl.response.desired import DesiredResponse, desired_response
 
 
 class Cell(NamedTuple):

@@ -5,7 +5,8 @@ import pytest
 
 from camctl.errors import UsageError
 from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.response import desired_response, linear_response
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
 
 EIGHT_BIT = linear_response(8)
 

@@ -7,9 +7,9 @@ from camctl.errors import UsageError
 from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.noise import noisy_effective_levels, quiet_levels, signal
 from camctl.exposure.objective import xi
-from camctl.exposure.response import desired_response, linear_response
-from camctl.exposure.sensitivity import sensitivity, shifted
-from camctl.exposure.standard import standard_response
+from camctl.exposure.robustness import sensitivity, shifted
+from camctl.response.camera import linear_response, standard_response
+from camctl.response.desired import desired_response
 
 EIGHT_BIT = linear_response(8)
 LOG = desired_response("log", 1000.0)

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from camctl.exposure.batch import BatchScore
 from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.goal import Goal
-from camctl.exposure.kernels import BatchScore
-from camctl.exposure.objective import xi
-from camctl.exposure.response import DesiredResponse, desired_response, linear_response
+from camctl.exposure.objective import Objective, xi
+from camctl.response.camera import linear_response
+from camctl.response.desired import DesiredResponse, desired_response
 
 ORACLE = Path(__file__).parents[1] / "oracle" / "exposure_oracle.json"
 ROWS: list[dict[str, Any]] = json.loads(ORACLE.read_text(encoding="utf-8"))
@@ -75,7 +75,7 @@ def test_batches_never_fail_nor_exceed_what_is_exact(
     bits: int, ratios: list[float], desired: DesiredResponse, wanted: float, p: float
 ) -> None:
     exposures = sorted([1.0, *ratios])
-    goal = Goal(wanted, p)
+    goal = Objective(wanted, p)
     response = linear_response(bits)
     batch = BatchScore(response, desired, goal, len(exposures), exact=True)
     score = float(batch(np.array([exposures]))[0])

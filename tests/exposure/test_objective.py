@@ -11,7 +11,8 @@ from cells import CELLS, Cell
 from camctl.errors import UsageError
 from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.objective import xi
-from camctl.exposure.response import desired_response, linear_response, tabulated_desired
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response, tabulated_desired
 
 EIGHT_BIT = linear_response(8)
 

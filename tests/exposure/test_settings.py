@@ -6,17 +6,12 @@ import numpy as np
 import pytest
 
 from camctl.errors import DataError, UsageError
-from camctl.exposure.auto import auto_response
 from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.grid_search import against_ideal, combined, solve_settings, stepped, true_time
 from camctl.exposure.objective import xi
-from camctl.exposure.response import desired_response, linear_response
-from camctl.exposure.settings import (
-    against_ideal,
-    combined,
-    solve_settings,
-    stepped,
-    true_time,
-)
+from camctl.response.auto import auto_response
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
 
 EIGHT_BIT = linear_response(8)
 THIRDS = 2.0 ** (np.arange(-39, 16) / 3)

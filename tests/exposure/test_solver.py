@@ -8,17 +8,12 @@ import pytest
 from cells import CELLS, Cell
 
 from camctl.errors import UsageError
+from camctl.exposure.batch import BatchScore
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.goal import Goal, NoiseTerm
-from camctl.exposure.kernels import BatchScore
-from camctl.exposure.objective import xi
-from camctl.exposure.response import (
-    DesiredResponse,
-    desired_response,
-    linear_response,
-    tabulated_desired,
-)
+from camctl.exposure.objective import NoiseTerm, Objective, xi
 from camctl.exposure.solver import fewest, solve
+from camctl.response.camera import linear_response
+from camctl.response.desired import DesiredResponse, desired_response, tabulated_desired
 
 EIGHT_BIT = linear_response(8)
 LOG = desired_response("log", 1000.0)
@@ -68,7 +63,7 @@ def test_batches_score_as_the_exact_objective_does(
     exposures[::2, 1] = 1 + rng.uniform(0, 0.01, 75)
     exposures[:, 0] = 1
     exposures.sort(axis=1)
-    goal = Goal(1020, p)
+    goal = Objective(1020, p)
     batch = BatchScore(EIGHT_BIT, desired, goal, 4)(exposures)
     exact = [goal.score(EIGHT_BIT, row, desired) for row in exposures.tolist()]
     np.testing.assert_allclose(batch, exact, rtol=accuracy)
@@ -79,7 +74,7 @@ def test_batches_bound_what_they_only_estimate() -> None:
     table = tabulated_desired([0.001, 0.01, 0.1, 1.0], [0, 0.4, 0.7, 1])
     exposures = np.array([[1.0, 1.002, 9.0], [1.0, 8.0, 70.0], [1.0, 1.5, 2.5]])
     for desired, p in ((table, 1.0), (table, 2.0), (desired_response("gamma", 1000.0, q=0.4), 1.7)):
-        goal = Goal(765, p)
+        goal = Objective(765, p)
         batch = BatchScore(EIGHT_BIT, desired, goal, 3)(exposures)
         exact = np.array([goal.score(EIGHT_BIT, row, desired) for row in exposures.tolist()])
         assert np.all(batch <= exact * (1 + 1e-5))
@@ -144,7 +139,7 @@ def test_jitter_gives_up_an_interleave_that_would_not_survive() -> None:
     desired = desired_response("linear", 256.0)
     sharp = solve(EIGHT_BIT, desired, 2)
     robust = solve(EIGHT_BIT, desired, 2, jitter=0.01)
-    goal = Goal(510, jitter=0.01)
+    goal = Objective(510, jitter=0.01)
     assert goal.score(EIGHT_BIT, sharp.exposures, desired) > sharp.xi * 1.05
     assert robust.xi <= goal.score(EIGHT_BIT, sharp.exposures, desired)
 
@@ -157,8 +152,8 @@ def test_the_noise_term_is_what_its_name_says(kind: str) -> None:
         "time": 3 * 0.01**2 / np.sum(e) ** 2,
         "gain": 0.01**2 * np.sum(e**2) / np.sum(e) ** 2,
     }[kind]
-    noisy = Goal(765, noise=NoiseTerm(0.01, weight=7.0, kind=kind))
-    plain = Goal(765)
+    noisy = Objective(765, noise=NoiseTerm(0.01, weight=7.0, kind=kind))
+    plain = Objective(765)
     difference = noisy.score(EIGHT_BIT, e.tolist(), LOG) - plain.score(EIGHT_BIT, e.tolist(), LOG)
     assert difference == pytest.approx(7 * expected, rel=1e-9)
 

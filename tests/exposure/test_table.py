@@ -9,20 +9,16 @@ from typing import Any
 import pytest
 
 from camctl.errors import DataError, StorageError, UsageError
-from camctl.exposure import build, table
+from camctl.exposure import build
+from camctl.exposure import lookup as table
 from camctl.exposure.build import Job, build_table
 from camctl.exposure.effective import EffectiveCamera, effective_levels
+from camctl.exposure.lookup import cache_folder, default_table, look_up
 from camctl.exposure.objective import xi
-from camctl.exposure.response import (
-    RANGES,
-    RESPONSES,
-    desired_response,
-    linear_response,
-    tabulated_desired,
-)
-from camctl.exposure.rows import ExposureTable, TableEntry
-from camctl.exposure.table import cache_folder, default_table, look_up
+from camctl.exposure.table import ExposureTable, TableEntry
 from camctl.exposure.tradeoff import predict
+from camctl.response.camera import linear_response
+from camctl.response.desired import RANGES, RESPONSES, desired_response, tabulated_desired
 
 EIGHT_BIT = linear_response(8)
 THREE_BIT = linear_response(3)

@@ -8,10 +8,11 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
-from camctl.camera import ExposureSetting
+from camctl.capture.request import CapturePlan
+from camctl.capture.sequencer import Progress
+from camctl.controls import ExposureSetting
 from camctl.errors import InterruptedCaptureError
-from menu.panel import Highlight, Key
-from menu.work import Choice, Cost, Plan, Progress, Summary
+from menu.ports import Choice, Cost, Highlight, Key, Summary
 
 COSTS = tuple(
     Cost(count, tuple(9.91**i for i in range(count)), 9.91**count / 9, 150.0 * count)
@@ -21,10 +22,10 @@ COSTS = tuple(
 
 def plan_of(
     settings: Sequence[ExposureSetting], response: str = "log", dynamic_range: float = 1000.0
-) -> Plan:
+) -> CapturePlan:
     smallest = min(setting.exposure for setting in settings)
     exposures = tuple(setting.exposure / smallest for setting in settings)
-    return Plan(
+    return CapturePlan(
         response=response,
         dynamic_range=dynamic_range,
         ratios=exposures,
@@ -42,7 +43,7 @@ class FakeJob:
     """Does what it is told to do: each hook may raise."""
 
     def __init__(self) -> None:
-        self.shot: list[Plan] = []
+        self.shot: list[CapturePlan] = []
         self.planned: list[Choice] = []
         self.predicted: list[tuple[str, float]] = []
         self.before: dict[str, Callable[[], object]] = {}
@@ -58,7 +59,7 @@ class FakeJob:
         self._at("predict")
         return COSTS
 
-    def plan(self, choice: Choice) -> Plan:
+    def plan(self, choice: Choice) -> CapturePlan:
         self.planned.append(choice)
         self._at("plan")
         times = (0.0033 * 9.91**i for i in range(choice.count))
@@ -67,7 +68,7 @@ class FakeJob:
 
     def shoot(
         self,
-        plan: Plan,
+        plan: CapturePlan,
         on_progress: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> Summary:

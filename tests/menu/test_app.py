@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.camera import ExposureSetting
+from camctl.capture.request import CapturePlan
+from camctl.controls import ExposureSetting
 from camctl.errors import CameraDisconnectedError, CameraNotFoundError, UsageError
 from menu.app import run
 from menu.model import RANGES, RESPONSES, Model, State
-from menu.panel import Highlight, Key
+from menu.ports import Choice, Cost, Highlight, Key
 from menu.screens import screen
-from menu.work import Choice, Cost, Plan
 from tests.menu.panel_fakes import COSTS, FakeJob, ScriptedPanel, plan_of
 from tests.menu.test_screens import settings_on
 
@@ -71,11 +71,11 @@ def test_again_meters_again() -> None:
 class RandomPlans(FakeJob):
     """Plans that have nothing to do with the choice: only the plan itself can be on the screen."""
 
-    def __init__(self, plans: Sequence[Plan]) -> None:
+    def __init__(self, plans: Sequence[CapturePlan]) -> None:
         super().__init__()
         self.plans = list(plans)
 
-    def plan(self, choice: Choice) -> Plan:
+    def plan(self, choice: Choice) -> CapturePlan:
         super().plan(choice)
         return self.plans.pop(0)
 

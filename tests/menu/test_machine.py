@@ -8,13 +8,12 @@ from dataclasses import replace
 
 import pytest
 
-from camctl.camera import ExposureSetting
-from camctl.exposure.response import RANGES as KNOWN_RANGES
-from camctl.exposure.response import RESPONSES as KNOWN_RESPONSES
+from camctl.capture.sequencer import Progress
+from camctl.controls import ExposureSetting
+from camctl.response.desired import RANGES as KNOWN_RANGES
+from camctl.response.desired import RESPONSES as KNOWN_RESPONSES
 from menu.machine import STATES, TRANSITIONS, Kind, diagram, step
-from menu.model import RANGES, RESPONSES, Action, Model, State
-from menu.panel import Key
-from menu.signals import (
+from menu.messages import (
     Cancel,
     Cancelled,
     Done,
@@ -29,7 +28,8 @@ from menu.signals import (
     Quit,
     Shoot,
 )
-from menu.work import Progress, Summary
+from menu.model import RANGES, RESPONSES, Action, Model, State
+from menu.ports import Key, Summary
 from tests.menu.panel_fakes import COSTS, plan_of
 
 PLAN = plan_of([ExposureSetting(0.0033), ExposureSetting(0.0327)])

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.camera import ExposureSetting
+from camctl.capture.request import CapturePlan
+from camctl.capture.sequencer import Progress
+from camctl.controls import ExposureSetting
 from menu.machine import STATES, Kind, step
 from menu.model import RANGES, RESPONSES, Action, Model, State
-from menu.panel import Key
+from menu.ports import Cost, Key, Summary
 from menu.screens import screen, settled
-from menu.work import Cost, Plan, Progress, Summary
 from tests.menu.panel_fakes import COSTS, plan_of
 
 text = st.text(max_size=120)
@@ -147,7 +148,9 @@ def settings_on(model: Model, columns: int, rows: int) -> list[ExposureSetting]:
 
 @settings(deadline=None)
 @given(plans, sizes)
-def test_the_review_names_the_settings_of_the_plan(plan: Plan, size: tuple[int, int]) -> None:
+def test_the_review_names_the_settings_of_the_plan(
+    plan: CapturePlan, size: tuple[int, int]
+) -> None:
     model = Model(state=State.REVIEW, plan=plan, count=len(plan.settings), costs=COSTS)
     shown = settings_on(model, *size)
     assert len(shown) == len(plan.settings)

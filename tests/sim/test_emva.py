@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from sim.noise import largest_noise
-from sim.parts import Dark, Pixels, ReadOut
 from sim.render import Renderer
-from sim.sensor import Sensor
+from sim.sensors.parts import Dark, Pixels, ReadOut
+from sim.sensors.sensor import Sensor
 
 SHAPE = (400, 500)
 SAMPLES = SHAPE[0] * SHAPE[1]

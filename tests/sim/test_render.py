@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.camera import Layout
+from camctl.controls import Layout
 from camctl.errors import RefusedSettingError, UsageError
 from sim.noise import TILE
-from sim.parts import Dark, Lens, Pixels, ReadOut
 from sim.render import Renderer, simulate_frame
-from sim.scene import Scene, load_scene
-from sim.sensor import Sensor, load_sensor, sensor_names
-from sim.view import light_on
+from sim.scenes.scene import Scene, load_scene
+from sim.scenes.view import light_on
+from sim.sensors.parts import Dark, Lens, Pixels, ReadOut
+from sim.sensors.sensor import Sensor, load_sensor, sensor_names
 
 
 @pytest.mark.parametrize("name", sensor_names())

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.camera import Camera, ExposureSetting, Frame, PreviewingCamera, StreamingCamera
+from camctl.camera import Camera, Frame, PreviewingCamera, StreamingCamera
 from camctl.clock import Clock, RealClock, VirtualClock
+from camctl.controls import ExposureSetting
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -18,11 +19,11 @@ from camctl.errors import (
     CameraTimeoutError,
     RefusedSettingError,
 )
-from camctl.testing import CameraConformance
+from camctl.testing.conformance import CameraConformance
 from sim.camera import SILENCE_S, Faults, SimulatedCamera
-from sim.device import QUEUE
-from sim.scene import Scene, load_scene
-from sim.sensor import Sensor, load_sensor, sensor_names
+from sim.scenes.scene import Scene, load_scene
+from sim.sensors.sensor import Sensor, load_sensor, sensor_names
+from sim.streaming_device import QUEUE
 
 INTERVAL_S = 0.03125  # a binary fraction: virtual time adds up exactly
 LIGHT = 100_000.0

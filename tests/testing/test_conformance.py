@@ -5,12 +5,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from camctl.camera import Layout
 from camctl.clock import RealClock
-from camctl.testing import CameraConformance
+from camctl.controls import Layout
+from camctl.testing.conformance import CameraConformance
 from sim.camera import SimulatedCamera
-from sim.scene import Scene
-from sim.sensor import Sensor, load_sensor
+from sim.scenes.scene import Scene
+from sim.sensors.sensor import Sensor, load_sensor
 
 
 class Steady(CameraConformance):

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from camctl.errors import CameraTimeoutError, DataError, UsageError
 from sim.devices import hub as hub_module
 from sim.devices.hub import CONTROL, Hub, make_device, read_config, run
-from sim.devices.ptp import PtpCamera
-from sim.devices.uvc import UvcCamera
-from sim.devices.vhci import VhciPort
+from sim.devices.ptp.camera import PtpCamera
+from sim.devices.usb.vhci import VhciPort
+from sim.devices.uvc.camera import UvcCamera
 
 SEEN = {"scene": "ramp", "sensor": "ideal-8", "size": "40x30"}
 LINE = {"name": "coolpix", "kind": "sierra", "line": "pty", **SEEN}

@@ -1,0 +1,1 @@
+"""Camera responses and desired responses."""

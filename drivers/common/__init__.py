@@ -1,0 +1,1 @@
+"""What several camera drivers share."""

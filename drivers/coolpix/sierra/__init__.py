@@ -1,0 +1,1 @@
+"""The Sierra serial protocol of still cameras, from the host side."""

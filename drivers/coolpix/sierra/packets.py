@@ -1,0 +1,150 @@
+"""What the Sierra protocol of still cameras puts on a serial line: packets and single bytes.
+
+Facts: Eugene Crosser's description of the protocol (protocol.htm of photopc 3.07) and what the
+Sierra driver of libgphoto2 does.  A packet is type, subtype or sequence number, length (u16), up to
+2,048 bytes of data, and the sum of the data (u16), all little-endian; the rest are single bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import NamedTuple
+
+from camctl.errors import CameraDisconnectedError, CameraProtocolError
+from drivers.common.serial_link import SerialLink
+
+NUL, DATA, LAST_DATA, ENQ, ACK, DC1, NAK, COMMAND = 0x00, 0x02, 0x03, 0x05, 0x06, 0x11, 0x15, 0x1B
+WRONG_SPEED, SESSION_ERROR, SESSION_END = 0x8C, 0xFC, 0xFF
+FIRST_COMMAND, NEXT_COMMAND = 0x53, 0x43
+
+SET_INTEGER, GET_INTEGER, ACT, SET_DATA, GET_DATA = range(5)
+
+MAX_DATA = 2048
+FIRST_SPEED = 19_200
+SPEEDS = {9_600: 1, 19_200: 2, 38_400: 3, 57_600: 4, 115_200: 5}
+
+SESSION_OVER = (WRONG_SPEED, SESSION_ERROR, SESSION_END)
+_SINGLE_BYTES = (NUL, ENQ, ACK, DC1, NAK, *SESSION_OVER)
+_ANY_SUM = 0xFFFF  # the CoolPix 880 never computes one (libgphoto2)
+
+_WITHIN_PACKET_S = 1.0
+_QUIET_S = 0.1
+DRAIN_BYTES = 1 << 16
+
+
+class Register(IntEnum):
+    """Registers of integers (u32) and of data."""
+
+    RESOLUTION = 1
+    SHUTTER_US = 3
+    PICTURE = 4
+    APERTURE = 5
+    FLASH = 7
+    PICTURES = 10
+    PICTURES_LEFT = 11
+    PICTURE_BYTES = 12
+    PICTURE_DATA = 14
+    BATTERY_PERCENT = 16
+    SPEED = 17
+    ADJUSTMENT = 19
+    WHITE_BALANCE = 20
+    SERIAL_NUMBER = 25
+    MODEL = 27
+    PICTURE_SUMMARY = 47
+    MAKER = 48
+    CARD = 51
+    PICTURE_NAME = 79
+
+
+class Action(IntEnum):
+    """What a camera does without a register."""
+
+    TAKE_PICTURE = 2
+    END_SESSION = 4
+
+
+class RefusedCommandError(CameraProtocolError):
+    """The camera understood a command and will not do it (DC1)."""
+
+
+class SessionOverError(CameraDisconnectedError):
+    """The camera has ended the session and fallen back to 19,200 baud."""
+
+
+class Reply(NamedTuple):
+    """What came: a single byte or a packet; `kind` is None for what cannot be understood."""
+
+    kind: int | None
+    sequence: int = 0
+    data: bytes = b""
+
+
+DAMAGED = Reply(None)
+
+
+def checksum(data: bytes) -> int:
+    r"""Return the sum of all bytes, 16 bits.
+
+    >>> checksum(b"\x01\x10")
+    17
+    """
+    return sum(data) & 0xFFFF
+
+
+def command_packet(payload: bytes, *, first: bool = False) -> bytes:
+    r"""Return the packet of a command; the `first` of a session is marked.
+
+    >>> command_packet(b"\x02\x02\x00").hex(" ")
+    '1b 43 03 00 02 02 00 04 00'
+    """
+    subtype = FIRST_COMMAND if first else NEXT_COMMAND
+    head = struct.pack("<BBH", COMMAND, subtype, len(payload))
+    return head + payload + struct.pack("<H", checksum(payload))
+
+
+def setting(register: Register, value: int) -> bytes:
+    """Return the payload of a command that writes an integer register."""
+    return struct.pack("<BBI", SET_INTEGER, register, value)
+
+
+def receive(link: SerialLink, silence_s: float) -> Reply | None:
+    """Return the next packet or single byte; None where the line stays silent for `silence_s`.
+
+    After what cannot be understood, all that is under way is let go by, so that the next byte
+    begins something.
+
+    Raises:
+        CameraDisconnectedError: the line has gone
+    """
+    first = link.read(1, silence_s)
+    if not first:
+        return None
+    kind = first[0]
+    if kind in _SINGLE_BYTES:
+        return Reply(kind)
+    reply = _packet(link, kind) if kind in (DATA, LAST_DATA) else DAMAGED
+    if reply is DAMAGED:
+        drain(link)
+    return reply
+
+
+def drain(link: SerialLink) -> None:
+    """Let go by what is under way, up to `DRAIN_BYTES`."""
+    left = DRAIN_BYTES
+    while left > 0 and (came := link.read(MAX_DATA, _QUIET_S)):
+        left -= len(came)
+
+
+def _packet(link: SerialLink, kind: int) -> Reply:
+    head = link.read(3, _WITHIN_PACKET_S)
+    if len(head) < 3:
+        return DAMAGED
+    sequence, length = struct.unpack("<BH", head)
+    if length > MAX_DATA:
+        return DAMAGED
+    body = link.read(length + 2, _WITHIN_PACKET_S)
+    data, tail = body[:length], body[length:]
+    if len(tail) < 2 or int.from_bytes(tail, "little") not in (checksum(data), _ANY_SUM):
+        return DAMAGED
+    return Reply(kind, sequence, data)

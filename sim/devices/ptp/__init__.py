@@ -1,0 +1,1 @@
+"""A virtual PTP still camera."""

@@ -1,0 +1,295 @@
+"""A camera that speaks Canon's EOS extension of PTP, as libgphoto2 describes it.
+
+Properties are set by an operation of its own and read by polling for records of what has changed:
+size, kind and data, the list ended by a record of kind 0.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import ClassVar
+
+from sim.devices.ptp.codes import Event, Operation, Property, Response, Type
+from sim.devices.ptp.config import Identity
+from sim.devices.ptp.datasets import (
+    DeviceProperty,
+    Handler,
+    Reply,
+    StoredObject,
+    pack_list,
+    unpack_number,
+)
+from sim.devices.ptp.properties import battery
+from sim.devices.ptp.responder import Responder
+from sim.devices.ptp.store import STORE, stored
+from sim.devices.still_body import Picture
+
+BULB = 0x0C
+CARD, HOST = 2, 4  # capture destinations
+_HOST_HANDLE = 0x9000_0001  # of a picture that waits for the host
+_ONE_SECOND = 0x38
+_STEPS_A_STOP = 8
+_F1 = 0x08
+_ISO_100 = 0x48
+_PROGRAM_MANUAL, _PROGRAM_AUTOMATIC = 3, 0
+# Thirds of a stop in eighths, as Canon counts them: 0, 3, 5.
+_THIRDS = (0, 3, 5)
+SHUTTER_CODES = tuple(code for code in range(0x10, 0xA1) if code % _STEPS_A_STOP in _THIRDS)
+_TENTH_OF_SECOND = 0x53
+_WAITING_RECORDS = 64
+
+
+def time_of_code(code: int) -> float:
+    """Return the shutter time of a code, s: eighths of a stop from 1 s."""
+    return float(2.0 ** ((_ONE_SECOND - code) / _STEPS_A_STOP))
+
+
+def code_of_iso(iso: int) -> int:
+    """Return the code of a sensitivity: eighths of a stop from ISO 100."""
+    return _ISO_100 + round(_STEPS_A_STOP * math.log2(iso / 100))
+
+
+def code_of_f_number(hundredths: int) -> int:
+    """Return the code of an f-number: eighths of a stop of light, two stops to a doubling."""
+    return _F1 + round(2 * _STEPS_A_STOP * math.log2(hundredths / 100))
+
+
+class CanonResponder(Responder):
+    """Codes in eighths of a stop; records that are polled for."""
+
+    identity: ClassVar[Identity] = Identity(
+        0x04A9, 0x323A, "Canon Inc.", "EOS 5D (virtual)", 0x0B, 1
+    )
+    missing: ClassVar[frozenset[int]] = frozenset(
+        {
+            Operation.INITIATE_CAPTURE,
+            Operation.INITIATE_OPEN_CAPTURE,
+            Operation.TERMINATE_OPEN_CAPTURE,
+        }
+    )
+    takes_data: ClassVar[frozenset[int]] = Responder.takes_data | {Operation.EOS_SET_PROPERTY}
+    shutter_codes: ClassVar[tuple[int, ...]] = (Property.EOS_SHUTTER,)
+    program_code: ClassVar[int] = Property.EOS_PROGRAM
+    events: ClassVar[tuple[int, ...]] = ()
+
+    def make_properties(self) -> list[DeviceProperty]:
+        """Return the battery, and Canon's own."""
+        config = self.config
+        is_manual = config.mode == "manual"
+        codes = (*([BULB] if config.bulb else []), *SHUTTER_CODES)
+        items = [
+            battery(),
+            DeviceProperty(
+                Property.EOS_SHUTTER, Type.UINT16, _TENTH_OF_SECOND, codes, is_writable=is_manual
+            ),
+            DeviceProperty(
+                Property.EOS_PROGRAM,
+                Type.UINT16,
+                _PROGRAM_MANUAL if is_manual else _PROGRAM_AUTOMATIC,
+                (_PROGRAM_AUTOMATIC, _PROGRAM_MANUAL),
+                is_writable=False,
+            ),
+            DeviceProperty(Property.EOS_AVAILABLE_SHOTS, Type.UINT32, 999, is_writable=False),
+            DeviceProperty(Property.EOS_DESTINATION, Type.UINT32, CARD, (CARD, HOST)),
+        ]
+        if config.isos:
+            isos = tuple(dict.fromkeys(code_of_iso(iso) for iso in config.isos))
+            items.append(DeviceProperty(Property.EOS_ISO, Type.UINT16, isos[0], isos))
+        if config.f_numbers:
+            stops = tuple(dict.fromkeys(code_of_f_number(n) for n in config.f_numbers))
+            items.append(DeviceProperty(Property.EOS_APERTURE, Type.UINT16, min(stops), stops))
+        return items
+
+    def listed_properties(self) -> list[int]:
+        """Return the battery alone: Canon's are known from the records."""
+        return [Property.BATTERY_LEVEL]
+
+    def make_operations(self) -> dict[int, Handler]:
+        """Return the standard's without its capture, and Canon's."""
+        self._records: deque[bytes] = deque(maxlen=_WAITING_RECORDS)
+        self._changed: set[int] = set()
+        self._is_remote = self._has_events = False
+        card, when_ready = self.card, self.when_ready
+        return {
+            **super().make_operations(),
+            Operation.EOS_GET_STORAGE_IDS: when_ready(card.get_storage_ids),
+            Operation.EOS_GET_STORAGE_INFO: when_ready(self._get_storage_info),
+            Operation.EOS_GET_OBJECT: when_ready(card.get_object),
+            Operation.EOS_GET_PARTIAL_OBJECT: when_ready(self._get_part),
+            Operation.EOS_GET_DEVICE_INFO: self._get_eos_info,
+            Operation.EOS_RELEASE: self._release,
+            Operation.EOS_SET_PROPERTY: self._set_eos_property,
+            Operation.EOS_SET_REMOTE_MODE: self._set_remote_mode,
+            Operation.EOS_SET_EVENT_MODE: self._set_event_mode,
+            Operation.EOS_GET_EVENTS: self._get_events,
+            Operation.EOS_TRANSFER_COMPLETE: self._transfer_complete,
+            Operation.EOS_HOST_CAPACITY: self._nothing,
+            Operation.EOS_KEEP_ON: self._nothing,
+            Operation.EOS_BULB_START: self._bulb_start,
+            Operation.EOS_BULB_END: self._bulb_end,
+            Operation.EOS_REQUEST_PROPERTY: self._request_property,
+        }
+
+    def close_session(self) -> None:
+        """Leave remote mode too."""
+        super().close_session()
+        self._is_remote = self._has_events = False
+
+    def turn_dial(self, mode: str) -> None:
+        """Turn the mode dial; Canon counts its modes in its own way."""
+        super().turn_dial(mode)
+        is_manual = mode == "manual"
+        self.properties[self.program_code].value = (
+            _PROGRAM_MANUAL if is_manual else _PROGRAM_AUTOMATIC
+        )
+
+    def time_of(self, code: int, value: int) -> float | None:
+        """Return the time of a shutter code."""
+        return time_of_code(value) if code == Property.EOS_SHUTTER and value != BULB else None
+
+    def exposure_time_s(self) -> float | None:
+        """Return the time that is set."""
+        return self.time_of(Property.EOS_SHUTTER, self.number(Property.EOS_SHUTTER))
+
+    def gain(self) -> float:
+        """Return the linear gain of the sensitivity that is set."""
+        if Property.EOS_ISO not in self.properties:
+            return 1.0
+        return float(2.0 ** ((self.number(Property.EOS_ISO) - _ISO_100) / _STEPS_A_STOP))
+
+    def light(self) -> float:
+        """Return the light of the aperture that is set, 1 for the widest."""
+        aperture = self.properties.get(Property.EOS_APERTURE)
+        if aperture is None:
+            return 1.0
+        closed = self.number(Property.EOS_APERTURE) - min(aperture.choices)
+        return float(2.0 ** (-closed / _STEPS_A_STOP))
+
+    def tell_changed(self, codes: Iterable[int]) -> None:
+        """Keep what has changed for the next poll."""
+        self._changed.update(codes)
+
+    def added(self, pictures: Sequence[Picture]) -> None:
+        """Put pictures where they are to go, and keep the records."""
+        if self.number(Property.EOS_DESTINATION) == HOST:
+            self.card.memory = {_HOST_HANDLE + i: stored(p, 0) for i, p in enumerate(pictures)}
+            kind, items = Event.EOS_REQUEST_TRANSFER, self.card.memory
+        else:
+            handles = [self.card.add(picture) for picture in pictures]
+            kind, items = Event.EOS_OBJECT_ADDED, {h: self.card.objects[h] for h in handles}
+        if not self.is_silent:
+            self._records.extend(_object_record(kind, handle, o) for handle, o in items.items())
+
+    def _nothing(self, parameters: Sequence[int], data: bytes) -> Reply:
+        return Reply()
+
+    def _get_storage_info(self, parameters: Sequence[int], data: bytes) -> Reply:
+        return Reply(data=self.card.packed())
+
+    def _get_part(self, parameters: Sequence[int], data: bytes) -> Reply:
+        return self.card.get_part(parameters, data, is_whole=True)
+
+    def _get_eos_info(self, parameters: Sequence[int], data: bytes) -> Reply:
+        kinds = (
+            Event.EOS_OBJECT_ADDED,
+            Event.EOS_REQUEST_TRANSFER,
+            Event.EOS_PROPERTY_CHANGED,
+            Event.EOS_CHOICES_CHANGED,
+        )
+        lists = pack_list(kinds, Type.UINT32) + pack_list(sorted(self.properties), Type.UINT32)
+        lists += pack_list([], Type.UINT32)
+        return Reply(data=struct.pack("<I", 4 + len(lists)) + lists)
+
+    def _set_remote_mode(self, parameters: Sequence[int], data: bytes) -> Reply:
+        self._is_remote = bool(parameters and parameters[0])
+        return Reply()
+
+    def _set_event_mode(self, parameters: Sequence[int], data: bytes) -> Reply:
+        self._has_events = bool(parameters and parameters[0])
+        if self._has_events:
+            self._changed.update(self.properties)
+        return Reply()
+
+    def _get_events(self, parameters: Sequence[int], data: bytes) -> Reply:
+        records = []
+        if self._has_events:
+            for code in sorted(self._changed):
+                records += _property_records(self.properties[code])
+            records += self._records
+            self._changed.clear()
+            self._records.clear()
+        return Reply(data=b"".join(records) + struct.pack("<II", 8, 0))
+
+    def _request_property(self, parameters: Sequence[int], data: bytes) -> Reply:
+        if not parameters or parameters[0] not in self.properties:
+            return Reply(Response.GENERAL_ERROR)
+        self._changed.add(parameters[0])
+        return Reply()
+
+    def _set_eos_property(self, parameters: Sequence[int], data: bytes) -> Reply:
+        """Take size, code and value, each as 32 bits."""
+        if not self._is_remote:
+            return Reply(Response.ACCESS_DENIED)
+        if len(data) != 12 or unpack_number(Type.UINT32, data[:4]) != len(data):
+            return Reply(Response.INVALID_PARAMETER)
+        code, value = struct.unpack("<II", data[4:])
+        item = self.properties.get(code)
+        return Reply(self.set_number(item, value) if item else Response.PROPERTY_NOT_SUPPORTED)
+
+    def _release(self, parameters: Sequence[int], data: bytes) -> Reply | None:
+        if not self._is_remote:
+            return Reply(Response.ACCESS_DENIED)
+        if self.exposure_time_s() is None:
+            return Reply(Response.GENERAL_ERROR)  # bulb has operations of its own
+        return _with_result(self.release())
+
+    def _bulb_start(self, parameters: Sequence[int], data: bytes) -> Reply | None:
+        if not self._is_remote or self.exposure_time_s() is not None:
+            return Reply(Response.ACCESS_DENIED)
+        return _with_result(self.release(is_bulb=True))
+
+    def _bulb_end(self, parameters: Sequence[int], data: bytes) -> Reply:
+        if not self.body.is_exposing:
+            return Reply(Response.GENERAL_ERROR)
+        self.body.end_bulb()
+        return Reply(parameters=(0,))
+
+    def _transfer_complete(self, parameters: Sequence[int], data: bytes) -> Reply:
+        if parameters:
+            self.card.memory.pop(parameters[0], None)
+        return Reply()
+
+
+def _with_result(reply: Reply | None) -> Reply | None:
+    """Return a reply with Canon's own result in its parameter: 0 for success."""
+    return Reply(reply.code, (int(reply.code != Response.OK),)) if reply else None
+
+
+def _record(kind: int, body: bytes) -> bytes:
+    return struct.pack("<II", 8 + len(body), kind) + body
+
+
+def _property_records(item: DeviceProperty) -> list[bytes]:
+    """Return what it is now, and what it may be where there is a list; all in 32 bits."""
+    records = [_record(Event.EOS_PROPERTY_CHANGED, struct.pack("<II", item.code, int(item.value)))]
+    if item.choices:
+        choices = item.choices if item.is_writable else ()
+        numbers = (item.code, 3, len(choices), *choices)  # 3: numbers of 16 or 32 bits
+        records.append(
+            _record(Event.EOS_CHOICES_CHANGED, struct.pack(f"<{len(numbers)}I", *numbers))
+        )
+    return records
+
+
+def _object_record(kind: int, handle: int, item: StoredObject) -> bytes:
+    name = item.name.encode("ascii") + bytes(4 - len(item.name) % 4)
+    size = len(item.data)
+    if kind == Event.EOS_REQUEST_TRANSFER:
+        # At 8 handle, 12 format, 20 size, 28 name.
+        return _record(kind, struct.pack("<IIIII", handle, item.format, 0, size, 0) + name)
+    # At 8 handle, 12 store, 16 format, 28 size, 32 folder, 40 name.
+    head = struct.pack("<IIIIIIII", handle, STORE, item.format, 0, 0, size, item.parent, handle)
+    return _record(kind, head + name)

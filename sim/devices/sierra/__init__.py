@@ -1,0 +1,1 @@
+"""A virtual Nikon CoolPix 990 on a serial line."""

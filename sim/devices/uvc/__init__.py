@@ -1,0 +1,1 @@
+"""A virtual webcam (USB Video Class)."""

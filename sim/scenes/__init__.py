@@ -1,0 +1,1 @@
+"""What a simulated sensor looks at."""

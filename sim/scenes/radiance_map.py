@@ -1,0 +1,238 @@
+"""Radiance pictures (.hdr, .pic) in numpy: the RGBE format of Ward's Radiance."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import DataError
+from sim.rgbe_repair import repair, was_sent_as_text
+
+_SIZE = re.compile(rb"([-+])([XY]) +(\d+) +([-+])([XY]) +(\d+)\s*$")
+_HEADER_LINES = 200
+_LINE_BYTES = 4096
+_DAMAGED = "the file is damaged, fetch it again"
+
+
+@dataclass(frozen=True)
+class _Header:
+    pixels_at: int
+    rows: int
+    columns: int
+    is_bottom_up: bool
+
+
+def _header(path: Path) -> _Header:
+    with path.open("rb") as file:
+        lines = [file.readline(_LINE_BYTES)]
+        # Some writers put lines before the signature; a blank line and the size end the header.
+        while lines[-1].strip():
+            if len(lines) > _HEADER_LINES:
+                raise DataError(f"{path}: no end of the Radiance header", hint=_DAMAGED)
+            lines.append(file.readline(_LINE_BYTES))
+        if not any(line.startswith((b"#?RADIANCE", b"#?RGBE")) for line in lines):
+            raise DataError(f"{path}: not a Radiance picture", hint="its header lacks #?RADIANCE")
+        if any(line.startswith(b"FORMAT=32-bit_rle_xyze") for line in lines):
+            raise DataError(f"{path}: colours are XYZ", hint="convert it to RGB with ra_xyze -r")
+        size = _SIZE.match(file.readline(_LINE_BYTES))
+        if size is None or size[2] != b"Y" or size[5] != b"X" or size[4] != b"+":
+            raise DataError(f"{path}: rows do not run as -Y rows +X columns", hint="flip it first")
+        return _Header(file.tell(), int(size[3]), int(size[6]), size[1] == b"+")
+
+
+def rgbe_shape(path: Path) -> tuple[int, int, int]:
+    """Return (rows, columns, 3).
+
+    Raises:
+        DataError: not a Radiance picture, or one in XYZ or with columns first
+    """
+    header = _header(path)
+    return header.rows, header.columns, 3
+
+
+def read_rgbe(path: Path) -> tuple[NDArray[np.float32], tuple[str, ...]]:
+    """Return (rows, columns, 3) float32, linear RGB, and what had to be repaired.
+
+    Raises:
+        DataError: as `rgbe_shape`, or the pixels end too early or are nonsense
+    """
+    header = _header(path)
+    data = path.read_bytes()[header.pixels_at :]
+    notes: tuple[str, ...] = ()
+    if was_sent_as_text(data) and (whole := repair(data, header.rows, header.columns)):
+        data = whole
+        notes = (
+            f"{path.name} was damaged by a transfer as text: its bytes 10 and 13 were told apart"
+            " by the run lengths; dark channels can be a few percent of the brightest one off",
+        )
+    rgbe = np.empty((header.rows, 4, header.columns), dtype=np.uint8)
+    position = 0
+    for row in range(header.rows):
+        try:
+            position = _read_row(data, position, rgbe[row])
+        except IndexError as error:
+            raise DataError(f"{path}: ends in row {row} of {header.rows}", hint=_DAMAGED) from error
+        except ValueError as error:
+            raise DataError(
+                f"{path}: row {row} of {header.rows} is nonsense", hint=_DAMAGED
+            ) from error
+    if header.is_bottom_up:
+        rgbe = rgbe[::-1]
+    # Radiance: value = (mantissa + 1/2) 2^(exponent - 136), and exponent 0 is black.
+    exponent = rgbe[:, 3, :].astype(np.int32)
+    scale = np.ldexp(np.float32(1), exponent - 136)
+    scale[exponent == 0] = 0
+    picture = np.empty((header.rows, header.columns, 3), dtype=np.float32)
+    for channel in range(3):
+        np.multiply(rgbe[:, channel, :] + np.float32(0.5), scale, out=picture[..., channel])
+    return picture, notes
+
+
+def _read_row(data: bytes, position: int, row: NDArray[np.uint8]) -> int:
+    """Read one scan line into `row` (4, columns); return where the next one starts."""
+    columns = int(row.shape[1])
+    start = data[position : position + 4]
+    if len(start) < 4:
+        raise IndexError
+    if not (8 <= columns < 2**15 and start[:2] == b"\x02\x02" and start[2] < 128):
+        size = 4 * columns
+        if position + size > len(data):
+            raise IndexError
+        row[...] = np.frombuffer(data, np.uint8, size, position).reshape(columns, 4).T
+        return position + size
+    if (start[2] << 8 | start[3]) != columns:
+        raise ValueError
+    position += 4
+    for channel in row:
+        filled = 0
+        while filled < columns:
+            count = data[position]
+            length = count - 128 if count > 128 else count
+            if length == 0 or filled + length > columns:
+                raise ValueError
+            if count > 128:
+                channel[filled : filled + length] = data[position + 1]
+                position += 2
+            else:
+                literal = data[position + 1 : position + 1 + length]
+                if len(literal) < length:
+                    raise IndexError
+                channel[filled : filled + length] = np.frombuffer(literal, np.uint8)
+                position += 1 + length
+            filled += length
+    return position
+
+
+Result = TypeVar("Result")
+Shape: TypeAlias = tuple[int, ...]
+Map: TypeAlias = tuple[NDArray[Any], tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """How one kind of file is read: its size alone, and its pixels with notes."""
+
+    shape: Callable[[Path], Shape]
+    pixels: Callable[[Path], Map]
+
+
+def read_shape(path: Path) -> Shape:
+    """Return the size of the map in `path` without reading its pixels; raises `DataError`."""
+    return _reading(path, _KINDS[path.suffix.lower()].shape)
+
+
+def read_map(path: Path) -> Map:
+    """Return the map in `path` as it stands there (RGB order), and what had to be repaired.
+
+    Raises:
+        DataError: missing, unreadable, or not what its name says
+    """
+    return _reading(path, _KINDS[path.suffix.lower()].pixels)
+
+
+def _reading(path: Path, read: Callable[[Path], Result]) -> Result:
+    if not path.exists():
+        raise DataError(f"{path}: no such file", hint="give a scene's name or a radiance map")
+    try:
+        return read(path)
+    except DataError:
+        raise
+    except PermissionError as error:
+        raise DataError(f"{path}: no permission to read it") from error
+    # Readers of foreign files raise whatever a damaged one leads them to.
+    except Exception as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise DataError(
+            f"{path}: cannot be read as {path.suffix} ({reason})", hint="is it damaged?"
+        ) from error
+
+
+def _npy_shape(path: Path) -> Shape:
+    return tuple(np.load(path, mmap_mode="r", allow_pickle=False).shape)
+
+
+def _npy(path: Path) -> Map:
+    return np.load(path, allow_pickle=False), ()
+
+
+def _tiff_shape(path: Path) -> Shape:
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        return tuple(file.series[0].shape)
+
+
+def _tiff(path: Path) -> Map:
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        series = file.series[0]
+        values = np.asarray(series.asarray())
+        axes = series.axes
+    if values.ndim == 3 and axes[0] in "SC" and values.shape[0] in (1, 3):
+        values = np.moveaxis(values, 0, -1)  # planes one after another
+    if values.ndim == 3 and values.shape[2] == 4:
+        return values[..., :3], ("the fourth channel was taken for opacity and left out",)
+    return values, ()
+
+
+def _exr_shape(path: Path) -> Shape:
+    import OpenEXR
+
+    with OpenEXR.File(str(path), header_only=True) as file:
+        low, high = file.header()["dataWindow"]
+        return int(high[1] - low[1] + 1), int(high[0] - low[0] + 1), 3
+
+
+def _exr(path: Path) -> Map:
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
+    if all(name in channels for name in "RGB"):
+        return np.stack([channels[name] for name in "RGB"], axis=-1), ()
+    if "Y" in channels:
+        notes = ("only its luminance was read",) if "RY" in channels else ()
+        return np.asarray(channels["Y"]), notes
+    if len(channels) == 1:
+        return np.asarray(next(iter(channels.values()))), ()
+    raise DataError(
+        f"{path}: its channels are {', '.join(sorted(channels))}", hint="R, G and B or Y are needed"
+    )
+
+
+_KINDS = {
+    ".hdr": _Kind(rgbe_shape, read_rgbe),
+    ".pic": _Kind(rgbe_shape, read_rgbe),
+    ".exr": _Kind(_exr_shape, _exr),
+    ".tif": _Kind(_tiff_shape, _tiff),
+    ".tiff": _Kind(_tiff_shape, _tiff),
+    ".npy": _Kind(_npy_shape, _npy),
+}
+SUFFIXES = tuple(_KINDS)

@@ -1,0 +1,186 @@
+"""A streaming camera as hardware: slots, a late control register, and a short queue of buffers.
+
+The device knows no list of exposures and answers no question about which exposure a frame had:
+that is the driver's work (`sim.camera`).  Like a V4L2 camera it
+
+- streams one frame slot after another, each as long as the frame interval or, where that is
+  longer, as the exposure; exposures end with their slot;
+- takes a setting at any time, clamps it silently to what it can do, and obeys `delay_frames`
+  slots later, counted from the first slot that has not begun;
+- keeps the newest `QUEUE` finished frames for a consumer that is late and drops older ones.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from camctl.camera import Pixels
+from camctl.clock import Clock
+from camctl.controls import ExposureSetting
+from camctl.errors import CameraDisconnectedError
+from sim.sensors.sensor import Sensor
+
+QUEUE = 4
+
+
+@dataclass(frozen=True)
+class Buffer:
+    """One finished frame slot, not yet read out.
+
+    Attributes:
+        sequence: number of the slot since the stream began
+        timestamp_s: when its exposure ended
+    """
+
+    sequence: int
+    timestamp_s: float
+    _exposed: ExposureSetting
+    _before: ExposureSetting
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What a frame was exposed with.
+
+    Attributes:
+        sequence: number of the slot since the stream began
+        time_s, gain: its exposure
+        start_s: when the exposure began, since the stream did
+        previous_s: exposure time of the slot before
+    """
+
+    sequence: int
+    time_s: float
+    gain: float
+    start_s: float
+    previous_s: float
+
+
+class SimulatedDevice:
+    """The hardware that a simulated sensor sits in.
+
+    Args:
+        sensor: times, gains, delay and frame interval
+        render: what a `Slot` was exposed with, to pixels
+        clock: the time that the stream runs in
+        seed: of the jitter of the control delay
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        render: Callable[[Slot], Pixels],
+        clock: Clock,
+        *,
+        seed: int = 0,
+    ) -> None:
+        self._sensor = sensor
+        self._render = render
+        self._clock = clock
+        self._jitter = np.random.Generator(np.random.PCG64(seed))
+        power_on = sensor.times.nearest(min(sensor.frame_interval_s, sensor.time_maximum_s) / 2)
+        self._setting = ExposureSetting(power_on, 1.0)
+        self._pending: deque[tuple[int, ExposureSetting]] = deque()
+        self._running = 0  # the slot that is exposing now, or begins at this instant
+        self._start_s = clock.now()
+        self._began_s = self._start_s
+        self._before = self._setting
+        self._finished: deque[Buffer] = deque()
+        self._frozen = False
+        self._plugged = True
+        self.lost = 0
+
+    @property
+    def upcoming(self) -> int:
+        """Sequence number of the first slot that has not begun (a frame-start event tells it)."""
+        self._advance()
+        return self._running + (self._clock.now() > self._start_s)
+
+    def write(self, setting: ExposureSetting) -> tuple[int, ExposureSetting]:
+        """Set the exposure; return `upcoming` at that moment and the setting read back."""
+        upcoming = self.upcoming
+        applied = ExposureSetting(
+            self._sensor.times.nearest(setting.time_s), self._sensor.gains.nearest(setting.gain)
+        )
+        jitter = int(self._jitter.integers(0, self._sensor.delay_jitter_frames, endpoint=True))
+        lands = upcoming + self._sensor.delay_frames + jitter
+        # Writes land in their order: of several that are due the last one stays.
+        self._pending.append((lands, applied))
+        return upcoming, applied
+
+    def dequeue(self, silence_s: float) -> Buffer | None:
+        """Return the oldest finished frame, or wait for the next.
+
+        None once nothing has come for `silence_s` beyond the time that the next frame takes.
+        """
+        self._advance()
+        if not self._finished:
+            if self._frozen:
+                self._clock.sleep_until(self._clock.now() + self._slot_s() + silence_s)
+                self._check_plug()
+                return None
+            self._clock.sleep_until(self._start_s + self._slot_s())
+            self._advance()
+        return self._finished.popleft()
+
+    def read_out(self, buffer: Buffer, *, light: float = 1.0) -> Pixels:
+        """Return the pixels of a frame; `light` is a fault: they had so many times the exposure."""
+        self._check_plug()
+        setting = buffer._exposed
+        start_s = buffer.timestamp_s - setting.time_s - self._began_s
+        return self._render(
+            Slot(
+                buffer.sequence,
+                setting.time_s * light,
+                setting.gain,
+                start_s,
+                buffer._before.time_s,
+            )
+        )
+
+    def unplug(self) -> None:
+        """Pull the cable: every call from now on raises `CameraDisconnectedError`."""
+        self._plugged = False
+
+    def freeze(self) -> None:
+        """Stop handing over frames, without a word."""
+        self._advance()
+        self._finished.clear()
+        self._frozen = True
+
+    def thaw(self) -> None:
+        """Stream again after `freeze`."""
+        self._frozen = False
+        self._start_s = max(self._start_s, self._clock.now())
+
+    def _check_plug(self) -> None:
+        if not self._plugged:
+            raise CameraDisconnectedError(
+                "the simulated camera was unplugged", hint="plug it in and open it again"
+            )
+
+    def _slot_s(self) -> float:
+        """Length of the running slot, whose setting is latched here."""
+        while self._pending and self._pending[0][0] <= self._running:
+            self._setting = self._pending.popleft()[1]
+        return max(self._sensor.frame_interval_s, self._setting.time_s)
+
+    def _advance(self) -> None:
+        """Bring the stream up to the clock."""
+        self._check_plug()
+        now = self._clock.now()
+        while not self._frozen:
+            end_s = self._start_s + self._slot_s()
+            if end_s > now:
+                return
+            self._finished.append(Buffer(self._running, end_s, self._setting, self._before))
+            self._before = self._setting
+            self._running += 1
+            self._start_s = end_s
+            if len(self._finished) > QUEUE:
+                self._finished.popleft()
+                self.lost += 1

@@ -1,0 +1,213 @@
+"""Nothing that is left out changes a frame by more than was promised.
+
+Random scenes, sensors and exposures; the frame with effects left out and the frame with everything
+on have the same random bits, so that every difference is the doing of what was left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim.effects.bounds import Bounds
+from sim.effects.budget import greedy, plan_frame
+from sim.effects.record import Shot
+from sim.render import Renderer
+from sim.scenes.motion import Lamps, Target
+from sim.scenes.scene import Scene
+from sim.scenes.view import View
+from sim.sensors.parts import Dark, Lens
+from sim.sensors.sensor import Sensor
+
+TRIPLES = 3000
+CHUNKS = 6
+
+
+def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    return float(low * (high / low) ** random.random())
+
+
+def a_scene(random: np.random.Generator) -> Scene:
+    rows, columns = (int(n) for n in random.integers(1, 28, 2))
+    shape = (rows, columns, 3) if random.random() < 0.3 else (rows, columns)
+    kind = random.integers(6)
+    if kind == 0:
+        light = np.full(shape, random.random())
+    elif kind == 1:
+        along = int(random.integers(2))
+        ramp = np.linspace(random.random() * 0.2, 1, shape[along])
+        light = np.moveaxis(
+            np.broadcast_to(ramp, (*np.delete(shape, along), shape[along])), -1, along
+        )
+    elif kind == 2:
+        light = random.random(shape)
+    elif kind == 3:
+        light = np.exp(random.normal(0, 3, shape))
+    elif kind == 4:
+        light = (random.random(shape) < 0.05) * 1.0 + 1e-3 * random.random()
+    else:
+        light = 0.5 + 1e-3 * random.random(shape)
+    light = np.maximum(np.asarray(light, dtype=np.float64), 0)
+    light[(0,) * light.ndim] += 1e-6
+    lamps = Lamps(float(random.choice([50.0, 60.0])), random.random() * 0.9)
+    target = None
+    if random.random() < 0.35:
+        height, width = (int(n) for n in random.integers(1, 9, 2))
+        surface = random.random((height, width, *shape[2:])) * random.choice([0.1, 1.0, 5.0])
+        target = Target(
+            surface.astype(np.float32),
+            random.random((height, width)).astype(np.float32),
+            int(random.integers(-4, rows + 2)),
+            float(random.uniform(-5, columns + 5)),
+            float(random.choice([-1, 1])) * log_uniform(random, 0.1, 1e4),
+        )
+    return Scene(
+        "random",
+        light,
+        photons_per_unit=log_uniform(random, 1e2, 1e8),
+        lamps=lamps if random.random() < 0.4 else None,
+        target=target,
+    )
+
+
+def some(random: np.random.Generator, low: float, high: float) -> float:
+    return log_uniform(random, low, high) if random.random() < 0.7 else 0.0
+
+
+def a_sensor(random: np.random.Generator) -> Sensor:
+    bits = int(random.integers(4, 15))
+    black = int(random.integers(0, max(1, 2**bits // 8))) if random.random() < 0.5 else 0
+    well = log_uniform(random, 500, 50_000)
+    curved = black == 0 and random.random() < 0.1
+    per_dn = well / (2**bits - black) / (1.3 if curved else 1.0)
+    layout = random.choice([None, "mono", "rgb", "rggb", "gbrg"])
+    fields: dict[str, Any] = {
+        "name": "random",
+        "bits": bits,
+        "black": black,
+        "phase": float(random.choice([0.0, 0.5])),
+        "full_well_e": well,
+        "electrons_per_dn": per_dn,
+        "layout": layout,
+        "photon_noise": bool(random.random() < 0.9),
+        "read_noise_e": some(random, 0.001, well / 400),
+        "gain_maximum": 8.0,
+        "time_minimum_s": 1e-6,
+        "line_s": 1e-6,
+        "time_maximum_s": 1000.0,
+        "curve": "srgb" if curved else "linear",
+        "lens": {
+            "vignetting": some(random, 1e-6, 0.6),
+            "glare": some(random, 1e-6, 0.2),
+            "blur_px": some(random, 0.05, 2.5),
+        },
+        "dark": {
+            "current_e_s": some(random, 1e-4, 1e3),
+            "temperature_c": float(random.uniform(-20, 60)),
+            "hot_share": some(random, 1e-4, 0.02),
+            "hot_rate_e_s": some(random, 1e-2, 1e4),
+        },
+        "pixels": {
+            "prnu": some(random, 1e-7, 0.05),
+            "dsnu_e": some(random, 1e-3, well / 400),
+            "crosstalk": some(random, 1e-7, 0.1),
+            "blooming": some(random, 0.01, 1.0),
+            "blooming_px": int(random.integers(1, 9)),
+            "smear_s": some(random, 1e-9, 1e-3),
+            "lag": some(random, 1e-7, 0.2),
+        },
+        "read_out": {
+            "row_noise_e": some(random, 1e-3, well / 400),
+            "column_noise_e": some(random, 1e-3, well / 400),
+            "row_s": some(random, 1e-7, 1e-3),
+            "nonlinearity_dn": 0.0 if curved else min(some(random, 0.001, 3), 2**bits / 16),
+            "cosmic_rate_s": some(random, 1, 1e5),
+        },
+    }
+    if layout != "mono" and random.random() < 0.3:
+        fields["spectrum"] = (random.random((3, 3)) * 0.5).tolist()
+    return Sensor.model_validate(fields)
+
+
+@dataclass(frozen=True)
+class Triple:
+    """One random case, rendered with everything on and with something left out."""
+
+    renderer: Renderer
+    shot: Shot
+    sensor: Sensor
+
+    def measured(self, left_out: tuple[str, ...]) -> tuple[float, int]:
+        """Return the largest difference before the ADC, DN, and after it, levels."""
+        r, shot = self.renderer, self.shot
+        full = plan_frame(shot, 0.0)
+        part = plan_frame(shot, 0.0, left_out=left_out)
+        after = r.expose(shot, full).astype(int) - r.expose(shot, part).astype(int)
+        if self.sensor.response is not None:
+            return 0.0, int(np.abs(after).max())
+        before = r.brightness(shot, full).astype(np.float64) - r.brightness(shot, part)
+        return float(np.abs(before).max()), int(np.abs(after).max())
+
+
+def a_triple(random: np.random.Generator) -> Triple:
+    scene, sensor = a_scene(random), a_sensor(random)
+    renderer = Renderer(
+        View.of(scene, sensor), sensor, seed=int(random.integers(1 << 60)), threads=1
+    )
+    light = float(scene.irradiance.max()) * scene.photons_per_unit * sensor.quantum_efficiency
+    # From almost dark to well beyond the full well.
+    time_s = min(log_uniform(random, 1e-4, 5) * sensor.full_well_e / light, 900.0)
+    shot = renderer.shot(
+        max(time_s, 1e-6),
+        float(random.choice([1.0, 2.0, 8.0])),
+        int(random.integers(100)),
+        start_s=float(random.random() * 3),
+        previous_s=None if random.random() < 0.5 else log_uniform(random, 1e-5, 1.0),
+    )
+    return Triple(renderer, shot, sensor)
+
+
+@pytest.mark.parametrize("chunk", range(CHUNKS))
+def test_nothing_left_out_changes_more_than_was_promised(chunk: int) -> None:
+    """3,000 triples, in each one effect, a random set, and what a tolerance leaves out."""
+    random = np.random.default_rng(chunk)
+    tightest: dict[str, float] = {}
+    for case in range(TRIPLES // CHUNKS):
+        triple = a_triple(random)
+        bounds = Bounds(triple.shot)
+        names = list(bounds.changes)
+        one = (str(random.choice(names)),)
+        several = tuple(name for name in names if random.random() < random.random())
+        tolerance = log_uniform(random, 0.02, 8)
+        for left_out in (one, several, greedy(bounds, tolerance)):
+            bound = bounds.joint(left_out)
+            if not left_out or math.isinf(bound):
+                continue
+            before, after = triple.measured(left_out)
+            assert before <= bound, (chunk, case, left_out, before, bound)
+            assert after <= math.ceil(bound), (chunk, case, left_out, after, bound)
+            if len(left_out) == 1 and bound > 0:
+                name = left_out[0]
+                tightest[name] = max(tightest.get(name, 0.0), before / bound)
+        assert bounds.joint(greedy(bounds, tolerance)) <= tolerance
+    print({name: round(value, 3) for name, value in sorted(tightest.items())})
+
+
+def test_dim_corners_have_the_noise_of_few_electrons() -> None:
+    """A little dark current matters most where vignetting leaves least light."""
+    sensor = Sensor(
+        name="dim",
+        bits=12,
+        full_well_e=10_000,
+        lens=Lens(vignetting=0.95),
+        dark=Dark(current_e_s=20.0),
+    )
+    renderer = Renderer(np.full((300, 300), 4000.0, np.float32), sensor, seed=3)
+    triple = Triple(renderer, renderer.shot(0.02, 1.0, 0), sensor)
+    bound = Bounds(triple.shot).joint(["dark current"])
+    before, _ = triple.measured(("dark current",))
+    assert 0.5 * bound < before <= bound
