@@ -7,16 +7,62 @@ Panels are callables in ``camctl.panels``.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from camctl.camera import Camera, CameraInfo
 from camctl.errors import CamctlError, UsageError, unknown_name
 
 CAMERAS = "camctl.cameras"
 PANELS = "camctl.panels"
+
+
+def _parse_size(value: object) -> object:
+    if not isinstance(value, str):
+        return value
+    match = re.fullmatch(r"\s*([1-9]\d{0,8})\s*[xX×]\s*([1-9]\d{0,8})\s*", value, re.ASCII)
+    if match is None:
+        raise ValueError("write WIDTHxHEIGHT, such as 640x480")
+    return int(match[2]), int(match[1])
+
+
+FrameShape = Annotated[tuple[int, int], BeforeValidator(_parse_size)]
+"""(rows, columns) of a frame; a person writes WIDTHxHEIGHT."""
+
+
+class BackendOptions(BaseModel):
+    """Base of the options of one backend: a field for each name after ``-O``.
+
+    Values come as strings from the command line and as Python values from programs.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @classmethod
+    def parse(cls, options: Mapping[str, Any]) -> Self:
+        """Return the validated options.
+
+        Raises:
+            UsageError: an unknown name, or a value that its field does not accept
+        """
+        for name in options:
+            if name not in cls.model_fields:
+                raise unknown_name("camera option", name, cls.model_fields)
+        try:
+            return cls.model_validate(dict(options))
+        except ValidationError as error:
+            first = error.errors()[0]
+            name = str(first["loc"][0]) if first["loc"] else ""
+            reason = first["msg"].removeprefix("Value error, ")
+            raise UsageError(
+                f"invalid camera option {name}={options.get(name)}",
+                hint=reason[:1].lower() + reason[1:],
+            ) from None
 
 
 class CameraBackend(Protocol):

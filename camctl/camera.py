@@ -8,7 +8,7 @@ are SI: seconds, linear gain, f-number; true times, never the labels on a dial.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from camctl.clock import Clock
 from camctl.controls import ExposureControls, ExposureSetting
+from camctl.errors import CameraBusyError, CameraDisconnectedError
 
 
 class Closing(ABC):
@@ -181,3 +182,113 @@ class StreamingCamera(Camera, Protocol):
         from 0.  Raises as `shoot` does.
         """
         ...
+
+
+class CameraBase(ABC):
+    """What every camera driver repeats: open and close, one sequence at a time, settings checked.
+
+    A driver gives `_open`, which sets `_info` and `_controls`, `_frames` and `_close`.  The
+    constructor does no I/O; the camera opens with `open` or at the start of its ``with`` block.
+    A driver that learns its controls late overrides the property `controls`.
+
+    Args:
+        name: what error messages call the camera, such as its device path
+        clock: the clock of its timestamps and of everything it waits for
+    """
+
+    _info: CameraInfo | None = None
+    _controls: ExposureControls | None = None
+
+    def __init__(self, name: str, clock: Clock) -> None:
+        self._name = name
+        self._clock = clock
+        self._is_open = False
+        self._is_shooting = False
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Connect to the device; where this raises, nothing is left open."""
+
+    @abstractmethod
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        """Yield one frame for each setting; all of them have been checked."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Disconnect from the device; called once for each `_open` that succeeded."""
+
+    @property
+    def info(self) -> CameraInfo:
+        """The identity of the camera; raises `CameraDisconnectedError` before it was opened."""
+        if self._info is None:
+            raise self._not_open()
+        return self._info
+
+    @property
+    def controls(self) -> ExposureControls:
+        """What can be set; raises `CameraDisconnectedError` before the camera was opened."""
+        if self._controls is None:
+            raise self._not_open()
+        return self._controls
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the timestamps."""
+        return self._clock
+
+    def open(self) -> Self:
+        """Connect to the device and return the camera; an open camera stays as it is."""
+        if not self._is_open:
+            self._open()
+            self._is_open = True
+        return self
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        """Take the settings in their order; see `Camera.shoot`."""
+        wanted = tuple(settings)
+        self._check_ready()
+        controls = self.controls
+        for setting in wanted:
+            controls.check(setting)
+        return self._shoot(wanted)
+
+    def close(self) -> None:
+        """Disconnect from the device; a second call does nothing."""
+        if self._is_open:
+            self._is_open = False
+            self._close()
+
+    def __enter__(self) -> Self:
+        """Open the camera and return it."""
+        return self.open()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the camera."""
+        self.close()
+
+    def _shoot(self, settings: tuple[ExposureSetting, ...]) -> Generator[Frame, None, None]:
+        self._check_ready()
+        self._is_shooting = True
+        try:
+            yield from self._frames(settings)
+        finally:
+            self._is_shooting = False
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise self._not_open()
+
+    def _check_ready(self) -> None:
+        self._check_open()
+        if self._is_shooting:
+            raise CameraBusyError(
+                f"{self._name} is still shooting", hint="finish or close that sequence first"
+            )
+
+    def _not_open(self) -> CameraDisconnectedError:
+        return CameraDisconnectedError(f"{self._name} is not open", hint="open it first")
