@@ -33,7 +33,7 @@ from camctl.response.auto import auto_response
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "exposure"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from cells import CELLS, Cell
 
 EIGHT_BIT = linear_response(8)

@@ -58,7 +58,7 @@ def test_a_constant_delay_is_found_with_every_sensor(sensor: str, scene: str) ->
     gain=st.sampled_from([1.0, 8.0]),
     seed=st.integers(0, 1000),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_what_is_measured_holds(
     delay: int, jitter: int, sensor: str, level: float, noise: float, gain: float, seed: int
 ) -> None:

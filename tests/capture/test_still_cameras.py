@@ -73,7 +73,7 @@ def test_metering_costs_few_actuations_and_finds_the_highlights(
     mains=st.sampled_from([None, 50.0, 60.0]),
     budget=st.sampled_from([None, 30.0]),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_every_plan_is_on_the_dial(
     response: str,
     dynamic_range: float,

@@ -55,7 +55,7 @@ DESIRED = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(BITS, RATIOS, DESIRED, st.floats(1, 1e5), st.sampled_from([1.0, 1.5, 2.0]))
 def test_always_finite_and_never_negative(
     bits: int, ratios: list[float], desired: DesiredResponse, wanted: float, p: float
@@ -69,7 +69,7 @@ def test_always_finite_and_never_negative(
     assert 1 - 1e-9 <= levels <= camera.levels_total + 1
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(BITS, RATIOS, DESIRED, st.floats(1, 1e4), st.sampled_from([1.0, 2.0]))
 def test_batches_never_fail_nor_exceed_what_is_exact(
     bits: int, ratios: list[float], desired: DesiredResponse, wanted: float, p: float
@@ -84,7 +84,7 @@ def test_batches_never_fail_nor_exceed_what_is_exact(
     assert score <= exact * (1 + 1e-6) + 1e-6 * wanted**p
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(BITS, RATIOS, DESIRED, st.randoms(use_true_random=False))
 def test_the_order_of_exposures_does_not_matter(
     bits: int, ratios: list[float], desired: DesiredResponse, random: Any
@@ -98,7 +98,7 @@ def test_the_order_of_exposures_does_not_matter(
     assert xi(one, desired, 500) == xi(two, desired, 500)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(BITS, RATIOS, DESIRED, st.sampled_from([0.25, 0.5, 2.0, 16.0]))
 def test_light_and_exposures_scale_together(
     bits: int, ratios: list[float], desired: DesiredResponse, factor: float
@@ -111,7 +111,7 @@ def test_light_and_exposures_scale_together(
     assert np.array_equal(one.brightness(E), two.brightness(E / factor))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(BITS, RATIOS, st.integers(0, 2**32 - 1))
 def test_union_of_levels_is_the_sum_of_frames(bits: int, ratios: list[float], seed: int) -> None:
     """On every pixel that is not within rounding of a level."""
@@ -127,7 +127,7 @@ def test_union_of_levels_is_the_sum_of_frames(bits: int, ratios: list[float], se
     assert np.array_equal(camera.brightness(E)[~near], np.asarray(frames)[~near])
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(BITS, RATIOS, DESIRED, st.floats(1, 1e6), st.floats(1, 5000))
 def test_one_exposure_more_never_hurts(
     bits: int, ratios: list[float], desired: DesiredResponse, extra: float, wanted: float

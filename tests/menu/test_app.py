@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from panel_fakes import COSTS, FakeJob, ScriptedPanel, plan_of
 
 from camctl.capture.request import CapturePlan
 from camctl.controls import ExposureSetting
@@ -18,7 +19,6 @@ from menu.app import run
 from menu.model import RANGES, RESPONSES, Model, State
 from menu.ports import Choice, Cost, Highlight, Key
 from menu.screens import screen
-from tests.menu.panel_fakes import COSTS, FakeJob, ScriptedPanel, plan_of
 from tests.menu.test_screens import settings_on
 
 Script = list[tuple[str, Key | Callable[[], object]]]
@@ -80,7 +80,7 @@ class RandomPlans(FakeJob):
         return self.plans.pop(0)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.integers(0, len(RESPONSES) - 1),
     st.integers(0, len(RANGES) - 1),

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from panel_fakes import ScriptedPanel
 
 from camctl.camera import Frame
 from camctl.capture.report import read_report
@@ -21,7 +22,6 @@ from menu.screens import screen
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
-from tests.menu.panel_fakes import ScriptedPanel
 from tests.menu.test_screens import settings_on
 
 SIZE = (60, 16)

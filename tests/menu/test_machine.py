@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
+from panel_fakes import COSTS, plan_of
 
 from camctl.capture.sequencer import Progress
 from camctl.controls import ExposureSetting
@@ -30,7 +31,6 @@ from menu.messages import (
 )
 from menu.model import RANGES, RESPONSES, Action, Model, State
 from menu.ports import Key, Summary
-from tests.menu.panel_fakes import COSTS, plan_of
 
 PLAN = plan_of([ExposureSetting(0.0033), ExposureSetting(0.0327)])
 WORKING = {State.PREDICTING: Predict, State.PLANNING: MakePlan, State.SHOOTING: Shoot}

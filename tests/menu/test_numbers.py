@@ -3,7 +3,7 @@ from __future__ import annotations
 import doctest
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import menu.numbers
@@ -31,7 +31,6 @@ def test_short_times(time_s: float, words: str) -> None:
     assert short_time(time_s) == words
 
 
-@settings(deadline=None)
 @given(st.floats(1e-6, 3600))
 def test_times_keep_their_digits(time_s: float) -> None:
     for write, digits in ((short_time, 3), (exact_time, 7)):
@@ -41,13 +40,11 @@ def test_times_keep_their_digits(time_s: float) -> None:
         assert len(number) <= digits + 1
 
 
-@settings(deadline=None)
 @given(st.floats(1e-3, 9.9e7))
 def test_counts_fit(levels: float) -> None:
     assert len(count_of(levels)) <= 5
 
 
-@settings(deadline=None)
 @given(st.floats(1, 1e7))
 def test_ratios_keep_their_digits(ratio: float) -> None:
     assert len(times(ratio)) <= 6

@@ -6,8 +6,9 @@ import re
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from panel_fakes import COSTS, plan_of
 
 from camctl.capture.request import CapturePlan
 from camctl.capture.sequencer import Progress
@@ -16,7 +17,6 @@ from menu.machine import STATES, Kind, step
 from menu.model import RANGES, RESPONSES, Action, Model, State
 from menu.ports import Cost, Key, Summary
 from menu.screens import screen, settled
-from tests.menu.panel_fakes import COSTS, plan_of
 
 text = st.text(max_size=120)
 settings_lists = st.lists(
@@ -69,7 +69,6 @@ def models(draw: st.DrawFn) -> Model:
     )
 
 
-@settings(deadline=None)
 @given(models(), sizes)
 def test_a_screen_is_as_large_as_the_panel(model: Model, size: tuple[int, int]) -> None:
     columns, rows = size
@@ -79,7 +78,6 @@ def test_a_screen_is_as_large_as_the_panel(model: Model, size: tuple[int, int]) 
     assert grid.lines[0].strip()
 
 
-@settings(deadline=None)
 @given(models(), sizes)
 def test_the_selected_entry_is_on_the_panel(model: Model, size: tuple[int, int]) -> None:
     grid = screen(model, *size)
@@ -99,7 +97,6 @@ def test_the_selected_entry_is_on_the_panel(model: Model, size: tuple[int, int])
         assert shown == f"[{face.actions[model.action].value}]"
 
 
-@settings(deadline=None)
 @given(models(), sizes)
 def test_scrolling_shows_all_and_comes_back_at_once(model: Model, size: tuple[int, int]) -> None:
     if STATES[model.state].kind is not Kind.PAGE:
@@ -146,7 +143,6 @@ def settings_on(model: Model, columns: int, rows: int) -> list[ExposureSetting]:
     ]
 
 
-@settings(deadline=None)
 @given(plans, sizes)
 def test_the_review_names_the_settings_of_the_plan(
     plan: CapturePlan, size: tuple[int, int]
@@ -177,7 +173,6 @@ def test_costs_on_the_smallest_panel() -> None:
     assert wide == "> 3 99.3 x base 392 levels 1 9.91 88.38"
 
 
-@settings(deadline=None)
 @given(cost_lists, st.none() | st.floats(1e-6, 3))
 def test_costs_are_never_cut(costs: list[Cost], base_s: float | None) -> None:
     for columns in (20, 40, 60):

@@ -94,7 +94,7 @@ def test_read_noise_has_its_standard_deviation() -> None:
     assert draws.std() == pytest.approx(2.5, rel=5 / math.sqrt(2 * draws.size))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(0, 10_000), st.integers(1, TILE)
 )

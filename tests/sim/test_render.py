@@ -51,7 +51,7 @@ def test_what_a_seed_means_does_not_change() -> None:
     ]
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     st.sampled_from(sensor_names()),
     st.sampled_from([1.0, 4.0]),
@@ -68,7 +68,7 @@ def test_samples_stay_within_the_adc(name: str, gain: float, seed: int, lines: i
     assert frame[-1] >= sensor.white
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.sampled_from(sensor_names()), st.floats(1e-4, 5), st.floats(1, 50), st.floats(1, 8))
 def test_more_exposure_is_never_darker(name: str, time: float, factor: float, gain: float) -> None:
     plain = {"photon_noise": False, "read_noise_e": 0.0}

@@ -130,7 +130,6 @@ def test_every_sensor_makes_a_camera(name: str) -> None:
 
 
 @given(st.integers(0, 5), st.lists(st.integers(1, 200), min_size=1, max_size=9))
-@settings(deadline=None)
 def test_n_exposures_cost_exactly_n_plus_d_slots(delay: int, counts: list[int]) -> None:
     with open_steady(delay) as camera:
         camera.preview(lines(20)[0])
@@ -147,7 +146,6 @@ def test_n_exposures_cost_exactly_n_plus_d_slots(delay: int, counts: list[int]) 
 
 
 @given(st.integers(0, 3), st.integers(1, 3), st.integers(1, 6), st.integers(0, 50))
-@settings(deadline=None)
 def test_a_jittering_delay_is_settled_for_each_exposure(
     delay: int, jitter: int, n: int, seed: int
 ) -> None:
@@ -203,7 +201,7 @@ def errands(draw: st.DrawFn) -> tuple[str, list[int], list[float], int]:
     st.sampled_from([0.0, 1e-5, 1e-3]),
     st.lists(errands(), min_size=1, max_size=5),
 )
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_a_stale_frame_is_never_handed_over(
     delay: int, jitter: int, step_s: float, calls: list[tuple[str, list[int], list[float], int]]
 ) -> None:
@@ -416,7 +414,7 @@ def test_after_a_step_frame_d_is_the_first_that_has_it(delay: int, step_s: float
 
 
 @given(st.integers(0, 3), st.integers(0, 4), st.integers(0, 99))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_jittering_step_lands_within_its_jitter(delay: int, jitter: int, seed: int) -> None:
     with open_steady(delay, jitter, seed=seed) as camera:
         short, long = lines(5, 20)

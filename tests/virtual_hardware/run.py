@@ -27,7 +27,7 @@ SKIPPED = 77
 BENCH = REPOSITORY / "tests" / "bench"
 BENCHES = ("bench_discovery.py", "bench_v4l2.py", "bench_ptp.py")
 # In the guest every module of the tests finds its neighbours.
-MODULES = (HERE / "guest", REPOSITORY / "tests" / "sim" / "devices")
+MODULES = (REPOSITORY / "tests" / "helpers",)
 
 
 def main() -> int:

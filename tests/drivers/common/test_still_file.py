@@ -149,7 +149,7 @@ def test_a_file_cut_short_is_refused(name):
 
 @pytest.mark.parametrize("name", FILES)
 @given(data=st.data())
-@settings(max_examples=60, deadline=2000)
+@settings(max_examples=60)
 def test_a_damaged_file_is_read_or_refused(name, data):
     damaged = bytearray(FILES[name])
     # Headers are where damage leads astray.
@@ -163,7 +163,7 @@ def test_a_damaged_file_is_read_or_refused(name, data):
 
 
 @given(data=st.binary(max_size=300), suffix=st.sampled_from([".jpg", ".tif", ".nef", ""]))
-@settings(max_examples=150, deadline=2000)
+@settings(max_examples=150)
 def test_rubbish_is_refused(data, suffix):
     with pytest.raises(CameraProtocolError):
         read_still(data, "IMG" + suffix)

@@ -474,7 +474,7 @@ def outcome(act):
 
 
 class TestBadLines:
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=300)
     @given(mischief())
     def test_what_comes_is_right_or_a_typed_error(self, steps):
         camera = Camera()
@@ -490,7 +490,7 @@ class TestBadLines:
         assert clock.now() - before < 200
         assert sierra.link.read_bytes < 300_000
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=100)
     @given(st.binary(min_size=1, max_size=3000))
     def test_a_device_that_always_answers_the_same_ends(self, answer):
         camera = Camera()

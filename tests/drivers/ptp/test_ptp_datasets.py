@@ -137,7 +137,7 @@ def test_sonys_second_list_is_what_can_be_set_now():
 
 @pytest.mark.parametrize("parser", PARSERS.values(), ids=PARSERS)
 @given(data=st.binary(max_size=400))
-@settings(max_examples=150, deadline=500)
+@settings(max_examples=150)
 def test_any_bytes_are_parsed_or_refused(parser, data):
     with suppress(CameraProtocolError):
         parser(data)
@@ -145,7 +145,7 @@ def test_any_bytes_are_parsed_or_refused(parser, data):
 
 @pytest.mark.parametrize("parser", PARSERS.values(), ids=PARSERS)
 @given(data=st.data())
-@settings(max_examples=150, deadline=500)
+@settings(max_examples=150)
 def test_damaged_datasets_are_parsed_or_refused(parser, data):
     sample = bytearray(data.draw(st.sampled_from(SAMPLES)))
     for _ in range(data.draw(st.integers(1, 4))):
@@ -172,7 +172,7 @@ def test_a_count_of_four_billion_takes_no_memory():
     span=st.none() | st.tuples(*[st.integers(0, 0xFFFFFFFF)] * 3),
     writable=st.booleans(),
 )
-@settings(max_examples=200, deadline=500)
+@settings(max_examples=200)
 def test_any_description_makes_a_dial_or_none_or_a_typed_error(scale, choices, span, writable):
     current = choices[0] if choices else 0
     description = PropertyDescription(scale.code, 6, writable, current, tuple(choices), span)

@@ -24,7 +24,7 @@ SHA256 = "4f405b8ce9219f8117d8605ecd815b8941cd829dae11b4a26b1a49ff7ea3ae26"
 CAMERAS = f"umockdev-{VERSION}/devices/cameras"
 NAME = "canon-powershot-sx200"
 NODE = "/dev/bus/usb/001/011"
-CLIENT = Path(__file__).with_name("ptp_replay_client.py")
+CLIENT = Path(__file__).parents[2] / "helpers" / "ptp_replay_client.py"
 
 
 def archive():

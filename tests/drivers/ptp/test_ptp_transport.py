@@ -118,7 +118,7 @@ RESPONSE_3 = container(RESPONSE, OK, 3)
     empty=st.lists(st.booleans(), min_size=8, max_size=8),
     merged=st.booleans(),
 )
-@settings(max_examples=300, deadline=500)
+@settings(max_examples=300)
 def test_data_arrives_however_it_is_cut(payload, cuts, empty, merged):
     whole = container(DATA, 0x1009, 3, payload)
     edges = sorted({0, len(whole), *(c for c in cuts if c < len(whole))})
@@ -136,7 +136,7 @@ def test_data_arrives_however_it_is_cut(payload, cuts, empty, merged):
 
 
 @given(transfers=st.lists(st.binary(max_size=100) | st.just(b""), max_size=20))
-@settings(max_examples=300, deadline=500)
+@settings(max_examples=300)
 def test_rubbish_ends_in_a_typed_error(transfers):
     pipes, _ = transport(transfers)
     with suppress(CameraError):
@@ -149,7 +149,7 @@ def test_rubbish_ends_in_a_typed_error(transfers):
     head=st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 4), st.integers(0, 2**16 - 1)),
     tail=st.binary(max_size=80),
 )
-@settings(max_examples=200, deadline=500)
+@settings(max_examples=200)
 def test_a_header_that_lies_takes_neither_time_nor_memory(head, tail):
     pipes, device = transport([struct.pack("<IHHI", *head, 3) + tail])
     began = time.monotonic()
@@ -231,7 +231,7 @@ def test_recovery_of_a_camera_that_stays_busy_gives_up(monkeypatch):
 
 
 @given(data=st.binary(max_size=40))
-@settings(max_examples=100, deadline=500)
+@settings(max_examples=100)
 def test_events_that_make_no_sense_are_none(data):
     pipes, device = transport()
     device.events.transfers = [data]

@@ -124,7 +124,7 @@ class Nonsense(Model):
             ctypes.memmove(ctypes.addressof(argument), raw, size)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(data=st.data())
 def test_no_answer_leads_out_of_our_errors(data):
     model = Nonsense(data.draw)
@@ -140,7 +140,7 @@ def test_no_answer_leads_out_of_our_errors(data):
 range_words = st.integers(-(2**31), 2**31 - 1)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     control=st.sampled_from(sorted(ControlId)),
     minimum=range_words,
@@ -159,7 +159,7 @@ def test_no_range_leads_out_of_our_errors(control, minimum, maximum, step, defau
         assert "\n" not in str(error)  # noqa: PT017
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     format_=st.sampled_from(FORMATS),
     data=st.binary(min_size=1, max_size=200),

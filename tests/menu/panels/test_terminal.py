@@ -24,9 +24,9 @@ from camctl.backends import PANELS, load
 from camctl.errors import UsageError
 from menu.panels.terminal import TerminalPanel
 
-ROOT = Path(__file__).parents[2]
+HELPERS = Path(__file__).parents[2] / "helpers"
 MENU = """
-from tests.menu.panel_fakes import FakeJob
+from panel_fakes import FakeJob
 from menu.app import run
 from menu.panels.terminal import TerminalPanel
 print("gave", run(TerminalPanel(), FakeJob()))
@@ -36,7 +36,7 @@ HOLD = MENU.replace("FakeJob())", "job)").replace(
 )
 FOREIGN = """
 from camctl.errors import CaptureError
-from tests.menu.panel_fakes import FakeJob
+from panel_fakes import FakeJob
 from menu.app import run
 from menu.panels.terminal import TerminalPanel
 class Foreign(FakeJob):
@@ -80,7 +80,7 @@ class Terminal:
             stdin=self.slave,
             stdout=self.slave,
             stderr=self.slave,
-            cwd=ROOT,
+            cwd=HELPERS,
             env={**_ENVIRONMENT, "TERM": kind, "LC_ALL": locale, "PYTHONPATH": _python_path()},
             start_new_session=True,
         )
@@ -131,7 +131,7 @@ class Terminal:
 
 
 def _python_path() -> str:
-    return os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    return os.pathsep.join([str(HELPERS), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 
 @pytest.fixture
@@ -263,7 +263,7 @@ def test_without_a_terminal_it_says_so() -> None:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        cwd=ROOT,
+        cwd=HELPERS,
         env={**os.environ, "PYTHONPATH": _python_path()},
         check=True,
     )

@@ -106,7 +106,7 @@ def test_colours_of_a_jpeg_are_the_right_way_round():
 
 
 @given(st.floats(1e-6, 100))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_jpeg_says_how_long_it_was_exposed(time_s):
     data = encode("jpeg", exposed(time_s=time_s, shape=(8, 8)))
     assert data[2:4] == b"\xff\xe1"

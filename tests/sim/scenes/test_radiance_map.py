@@ -186,7 +186,7 @@ def test_pickles_are_never_opened(tmp_path: Path) -> None:
         load_scene(tmp_path / "evil.npy")
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.binary(max_size=400), start=st.booleans())
 def test_fuzzed_pictures_end_in_light_or_in_one_line(
     tmp_path: Path, data: bytes, start: bool
@@ -198,9 +198,7 @@ def test_fuzzed_pictures_end_in_light_or_in_one_line(
         assert load_scene(path).shape == (3, 8)
 
 
-@settings(
-    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
 @given(
     rgbe=st_np.arrays(
         np.uint8, (4, 12, 4), elements=st.sampled_from([9, 10, 11, 12, 13, 14, 120, 130])

@@ -181,7 +181,7 @@ def a_sensor(draw: Any) -> Sensor:
     )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.data(), st.sampled_from([1.0, 1.7, 8.0]))
 def test_a_full_well_reads_at_least_white_and_white_is_within_reach(
     data: st.DataObject, gain: float
@@ -205,7 +205,6 @@ def test_machine_vision_saturates_below_its_adc_and_still_varies_there() -> None
     assert full.std() > 0.5
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_levels_lie_where_the_adc_steps(data: st.DataObject) -> None:
     """Brightness is how many levels are <= the irradiance, also with a black level and a phase."""

@@ -224,7 +224,7 @@ requests = st.tuples(
 
 @pytest.mark.parametrize("vendor", ["none", "nikon", "canon", "sony"])
 @given(said=pieces, asked=st.lists(requests, max_size=5), handshake=st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_whatever_a_host_sends_it_goes_on(vendor, said, asked, handshake):
     device = ptp.make(
         {"scene": "ramp", "sensor": "ideal-8", "size": "8x8", "vendor": vendor, "bulb": True,

@@ -53,7 +53,7 @@ said = st.lists(
 
 
 @given(said)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_it_goes_on_and_keeps_little(pieces):
     device = make()
     assert isinstance(device.body, StillBody)
