@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from camctl.backends import FrameShape
 from camctl.camera import Pixels
 from camctl.controls import Layout
 from camctl.errors import UsageError
-from sim.backend import parse_size
 from sim.render import Renderer
 from sim.scenes.scene import DEFAULT_SCENE, Scene, load_scene
 from sim.scenes.view import View
@@ -91,7 +91,7 @@ class Scenery(BaseModel):
 
     scene: str = DEFAULT_SCENE
     sensor: str = DEFAULT_SENSOR
-    size: str | None = None
+    size: FrameShape | None = None
     seed: int = Field(default=0, ge=0, lt=2**64)
     repeat_noise: bool = False
 
@@ -118,8 +118,7 @@ def split_config(config: Mapping[str, Any]) -> tuple[Exposer, dict[str, Any]]:
     """
     seen = checked(Scenery, {k: v for k, v in config.items() if k in Scenery.model_fields})
     sensor = load_sensor(seen.sensor)
-    shape = parse_size(seen.size) if seen.size is not None else None
-    scene = load_scene(seen.scene, shape, usual=sensor.shape)
+    scene = load_scene(seen.scene, seen.size, usual=sensor.shape)
     exposer = Exposer(scene, sensor, seed=seen.seed, repeat_noise=seen.repeat_noise)
     taken = (*Scenery.model_fields, *_OF_THE_HUB)
     return exposer, {key: value for key, value in config.items() if key not in taken}

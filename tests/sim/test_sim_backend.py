@@ -11,7 +11,7 @@ from camctl.backends import look_for_cameras, open_camera
 from camctl.clock import RealClock, VirtualClock
 from camctl.controls import ExposureSetting, Layout
 from camctl.errors import CamctlError, CameraNotFoundError, DataError, UsageError
-from sim.backend import SimulatedBackend, parse_size
+from sim.backend import SimulatedBackend, SimulatedOptions
 
 
 def test_it_is_found_through_its_entry_point() -> None:

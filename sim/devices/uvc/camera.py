@@ -25,7 +25,6 @@ from dataclasses import asdict
 from typing import Any
 
 from camctl.errors import UsageError
-from sim.backend import parse_size
 from sim.devices.scenery import Exposer, checked, split_config
 from sim.devices.usb.device import SILENCE, STALL, Answer, UsbDevice
 from sim.devices.uvc.config import UvcConfig, check_format
@@ -305,8 +304,7 @@ def make(config: Mapping[str, Any]) -> UvcCamera:
         check_format(name, exposer)
     exposers = {exposer.shape: exposer}
     seed = int(config.get("seed", 0))
-    for size in camera.sizes:
-        shape = parse_size(size)
+    for shape in camera.sizes:
         scene = load_scene(
             str(config.get("scene", DEFAULT_SCENE)), shape, usual=exposer.sensor.shape
         )

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from camctl.backends import FrameShape
 from camctl.errors import UsageError, unknown_name
 from sim.devices.scenery import Exposer
 from sim.devices.uvc.descriptors import FORMATS
@@ -38,7 +39,7 @@ class UvcConfig(BaseModel):
         "yuyv",
         "mjpg",
     )
-    sizes: Annotated[tuple[str, ...], BeforeValidator(_listed)] = ()
+    sizes: Annotated[tuple[FrameShape, ...], BeforeValidator(_listed)] = ()
     fps: Annotated[tuple[Rate, ...], BeforeValidator(_listed), Field(min_length=1)] = (10.0,)
     delay: int = Field(default=2, ge=0, le=30)
     jitter: int = Field(default=0, ge=0, le=30)
