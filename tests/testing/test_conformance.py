@@ -5,8 +5,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from camctl.clock import RealClock
-from camctl.controls import Layout
 from camctl.testing.conformance import CameraConformance
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import Scene
@@ -16,7 +14,6 @@ from sim.sensors.sensor import Sensor, load_sensor
 class Steady(CameraConformance):
     sensor = "standard"
     changes: Mapping[str, object] = MappingProxyType({})
-    real_time = False
 
     def middle_s(self, camera):
         return camera.controls.time_s.nearest(0.02)
@@ -28,8 +25,7 @@ class Steady(CameraConformance):
         light = np.linspace(0.2, 0.7, 24 * 32 * 3, dtype=np.float32).reshape(24, 32, 3)
         # Full scale in the middle exposure lies at irradiance 1.2.
         scene = Scene("steady", light, photons_per_unit=1 / (controls.sensitivity * 0.02 * 1.2))
-        clock = RealClock() if self.real_time else None
-        return SimulatedCamera(scene, model, clock=clock, seed=3)
+        return SimulatedCamera(scene, model, seed=3)
 
 
 class TestStandard(Steady):
@@ -62,8 +58,3 @@ class TestFourBits(Steady):
 
 class TestNonLinear(Steady):
     sensor = "consumer"
-
-
-class TestInRealTime(Steady):
-    changes = MappingProxyType({"frame_interval_s": 0.005, "layout": Layout.MONO})
-    real_time = True
