@@ -126,9 +126,7 @@ def measure_delay(
         CameraError: as `StreamingCamera.step` raises
     """
     if not isinstance(camera, StreamingCamera):
-        raise UsageError(
-            "this camera does not stream", hint="a still camera has no control delay to measure"
-        )
+        raise UsageError("this camera does not stream", hint="a still camera has no control delay")
     if trials < 2:
         raise UsageError(f"invalid number of trials {trials}", hint="take at least 2")
     random = np.random.Generator(np.random.PCG64(seed))
