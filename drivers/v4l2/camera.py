@@ -78,13 +78,15 @@ class V4l2Options(BackendOptions):
 class V4l2Camera(CameraBase):
     """A V4L2 camera; a `PreviewingCamera` and a `StreamingCamera` of `camctl.camera`.
 
+    The constructor does no I/O; `open` starts the stream and raises the errors below.
+
     Args:
         path: of its node, best the link in /dev/v4l/by-id
         options: see `V4l2Options`
         clock: the clock of the frames' timestamps; the system's monotonic one by default
         kernel, opener: system calls and video, replaced in tests
 
-    `open` raises:
+    Raises:
         UsageError: an option that this camera does not support
         DataError: its profile is damaged
         CameraError: it cannot be opened, is not a camera, or has no manual exposure
