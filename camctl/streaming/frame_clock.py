@@ -21,12 +21,13 @@ from camctl.streaming.source import FrameStamp, Written, irregular_frames
 DataT = TypeVar("DataT")
 DataT_co = TypeVar("DataT_co", covariant=True)
 
-#: A gap between timestamps must be a whole number of intervals up to this share of one; 0.5 would
-#: accept every gap.
+#: A gap between timestamps may differ from a whole number of intervals by this share of one, which
+#: is more than their jitter; 0.5 would accept every gap.
 _GAP_TOLERANCE = 0.35
 #: A measured interval that differs by more than this share from the announced one is another rate.
 _RATE_TOLERANCE = 0.1
-#: Gaps of which the interval is the median, and the fewest: frames may arrive in bursts.
+#: The interval is the median of the last gaps: of at most, and at least, this number of them.
+#: Frames may arrive in bursts, so a few gaps would be misleading.
 _MOST_GAPS, _FEWEST_GAPS = 15, 5
 
 #: When settings are written, in slots after the timestamp of a frame.  Up to the middle of the
@@ -41,7 +42,7 @@ _LATEST_WRITE = 0.95
 _ARRIVES_TOO_LATE, _NEXT_SLOT_BEGINS = 0.8, 0.03
 #: A write that ends within this share of a slot before the end of its slot may count for the next.
 _WRITE_MARGIN = 0.25
-#: Where in the time for writing a late write takes place.
+#: When a late write takes place, as a share of the time that is allowed for writing.
 _LATE_WRITE = 0.95
 #: Frames from which the interval is estimated, and how often that is tried.
 _FIRST_FRAMES, _ATTEMPTS = 5, 16

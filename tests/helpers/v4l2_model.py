@@ -79,7 +79,7 @@ class Model:
         lateness_s: from the end of a frame to its arrival
         write_s: duration of writing a control
         jitter_s: error of a slot's timestamp, by its number
-        lose, spoil: slots whose frames are lost or arrive damaged
+        lose, damage: slots whose frames are lost or arrive damaged
         errors: errno by the request that fails with it
         first_error: errno with which opening fails
     """
@@ -95,7 +95,7 @@ class Model:
     jitter_s: Callable[[int], float] | None = None
     delays: Callable[[int], int] | None = None
     lose: set[int] = field(default_factory=set)
-    spoil: set[int] = field(default_factory=set)
+    damage: set[int] = field(default_factory=set)
     quantization: int = 1
     bytesperline: int = 0
     caps: int = abi.Caps.VIDEO_CAPTURE | abi.Caps.STREAMING
@@ -288,7 +288,7 @@ class Video:
 
     def retrieve(self) -> tuple[bool, NDArray[Any]]:
         slot, _, ticks = self.frame
-        if slot in self.model.spoil:
+        if slot in self.model.damage:
             return True, np.zeros((1, 5), np.uint8)
         return True, as_opencv(self.model.current[0], ticks)
 

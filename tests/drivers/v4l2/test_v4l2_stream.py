@@ -167,13 +167,13 @@ def test_losing_an_unneeded_frame_costs_one_slot() -> None:
 @pytest.mark.parametrize("slot", range(5, 16))
 def test_damaged_frame_is_taken_again(slot: int) -> None:
     save_delay(2)
-    with open_model(Model(spoil={slot})) as camera:
+    with open_model(Model(damage={slot})) as camera:
         assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
 
 
 def test_only_damaged_frames_are_an_error() -> None:
     save_delay(2)
-    model = Model(spoil=set(range(1000)))
+    model = Model(damage=set(range(1000)))
     with (
         open_model(model) as camera,
         pytest.raises(CameraProtocolError, match="frames are lost, damaged, or"),
@@ -203,7 +203,7 @@ def test_no_wrong_frame_with_all_irregularities_together(seed: int) -> None:
         lateness_s=float(random.uniform(0, 0.12)),
         jitter_s=lambda slot: float(random.uniform(0, 0.01)),
         lose=set(random.integers(8, 90, 8).tolist()),
-        spoil=set(random.integers(8, 90, 8).tolist()),
+        damage=set(random.integers(8, 90, 8).tolist()),
         write_s=float(random.uniform(0, 0.02)),
     )
     ticks: list[int] = random.choice(TICKS, 25).tolist()
