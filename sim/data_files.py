@@ -65,7 +65,8 @@ def read_text(model: type[_Model], text: str, *, source: str) -> _Model:
         first = error.errors()[0]
         place = _place(first["loc"], data)
         reason = first["msg"].removeprefix("Value error, ")
-        reason = reason[:1].lower() + reason[1:]
+        is_unknown = first["type"] == "extra_forbidden"
+        reason = "unknown field" if is_unknown else reason[:1].lower() + reason[1:]
         raise DataError(f"{source}: {place + ': ' if place else ''}{reason}") from error
 
 

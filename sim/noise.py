@@ -1,8 +1,8 @@
 """Fast and reproducible noise: one seed gives one frame, whatever the number of threads.
 
-A frame is divided into tiles of a fixed number of samples.  Each tile of each effect draws its bits
-from its own generator (SFC64), seeded with (seed, frame, effect, tile) by numpy's `SeedSequence`, so
-that no stream depends on another.
+A frame is divided into tiles of a fixed number of samples.  Each tile of each effect has its own
+generator of random bits (SFC64), seeded with (seed, frame, effect, tile) by numpy's `SeedSequence`,
+so that no stream depends on another.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LARGEST_WORD = 2**64 - 1
 
 
 class Stream(IntEnum):
-    """Streams of random bits, one for each random effect; frames of a seed depend on the numbers."""
+    """Streams of random bits, one for each random effect; a seed's frames depend on the numbers."""
 
     PHOTON = 1
     READ = 2

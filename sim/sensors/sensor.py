@@ -40,7 +40,7 @@ _LEAST_WELL, _MOST_WELL = 0.25, 4.0
 """Full well over the ADC's range.  Outside of these limits most levels would never occur, or most
 of the well could not be used, so that one of the numbers must be wrong."""
 
-_ROUNDING_SHARE = 5e-7
+ROUNDING_SHARE = 5e-7
 """How much lower a full well may read than in exact arithmetic: about 8 roundings in float32."""
 
 _PHOTONS_PER_LUX_S_UM2 = 4091.0
@@ -226,7 +226,7 @@ class Sensor(FileModel):
         of a full pixel reaches for certain.  Brightness beyond white contains no information.
         """
         full_e = self.full_well_e - self._largest_read_noise_e
-        full = self.black + self.phase + full_e / self.electrons_per_dn * (1 - _ROUNDING_SHARE)
+        full = self.black + self.phase + full_e / self.electrons_per_dn * (1 - ROUNDING_SHARE)
         return min((1 << self.bits) - 1, math.floor(full))
 
     @property
