@@ -121,7 +121,7 @@ class Sensor(FileModel):
     layout: Layout | None = None
     shape: PictureShape = (480, 640)
     full_well_e: Positive
-    electrons_per_dn: Positive
+    electrons_per_dn: Positive = Field(default=None, validate_default=True)
     photon_noise: bool = True
     read_noise_e: NotNegative = 0.0
     black: int = Field(default=0, ge=0)

@@ -35,8 +35,8 @@ def errors(scene, sensor, request, directory):
         inside = (channels["mask." + name] == 0) & (1 / request.dynamic_range <= E) & (E < 1)
         predicted = effective.standard_deviation(
             E[inside],
-            electrons_per_level=sensor.noise.electrons_per_level / gains,
-            read_noise_levels=sensor.noise.read_noise_levels * gains,
+            electrons_per_level=sensor.electrons_per_dn / gains,
+            read_noise_levels=sensor.read_noise_e / sensor.electrons_per_dn * gains,
         )
         found.append(np.abs(channels[name][inside] * full_scale - E[inside]) / predicted)
     return np.concatenate(found)
