@@ -151,9 +151,10 @@ def _decision(
         return Decision(name, 0.0, False, "neither scene nor sensor has it", is_present=False)
     alone = bounds.single[name]
     if name in chosen:
-        together = f"; all effects left out together at most {joint:.2g} DN"
-        why = f"changes at most {alone:.2g} DN{together if len(chosen) > 1 else ''}"
-        return Decision(name, alone, False, why)
+        if alone == 0:
+            return Decision(name, alone, False, "changes nothing in this frame")
+        together = f" alone, {joint:.2g} DN with all others left out" if len(chosen) > 1 else ""
+        return Decision(name, alone, False, f"changes at most {alone:.2g} DN{together}")
     change = bounds.changes[name]
     if change.never:
         why = change.never

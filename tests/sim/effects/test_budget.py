@@ -142,11 +142,13 @@ def test_a_plan_can_be_written_as_json() -> None:
 
 def test_each_decision_gives_its_reason() -> None:
     dim, bright = a_shot("ramp", "complete", 0.001), a_shot("night-street", "complete", 4.0)
-    plan = {one.name: one for one in plan_frame(dim, 0.5).effects}
+    whole = plan_frame(dim, 0.5)
+    plan = {one.name: one for one in whole.effects}
+    together = f"{whole.joint_bound_dn:.2g} DN with all others left out"
     assert plan["mains flicker"].why == "neither scene nor sensor has it"
     assert not plan["mains flicker"].is_present
-    assert plan["DSNU"].why.startswith("changes at most ")
-    assert "; all effects left out together at most 0." in plan["DSNU"].why
+    assert plan["DSNU"].why == f"changes at most 0.085 DN alone, {together}"
+    assert plan["full well"].why == "changes nothing in this frame"
     assert plan["photon noise"].why.endswith("DN, more than the tolerance of 0.5 DN")
     plan = {one.name: one for one in plan_frame(bright, 0.5).effects}
     assert plan["full well"].why.endswith(" e-, above the full well of 1.05e+04 e-")
