@@ -19,7 +19,7 @@ PictureShape = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
 
 
 class FileModel(BaseModel):
-    """Base of what stands in a file: unknown fields are errors, and values do not change."""
+    """Base of the models of JSON files: unknown fields are errors, instances are immutable."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -43,8 +43,8 @@ class Renderer:
         sensor: see `sim.sensors.sensor.Sensor`
         seed: of all noise and of the sensor's fixed patterns
         threads: 1 or 2
-        tolerance_dn: most that leaving effects out may change in any sample of a frame before the
-            ADC; 0 leaves nothing out
+        tolerance_dn: largest allowed change of any sample of a frame before the ADC by leaving
+            effects out; 0 leaves nothing out
 
     Raises:
         UsageError: a seed or a tolerance out of range

@@ -19,8 +19,8 @@ class Decision:
 
     Attributes:
         name: of the effect
-        bound_dn: most that leaving out this effect alone changes in any sample before the ADC, DN;
-            infinite if it is never left out, 0 if it is absent
+        bound_dn: bound of the change of any sample before the ADC if this effect alone is left
+            out, DN; infinite if it is never left out, 0 if it is absent
         ran: whether the frame has it
         why: the reason, for users
         is_present: whether scene and sensor have it at all
@@ -39,8 +39,8 @@ class FramePlan:
 
     Attributes:
         tolerance_dn: tolerance of this frame
-        joint_bound_dn: most that all effects left out change together in any sample before the
-            ADC, DN; after the ADC at most that many levels, rounded up
+        joint_bound_dn: bound of the change of any sample before the ADC by all effects left out
+            together, DN; after the ADC the change is at most that many levels, rounded up
         effects: a decision for each effect, in the order of `sim.effects.EFFECTS`
     """
 
@@ -89,7 +89,7 @@ def plan_frame(
 
     Args:
         shot: the exposure
-        tolerance_dn: most that may change in any sample before the ADC; 0 leaves nothing out
+        tolerance_dn: largest allowed change of any sample before the ADC; 0 leaves nothing out
         left_out: names of the effects to leave out instead, whatever that changes
 
     Raises:

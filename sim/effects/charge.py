@@ -89,7 +89,7 @@ def _dark_change(shot: Shot) -> Change:
 
 
 def _hottest_e(shot: Shot) -> float:
-    """Return the most that a hot pixel collects in the exposure, electrons."""
+    """Return the largest charge that a hot pixel collects in the exposure, electrons."""
     dark = shot.sensor.dark
     return dark.hot_rate_e_s * dark.rate_factor * shot.time_s
 

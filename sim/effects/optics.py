@@ -22,8 +22,8 @@ def _blur_motion(timing: RowTiming, _: Shot) -> RowTiming:
 
 
 def _motion_change(shot: Shot) -> Change:
-    # Left out, the target stands where it is in the middle of the exposure: on average a quarter of
-    # the distance that it travels away from where it is.
+    # Left out, the target is drawn where it is in the middle of the exposure: on average wrong by a
+    # quarter of the distance that it travels.
     s = shot.statistics
     off = min(s.drift * s.speed_px_s * shot.time_s / 4, s.most - s.least)
     return Change(light=off)

@@ -67,7 +67,7 @@ class Change:
 
     Attributes:
         repeats: share of the mean charge that the effect adds again
-        least_e: what it adds to the mean charge of every sample at least, electrons
+        least_e: least charge that it adds to the mean of every sample, electrons
         hit_e: largest charge that it adds to a sample after photon noise, electrons
         spreads: share by which a difference grows if samples reach the well
         slope: share by which a difference in DN grows

@@ -68,7 +68,7 @@ class Statistics:
     Attributes:
         least, most: of all light, that of a moving target included
         bend: largest second difference along rows plus that along columns, borders mirrored
-        drift: most that light changes where the target moves by one pixel; 0 without a target
+        drift: largest change of light if the target moves by one pixel; 0 without a target
         speed_px_s: of the target
         height: rows of the picture
         is_mosaic: neighbouring samples see different colours

@@ -198,7 +198,7 @@ class Sensor(FileModel):
 
     @property
     def _largest_read_noise_e(self) -> float:
-        """Most that reading can add to or take from the charge, electrons."""
+        """Largest error of the charge by reading, electrons."""
         added = self.read_noise_e + self.pixels.dsnu_e
         added += self.read_out.row_noise_e + self.read_out.column_noise_e
         return largest_noise() * added

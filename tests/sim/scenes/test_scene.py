@@ -1,4 +1,4 @@
-"""Built-in scenes have what their descriptions say; invalid irradiance is one line of error."""
+"""Built-in scenes are as their descriptions state; invalid irradiance is one line of error."""
 
 from __future__ import annotations
 
