@@ -161,7 +161,7 @@ def solve(
     >>> from camctl.response.desired import desired_response
     >>> found = solve(linear_response(8), desired_response("log", 1000.0), 2)
     >>> [round(e, 1) for e in found.exposures]
-    [1.0, 32.0]
+    [1.0, 32.4]
     """
     problem = ExposureProblem(response, desired, n, objective or Objective())
     options = search or SearchOptions()

@@ -191,12 +191,15 @@ def _read_text(path: Path, subject: str) -> str:
         raise DataError(f"cannot read {subject} {path}: not a text file") from error
 
 
-def _read_columns(path: Path, second: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def read_columns(path: str | Path, second: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the two columns of a text file, irradiance and the column that `second` names.
 
-    Columns are separated by blanks, tabs, commas or semicolons; ``#`` starts a comment.  Raises
-    `DataError` with the file's name and the line.
+    Columns are separated by blanks, tabs, commas or semicolons; ``#`` starts a comment.
+
+    Raises:
+        DataError: the file cannot be read or a line is not two numbers; names file and line
     """
+    path = Path(path)
     rows: list[tuple[float, float]] = []
     for number, line in enumerate(_read_text(path, "curve").splitlines(), 1):
         fields = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
@@ -232,7 +235,7 @@ def read_curve(path: str | Path, *, bits: int = 8, phase: float = 0.0) -> Camera
         DataError: the file cannot be read, or its curve cannot be used; names file and line
     """
     path = Path(path)
-    irradiance, brightness = _read_columns(path, "brightness")
+    irradiance, brightness = read_columns(path, "brightness")
     return measured_response(
         irradiance, brightness, bits=bits, phase=phase, name=f"curve {path.name}"
     )
@@ -248,7 +251,7 @@ def read_desired(path: str | Path) -> DesiredResponse:
         DataError: the file cannot be read, or does not meet the conditions of `tabulated_desired`
     """
     path = Path(path)
-    irradiance, brightness = _read_columns(path, "desired brightness")
+    irradiance, brightness = read_columns(path, "desired brightness")
     return tabulated_desired(irradiance, brightness, name=path.name)
 
 

@@ -151,7 +151,8 @@ def test_saved_table_can_be_loaded(tmp_path: Path) -> None:
         (lambda text: text.replace('"n":2', '"n":3', 1), "it has 2 exposures, but n is 3"),
         (lambda text: text.replace('"dynamic_range":20.0', '"dynamic_range":1.0', 1), "dynamic"),
         (lambda text: text.replace('"version": 1', '"version": 99'), "version"),
-    ],    ids=[
+    ],
+    ids=[
         "truncated",
         "empty",
         "negative exposure",
