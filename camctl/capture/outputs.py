@@ -22,8 +22,8 @@ from camctl.capture.metering import GLINTS, NOTHING
 from camctl.capture.plan import relative
 from camctl.capture.report import Achieved, CaptureReport, Irradiance
 from camctl.controls import ExposureControls, Layout
-from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.objective import xi
+from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.objective import Objective, evaluate
 from camctl.files import storage_error, whole, write_bytes
 from camctl.response.desired import DesiredResponse
 
@@ -276,11 +276,12 @@ def write_outputs(
         full_scale_exposure *= controls.sensitivity
     tables = Tables.of(effective, desired, report.black_total, full_scale_exposure)
     outside = shares(total, tables)
+    quality = evaluate(controls.levels, exposures, desired, objective=Objective(plan.levels_wanted))
     report.achieved = Achieved(
-        xi=xi(effective, desired, plan.levels_wanted),
-        effective_levels=effective_levels(effective, desired),
-        levels=effective.levels_total,
-        levels_distinct=effective.levels_distinct,
+        xi=quality.xi,
+        effective_levels=quality.effective_levels,
+        levels=quality.levels,
+        levels_distinct=quality.levels_distinct,
         saturated_fraction=outside.saturated,
         dark_fraction=outside.dark,
     )

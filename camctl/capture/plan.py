@@ -14,10 +14,10 @@ from camctl.capture.request import CapturePlan, CaptureRequest, Metering
 from camctl.capture.setting_selection import SettingChooser, best_of_choices
 from camctl.controls import Choices, ExposureSetting
 from camctl.errors import CaptureError, DataError, UsageError
-from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.lookup import look_up
-from camctl.exposure.objective import xi
-from camctl.exposure.solver import solve
+from camctl.exposure.build import look_up
+from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.objective import Objective, evaluate, xi
+from camctl.exposure.solver import SearchOptions, solve
 from camctl.exposure.table import ExposureTable
 from camctl.response.auto import auto_response
 from camctl.response.camera import CameraResponse
@@ -149,9 +149,9 @@ def solved(
         real,
         desired,
         request.count,
-        levels_wanted=request.levels_wanted,
+        objective=Objective(request.levels_wanted),
         total_limit=total,
-        effort=_QUICK if request.response == AUTO else 1.0,
+        search=SearchOptions(effort=_QUICK if request.response == AUTO else 1.0),
         progress=progress,
     )
     return found.exposures
@@ -222,7 +222,8 @@ def plan_capture(
             f"the camera's settings do not fit into {request.time_budget_s:.4g} s",
             hint="allow more time, or take fewer exposures",
         )
-    effective = EffectiveCamera.of(real, relative(settings))
+    objective = Objective(levels_wanted)
+    expected = evaluate(real, relative(settings), desired, objective=objective)
     plan = CapturePlan(
         response=request.response,
         dynamic_range=request.dynamic_range,
@@ -232,13 +233,14 @@ def plan_capture(
         base_s=settings[0].time_s,
         shutter_s=sum(setting.time_s for setting in settings),
         levels_wanted=levels_wanted,
-        xi=xi(effective, desired, levels_wanted),
-        effective_levels=effective_levels(effective, desired),
+        xi=expected.xi,
+        effective_levels=expected.effective_levels,
         metering=metering,
         curve=_curve(desired) if request.response == AUTO else None,
     )
     warnings += chooser.warnings(plan)
-    warnings += _against_ideal(plan, EffectiveCamera.of(real, ratios), desired)
+    possible = evaluate(real, ratios, desired, objective=objective).effective_levels
+    warnings += _against_ideal(plan, possible)
     return replace(plan, warnings=tuple(warnings))
 
 
@@ -288,10 +290,7 @@ def relative(settings: Sequence[ExposureSetting]) -> tuple[float, ...]:
     return tuple(setting.exposure / smallest for setting in settings)
 
 
-def _against_ideal(
-    plan: CapturePlan, ideal: EffectiveCamera, desired: DesiredResponse
-) -> list[str]:
-    possible = effective_levels(ideal, desired)
+def _against_ideal(plan: CapturePlan, possible: float) -> list[str]:
     if plan.effective_levels >= 0.9 * possible:
         return []
     return [

@@ -16,7 +16,8 @@ from typing import TypeAlias
 from camctl.capture.request import CapturePlan, CaptureRequest
 from camctl.controls import Control, ExposureControls, ExposureSetting
 from camctl.errors import CaptureError
-from camctl.exposure.grid_search import solve_settings
+from camctl.exposure.grid_search import SettingsGrid, solve_settings
+from camctl.exposure.objective import Objective
 from camctl.response.desired import DesiredResponse
 
 #: How far below its limit the shortest exposure may lie to fit the camera's steps, in stops.
@@ -219,10 +220,12 @@ def best_of_choices(
         controls.levels,
         desired,
         count,
-        exposures,
-        base=(least_s, base_s),
-        total_limit=request.time_budget_s,
-        levels_wanted=request.levels_wanted,
+        SettingsGrid(
+            exposures,
+            base=(least_s, base_s),
+            total_limit=math.inf if request.time_budget_s is None else request.time_budget_s,
+        ),
+        objective=Objective(request.levels_wanted),
     )
     # The search merges settings that are one exposure; each of its values is one on offer.
     return tuple(offered[min(offered, key=lambda on: abs(on - value))] for value in found.settings)

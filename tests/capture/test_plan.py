@@ -16,8 +16,8 @@ from camctl.capture.sequencer import capture
 from camctl.capture.setting_selection import BASE_SLACK_STOPS, SettingChooser
 from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout, Steps
 from camctl.errors import CaptureError, DataError, UsageError
+from camctl.exposure.build import look_up
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.lookup import look_up
 from camctl.exposure.objective import xi
 from camctl.exposure.table import ExposureTable
 from camctl.response.camera import linear_response
