@@ -75,7 +75,7 @@ def test_a_result_that_does_not_fit_is_not_there_and_the_frames_are(
     script = f"""
         import resource, signal
         from pathlib import Path
-        from camctl.capture import CaptureRequest, capture
+        from camctl.captures import CaptureRequest, capture
         from camctl.errors import StorageError
         from sim.camera import SimulatedCamera
         from sim.scenes.scene import load_scene

@@ -99,7 +99,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], *, right: Iterabl
 
 
 if TYPE_CHECKING:
-    from camctl.capture.sequencer import Progress as CaptureProgress
+    from camctl.captures.sequencer import Progress as CaptureProgress
 
 Tick: TypeAlias = Callable[[float, str], None]
 """Takes the share that is done, 0 to 1, and what is being done now."""

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from camctl.camera import CameraInfo, Frame
-from camctl.capture.request import CaptureRequest
-from camctl.capture.sequencer import capture
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture
 from camctl.clock import RealClock, VirtualClock
 from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
 

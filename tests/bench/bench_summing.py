@@ -17,8 +17,8 @@ from functools import partial
 import cv2
 import numpy as np
 
-from camctl.capture.accumulator import Accumulator
-from camctl.capture.outputs import Tables
+from camctl.captures.accumulator import Accumulator
+from camctl.captures.outputs import Tables
 from camctl.exposure.effective import EffectiveCamera
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response

@@ -20,7 +20,7 @@ import usb.core
 
 from camctl.backends import open_camera
 from camctl.camera import Camera, StreamingCamera
-from camctl.capture.report import CaptureReport
+from camctl.captures.report import CaptureReport
 from camctl.cli import main
 from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError

@@ -9,9 +9,9 @@ import pytest
 from panel_fakes import ScriptedPanel
 
 from camctl.camera import Frame
-from camctl.capture.report import read_report
-from camctl.capture.request import CaptureRequest
-from camctl.capture.sequencer import resume
+from camctl.captures.report import read_report
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import resume
 from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError
 from menu.app import run

@@ -7,7 +7,7 @@ from contextlib import closing
 import pytest
 import virtual_devices as rig
 
-from camctl.capture.report import read_report
+from camctl.captures.report import read_report
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraError
 from camctl.profile import load_profile

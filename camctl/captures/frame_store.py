@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from camctl.camera import Frame, Pixels
-from camctl.capture.report import REPORT
+from camctl.captures.report import REPORT
 from camctl.errors import DataError, StorageError
 from camctl.files import storage_error, write_array, write_bytes
 

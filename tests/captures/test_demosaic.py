@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camctl.capture.demosaic import colour_of, demosaic, planes, spread
+from camctl.captures.demosaic import colour_of, demosaic, planes, spread
 from camctl.controls import Layout
 
 MOSAICS = [layout for layout in Layout if layout.is_mosaic]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from camctl.capture.request import CapturePlan, CaptureRequest
+from camctl.captures.request import CapturePlan, CaptureRequest
 from camctl.controls import Control, ExposureControls, ExposureSetting
 from camctl.errors import CaptureError
 from camctl.exposure.grid_search import SettingsGrid, solve_settings

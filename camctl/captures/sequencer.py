@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 import camctl
 from camctl.camera import Camera, Frame, Pixels
-from camctl.capture.accumulator import Accumulator, sum_dtype
-from camctl.capture.exposure_check import NeighbourCheck
-from camctl.capture.frame_store import FrameStore
-from camctl.capture.outputs import write_outputs
-from camctl.capture.plan import plan_capture
-from camctl.capture.report import CaptureReport, FrameRecord, read_report
-from camctl.capture.request import CapturePlan, CaptureRequest
+from camctl.captures.accumulator import Accumulator, sum_dtype
+from camctl.captures.exposure_check import NeighbourCheck
+from camctl.captures.frame_store import FrameStore
+from camctl.captures.outputs import write_outputs
+from camctl.captures.plan import plan_capture
+from camctl.captures.report import CaptureReport, FrameRecord, read_report
+from camctl.captures.request import CapturePlan, CaptureRequest
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
 from camctl.exposure.table import ExposureTable
 
@@ -68,7 +68,7 @@ def capture(
     Args:
         camera: an open camera
         request: what is wanted
-        directory: made where it does not exist; see `camctl.capture.frame_store` for what it will hold
+        directory: made where it does not exist; see `camctl.captures.frame_store` for what it will hold
         plan: the plan to follow, as `plan_capture` made it of this request; None: made now
         table: where the ratios are looked up; None: the shipped table, else solved and kept
         source: what is needed to open this camera again; kept in the report

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Camera, Frame, PreviewingCamera
-from camctl.capture.demosaic import planes
-from camctl.capture.request import Metering
+from camctl.captures.demosaic import planes
+from camctl.captures.request import Metering
 from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.response.camera import FloatArray

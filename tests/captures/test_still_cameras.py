@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from still_fakes import THIRDS, StillCamera, ramp
 
 from camctl.camera import FrameStream
-from camctl.capture.plan import plan_capture
-from camctl.capture.request import CapturePlan, CaptureRequest
-from camctl.capture.sequencer import capture, resume
+from camctl.captures.plan import plan_capture
+from camctl.captures.request import CapturePlan, CaptureRequest
+from camctl.captures.sequencer import capture, resume
 from camctl.controls import Choices, ExposureSetting
 from camctl.errors import CameraDisconnectedError, CaptureError, UsageError
 from camctl.testing.conformance import CameraConformance

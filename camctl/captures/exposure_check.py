@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.capture.report import RatioCheck
+from camctl.captures.report import RatioCheck
 from camctl.response.camera import CameraResponse
 
 #: Relative difference that lamps and shutters are granted.

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from camctl.camera import CameraInfo
-from camctl.capture.request import CapturePlan, CaptureRequest
+from camctl.captures.request import CapturePlan, CaptureRequest
 from camctl.controls import ExposureSetting, Layout
 from camctl.errors import DataError
 from camctl.files import storage_error, write_bytes

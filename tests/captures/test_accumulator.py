@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.capture.accumulator import Accumulator, sum_dtype
+from camctl.captures.accumulator import Accumulator, sum_dtype
 from camctl.errors import CaptureError, UsageError
 
 

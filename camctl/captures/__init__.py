@@ -1,9 +1,9 @@
 """Taking the exposures: metering, planning, shooting, summing, handing over."""
 
-from camctl.capture.plan import plan_capture
-from camctl.capture.report import CaptureReport, read_report
-from camctl.capture.request import CapturePlan, CaptureRequest, Metering
-from camctl.capture.sequencer import Progress, capture, resume
+from camctl.captures.plan import plan_capture
+from camctl.captures.report import CaptureReport, read_report
+from camctl.captures.request import CapturePlan, CaptureRequest, Metering
+from camctl.captures.sequencer import Progress, capture, resume
 
 __all__ = [
     "CapturePlan",

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.capture.exposure_check import NeighbourCheck
+from camctl.captures.exposure_check import NeighbourCheck
 from camctl.response.camera import linear_response
 
 

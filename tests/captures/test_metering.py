@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camctl.capture.metering import GLINTS, meter
+from camctl.captures.metering import GLINTS, meter
 from camctl.errors import CaptureError, UsageError
 
 

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.capture.demosaic import demosaic, spread
-from camctl.capture.metering import GLINTS, NOTHING
-from camctl.capture.plan import relative
-from camctl.capture.report import Achieved, CaptureReport, Irradiance
+from camctl.captures.demosaic import demosaic, spread
+from camctl.captures.metering import GLINTS, NOTHING
+from camctl.captures.plan import relative
+from camctl.captures.report import Achieved, CaptureReport, Irradiance
 from camctl.controls import ExposureControls, Layout
 from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.objective import Objective, evaluate

@@ -8,10 +8,10 @@ import OpenEXR
 import pytest
 import tifffile
 
-from camctl.capture.plan import plan_capture
-from camctl.capture.report import read_report
-from camctl.capture.request import CaptureRequest
-from camctl.capture.sequencer import capture, resume
+from camctl.captures.plan import plan_capture
+from camctl.captures.report import read_report
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture, resume
 from camctl.controls import ExposureSetting, Layout
 from camctl.errors import (
     CameraDisconnectedError,

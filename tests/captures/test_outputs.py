@@ -6,8 +6,8 @@ import OpenEXR
 import pytest
 import tifffile
 
-from camctl.capture import outputs as pictures
-from camctl.capture.outputs import DARK, GOOD, SATURATED, Tables, encode, shares, write_pictures
+from camctl.captures import outputs as pictures
+from camctl.captures.outputs import DARK, GOOD, SATURATED, Tables, encode, shares, write_pictures
 from camctl.controls import Layout
 from camctl.exposure.effective import EffectiveCamera
 from camctl.response.camera import linear_response

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from camctl.camera import Camera
-from camctl.capture.metering import light_histogram, meter
-from camctl.capture.request import CapturePlan, CaptureRequest, Metering
-from camctl.capture.setting_selection import SettingChooser, best_of_choices
+from camctl.captures.metering import light_histogram, meter
+from camctl.captures.request import CapturePlan, CaptureRequest, Metering
+from camctl.captures.setting_selection import SettingChooser, best_of_choices
 from camctl.controls import Choices, ExposureSetting
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.build import look_up

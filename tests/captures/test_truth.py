@@ -4,8 +4,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from camctl.capture.request import CaptureRequest
-from camctl.capture.sequencer import capture
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture
 from camctl.exposure.effective import EffectiveCamera
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import load_scene

@@ -9,11 +9,11 @@ import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.capture.plan import check_ratios, plan_capture, relative
-from camctl.capture.report import read_report
-from camctl.capture.request import CaptureRequest
-from camctl.capture.sequencer import capture
-from camctl.capture.setting_selection import BASE_SLACK_STOPS, SettingChooser
+from camctl.captures.plan import check_ratios, plan_capture, relative
+from camctl.captures.report import read_report
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture
+from camctl.captures.setting_selection import BASE_SLACK_STOPS, SettingChooser
 from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout, Steps
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.build import look_up
