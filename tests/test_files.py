@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from camctl.errors import StorageError
-from camctl.files import whole, write_array, write_bytes
+from camctl.files import atomic_file, write_array, write_bytes
 
 
 def test_a_file_that_fails_leaves_what_was_there(tmp_path):
@@ -16,7 +16,7 @@ def test_a_file_that_fails_leaves_what_was_there(tmp_path):
     path.write_bytes(b"old")
 
     def fail():
-        with whole(path) as part:
+        with atomic_file(path) as part:
             part.write_bytes(b"half of the ne")
             raise RuntimeError
 
@@ -75,7 +75,7 @@ def test_a_result_that_does_not_fit_is_not_there_and_the_frames_are(
     script = f"""
         import resource, signal
         from pathlib import Path
-        from camctl.captures import CaptureRequest, capture
+        from camctl import CaptureRequest, capture
         from camctl.errors import StorageError
         from sim.camera import SimulatedCamera
         from sim.scenes.scene import load_scene

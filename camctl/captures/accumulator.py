@@ -1,9 +1,9 @@
 """The sum of the frames, taken while they arrive.
 
-By the paper's theorem 1 the plain sum keeps all that the single frames know.  Each frame is cut
-at its white level first: saturated samples that still vary would otherwise add their noise to the
-highlights.  Black stays in; it is taken off once, from the sum, as a signed number, since cutting
-each frame at black would bias the dark.
+By the paper's theorem 1 the plain sum keeps all the information of the single frames.  Each frame
+is clipped at its white level first: saturated samples that still vary would otherwise add their
+noise to the highlights.  Black stays in and is subtracted once, from the sum, as a signed number:
+clipping each frame at black would bias the dark.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from camctl.camera import Pixels
 from camctl.errors import CaptureError, UsageError
 
-#: Samples a tile: the scratch stays in the cache, and numpy's calls are no cost.
+#: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small.
 _TILE = 1 << 20
 
 
@@ -41,11 +41,10 @@ class Accumulator:
     Args:
         shape: of a frame, (rows, columns) or (rows, columns, 3)
         dtype: of a frame, uint8 or uint16
-        count: how many frames the sum is to hold
-        white: brightness at which each frame is cut, DN
+        count: number of frames that the sum is for
+        white: brightness at which each frame is clipped, DN
 
     `total` is the sum, in the frames' shape.
-
     """
 
     def __init__(
@@ -61,16 +60,15 @@ class Accumulator:
         self._wide = np.empty(self._ceiling.size, self.total.dtype)
 
     def accumulate(self, pixels: Pixels) -> None:
-        """Add one frame, cut at white.
+        """Add one frame, clipped at white.
 
         Raises:
             CaptureError: the frame's shape or type is not that of the others
-
         """
         self._each_tile(pixels, np.add)
 
     def withdraw(self, pixels: Pixels) -> None:
-        """Take a frame out again that was added before, exactly."""
+        """Subtract a frame that was added before, exactly."""
         self._each_tile(pixels, np.subtract)
 
     def _each_tile(self, pixels: Pixels, operation: Callable[..., object]) -> None:
@@ -86,7 +84,7 @@ class Accumulator:
             if self._clips:
                 tile = np.minimum(tile, self._ceiling[: tile.size], out=self._narrow[: tile.size])
             if tile.dtype != total.dtype:
-                # One widening copy and a same-type sum beat a sum of mixed types.
+                # One widening copy and a same-type sum are faster than a sum of mixed types.
                 wide = self._wide[: tile.size]
                 np.copyto(wide, tile)
                 tile = wide

@@ -1,31 +1,29 @@
-"""What a capture says of itself: the content of ``report.json``."""
+"""What is known of a capture: the content of ``report.json``, and the pictures beside it."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, PrivateAttr
 
-from camctl.camera import CameraInfo
+from camctl.camera import CameraInfo, Pixels
 from camctl.captures.request import CapturePlan, CaptureRequest
 from camctl.controls import ExposureSetting, Layout
 from camctl.errors import DataError
-from camctl.files import storage_error, write_bytes
-
-REPORT = "report.json"
 
 
-class _Record(BaseModel):
+class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class RatioCheck(_Record):
-    """How a frame's exposure compares with its neighbour's, on pixels unsaturated in both.
+class RatioCheck(_Model):
+    """A frame's exposure compared with its neighbour's, on pixels unsaturated in both.
 
     Attributes:
         expected: ratio of the applied exposures
-        measured: ratio of the irradiances in the pixels; None: too few pixels to tell
+        measured: ratio of the irradiances in the pixels; None: too few pixels to measure it
         tolerance: relative difference up to which the two agree
         agrees: False where they do not
         moved: share of the pixels that changed by more than noise and rounding explain
@@ -38,16 +36,33 @@ class RatioCheck(_Record):
     moved: float
 
 
-class FrameRecord(_Record):
-    """One frame of the sum; times in s, brightness in DN, `exposure` relative to the smallest."""
+class StoredFrame(_Model):
+    """One frame of a capture.
 
-    file: str
+    Attributes:
+        file: its samples in the capture's folder; None for a capture in memory
+        original: the camera's own file there, where it made one
+        requested: the setting that was asked for
+        applied: the setting read back from the camera
+        requested_s: shutter time of `requested`, s
+        applied_s: shutter time of `applied`, s
+        black: brightness without light, DN
+        white: brightness from which samples are saturated, DN
+        saturated_fraction: share of its samples at or above white
+        timestamp_s: when the exposure ended, on the camera's clock, s
+        ratio: its exposure compared with that of the frame before
+        attempts: 2 where it was shot again because its exposure did not agree
+        details: what the camera reported besides
+    """
+
+    model_config = ConfigDict(extra="ignore")  # captures begun by other versions can be resumed
+
+    file: str | None = None
     original: str | None = None
     requested: ExposureSetting
     applied: ExposureSetting
     requested_s: float
     applied_s: float
-    exposure: float
     black: int
     white: int
     saturated_fraction: float
@@ -57,8 +72,29 @@ class FrameRecord(_Record):
     details: dict[str, Any] = {}
 
 
-class Achieved(_Record):
-    """What the applied exposures give, and how much of the picture lies outside them."""
+class FrameRecord(StoredFrame):
+    """One frame of a complete capture.
+
+    Attributes:
+        exposure: applied exposure, relative to the smallest applied one of the capture
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    exposure: float
+
+
+class Achieved(_Model):
+    """The quality that the applied exposures give, and how much of the picture is out of range.
+
+    Attributes:
+        xi: number of the wanted levels that are missing
+        effective_levels: number of equal steps in the desired response that would be as accurate
+        levels: number of levels of the sum
+        levels_distinct: number of them that differ
+        saturated_fraction: share of the samples that are saturated in every frame
+        dark_fraction: share of the samples that no frame reached
+    """
 
     xi: float
     effective_levels: float
@@ -68,63 +104,148 @@ class Achieved(_Record):
     dark_fraction: float
 
 
-class Irradiance(_Record):
-    """How `radiance.exr` is scaled: its values are E / `full_scale_exposure`, with E = 1 at white.
+class Irradiance(_Model):
+    """Scale of the radiance: its values are E / `full_scale_exposure`, with E = 1 at full scale.
 
-    `unit` says whether that is the scene's own unit (the camera's sensitivity is known) or full
-    scales a second.
+    `unit` is the scene's own unit where the camera's sensitivity is known, else full scales per
+    second.
     """
 
     unit: str
     full_scale_exposure: float
 
 
-class CaptureReport(_Record):
-    """All that is known of a capture; kept in its folder from the first frame on."""
+class _CaptureData(_Model):
+    """What every capture has, complete or not.
 
-    status: Literal["incomplete", "complete"]
+    Attributes:
+        camera: identity of the camera
+        source: what is needed to open the camera again
+        layout: pixel layout of the frames
+        request: what was asked for
+        plan: the plan that is followed
+        rejected: files of frames that were shot again
+        white: brightness at which each frame is clipped before it is summed, DN
+        black_total: black level of the sum, DN
+        timing: durations of the stages, s
+        warnings: what to know of the pictures, one line each
+        versions: of camctl, numpy and Python
+    """
+
     camera: CameraInfo
     source: dict[str, Any]
     layout: Layout
     request: CaptureRequest
     plan: CapturePlan
-    frames: list[FrameRecord | None]
     rejected: list[str] = []
     white: int
     black_total: int
-    achieved: Achieved | None = None
-    irradiance: Irradiance | None = None
     timing: dict[str, float] = {}
-    files: dict[str, str] = {}
     warnings: list[str] = []
     versions: dict[str, str] = {}
 
-    def write(self, directory: Path) -> None:
-        """Write the report into the folder of its capture, whole."""
-        write_bytes(directory / REPORT, self.model_dump_json(indent=2).encode() + b"\n")
+
+class UnfinishedCapture(_CaptureData):
+    """A capture that lacks frames, None in `frames`, or its pictures."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    status: Literal["incomplete"] = "incomplete"
+    frames: list[StoredFrame | None]
 
 
-def read_report(directory: Path) -> CaptureReport:
-    """Read the report of a capture.
+class Pictures(Protocol):
+    """The arrays of a complete capture; see the methods of `CaptureReport`."""
 
-    Raises:
-        DataError: there is none, or it is damaged
+    def frame(self, position: int) -> Pixels:
+        """Return the samples of a frame."""
+        ...
 
+    def sum(self) -> NDArray[np.unsignedinteger]:
+        """Return the sum of the frames."""
+        ...
+
+    def image(self) -> NDArray[np.uint16]:
+        """Return the image in the desired response."""
+        ...
+
+    def radiance(self) -> NDArray[np.float32]:
+        """Return the irradiance."""
+        ...
+
+    def mask(self) -> NDArray[np.uint8]:
+        """Return the marks of what is out of range."""
+        ...
+
+
+class CaptureReport(_CaptureData):
+    """A complete capture: what was planned, shot and achieved, and its pictures.
+
+    Attributes:
+        frames: the frames of the sum, in the order of the plan's settings
+        achieved: the quality that the applied exposures give
+        irradiance: scale of the radiance
+        files: names of the result files by kind; empty for a capture in memory
     """
-    path = directory / REPORT
-    try:
-        return CaptureReport.model_validate_json(path.read_bytes())
-    except FileNotFoundError as error:
-        raise DataError(
-            f"{directory} holds no capture: {REPORT} is missing",
-            hint="name the folder of a capture",
-        ) from error
-    except OSError as error:
-        raise storage_error(path, error) from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise DataError(
-            f"{path} is damaged at {where}: {first['msg']}",
-            hint="its frames are still in frames/; shoot again into another folder",
-        ) from error
+
+    status: Literal["complete"] = "complete"
+    frames: list[FrameRecord]
+    achieved: Achieved
+    irradiance: Irradiance
+    files: dict[str, str] = {}
+    _pictures: Pictures | None = PrivateAttr(default=None)
+
+    def with_pictures(self, pictures: Pictures) -> Self:
+        """Return the report itself, connected to its pictures."""
+        self._pictures = pictures
+        return self
+
+    def radiance(self) -> NDArray[np.float32]:
+        """Return irradiance, float32, (rows, columns) or (rows, columns, 3) for R, G, B.
+
+        It is in the unit of `irradiance`; what is out of range is clamped, see `mask`.
+
+        Raises:
+            DataError: the capture's file is missing or damaged
+        """
+        return self._connected().radiance()
+
+    def mask(self) -> NDArray[np.uint8]:
+        """Return 0 for good samples, 1 too dark, 2 saturated in every frame; radiance's shape.
+
+        Raises:
+            DataError: the capture's file is missing or damaged
+        """
+        return self._connected().mask()
+
+    def image(self) -> NDArray[np.uint16]:
+        """Return the image in the desired response, 0 to 65,535, in the shape of the radiance.
+
+        Raises:
+            DataError: the capture's file is missing or damaged
+        """
+        return self._connected().image()
+
+    def sum(self) -> NDArray[np.unsignedinteger]:
+        """Return the exact sum of the frames clipped at white, black included, a frame's shape.
+
+        Raises:
+            DataError: the capture's file is missing or damaged
+        """
+        return self._connected().sum()
+
+    def frame(self, position: int) -> Pixels:
+        """Return the samples of frame `position`, 0 first, as the camera returned them.
+
+        Raises:
+            DataError: the capture's file is missing or damaged
+        """
+        return self._connected().frame(position)
+
+    def _connected(self) -> Pictures:
+        if self._pictures is None:
+            raise DataError(
+                "this report has no pictures: it was not read from a capture's folder",
+                hint="read the folder with camctl.read_report",
+            )
+        return self._pictures

@@ -1,12 +1,13 @@
-"""Look up, plan, shoot, sum, hand over: the controller's main job.
+"""The controller's main job: plan, shoot, sum, and write the outputs.
 
-The camera gets the whole list of settings at once.  While the next exposure runs, a worker writes
-the last frame to disk, compares it with its neighbour and adds it to the sum, in that order.  A
-slow disk pauses the stream; nothing is dropped.
+The camera gets the whole list of settings at once.  During the next exposure a worker stores the
+last frame, compares it with its neighbour and adds it to the sum, in this order.  A slow disk
+pauses the stream; no frame is dropped.
 """
 
 from __future__ import annotations
 
+import os
 import platform
 import time
 from collections.abc import Callable, Mapping
@@ -17,19 +18,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import camctl
 from camctl.camera import Camera, Frame, Pixels
 from camctl.captures.accumulator import Accumulator, sum_dtype
-from camctl.captures.exposure_check import NeighbourCheck
-from camctl.captures.frame_store import FrameStore
-from camctl.captures.outputs import write_outputs
+from camctl.captures.exposure_check import NeighbourCheck, suspects
+from camctl.captures.frame_store import CaptureStore, FolderStore, MemoryStore, read_capture
+from camctl.captures.outputs import complete
 from camctl.captures.plan import plan_capture
-from camctl.captures.report import CaptureReport, FrameRecord, read_report
+from camctl.captures.report import CaptureReport, StoredFrame, UnfinishedCapture
 from camctl.captures.request import CapturePlan, CaptureRequest
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
-from camctl.exposure.table import ExposureTable
 
 
 @dataclass(frozen=True)
@@ -47,58 +46,62 @@ class Progress:
     share: float = 0.0
 
 
-_Report = Callable[[Progress], None]
+_OnProgress = Callable[[Progress], None]
 _Cancelled = Callable[[], bool]
 
 
 def capture(
     camera: Camera,
     request: CaptureRequest,
-    directory: Path,
+    path: str | os.PathLike[str] | None = None,
     *,
     plan: CapturePlan | None = None,
-    table: ExposureTable | None = None,
     source: Mapping[str, Any] | None = None,
-    progress: _Report | None = None,
+    progress: _OnProgress | None = None,
     cancelled: _Cancelled | None = None,
     overwrite: bool = False,
 ) -> CaptureReport:
-    """Take the picture that `request` asks for and leave it, with all its frames, in `directory`.
+    """Take the picture that `request` asks for; keep it, with all its frames, in a folder.
 
     Args:
         camera: an open camera
-        request: what is wanted
-        directory: made where it does not exist; see `camctl.captures.frame_store` for what it will hold
-        plan: the plan to follow, as `plan_capture` made it of this request; None: made now
-        table: where the ratios are looked up; None: the shipped table, else solved and kept
+        request: what the user asks for
+        path: the folder, made where it does not exist; None: all is kept in memory, and the
+            pictures come from the report's methods
+        plan: the plan to follow, made by `plan_capture` from this request; None: made now
         source: what is needed to open this camera again; kept in the report
-        progress: told before each frame and stage
-        cancelled: asked before each frame; True ends the capture
-        overwrite: replace an earlier capture in `directory`
+        progress: called before each frame and stage
+        cancelled: called before each frame; if it returns True the capture ends
+        overwrite: replace an earlier capture in the folder
 
     Raises:
-        CaptureError: it could not be planned, or a frame is missing; frames already shot are kept,
-            and `resume` completes them
-        InterruptedCaptureError: `cancelled` said so, or Control-C was pressed
+        UsageError: the request cannot be met by any camera
+        CaptureError: it cannot be planned, or a frame is missing; frames already shot are kept in
+            the folder, and `resume` completes them
+        InterruptedCaptureError: `cancelled` returned True, or Control-C was pressed
+        CameraError: the camera failed
         StorageError: a file could not be written
-
     """
-    FrameStore.check_free(directory, overwrite=overwrite)
-    tell = progress or (lambda _: None)
+    directory = None if path is None else Path(path)
+    if directory is not None:
+        FolderStore.check_free(directory, overwrite=overwrite)
+    report_progress = progress or (lambda _: None)
     started = time.perf_counter()
-    tell(Progress(0, len(request.ratios or ()) or request.count, "metering"))
+    report_progress(Progress(0, len(request.ratios or ()) or request.count, "metering"))
     if plan is None:
         plan = plan_capture(
             camera,
             request,
-            table=table,
-            progress=lambda share: tell(Progress(round(100 * share), 100, "solving", share)),
+            progress=lambda share: report_progress(
+                Progress(round(100 * share), 100, "solving", share)
+            ),
         )
     controls = camera.controls
     sum_dtype(len(plan.settings), controls.white)
-    archive = FrameStore.create(directory, overwrite=overwrite)
-    report = CaptureReport(
-        status="incomplete",
+    store: CaptureStore = MemoryStore()
+    if directory is not None:
+        store = FolderStore.create(directory, overwrite=overwrite)
+    unfinished = UnfinishedCapture(
         camera=camera.info,
         source=dict(source or {}),
         layout=controls.layout,
@@ -114,243 +117,206 @@ def capture(
             "python": platform.python_version(),
         },
     )
-    report.write(directory)
-    return _Sequence(camera, archive, report, tell, cancelled or (lambda: False)).run()
+    store.save_report(unfinished)
+    return _Sequence(camera, store, unfinished, report_progress, cancelled).run()
 
 
 def resume(
     camera: Camera,
-    directory: Path,
+    path: str | os.PathLike[str],
     *,
-    progress: _Report | None = None,
+    progress: _OnProgress | None = None,
     cancelled: _Cancelled | None = None,
 ) -> CaptureReport:
-    """Shoot what is missing in an interrupted capture, and hand the picture over.
+    """Shoot the missing frames of an interrupted capture, and complete its pictures.
+
+    Args:
+        camera: the camera it was begun with, open
+        path: the folder of the capture
+        progress: as for `capture`
+        cancelled: as for `capture`
 
     Raises:
-        DataError: the folder holds no capture, or one of another camera
-        CaptureError, InterruptedCaptureError, StorageError: as `capture` does
-
+        DataError: the folder holds no capture, a complete one, or one of another camera
+        CaptureError, InterruptedCaptureError, CameraError, StorageError: as `capture` does
     """
-    report = read_report(directory)
-    controls = camera.controls
-    if (report.camera.make, report.camera.model, report.camera.serial) != (
-        camera.info.make,
-        camera.info.model,
-        camera.info.serial,
-    ):
+    directory = Path(path)
+    report = read_capture(directory)
+    begun, present, controls = report.camera, camera.info, camera.controls
+    if (begun.make, begun.model, begun.serial) != (present.make, present.model, present.serial):
         raise DataError(
-            f"{directory} was begun with {report.camera.make} {report.camera.model} "
-            f"{report.camera.serial}, this is {camera.info.make} {camera.info.model} "
-            f"{camera.info.serial}",
+            f"{directory} was begun with {begun.make} {begun.model} {begun.serial}, "
+            f"and this camera is {present.make} {present.model} {present.serial}",
             hint="connect the same camera",
         )
     if (controls.white, controls.layout) != (report.white, report.layout):
         raise DataError(
             f"{directory} was begun in another format of the camera", hint="set the same format"
         )
-    if report.status == "complete":
-        raise DataError(f"{directory} is complete: nothing is missing", hint="shoot a new capture")
-    for position, record in enumerate(report.frames):
-        if record is not None and not (directory / record.file).exists():
+    if isinstance(report, CaptureReport):
+        raise DataError(f"{directory} is complete: no frame is missing", hint="shoot a new capture")
+    store = FolderStore(directory)
+    for position in range(len(report.frames)):
+        if not store.holds(position):
             report.frames[position] = None
-    sequence = _Sequence(
-        camera,
-        FrameStore(directory),
-        report,
-        progress or (lambda _: None),
-        cancelled or (lambda: False),
-    )
-    return sequence.run()
+    return _Sequence(camera, store, report, progress or (lambda _: None), cancelled).run()
 
 
 class _Sequence:
-    """One capture from its first frame to its pictures; the report is its state."""
+    """One capture from its first missing frame to its pictures; `capture` is its state."""
 
     def __init__(
         self,
         camera: Camera,
-        archive: FrameStore,
-        report: CaptureReport,
-        tell: _Report,
-        cancelled: _Cancelled,
+        store: CaptureStore,
+        capture: UnfinishedCapture,
+        on_progress: _OnProgress,
+        cancelled: _Cancelled | None,
     ) -> None:
-        self.camera, self.archive, self.report = camera, archive, report
-        self.tell, self.cancelled = tell, cancelled
-        self.controls = camera.controls
-        self.real = camera.controls.levels
-        self.check = NeighbourCheck(self.real, self.controls.black)
-        self.samples: dict[int, NDArray[np.intp]] = {}
-        self.sum: Accumulator | None = None
-
-    @property
-    def done(self) -> int:
-        """Frames that are kept."""
-        return sum(record is not None for record in self.report.frames)
+        self._camera, self._controls = camera, camera.controls
+        self._store, self._capture = store, capture
+        self._on_progress, self._cancelled = on_progress, cancelled or (lambda: False)
+        self._check = NeighbourCheck(self._controls.levels, self._controls.black)
+        self._sum: Accumulator | None = None
 
     def run(self) -> CaptureReport:
-        """Shoot what is missing, then write the pictures."""
-        began, wall = self.camera.clock.now(), time.perf_counter()
+        """Shoot the missing frames, then write the pictures."""
+        frames, timing = self._capture.frames, self._capture.timing
+        began, wall_began = self._camera.clock.now(), time.perf_counter()
         try:
-            for position, record in enumerate(self.report.frames):
-                if record is not None:
-                    self._add(position, self.archive.read(record.file))
-            self._shoot([i for i, record in enumerate(self.report.frames) if record is None])
-            self._shoot_again()
-            self.report.timing["shooting_s"] = self.camera.clock.now() - began
-            self.report.timing["shooting_wall_s"] = time.perf_counter() - wall
-            assert self.sum is not None
-            self._tell("writing")
-            write_outputs(self.report, self.sum.total, self.controls, self.archive.directory)
+            for position, frame in enumerate(frames):
+                if frame is not None:
+                    self._add(position, self._store.frame(position))
+            self._shoot([position for position, frame in enumerate(frames) if frame is None])
+            self._shoot_suspects_again()
+            timing["shooting_s"] = self._camera.clock.now() - began
+            timing["shooting_wall_s"] = time.perf_counter() - wall_began
+            self._report_progress("writing")
+            assert self._sum is not None  # a plan has at least one setting
+            return complete(self._capture, self._sum.total, self._controls, self._store)
         except KeyboardInterrupt:
-            raise self._stopped("interrupted", InterruptedCaptureError) from None
+            raise self._failure("interrupted", InterruptedCaptureError) from None
         except InterruptedCaptureError as error:
-            raise self._stopped(error.what, InterruptedCaptureError) from None
+            raise self._failure(error.what, InterruptedCaptureError) from None
         except CamctlError as error:
-            raise self._stopped(
-                str(error), type(error) if _plain(error) else CaptureError
-            ) from error
-        return self.report
+            kind = type(error) if _is_made_from_message(error) else CaptureError
+            raise self._failure(str(error), kind) from error
 
-    def _stopped(self, what: str, kind: type[CamctlError]) -> CamctlError:
-        """Return the error that says what became of the frames."""
-        total = len(self.report.frames)
-        return kind(
-            f"{what}; {self.done} of {total} frames are kept",
-            hint=f"go on with: camctl shoot --resume {self.archive.directory}",
-        )
+    @property
+    def _done(self) -> int:
+        return sum(frame is not None for frame in self._capture.frames)
+
+    def _failure(self, what: str, kind: type[CamctlError]) -> CamctlError:
+        """Return the error with the number of frames that are kept, and how to go on."""
+        kept, hint = self._store.after_failure(self._done, len(self._capture.frames))
+        return kind(f"{what}; {kept}", hint=hint)
 
     def _shoot(self, positions: list[int]) -> None:
-        """Shoot the settings at `positions`, each processed while the next one is exposed."""
+        """Shoot the settings at `positions`; each frame is processed during the next exposure."""
         if not positions:
             return
         pending: Future[None] | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camctl-frame") as worker:
             try:
-                self._tell("shooting")
-                settings = [self.report.plan.settings[position] for position in positions]
-                with closing(self.camera.shoot(settings)) as frames:
+                self._report_progress("shooting")
+                settings = [self._capture.plan.settings[position] for position in positions]
+                with closing(self._camera.shoot(settings)) as frames:
                     for frame in frames:
                         if pending is not None:
                             pending.result()
                         pending = worker.submit(self._take, frame, positions[frame.index])
-                        if self.cancelled():
+                        if self._cancelled():
                             raise InterruptedCaptureError("cancelled")
-                        self._tell("shooting")
+                        self._report_progress("shooting")
             finally:
-                # Whatever happened to the camera, the frame that has come is kept.
+                # Whatever happened to the camera, the frame that has arrived is kept.
                 if pending is not None:
                     pending.result()
-        missing = [position for position in positions if self.report.frames[position] is None]
+        missing = sum(self._capture.frames[position] is None for position in positions)
         if missing:
-            raise CaptureError(f"the camera ended the sequence {len(missing)} frames early")
-        self._tell("shooting")
+            raise CaptureError(f"the camera ended the sequence {missing} frames early")
+        self._report_progress("shooting")
 
-    def _tell(self, stage: str) -> None:
+    def _report_progress(self, stage: str) -> None:
         """Report progress, weighted by the time that the frames take."""
-        frames = self.report.frames
-        interval_s = self.controls.frame_interval_s
-        times = [max(setting.time_s, interval_s) for setting in self.report.plan.settings]
-        over = sum(t for t, record in zip(times, frames, strict=True) if record is not None)
-        self.tell(Progress(self.done, len(frames), stage, over / sum(times)))
+        frames = self._capture.frames
+        interval_s = self._controls.frame_interval_s
+        times = [max(setting.time_s, interval_s) for setting in self._capture.plan.settings]
+        over = sum(t for t, frame in zip(times, frames, strict=True) if frame is not None)
+        self._on_progress(Progress(self._done, len(frames), stage, over / sum(times)))
 
     def _take(self, frame: Frame, position: int) -> None:
-        """Write a frame, check it against its neighbours, add it to the sum."""
-        file, original = self.archive.keep(frame, position)
-        if (frame.black, frame.white) != (self.controls.black, self.controls.white):
+        """Store a frame, compare it with its neighbours, add it to the sum."""
+        file, original = self._store.keep(frame, position)
+        if (frame.black, frame.white) != (self._controls.black, self._controls.white):
             raise CaptureError(
                 f"the camera changed its black and white level to {frame.black} and {frame.white} "
                 f"within the capture",
                 hint="keep gain and format fixed, and shoot again",
             )
-        plan = self.report.plan
-        smallest = min(setting.exposure for setting in plan.settings)
-        self.report.frames[position] = FrameRecord(
+        saturated = float(np.count_nonzero(frame.pixels >= frame.white))
+        self._capture.frames[position] = StoredFrame(
             file=file,
             original=original,
             requested=frame.requested,
             applied=frame.applied,
             requested_s=frame.requested.time_s,
             applied_s=frame.applied.time_s,
-            exposure=frame.applied.exposure / smallest,
             black=frame.black,
             white=frame.white,
-            saturated_fraction=float(np.count_nonzero(frame.pixels >= frame.white))
-            / frame.pixels.size,
+            saturated_fraction=saturated / frame.pixels.size,
             timestamp_s=frame.timestamp_s,
             details=dict(frame.details),
         )
-        self.report.write(self.archive.directory)
+        self._store.save_report(self._capture)
         self._add(position, frame.pixels)
 
     def _add(self, position: int, pixels: Pixels) -> None:
-        """Compare with the neighbours that are there already, and sum."""
-        self.samples[position] = self.check.sample(pixels)
+        """Compare with the neighbours that have arrived, and sum."""
+        self._check.add(position, pixels)
         for later in (position, position + 1):
-            self._compare(later)
-        if self.sum is None:
-            self.sum = Accumulator(
-                pixels.shape, pixels.dtype, len(self.report.frames), self.controls.white
-            )
-        self.sum.accumulate(pixels)
+            if self._check.has(later):
+                before, after = self._frame(later - 1), self._frame(later)
+                expected = after.applied.exposure / before.applied.exposure
+                after.ratio = self._check.check(later, expected)
+        if self._sum is None:
+            count = len(self._capture.frames)
+            self._sum = Accumulator(pixels.shape, pixels.dtype, count, self._controls.white)
+        self._sum.accumulate(pixels)
 
-    def _compare(self, later: int) -> None:
-        """Check frame `later` against the one before it, where both are there."""
-        before, after = self.samples.get(later - 1), self.samples.get(later)
-        if before is None or after is None:
-            return
-        first, second = self._record(later - 1), self._record(later)
-        expected = second.applied.exposure / first.applied.exposure
-        second.ratio = self.check.compare(before, after, expected)
-
-    def _record(self, position: int) -> FrameRecord:
-        record = self.report.frames[position]
-        assert record is not None
-        return record
+    def _frame(self, position: int) -> StoredFrame:
+        frame = self._capture.frames[position]
+        assert frame is not None  # it was added
+        return frame
 
     def _suspects(self) -> list[int]:
-        """Return the frames to blame for the ratios that do not agree.
+        return suspects([self._frame(k).ratio for k in range(len(self._capture.frames))])
 
-        A frame that disagrees with both neighbours is to blame alone; where only one pair
-        disagrees, both of it are suspect.
-        """
-        count = len(self.report.frames)
-        wrong = [
-            later
-            for later in range(1, count)
-            if (ratio := self._record(later).ratio) is not None and not ratio.agrees
-        ]
-        inner = {later for later in wrong if later + 1 in wrong}
-        pairs = [
-            (later - 1, later) for later in wrong if later not in inner and later - 1 not in inner
-        ]
-        return sorted(inner | {position for pair in pairs for position in pair})
-
-    def _shoot_again(self) -> None:
-        """Shoot frames again, once, whose exposure is not what the camera says; then mark them."""
-        suspects = [i for i in self._suspects() if self._record(i).attempts == 1]
-        if suspects:
-            assert self.sum is not None
-            for position in suspects:
-                record = self._record(position)
-                self.sum.withdraw(self.archive.read(record.file))
-                self.report.rejected.append(self.archive.reject(record.file))
-                self.report.frames[position] = None
-                del self.samples[position]
-            self.report.write(self.archive.directory)
-            self._shoot(suspects)
-            for position in suspects:
-                self._record(position).attempts = 2
+    def _shoot_suspects_again(self) -> None:
+        """Shoot frames with a wrong exposure again, once; then warn of those that stay wrong."""
+        again = [position for position in self._suspects() if self._frame(position).attempts == 1]
+        if again:
+            assert self._sum is not None  # all frames were added
+            for position in again:
+                self._sum.withdraw(self._store.frame(position))
+                self._check.remove(position)
+                self._capture.frames[position] = None
+                if (name := self._store.reject(position)) is not None:
+                    self._capture.rejected.append(name)
+            self._store.save_report(self._capture)
+            self._shoot(again)
+            for position in again:
+                self._frame(position).attempts = 2
         for position in self._suspects():
-            ratio = self._record(position).ratio
+            ratio = self._frame(position).ratio
             if ratio is not None and not ratio.agrees:
-                self.report.warnings.append(
-                    f"frame {position + 1} is {ratio.measured:.4g} times as bright as the one "
-                    f"before, its exposure says {ratio.expected:.4g}: do not trust the picture "
-                    f"(if lamps flicker, see --mains)"
+                self._capture.warnings.append(
+                    f"frame {position + 1} is {ratio.measured:.4g} times as bright as the frame "
+                    f"before, and its exposure is {ratio.expected:.4g} times as long: do not trust "
+                    f"the picture (if lamps flicker, see --mains)"
                 )
 
 
-def _plain(error: CamctlError) -> bool:
-    """Say whether an error of this kind can be made again from a message alone."""
+def _is_made_from_message(error: CamctlError) -> bool:
+    """Return whether an error of this kind can be made again from a message alone."""
     return type(error).__init__ is CamctlError.__init__

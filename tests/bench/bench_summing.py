@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from camctl.captures.accumulator import Accumulator
-from camctl.captures.outputs import Tables
+from camctl.captures.pictures import Tables
 from camctl.exposure.effective import EffectiveCamera
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response

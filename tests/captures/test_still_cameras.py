@@ -1,7 +1,9 @@
-"""Still cameras: a dial of third stops, no preview, files of their own, slow downloads."""
+"""Still cameras: a list of third stops, no preview, files of their own, slow downloads."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from still_fakes import THIRDS, StillCamera, ramp
 
-from camctl.camera import FrameStream
+from camctl.camera import Frame
 from camctl.captures.plan import plan_capture
 from camctl.captures.request import CapturePlan, CaptureRequest
 from camctl.captures.sequencer import capture, resume
@@ -23,25 +25,21 @@ from camctl.testing.conformance import CameraConformance
 METERED = CaptureRequest(spend_shutter=True)
 
 
-def asked(**changes: object) -> CaptureRequest:
-    return CaptureRequest(**{**vars(METERED), **changes})
-
-
-def planned(camera: StillCamera, request: CaptureRequest) -> tuple[CapturePlan | None, str]:
+def plan_or_hint(camera: StillCamera, request: CaptureRequest) -> tuple[CapturePlan | None, str]:
     try:
         return plan_capture(camera, request), ""
     except (CaptureError, UsageError) as error:
         return None, error.hint
 
 
-class TestStillCameraConforms(CameraConformance):
-    """The helper keeps the contract, or the tests below would prove nothing."""
+class TestStillCamera(CameraConformance):
+    """The fake camera conforms, or the tests below would prove nothing."""
 
     def open_camera(self) -> StillCamera:
         return StillCamera(ramp(2.0), response="linear", bits=12, black=100, with_gain=True)
 
 
-def test_metering_needs_leave_to_actuate() -> None:
+def test_metering_actuates_the_shutter_only_on_request() -> None:
     with StillCamera(ramp()) as camera:
         with pytest.raises(UsageError, match=r"no preview.*--meter.*--base SECONDS"):
             plan_capture(camera, CaptureRequest())
@@ -57,10 +55,10 @@ def test_metering_costs_few_actuations_and_finds_the_highlights(
 ) -> None:
     response, bits, black = kind
     with StillCamera(ramp(brightest), response=response, bits=bits, black=black) as camera:
-        plan = plan_capture(camera, asked(count=2))
+        plan = plan_capture(camera, replace(METERED, count=2))
         assert plan.metering is not None
         assert camera.actuations == plan.metering.frames <= 5
-    # The longest time on the dial that keeps the brightest light below white.
+    # The longest time on the list that keeps the brightest light below white.
     longest = max(t for t in THIRDS.values if t * brightest < 1)
     assert longest / 2 <= plan.base_s <= longest
 
@@ -74,7 +72,7 @@ def test_metering_costs_few_actuations_and_finds_the_highlights(
     budget=st.sampled_from([None, 30.0]),
 )
 @settings(max_examples=40)
-def test_every_plan_is_on_the_dial(
+def test_every_plan_consists_of_settings_that_the_camera_has(
     response: str,
     dynamic_range: float,
     count: int,
@@ -82,7 +80,8 @@ def test_every_plan_is_on_the_dial(
     mains: float | None,
     budget: float | None,
 ) -> None:
-    request = asked(
+    request = replace(
+        METERED,
         response=response,
         dynamic_range=dynamic_range,
         count=count,
@@ -90,9 +89,9 @@ def test_every_plan_is_on_the_dial(
         time_budget_s=budget,
     )
     with StillCamera(ramp(brightest), with_gain=True, with_aperture=True) as camera:
-        plan, refusal = planned(camera, request)
+        plan, hint = plan_or_hint(camera, request)
         if plan is None:
-            assert refusal  # it says what to do instead
+            assert hint
             return
         for setting in plan.settings:
             camera.controls.check(setting)
@@ -102,101 +101,97 @@ def test_every_plan_is_on_the_dial(
         assert sum(s.time_s for s in plan.settings) <= (budget or np.inf) * (1 + 1e-9)
 
 
-def test_gain_takes_over_where_the_dial_ends() -> None:
+def test_gain_extends_the_longest_shutter_time() -> None:
     with StillCamera(ramp(0.2), with_gain=True) as camera:
-        plan = plan_capture(camera, asked(dynamic_range=16000.0))
+        plan = plan_capture(camera, replace(METERED, dynamic_range=16000.0))
         assert plan.settings[-1].gain > 1
         assert plan.settings[0].gain == 1
 
 
-def test_a_base_that_leaves_too_little_of_the_dial_is_said_with_the_way_out() -> None:
+def test_base_that_leaves_too_few_exposures_is_refused_with_a_compensation_that_works() -> None:
     with StillCamera(ramp(1e-2)) as camera:
-        with pytest.raises(CaptureError, match=r"leaves fewer than 4.*--compensation -") as error:
-            plan_capture(camera, asked(count=4))
+        with pytest.raises(
+            CaptureError, match=r"leaves fewer than 4 exposures.*--compensation -"
+        ) as error:
+            plan_capture(camera, replace(METERED, count=4))
         stops = float(error.value.hint.split()[-1])
-        plan = plan_capture(camera, asked(count=4, compensation_stops=stops))
+        plan = plan_capture(camera, replace(METERED, count=4, compensation_stops=stops))
         assert plan.settings[-1].time_s == THIRDS.maximum
 
 
-def test_a_base_beyond_the_dial_is_refused_as_on_any_camera() -> None:
+def test_base_beyond_the_longest_time_is_refused_with_the_nearest() -> None:
     with (
         StillCamera(ramp()) as camera,
         pytest.raises(CaptureError, match=r"beyond the camera's .* nearest possible is 32 s"),
     ):
-        plan_capture(camera, asked(base_s=100.0))
+        plan_capture(camera, replace(METERED, base_s=100.0))
 
 
-def test_more_exposures_than_the_dial_has_are_refused() -> None:
+def test_more_exposures_than_the_camera_has_are_refused() -> None:
     with (
         StillCamera(ramp(), times=Choices((1 / 64, 1 / 8))) as camera,
         pytest.raises(UsageError, match="at most 2"),
     ):
-        plan_capture(camera, asked(count=3))
+        plan_capture(camera, replace(METERED, count=3))
 
 
-def test_whole_periods_of_the_mains_where_the_dial_has_them() -> None:
+def test_whole_flicker_periods_are_chosen_where_the_camera_has_them() -> None:
     with StillCamera(ramp(2.0)) as camera:
-        plan = plan_capture(camera, asked(mains_hz=50.0, dynamic_range=256.0))
-    warned = [warning for warning in plan.warnings if "flicker" in warning]
+        plan = plan_capture(camera, replace(METERED, mains_hz=50.0, dynamic_range=256.0))
+    warnings = [warning for warning in plan.warnings if "flicker" in warning]
     periods = [setting.time_s * 100 for setting in plan.settings]
-    # Part of a period more or less matters as a share of the exposure.
-    off = [count for count in periods if abs(count - round(count)) > 0.01 * count]
-    assert len(warned) == len(off)
+    # A part of a period matters relative to the exposure.
+    not_whole = [count for count in periods if abs(count - round(count)) > 0.01 * count]
+    assert not_whole == []
+    assert warnings == []
 
 
-def test_a_capture_keeps_the_cameras_own_files(tmp_path: Path) -> None:
+def test_capture_keeps_the_cameras_own_files(tmp_path: Path) -> None:
     with StillCamera(ramp(20.0), response="linear", bits=10, black=64) as camera:
         report = capture(camera, METERED, tmp_path / "here")
     assert report.status == "complete"
-    total = 0
+    total = np.zeros((), np.int64)
     for record in report.frames:
-        assert record is not None
+        assert record.file is not None
         assert record.original is not None
         original = tmp_path / "here" / record.original
         pixels = cv2.imread(str(original), cv2.IMREAD_UNCHANGED)
+        assert pixels is not None
         assert np.array_equal(pixels, np.load(tmp_path / "here" / record.file))
         total = total + np.minimum(pixels, record.white).astype(np.int64)
     assert np.array_equal(tifffile.imread(tmp_path / "here" / "sum.tiff"), total)
 
 
 @pytest.mark.parametrize("kind", [("srgb", 8, 0), ("linear", 10, 64)])
-def test_the_picture_is_the_light(tmp_path: Path, kind: tuple[str, int, int]) -> None:
-    import OpenEXR
-
+def test_radiance_is_the_light_of_the_scene(tmp_path: Path, kind: tuple[str, int, int]) -> None:
     response, bits, black = kind
     light = ramp(20.0, 300.0)
     with StillCamera(light, response=response, bits=bits, black=black) as camera:
-        report = capture(camera, asked(count=4), tmp_path / "here")
-        assert camera.actuations == 4 + report.plan.metering.frames  # type: ignore[union-attr]
-    with OpenEXR.File(str(tmp_path / "here" / "radiance.exr")) as file:
-        seen = next(c for n, c in file.channels().items() if not n.startswith("mask")).pixels
-    error = np.abs(np.median(seen / light) * light / seen - 1)
+        report = capture(camera, replace(METERED, count=4), tmp_path / "here")
+        assert report.plan.metering is not None
+        assert camera.actuations == 4 + report.plan.metering.frames
+    radiance = report.radiance()
+    error = np.abs(np.median(radiance / light) * light / radiance - 1)
     assert np.median(error) < 0.01
     assert np.quantile(error, 0.99) < 0.1
-    assert all(record.ratio is None or record.ratio.agrees for record in report.frames if record)
+    assert all(frame.ratio is None or frame.ratio.agrees for frame in report.frames)
 
 
-def test_the_missing_frame_is_shot_after_the_camera_came_back(tmp_path: Path) -> None:
+def test_resume_shoots_only_the_missing_frame(tmp_path: Path) -> None:
     class Unplugged(StillCamera):
-        """Goes away in the middle of its third frame."""
+        """Is disconnected during its third frame."""
 
-        def shoot(self, settings: list[ExposureSetting]) -> FrameStream:
-            frames = super().shoot(settings)
-            if len(settings) < 3:
-                return frames
-
-            def cut() -> FrameStream:
-                yield next(frames)
-                yield next(frames)
-                raise CameraDisconnectedError("the still camera went away", hint="plug it in")
-
-            return cut()
+        def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+            for frame in super()._frames(settings):
+                if frame.index == 2:
+                    raise CameraDisconnectedError("the still camera was disconnected")
+                yield frame
 
     with (
-        Unplugged(ramp(20.0)) as camera,
+        Unplugged(ramp(20.0)) as unplugged,
         pytest.raises(CameraDisconnectedError, match="2 of 3 frames are kept"),
     ):
-        capture(camera, METERED, tmp_path / "here")
+        capture(unplugged, METERED, tmp_path / "here")
     with StillCamera(ramp(20.0)) as camera:
         report = resume(camera, tmp_path / "here")
         assert camera.actuations == 1

@@ -174,7 +174,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
 
     import camctl.backends
 
-    monkeypatch.setattr(camctl.backends, "look_for_cameras", fail)
+    monkeypatch.setattr(camctl.backends, "list_backends", fail)
 
 
 @pytest.mark.parametrize(

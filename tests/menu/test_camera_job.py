@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from panel_fakes import ScriptedPanel
 
+from camctl import read_report
 from camctl.camera import Frame
-from camctl.captures.report import read_report
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import resume
 from camctl.controls import ExposureSetting
