@@ -135,7 +135,7 @@ def _load_error(kind: str, point: EntryPoint, error: Exception) -> UsageError:
     if missing in _POSIX_MODULES:
         return UsageError(
             f"{kind} '{point.name}' needs Linux: this Python has no module {missing}",
-            hint="choose another one",
+            hint=f"choose another {kind}",
         )
     return UsageError(
         f"{kind} '{point.name}' cannot be loaded: {error}",

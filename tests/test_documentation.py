@@ -44,7 +44,7 @@ def test_the_python_example_of_the_readme_runs(
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("relative exposures (1.0, ")
     assert int(printed[1].removeprefix("effective levels ")) > 100
-    assert "(480, 640, 3)" in printed[2]
+    assert "(768, 1024, 3)" in printed[2]
     assert {path.name for path in (tmp_path / "room").iterdir()} >= {"radiance.exr", "report.json"}
 
 
