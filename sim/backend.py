@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from dataclasses import fields
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from camctl.backends import BackendOptions, FrameShape
 from camctl.camera import CameraInfo
 from camctl.clock import Clock, RealClock, VirtualClock
-from camctl.errors import CameraNotFoundError
-from sim.camera import SimulatedCamera
+from camctl.errors import CameraNotFoundError, unknown_name
+from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import DEFAULT_SCENE, load_scene
 from sim.sensors.sensor import DEFAULT_SENSOR, load_sensor
+
+
+def _check_faults(value: object) -> object:
+    """Raise `UsageError` for an unknown fault, which pydantic would ignore."""
+    if isinstance(value, Mapping):
+        known = [field.name for field in fields(Faults)]
+        for name in value:
+            if name not in known:
+                raise unknown_name("fault", str(name), known)
+    return value
 
 
 class SimulatedOptions(BackendOptions):
@@ -26,6 +37,7 @@ class SimulatedOptions(BackendOptions):
         size: of a frame; None: the scene's own, or else the sensor's
         time: whether the camera waits in real time, or on a clock of its own and thus not at all
         tolerance: see `tolerance_dn` of `SimulatedCamera`, DN
+        faults: of the hardware, for tests: `Faults`, or a dict of its fields
     """
 
     scene: str = DEFAULT_SCENE
@@ -34,6 +46,7 @@ class SimulatedOptions(BackendOptions):
     size: FrameShape | None = None
     time: Literal["virtual", "real"] = "virtual"
     tolerance: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    faults: Annotated[Faults, BeforeValidator(_check_faults)] = Faults()
 
 
 class SimulatedBackend:
@@ -60,5 +73,10 @@ class SimulatedBackend:
         scene = load_scene(chosen.scene, chosen.size, usual=sensor.shape)
         clock: Clock = RealClock() if chosen.time == "real" else VirtualClock()
         return SimulatedCamera(
-            scene, sensor, clock=clock, seed=chosen.seed, tolerance_dn=chosen.tolerance
+            scene,
+            sensor,
+            clock=clock,
+            seed=chosen.seed,
+            faults=chosen.faults,
+            tolerance_dn=chosen.tolerance,
         )

@@ -35,9 +35,9 @@ class OnV4l2(CameraConformance):
     def open_camera(self):
         return rig.opened(self.device)
 
-    def test_a_closed_camera_says_so(self, streaming):
+    def test_closed_camera_raises_a_camera_error(self, streaming):
         streaming.close()  # nobody else may stream from the node meanwhile
-        super().test_a_closed_camera_says_so()
+        super().test_closed_camera_raises_a_camera_error()
 
     def middle_s(self, camera):
         return camera.controls.time_s.nearest(0.01)
