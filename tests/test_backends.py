@@ -163,16 +163,29 @@ def test_folder_without_init_shadows_nothing(tmp_path: Path) -> None:
     assert run(tmp_path, OPEN_SIM).returncode == 0
 
 
-def test_missing_dependency_is_not_taken_for_a_shadow(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        (
+            "import not_installed",
+            "camera 'broken' cannot be loaded: No module named 'not_installed'; "
+            "install the packages that it needs",
+        ),
+        (
+            "import termios",
+            "camera 'broken' needs Linux: this Python has no module termios; choose another camera",
+        ),
+    ],
+)
+def test_missing_module_is_named(
+    code: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "broken_driver.py").write_text("import a_package_that_is_not_installed\n")
+    (tmp_path / "broken_driver.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "broken_driver", raising=False)
+    monkeypatch.setitem(sys.modules, "termios", None)
     broken = EntryPoint("broken", "broken_driver:Backend", CAMERAS)
     monkeypatch.setattr(backends, "_entry_points", lambda group: {"broken": broken})
     with pytest.raises(UsageError) as failure:
         load(CAMERAS, "camera", "broken")
-    assert str(failure.value) == (
-        "camera 'broken' cannot be loaded: No module named 'a_package_that_is_not_installed'; "
-        "install the packages that it needs"
-    )
+    assert str(failure.value) == message

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ class V4l2Backend:
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras whose nodes can be opened; no stream is started."""
+        _check_system()
         return find_cameras()
 
     def open(self, address: str, options: Mapping[str, Any]) -> V4l2Camera:
@@ -30,8 +33,15 @@ class V4l2Backend:
             UsageError: an unknown option or an invalid value
             CameraError: see `V4l2Camera`
         """
+        _check_system()
         chosen = V4l2Options.parse(options)
         return V4l2Camera(address or _only_node(), chosen).open()
+
+
+def _check_system() -> None:
+    """Raise `CameraError` on another system than Linux."""
+    if sys.platform != "linux" or find_spec("fcntl") is None:
+        raise CameraError("V4L2 cameras need Linux", hint="choose another camera")
 
 
 def find_cameras(root: Path = Path("/"), kernel: Kernel | None = None) -> list[CameraInfo]:

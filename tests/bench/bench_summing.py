@@ -1,4 +1,4 @@
-"""What summing costs: one `accumulate` a frame, against a bare copy of the bytes that it must move.
+"""The cost of summing: one `accumulate` per frame, compared with a copy of as many bytes.
 
     python tests/bench/bench_summing.py [--megapixels 24] [--frames 6] [--rounds 5]
 
@@ -45,7 +45,7 @@ def measure(name: str, shape: tuple[int, ...], count: int, rounds: int) -> None:
     copies, sums = [], []
     for _ in range(rounds):
         total = Accumulator(shape, np.dtype(np.uint8), count, WHITE)
-        total.total.fill(0)  # the pages are there before the first frame comes
+        total.total.fill(0)  # its memory is mapped before the first frame arrives
         for frame in frames:
             copies.append(seconds(lambda: np.copyto(target, source)))
             sums.append(seconds(partial(total.accumulate, frame)))
