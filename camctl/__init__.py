@@ -65,6 +65,10 @@ if TYPE_CHECKING:
     from camctl.errors import RefusedSettingError as RefusedSettingError
     from camctl.errors import StorageError as StorageError
     from camctl.errors import UsageError as UsageError
+    from camctl.exposure.objective import Evaluation as Evaluation
+    from camctl.exposure.objective import Objective as Objective
+    from camctl.exposure.objective import evaluate as evaluate
+    from camctl.exposure.solver import SearchOptions as SearchOptions
     from camctl.exposure.solver import Solution as Solution
     from camctl.exposure.solver import solve as solve
     from camctl.exposure.table import ExposureTable as ExposureTable
@@ -98,7 +102,8 @@ _NAMES = {
         "CameraProtocolError CameraTimeoutError CaptureError DataError InterruptedCaptureError "
         "RefusedSettingError StorageError UsageError"
     ),
-    "exposure.solver": "Solution solve",
+    "exposure.objective": "Evaluation Objective evaluate",
+    "exposure.solver": "SearchOptions Solution solve",
     "exposure.table": "ExposureTable",
     "response.camera": "CameraResponse linear_response standard_response",
     "response.desired": "DesiredResponse desired_response tabulated_desired",

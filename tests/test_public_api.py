@@ -22,6 +22,7 @@ PROMISED = {
     "resume",
     "plan_capture",
     "solve",
+    "evaluate",
     "desired_response",
     "linear_response",
     "measured_response",
@@ -188,6 +189,7 @@ def dimmest(camera: camctl.Camera) -> camctl.Frame:
 def search() -> tuple[float, ...]:
     response = camctl.linear_response(8)
     desired = camctl.desired_response("log", 1000.0)
+    print(camctl.evaluate(response, (1, 2, 4), desired).effective_levels)
     return camctl.solve(response, desired, 3).exposures
 
 

@@ -77,10 +77,10 @@ class CaptureRequest:
     def _check_response(self) -> None:
         if self.response not in (*RESPONSES, CURVE, AUTO):
             raise unknown_name("response", self.response, (*RESPONSES, CURVE, AUTO))
-        if self.gamma is not None and self.response != "gamma":
+        if self.gamma is not None and self.response in (CURVE, AUTO):
             raise UsageError(
                 f"gamma {self.gamma:g} does not apply to the response '{self.response}'",
-                hint="choose the response 'gamma'",
+                hint="choose the response 'gamma', or leave gamma out",
             )
         if self.desired_curve is not None and self.response != CURVE:
             raise UsageError(
@@ -103,7 +103,7 @@ class CaptureRequest:
         try:
             build_desired(self.response, self.dynamic_range, self.gamma, self.desired_curve)
         except DataError as error:
-            raise UsageError(f"invalid desired curve: {error}") from error
+            raise UsageError(error.what, hint=error.hint) from error
 
     def _check_numbers(self) -> None:
         if self.count < 1:
@@ -173,13 +173,13 @@ def build_desired(
     """Return the desired response that these fields of a request or a plan describe.
 
     Raises:
-        UsageError: an invalid name, range or exponent
+        UsageError: an invalid name, range or exponent, or an exponent for another response
         DataError: an invalid curve
     """
     if curve is not None:
         irradiance, u = zip(*curve, strict=True) if curve else ((), ())
         return tabulated_desired(irradiance, u, name=response)
-    return desired_response(response, dynamic_range, q=0.5 if gamma is None else gamma)
+    return desired_response(response, dynamic_range, gamma=gamma)
 
 
 def relative_exposures(settings: Sequence[ExposureSetting]) -> tuple[float, ...]:
