@@ -51,7 +51,7 @@ class ExposureSetting:
 
     @property
     def exposure(self) -> float:
-        """Exposure in arbitrary but constant units: time x gain / f-number^2."""
+        """Exposure, which is time x gain / f-number^2, in arbitrary but constant units."""
         return self.time_s * self.gain / (self.f_number or 1.0) ** 2
 
 

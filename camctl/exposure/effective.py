@@ -105,7 +105,7 @@ class EffectiveCamera:
 
     @cached_property
     def distinct(self) -> FloatArray:
-        """(K,) float64 ascending: the levels, coincident ones (see `COINCIDENCE`) once."""
+        """The levels, coincident ones (within `COINCIDENCE`) once, (K,) float64 ascending."""
         return self.levels[_group_starts(self.levels)]
 
     @property
@@ -115,7 +115,7 @@ class EffectiveCamera:
 
     @property
     def levels_distinct(self) -> int:
-        """Number of different levels: one less than the number of sums that can occur."""
+        """Number of different levels, one less than the number of sums that can occur."""
         return int(self.distinct.size)
 
     def irradiance_table(self) -> FloatArray:

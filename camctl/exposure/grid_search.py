@@ -73,7 +73,7 @@ class SettingsGrid:
 
     @cached_property
     def exposures(self) -> FloatArray:
-        """(S,) float64 ascending: the different products time x gain.
+        """The different products time x gain, (S,) float64 ascending.
 
         Products that agree to `SAME_RATIO` count as one.
 

@@ -3,14 +3,14 @@
 Branch and bound over boxes of t = ln e, by a Lipschitz constant that needs no derivative of the
 objective (which has kinks).  Let w(E) = E u'(E), which does not decrease with E for linear,
 gamma <= 1 and constant contrast.  A gap (a, b) adds phi = G [u(x) - u(a)] - (x - a)/(b - a) with
-x = clip(g'^-1(1/(b-a)), a, b), so that, where it adds anything,
+x = clip(g'^-1(1/(b-a)), a, b), so that, where it adds anything::
 
     b dphi/db = G u'(x) b (x - a)/(b - a) <= G w(x) <= G w(b)   if x < b,   G w(b)   if x = b
     a dphi/da lies in [-G w(a), 0]
 
 (with (x - a)/(b - a) <= x/b).  A level L is the end of one gap and the beginning of the next: as
 ln L changes, xi changes at most G w(L) times as fast.  Of the levels below e_min only the nearest
-counts, with at most G w(e_min).  Raising exposure j by dt moves all its levels by -dt in ln E:
+counts, with at most G w(e_min).  Raising exposure j by dt moves all its levels by -dt in ln E::
 
     |d xi / d t_j| <= G [ w(e_min) + sum over levels of frame j above e_min of w(E_k / e_j) ]
 

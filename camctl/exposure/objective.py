@@ -2,7 +2,7 @@
 
 The derivative of a staircase is one level per gap: h' = 1/(b - a) on a gap (a, b) between
 neighbouring levels; the first gap starts at 0 and the last ends at 1.  Then (Grossberg and Nayar,
-equations 2 and 3)
+equations 2 and 3)::
 
     xi = sum over gaps of  integral over (a, b) within [e_min, 1] of  max(0, g'(E) - 1/(b-a))^p dE
 

@@ -101,6 +101,6 @@ def fewest_exposures(
         best = min(best, found.xi)
     raise UsageError(
         f"no set of up to {max_count} exposures reduces xi to {tolerance:g}",
-        hint=f"the best one has {best:.4g}: allow that many missing levels, or request fewer levels than "
-        f"{levels_wanted:g}",
+        hint=f"the best one has {best:.4g}: allow that many missing levels, or request fewer "
+        f"levels than {levels_wanted:g}",
     )

@@ -62,9 +62,9 @@ class CameraResponse:
 
     @property
     def gaps(self) -> tuple[FloatArray, FloatArray]:
-        """(low, high), each (M + 1,) float64: the interval of irradiance of brightness 0..M.
+        """Both ends (low, high) of the irradiance of brightness 0..M, each (M + 1,) float64.
 
-        Brightness M is saturated and has no upper end: both ends are E_M.
+        Brightness M is saturated and has no upper end: both are E_M.
         """
         return (
             np.concatenate(([0.0], self.levels)),
