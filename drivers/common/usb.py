@@ -91,7 +91,7 @@ def usb_error(error: usb.core.USBError, name: str) -> CameraError:
     if number in _MEANINGS:
         kind, what, hint = _MEANINGS[number]
         return kind(f"{name} {what}", hint=hint)
-    text = " ".join(str(error).split()) or f"error {number}"
+    text = " ".join(str(error.strerror or error).split()) or f"error {number}"
     return CameraProtocolError(
         f"{name} failed a USB transfer: {text}", hint="plug it in again and try once more"
     )
