@@ -29,7 +29,7 @@ class CoolpixBackend:
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras that answer on the machine's serial ports; none without `probe`."""
-        return probe_lines(serial_ports()) if probe else ()
+        return probe_lines(serial_ports(), _PROBE_S) if probe else ()
 
     def open(self, address: str, options: Mapping[str, str]) -> CoolpixCamera:
         """Return the open camera on the port or URL `address`; for `options` see `CoolpixOptions`.
@@ -47,8 +47,8 @@ class CoolpixBackend:
         return CoolpixCamera(address, parsed).open()
 
 
-def probe_lines(urls: Sequence[str], deadline_s: float = _PROBE_S) -> list[CameraInfo]:
-    """Return the cameras that answer on these lines within `deadline_s`, all asked at once.
+def probe_lines(urls: Sequence[str], limit_s: float) -> list[CameraInfo]:
+    """Return the cameras that answer on these lines within `limit_s`, all asked at once.
 
     A line is sent one NUL byte at 19,200 baud, and more only if a camera answers it.  Opening a
     port sets its modem signals once, and closing it resets them.
@@ -67,7 +67,7 @@ def probe_lines(urls: Sequence[str], deadline_s: float = _PROBE_S) -> list[Camer
     for url in urls:
         threading.Thread(target=probe, args=(url,), daemon=True).start()
     with changed:
-        changed.wait_for(lambda: len(found) == len(set(urls)), deadline_s)
+        changed.wait_for(lambda: len(found) == len(set(urls)), limit_s)
         answers = [found.get(url) for url in urls]
     return [info for info in answers if info is not None]
 
