@@ -7,7 +7,7 @@ import math
 import struct
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, field_validator
 
 from camctl.backends import BackendOptions
 from camctl.camera import CameraInfo
@@ -25,17 +25,17 @@ def _lower_case(value: object) -> object:
 
 
 LowerCase = BeforeValidator(_lower_case)
-"""Marks an option whose value may be written in capitals."""
+"""Converts the value of an option to lower case before it is checked."""
 
 
 class StillOptions(BackendOptions):
-    """Options of all still cameras."""
+    """Options of all still cameras.
 
-    response: Annotated[str, LowerCase] = Field(
-        default="srgb",
-        description="response of JPEG and TIFF files: linear, srgb, rec709, power (gamma 2.2) or "
-        "power:GAMMA",
-    )
+    Attributes:
+        response: of JPEG and TIFF files: linear, srgb, rec709, power:GAMMA, or power (gamma 2.2)
+    """
+
+    response: Annotated[str, LowerCase] = "srgb"
 
     @field_validator("response")
     @classmethod

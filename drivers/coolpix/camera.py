@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile
 from camctl.clock import Clock, RealClock
@@ -26,15 +26,15 @@ _TEST_PICTURE_S = 1 / 60
 
 
 class CoolpixOptions(StillOptions):
-    """Options of a CoolPix."""
+    """Options of a CoolPix, beside those of `StillOptions`.
 
-    format: Annotated[Literal["jpeg", "tiff"], LowerCase] = Field(
-        default="jpeg", description="format of the frames' files"
-    )
-    speed: int = Field(
-        default=115_200,
-        description=f"highest speed of the line, baud: {', '.join(map(str, SPEEDS))}",
-    )
+    Attributes:
+        format: of the frames' files
+        speed: the highest speed of the line to use, baud: 9600, 19200, 38400, 57600 or 115200
+    """
+
+    format: Annotated[Literal["jpeg", "tiff"], LowerCase] = "jpeg"
+    speed: int = 115_200
 
     @field_validator("speed")
     @classmethod

@@ -43,24 +43,17 @@ _CLOSE_S = 5.0
 
 
 class PtpOptions(StillOptions):
-    """Options of a PTP camera."""
+    """Options of a PTP camera, beside those of `StillOptions`.
 
-    format: Annotated[Literal["auto", "raw", "tiff", "jpeg"], LowerCase] = Field(
-        default="auto",
-        description="format of the frames' files; auto: the one with the least processing of those "
-        "that the camera saves",
-    )
-    bulb: float | None = Field(
-        default=None,
-        ge=1,
-        le=3600,
-        allow_inf_nan=False,
-        description="longest bulb exposure, held by this computer, s; without it, the camera's own "
-        "shutter times only",
-    )
-    delete: bool = Field(
-        default=False, description="yes: delete files from the card once their frames were taken"
-    )
+    Attributes:
+        format: of the frames' files; "auto": the first of raw, tiff and jpeg that the camera saves
+        bulb: longest bulb exposure, held by this computer, s; None: the camera's own times only
+        delete: True to delete files from the card once their frames were taken
+    """
+
+    format: Annotated[Literal["auto", "raw", "tiff", "jpeg"], LowerCase] = "auto"
+    bulb: float | None = Field(default=None, ge=1, le=3600, allow_inf_nan=False)
+    delete: bool = False
 
 
 class PtpCamera(CameraBase):
