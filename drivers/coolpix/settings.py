@@ -7,7 +7,6 @@ value is written, and offered if it is read back unchanged.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from camctl.controls import ExposureSetting
@@ -15,21 +14,23 @@ from camctl.errors import CameraError, RefusedSettingError
 from drivers.coolpix.sierra.packets import RefusedCommandError, Register
 from drivers.coolpix.sierra.session import Sierra
 
-#: Value of the aperture register for automatic exposure.
-AUTOMATIC = 0
+# Value of the aperture register for automatic exposure.
+_AUTOMATIC = 0
 _US_PER_S = 1_000_000
 # A setting is written again once if the session ended between writing and reading it.
 _ATTEMPTS = 2
 
 # Nominal times: 1/n s, then s, in third and half stops, and those of the CoolPix 880.
-_PARTS = (1000, 800, 750, 640, 500, 400, 350, 320, 250, 200, 180, 160, 125, 100, 90, 80, 60, 50)
-_PARTS_MORE = (45, 40, 30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3, 2.5, 2, 1.6, 1.5, 1.3)
+_DENOMINATORS = (
+    *(1000, 800, 750, 640, 500, 400, 350, 320, 250, 200, 180, 160, 125, 100, 90, 80, 60, 50, 45),
+    *(40, 30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3, 2.5, 2, 1.6, 1.5, 1.3),
+)
 _SECONDS = (1, 1.3, 1.5, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 7, 8)
 
 #: Shutter times to try, us, ascending; 1/n s is rounded down, as in the CoolPix 880.
 CANDIDATES_US: tuple[int, ...] = tuple(
     sorted(
-        {int(_US_PER_S / part) for part in _PARTS + _PARTS_MORE}
+        {int(_US_PER_S / denominator) for denominator in _DENOMINATORS}
         | {round(_US_PER_S * seconds) for seconds in _SECONDS}
     )
 )
@@ -132,14 +133,14 @@ def read_register_or_none(sierra: Sierra, register: Register) -> int | None:
         return None
 
 
-def find_times_us(sierra: Sierra, candidates: Sequence[int] = CANDIDATES_US) -> tuple[int, ...]:
+def find_times_us(sierra: Sierra) -> tuple[int, ...]:
     """Return the shutter times that the camera accepts, us, ascending; restores the current one.
 
     Raises:
         CameraError: it accepts none
     """
     before = read_register_or_none(sierra, Register.SHUTTER_US)
-    times = tuple(us for us in candidates if accepts(sierra, Register.SHUTTER_US, us))
+    times = tuple(us for us in CANDIDATES_US if accepts(sierra, Register.SHUTTER_US, us))
     if before is not None:
         sierra.set(Register.SHUTTER_US, before)
     if not times:
@@ -217,7 +218,7 @@ class CoolpixDials:
                 verb = "is" if is_set else "could not be"
                 self.notes.append(f"its {each.name} {verb} set to {each.state}")
         aperture = self._save(Register.APERTURE)
-        if aperture == AUTOMATIC and self.apertures:
+        if aperture == _AUTOMATIC and self.apertures:
             widest = min(self.apertures)
             aperture = self.apertures[widest]
             self._apply(Register.APERTURE, aperture, "f_number", 0.0)
