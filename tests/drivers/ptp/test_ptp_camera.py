@@ -28,9 +28,12 @@ from camctl.profile import StillRecord, change_profile, load_profile
 from drivers.ptp.backend import PtpBackend
 from drivers.ptp.camera import PtpCamera, PtpOptions
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera
+from sim.devices.ptp.datasets import Reply
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 VENDORS = ["none", "nikon", "canon", "sony"]
+DEVICE_BUSY = 0x2019
+RELEASES = (0x100E, 0x9207)  # InitiateCapture, and Nikon's
 
 
 def pictures(device: VirtualCamera) -> dict[str, bytes]:
@@ -261,6 +264,27 @@ class TestOverlap:
             shoot(camera, settings_at(camera, 0.1, 0.1, 0.1, 0.1))
             for earlier, later in pairwise(list(device.body.log)[-3:]):
                 assert later["began_s"] > earlier["downloaded_s"]
+
+    @pytest.mark.parametrize("vendor", ["none", "nikon"])
+    def test_a_camera_that_is_busy_until_its_picture_is_fetched_is_served_in_turn(
+        self, vendor: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with camera_on(vendor=vendor) as (camera, device):
+            settings = settings_at(camera, 1 / 60, 1 / 125, 1 / 250)
+            responder, log = device.responder, device.body.log
+            execute = responder.execute
+
+            def busy_while_a_picture_waits(code: int, *arguments: Any) -> Any:
+                if code in RELEASES and log and log[-1]["downloaded_s"] is None:
+                    return Reply(DEVICE_BUSY)
+                return execute(code, *arguments)
+
+            monkeypatch.setattr(responder, "execute", busy_while_a_picture_waits)
+            frames = shoot(camera, settings)
+            assert [frame.requested for frame in frames] == settings
+            assert frames[0].pixels.mean() > frames[1].pixels.mean() > frames[2].pixels.mean()
+            for earlier, later in pairwise(list(log)[-3:]):
+                assert later["began_s"] >= earlier["downloaded_s"]
 
 
 class TestOpening:

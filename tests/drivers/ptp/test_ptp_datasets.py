@@ -38,7 +38,6 @@ from drivers.ptp.dials import (
     sony_iso,
     ten_thousandths,
 )
-from drivers.ptp.still_formats import FORMATS, format_of
 
 Parser = Callable[[bytes], object]
 PARSERS: dict[str, Parser] = {
@@ -238,25 +237,6 @@ def test_the_dialect_follows_from_maker_extension_and_operations(
     extension: int, make: str, operations: set[int], dialect: Dialect
 ) -> None:
     assert dialect_of(extension, make, frozenset(operations)) is dialect
-
-
-@pytest.mark.parametrize(
-    ("name", "code", "expected"),
-    [
-        ("DSC_0001.NEF", 0x3000, "raw"),
-        ("IMG_1.CR2", 0x380D, "raw"),
-        ("A.DNG", 0x3811, "raw"),
-        ("B.TIF", 0x380D, "tiff"),
-        ("C.JPG", 0x3801, "jpeg"),
-        ("noname", 0x3801, "jpeg"),
-        ("MVI_1.MOV", 0x300D, None),
-        ("DCIM", 0x3001, None),
-    ],
-)
-def test_the_format_follows_from_name_and_code(name: str, code: int, expected: str | None) -> None:
-    info = ObjectInfo(1, code, 10, 0, 0, 0, name, "")
-    assert format_of(info) == expected
-    assert expected is None or expected in FORMATS
 
 
 @given(value=st.integers(0, 0xFFFFFFFF))

@@ -92,12 +92,16 @@ class Device:
         self.controls: list[tuple[int, int]] = []
         self.status = struct.pack("<HH", 4, OK)
         self.times_configured = 0
+        self.is_configured = True
 
     def get_active_configuration(self) -> list[Interface]:
+        if not self.is_configured:
+            raise usb.core.USBError("Configuration not set", -5, errno.ENOENT)
         return [self.interface]
 
     def set_configuration(self) -> None:
         self.times_configured += 1
+        self.is_configured = True
 
     def is_kernel_driver_active(self, number: int) -> bool:
         raise NotImplementedError
@@ -275,6 +279,12 @@ class TestInterface:
     def test_a_configuration_that_is_set_is_not_set_again(self) -> None:
         _, device = transport()
         assert device.times_configured == 0
+
+    def test_a_device_without_a_configuration_gets_one(self) -> None:
+        device = Device()
+        device.is_configured = False
+        UsbTransport(device, "the camera", VirtualClock())
+        assert device.times_configured == 1
 
     def test_a_device_without_a_still_image_interface_is_an_error(self) -> None:
         device = Device()
