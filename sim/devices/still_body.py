@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
+from sim.devices.clock import DeviceClock, ScheduledCall
 from sim.devices.scenery import Exposer
 from sim.devices.still_files import SUFFIXES, Exposed, encode, thumbnail
 
@@ -50,12 +51,14 @@ class Exposure:
         gain: linear, of the sensor
         light: what the aperture lets through, 1 for the widest
         kinds: the files to make
+        quality: of JPEGs, 1 to 100
     """
 
     time_s: float | None
     gain: float
     light: float
     kinds: tuple[str, ...]
+    quality: int = 95
 
 
 @dataclass
@@ -77,108 +80,141 @@ class Faults:
     is_battery_low: bool = False
 
 
-class StillBody:
-    """Takes one picture at a time, each in a thread of its own.
+@dataclass(frozen=True)
+class BodyOptions:
+    """How a still camera names, pads and delays its files.
 
-    Args:
-        exposer: the sensor before its scene
-        lock: of the device; held while a picture is handed over
+    Attributes:
         stem: of file names, four letters
         delay_s: from the end of an exposure until its files are on the card
         grey: one channel in the JPEG and TIFF of a mono sensor
-        quality: of JPEGs, 1 to 100
         object_bytes: files shorter than this are padded with zeros at their end
     """
 
+    stem: str
+    delay_s: float = 0.0
+    grey: bool = True
+    object_bytes: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Shot:
+    """An exposure that is running: when it began, and what follows it."""
+
+    exposure: Exposure
+    done: Callable[[Sequence[Picture]], None]
+    began_s: float
+
+
+class StillBody:
+    """Takes one picture at a time; what it does by itself it schedules on its clock.
+
+    Args:
+        exposer: the sensor before its scene
+        lock: of the device; held in every call from outside, and while a picture is handed over
+        clock: on which exposures are timed
+        options: see `BodyOptions`
+
+    Attributes:
+        taken: how many pictures were taken
+        log: the last exposures, ready for JSON
+    """
+
     def __init__(
-        self,
-        exposer: Exposer,
-        lock: threading.RLock,
-        *,
-        stem: str,
-        delay_s: float = 0.0,
-        grey: bool = True,
-        quality: int = 95,
-        object_bytes: int = 0,
+        self, exposer: Exposer, lock: threading.RLock, clock: DeviceClock, options: BodyOptions
     ) -> None:
         self.exposer = exposer
         self.faults = Faults()
-        self.quality = quality
         self.taken = 0
         self.log: deque[dict[str, Any]] = deque(maxlen=_LOG)
         self._lock = lock
-        self._stem = stem
-        self._delay_s = delay_s
-        self._grey = grey
-        self._object_bytes = object_bytes
-        self._released = threading.Event()
-        self._worker: threading.Thread | None = None
+        self._clock = clock
+        self._options = options
+        self._is_idle = threading.Event()
+        self._is_idle.set()
+        self._bulb: tuple[_Shot, ScheduledCall] | None = None  # with the end of its time limit
 
     @property
     def is_exposing(self) -> bool:
         """True from the release until the files are on the card."""
-        return self._worker is not None
+        return not self._is_idle.is_set()
 
     @property
     def largest_file(self) -> int:
         """No file of one exposure is larger, bytes."""
         rows, columns = self.exposer.shape[:2]
-        return max(self._object_bytes, rows * columns * 3 * 2 + 65536)
+        return max(self._options.object_bytes, rows * columns * 3 * 2 + 65536)
 
     def mend(self) -> None:
         """End all faults."""
         self.faults = Faults()
 
     def release(self, exposure: Exposure, done: Callable[[Sequence[Picture]], None]) -> None:
-        """Open the shutter; another thread calls `done`, with the lock, when the files are there.
+        """Open the shutter; `done` is called, with the lock held, when the files are on the card.
 
         Not to be called while it is exposing.
         """
-        assert self._worker is None
-        self._released.clear()
-        self._worker = threading.Thread(
-            target=self._expose, args=(exposure, done), name=f"{self._stem}-shutter", daemon=True
-        )
-        self._worker.start()
+        assert not self.is_exposing
+        self._is_idle.clear()
+        now_s = self._clock.now()
+        shot = _Shot(exposure, done, now_s)
+        if exposure.time_s is None:
+            self._bulb = shot, self._clock.call_at(now_s + BULB_MAX_S, self.end_bulb)
+        else:
+            # The files are computed while the exposure runs, so that they are ready at its end.
+            self._clock.call_at(now_s, partial(self._read_out, shot))
+
+    def end_bulb(self) -> None:
+        """Close the shutter of a bulb exposure; nothing happens where none is running."""
+        with self._lock:
+            if self._bulb is None:
+                return
+            (shot, limit), self._bulb = self._bulb, None
+            limit.cancel()
+            now_s = self._clock.now()
+            exposure = replace(shot.exposure, time_s=now_s - shot.began_s)
+            self._clock.call_at(now_s, partial(self._read_out, replace(shot, exposure=exposure)))
 
     def note_download(self, name: str) -> None:
-        """Hear that a file has been handed to the host to its end."""
+        """Record that the host has read a file to its end."""
         for shot in reversed(self.log):
             if name in shot["names"]:
-                shot["downloaded_s"] = shot["downloaded_s"] or time.monotonic()
+                if shot["downloaded_s"] is None:
+                    shot["downloaded_s"] = self._clock.now()
                 return
 
     def state(self) -> dict[str, Any]:
         """Return how many pictures were taken, and the last exposure, ready for JSON."""
         return {"shots": self.taken, "exposure": self.log[-1] if self.log else None}
 
-    def end_bulb(self) -> None:
-        """Close the shutter of a bulb exposure."""
-        self._released.set()
+    def wait(self, timeout_s: float = 60.0) -> None:
+        """Wait until no exposure is running, and what was to follow it has been done.
 
-    def wait(self, timeout_s: float = 10.0) -> None:
-        """Wait until nothing is exposed, and nothing that was waiting for that."""
-        deadline = time.monotonic() + timeout_s
-        while (worker := self._worker) and time.monotonic() < deadline:
-            worker.join(timeout_s)
+        Raises:
+            TimeoutError: an exposure is still running after `timeout_s`
+        """
+        deadline_s = self._clock.now() + timeout_s
+        while self._clock.wait_for(self._is_idle, deadline_s):
+            with self._lock:  # held until the files have been handed over
+                if self._is_idle.is_set():
+                    return
+        raise TimeoutError(f"the virtual camera is still exposing after {timeout_s:g} s")
 
-    def _expose(self, exposure: Exposure, done: Callable[[Sequence[Picture]], None]) -> None:
-        began = time.monotonic()
-        time_s = exposure.time_s
-        if time_s is None:
-            self._released.wait(BULB_MAX_S)
-            time_s = time.monotonic() - began
-        pictures = self._develop(exposure, time_s)
-        time.sleep(max(0.0, began + time_s + self._delay_s - time.monotonic()))
+    def _read_out(self, shot: _Shot) -> None:
+        time_s = shot.exposure.time_s
+        assert time_s is not None
+        pictures = self._develop(shot.exposure, time_s)
+        ended_s = shot.began_s + time_s
+        finish = partial(self._finish, shot, ended_s, pictures)
+        self._clock.call_at(ended_s + self._options.delay_s, finish)
+
+    def _finish(self, shot: _Shot, ended_s: float, pictures: Sequence[Picture]) -> None:
         with self._lock:
-            shot = asdict(replace(exposure, time_s=time_s))
-            ended_s = began + time_s
             names = [picture.name for picture in pictures]
-            self.log.append(
-                {"began_s": began, "ended_s": ended_s, "downloaded_s": None, "names": names, **shot}
-            )
-            self._worker = None
-            done(pictures)
+            times = {"began_s": shot.began_s, "ended_s": ended_s, "downloaded_s": None}
+            self.log.append({**times, "names": names, **asdict(shot.exposure)})
+            self._is_idle.set()
+            shot.done(pictures)
 
     def _develop(self, exposure: Exposure, time_s: float) -> list[Picture]:
         light, faults = exposure.light, self.faults
@@ -193,11 +229,12 @@ class StillBody:
         exposed = Exposed(pixels, exposer.layout, bits, exposer.black, exposer.white, time_s)
         small = thumbnail(exposed)
         rows, columns = pixels.shape[:2]
+        options = self._options
         pictures = []
         for kind in exposure.kinds:
-            data = encode(kind, exposed, grey=self._grey, quality=self.quality)
-            data += bytes(max(0, self._object_bytes - len(data)))
-            name = f"{self._stem}{self.taken:04d}.{SUFFIXES[kind]}"
+            data = encode(kind, exposed, grey=options.grey, quality=exposure.quality)
+            data += bytes(max(0, options.object_bytes - len(data)))
+            name = f"{options.stem}{self.taken:04d}.{SUFFIXES[kind]}"
             depth = bits * (3 if pixels.ndim == 3 else 1)
             pictures.append(Picture(kind, name, data, small, rows, columns, depth, time_s))
         return pictures

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import random
 import struct
-import threading
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from camctl.controls import Layout
 from camctl.errors import UsageError
+from sim.devices.clock import DeviceClock
 from sim.devices.ptp.canon import CanonResponder
 from sim.devices.ptp.codes import Container, Operation, Response
 from sim.devices.ptp.config import Identity, PtpConfig, WireFaults, WireVerbs
@@ -20,7 +19,7 @@ from sim.devices.ptp.nikon import NikonResponder
 from sim.devices.ptp.responder import Responder
 from sim.devices.ptp.sony import SonyResponder
 from sim.devices.scenery import Exposer, checked, split_config
-from sim.devices.still_body import StillBody, StillVerbs
+from sim.devices.still_body import BodyOptions, StillBody, StillVerbs
 from sim.devices.usb.device import IN, STALL, Answer, UsbDevice
 
 BULK_IN, BULK_OUT, EVENTS = 1, 2, 3  # numbers of the endpoints
@@ -50,6 +49,7 @@ _LARGEST_CONTAINER = 64 * 1024  # of what a host may send: no operation here tak
 _WAITING_EVENTS = 64  # that nobody reads; newer ones are dropped
 _WAITING_REPLIES = 8
 _PARAMETERS = 5
+_UNREAD_S, _READ_POLL_S = 2.0, 0.005  # before the plug is pulled in the middle of an object
 
 RESPONDERS: dict[str, type[Responder]] = {
     "none": Responder,
@@ -75,22 +75,22 @@ class _Command:
 class PtpCamera(WireVerbs, StillVerbs, UsbDevice):
     """See the module; `config` says what camera it is, `exposer` what it sees."""
 
-    def __init__(self, config: PtpConfig, exposer: Exposer) -> None:
+    def __init__(
+        self, config: PtpConfig, exposer: Exposer, clock: DeviceClock | None = None
+    ) -> None:
         kind = RESPONDERS[config.vendor]
         who = kind.identity
         self.strings = ("", who.make, who.model, config.serial)
         self.device_descriptor = device_descriptor(who)
         self.configuration_descriptor = configuration_descriptor()
-        super().__init__()
+        super().__init__(clock=clock)
         if config.zlp == "never":
             self.zero_length.discard(BULK_IN)
         self.body = StillBody(
             exposer,
             self.lock,
-            stem="VIRT",
-            delay_s=config.delay_s,
-            quality=config.quality,
-            object_bytes=config.object_bytes,
+            self.clock,
+            BodyOptions("VIRT", delay_s=config.delay_s, object_bytes=config.object_bytes),
         )
         self.responder = kind(self.body, config, self._send_event, self._answer_later)
         self.faults = WireFaults()
@@ -258,14 +258,21 @@ class PtpCamera(WireVerbs, StillVerbs, UsbDevice):
             endings, self.zero_length = self.zero_length, set()
             self.send(BULK_IN, container[:size])
             self.zero_length = endings
-        # Not from here: this thread may be the transport's own.
-        threading.Thread(target=self._unplug_when_read, daemon=True).start()
+        self._unplug_once_read(self.clock.now() + _UNREAD_S)
 
-    def _unplug_when_read(self) -> None:
-        deadline = time.monotonic() + 2.0
-        while self.pending(BULK_IN) and time.monotonic() < deadline:
-            time.sleep(0.002)
-        self.detach()
+    def _unplug_once_read(self, deadline_s: float) -> None:
+        """Pull the plug when the host has read what was sent, or at `deadline_s`.
+
+        By a scheduled call, since this thread may be the transport's own.
+        """
+
+        def look() -> None:
+            if self.pending(BULK_IN) and self.clock.now() < deadline_s:
+                self._unplug_once_read(deadline_s)
+            else:
+                self.detach()
+
+        self.clock.call_at(self.clock.now() + _READ_POLL_S, look)
 
     # Verbs.
 
@@ -312,7 +319,7 @@ class PtpCamera(WireVerbs, StillVerbs, UsbDevice):
             return {"operations": list(self.responder.log), "shots": list(self.body.log)}
 
 
-def make(config: Mapping[str, Any]) -> PtpCamera:
+def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> PtpCamera:
     """Return the camera that a configuration describes: `Scenery` and `PtpConfig` in one.
 
     Raises:
@@ -322,4 +329,4 @@ def make(config: Mapping[str, Any]) -> PtpCamera:
     camera = checked(PtpConfig, own)
     if "dng" in "+".join(camera.files) and exposer.layout is Layout.RGB:
         raise UsageError("raw files of an RGB sensor", hint="take jpeg or tiff, or a Bayer sensor")
-    return PtpCamera(camera, exposer)
+    return PtpCamera(camera, exposer, clock)

@@ -246,7 +246,7 @@ class Responder:
             self.tell(Event.STORE_FULL, STORE)
             return Reply(Response.STORE_FULL)
         time_s = None if is_bulb else self.exposure_time_s()
-        exposure = Exposure(time_s, self.gain(), self.light(), kinds)
+        exposure = Exposure(time_s, self.gain(), self.light(), kinds, self.config.quality)
         self._captured_by = self._transaction
         deliver = added or self.added
         if self.config.event_order != "before" or time_s is None:

@@ -177,8 +177,8 @@ class SierraCamera:
 
         f_number = APERTURES[self._aperture or 1]
         light = (APERTURES[1] / f_number) ** 2
-        self.body.quality = quality
-        self.body.release(Exposure(self._shutter_us / _US_PER_S, 1.0, light, (kind,)), store)
+        time_s = self._shutter_us / _US_PER_S
+        self.body.release(Exposure(time_s, 1.0, light, (kind,), quality), store)
 
     def downloaded(self) -> None:
         """Hear that what was asked for last has been taken to its end."""

@@ -16,7 +16,7 @@ class SierraConfig(BaseModel):
 
     Attributes:
         serial: its serial number
-        line: "pty" or a device node
+        line: "pty", a device node, or "memory": a line inside this process
         link: a symbolic link to keep at the host's end of a pseudo-terminal
         files: kinds that it can make, jpeg or tiff; register 1 chooses
         delay_s: from the end of an exposure until its file is on the card

@@ -8,21 +8,23 @@ acknowledged, and ENQ says that it is done.
 
 from __future__ import annotations
 
+import math
 import random
 import struct
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from camctl.errors import unknown_name
+from sim.devices.clock import DeviceClock, RealDeviceClock, ScheduledCall
 from sim.devices.scenery import Exposer, checked, split_config
 from sim.devices.sierra.camera import Refused, SierraCamera
 from sim.devices.sierra.config import LineFaults, SierraConfig
-from sim.devices.sierra.line import SerialLine
+from sim.devices.sierra.line import Line, TerminalLine
+from sim.devices.sierra.protocol_memory import MemoryLine
 from sim.devices.sierra.registers import SPEEDS, START_SPEED, Action, Register
-from sim.devices.still_body import StillBody, StillVerbs
+from sim.devices.still_body import BodyOptions, StillBody, StillVerbs
 
 NUL, DATA, LAST, ENQ, ACK, NAK, COMMAND = 0x00, 0x02, 0x03, 0x05, 0x06, 0x15, 0x1B
 INVALID, SESSION_ERROR = 0x11, 0xFC
@@ -38,11 +40,19 @@ _LATE_BYTES = 4096  # that may come while a picture is taken
 class SierraDevice(StillVerbs):
     """See the module; `config` says what camera it is, `exposer` what it sees."""
 
-    def __init__(self, config: SierraConfig, exposer: Exposer) -> None:
+    def __init__(
+        self, config: SierraConfig, exposer: Exposer, clock: DeviceClock | None = None
+    ) -> None:
         self.lock = threading.RLock()
+        self.clock = clock if clock is not None else RealDeviceClock()
         self.config = config
-        self.line = SerialLine(config.line, config.link, self.received, self._tick)
-        self.body = StillBody(exposer, self.lock, stem="DSCN", delay_s=config.delay_s, grey=False)
+        self.line: Line
+        if config.line == "memory":
+            self.line = MemoryLine(self.received, self.clock)
+        else:
+            self.line = TerminalLine(config.line, config.link, self.received)
+        options = BodyOptions("DSCN", delay_s=config.delay_s, grey=False)
+        self.body = StillBody(exposer, self.lock, self.clock, options)
         self.camera = SierraCamera(
             self.body, config.serial, config.files, config.times_us, config.card_bytes
         )
@@ -52,7 +62,9 @@ class SierraDevice(StillVerbs):
         self._is_open = False  # a session
         self._buffer = bytearray()
         self._outgoing: deque[bytes] = deque()
-        self._heard_s = time.monotonic()
+        self._heard_s = self.clock.now()
+        self._timer: ScheduledCall | None = None  # of silence
+        self._timer_s = math.inf
         self._packets = 0
 
     def attach(self) -> None:
@@ -70,13 +82,14 @@ class SierraDevice(StillVerbs):
     def received(self, data: bytes) -> None:
         """Take bytes as they come."""
         with self.lock:
-            self._heard_s = time.monotonic()
+            self._heard_s = self.clock.now()
             host_speed = self.line.host_speed
             if self.faults.is_hanging or (host_speed is not None and host_speed != self.speed):
                 return  # at another speed all is noise
             if not self.body.is_exposing or len(self._buffer) < _LATE_BYTES:
                 self._buffer += data
             self._work()
+            self._watch_silence()
 
     def _work(self) -> None:
         """Take packets from the buffer, one after another, while no picture is taken."""
@@ -151,7 +164,7 @@ class SierraDevice(StillVerbs):
         speed = SPEEDS.get(value or 0)
         if self.faults.has_no_speed or speed is None or speed > self.config.speed_limit:
             raise Refused
-        self._send(bytes([ACK]))  # still at the old one
+        self._send(bytes([ACK]))  # at the old speed
         self.speed = speed
 
     def _get_number(self, number: int, rest: bytes) -> None:
@@ -177,9 +190,10 @@ class SierraDevice(StillVerbs):
             self._end_session()
 
     def _captured(self) -> None:
-        self._heard_s = time.monotonic()
+        self._heard_s = self.clock.now()
         self._send(bytes([ENQ]))
         self._work()
+        self._watch_silence()
 
     # What the host gets.
 
@@ -208,18 +222,38 @@ class SierraDevice(StillVerbs):
             data = self._rubbish.randbytes(23)
         self.line.send(data, self.speed if self.config.is_paced else 0)
 
-    def _tick(self) -> None:
-        """Forget half a packet, and the session, after silence."""
+    def _silence_ends_s(self) -> float:
+        """Return when something is given up if the host stays silent; infinite: nothing is."""
+        if self.body.is_exposing:
+            return math.inf
+        if self._buffer:
+            return self._heard_s + min(_HALF_PACKET_S, self.config.silence_s)
+        if self._is_open or self.speed != START_SPEED:
+            return self._heard_s + self.config.silence_s
+        return math.inf
+
+    def _watch_silence(self) -> None:
+        """Schedule `_end_silence`, unless it is scheduled for an earlier time already."""
+        ends_s = self._silence_ends_s()
+        if ends_s < self._timer_s:
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer_s = ends_s
+            self._timer = self.clock.call_at(ends_s, self._end_silence)
+
+    def _end_silence(self) -> None:
+        """Forget half a packet, and the session, if the host has been silent for long enough."""
         with self.lock:
-            silence_s = time.monotonic() - self._heard_s
-            if self.body.is_exposing:
-                return
-            if self._buffer and silence_s > _HALF_PACKET_S:
-                self._buffer.clear()
-                if not self.faults.is_hanging:
-                    self._send(bytes([NAK]))
-            if silence_s > self.config.silence_s:
-                self._end_session()
+            self._timer, self._timer_s = None, math.inf
+            now_s = self.clock.now()
+            if now_s >= self._silence_ends_s():
+                if self._buffer and now_s >= self._heard_s + _HALF_PACKET_S:
+                    self._buffer.clear()
+                    if not self.faults.is_hanging:
+                        self._send(bytes([NAK]))
+                if now_s >= self._heard_s + self.config.silence_s:
+                    self._end_session()
+            self._watch_silence()
 
     def _end_session(self) -> None:
         self.speed = START_SPEED
@@ -303,11 +337,11 @@ _COMMANDS: Mapping[int, Callable[[SierraDevice, int, bytes], None]] = {
 }
 
 
-def make(config: Mapping[str, Any]) -> SierraDevice:
+def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> SierraDevice:
     """Return the camera that a configuration describes: `Scenery` and `SierraConfig` in one.
 
     Raises:
         UsageError, DataError: something in it is unknown or out of range
     """
     exposer, own = split_config(config)
-    return SierraDevice(checked(SierraConfig, own), exposer)
+    return SierraDevice(checked(SierraConfig, own), exposer, clock)

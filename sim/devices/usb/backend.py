@@ -8,12 +8,14 @@
 Errors are those that pyusb's libusb backend raises: `USBTimeoutError` with ETIMEDOUT, and
 `USBError` with EPIPE (stall), ENODEV (unplugged), EBUSY (claimed by another), EACCES (no
 permission), EOVERFLOW (a packet larger than the buffer).  A read that times out in the middle of
-a transfer returns what it has got, as with libusb.
+a transfer returns what it has got, as with libusb.  Time-outs are counted on the device's clock
+(`sim.devices.clock`).
 """
 
 from __future__ import annotations
 
 import errno
+import math
 import threading
 from array import array
 from collections.abc import Iterable, Iterator
@@ -45,6 +47,11 @@ def _fail(number: int) -> NoReturn:
     code, text = _LIBUSB_ERRORS[number]
     kind = USBTimeoutError if number == errno.ETIMEDOUT else USBError
     raise kind(text, code, number)
+
+
+def _deadline_s(device: UsbDevice, timeout: int) -> float:
+    """Return when a time-out given in ms ends, 0 for none, on the device's clock."""
+    return device.clock.now() + timeout / 1000 if timeout else math.inf
 
 
 class _Stay:
@@ -262,7 +269,7 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
         device = dev_handle.stay.device
         read = Read(ep & 15, len(buff) * buff.itemsize, done)
         device.read(read)
-        if not ended.wait(timeout / 1000 if timeout else None):
+        if not device.clock.wait_for(ended, _deadline_s(device, timeout)):
             device.cancel(read)
         error, data = result[0]
         memoryview(buff).cast("B")[: len(data)] = data
@@ -311,7 +318,7 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
             _fail(errno.ENODEV)
         answer = stay.device.request(request_type, request, value, index, length, data)
         if answer is Refusal.SILENCE:
-            is_gone = stay.gone.wait(timeout / 1000 if timeout else None)
+            is_gone = stay.device.clock.wait_for(stay.gone, _deadline_s(stay.device, timeout))
             _fail(errno.ENODEV if is_gone else errno.ETIMEDOUT)
         if isinstance(answer, Refusal):
             _fail(errno.EPIPE)

@@ -3,7 +3,7 @@
 Endpoints behave as on the bus: a transfer is cut into packets of the endpoint's size, a short or
 empty packet ends the host's read, and a read that asks for more than a device sent goes on
 waiting where the last packet was a full one.  All of that is in `UsbDevice`; a transport
-(`sim.devices.usb.backend`, `sim.devices.usb.vhci`) passes reads, writes and control requests on to it.
+(`sim.devices.usb.backend`, `sim.devices.usb.vhci`) passes reads, writes and control requests to it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from enum import Enum, IntEnum
 from typing import Any, Protocol
 
 from camctl.errors import UsageError, unknown_name
+from sim.devices.clock import DeviceClock, RealDeviceClock
 from sim.devices.usb.endpoints import Pipe, Read, Transfer, endpoints
 
 IN = 0x80
@@ -71,6 +72,7 @@ class UsbDevice:
         strings: string descriptors from index 1 on are strings[1:]; strings[0] is not used
         zero_length: numbers of the IN endpoints that end a transfer of whole packets with an
             empty one; all of them unless a subclass takes some out
+        clock: on which it schedules what it does by itself, and hosts in this process wait
         lock: held while the device is asked or sends; a subclass may use it for its own state
         port: where it is plugged in by `attach`
     """
@@ -80,8 +82,9 @@ class UsbDevice:
     configuration_descriptor: bytes
     strings: tuple[str, ...] = ("",)
 
-    def __init__(self, port: Port | None = None) -> None:
+    def __init__(self, port: Port | None = None, clock: DeviceClock | None = None) -> None:
         self.lock = threading.RLock()
+        self.clock = clock if clock is not None else RealDeviceClock()
         self.port = port
         self.is_attached = False
         self.endpoints = tuple(endpoints(self.configuration_descriptor))

@@ -1,7 +1,7 @@
 """A webcam on USB (USB Video Class, bulk streaming) with a simulated sensor before a scene.
 
-It streams by itself, in real time, from a `sim.streaming_device.SimulatedDevice`: frame slots of one
-interval, controls that land late, at most a few finished frames for a slow host.  A control that
+It streams by itself from a `sim.streaming_device.SimulatedDevice`: frame slots of one interval,
+controls that land late, at most a few finished frames for a slow host.  A control that
 is written in slot k is in force from slot k + 1 + delay on.  Exposures end with their slot: a time
 beyond the frame interval can be set and read back, and is cut to the interval without a word.
 
@@ -25,6 +25,7 @@ from dataclasses import asdict
 from typing import Any
 
 from camctl.errors import UsageError
+from sim.devices.clock import DeviceClock
 from sim.devices.scenery import Exposer, checked, split_config
 from sim.devices.usb.device import SILENCE, STALL, Answer, UsbDevice
 from sim.devices.uvc.config import UvcConfig, check_format
@@ -59,12 +60,17 @@ class UvcCamera(UsbDevice):
         config: see `UvcConfig`
         exposers: the sensor before its scene for each (rows, columns), the default first
         seed: of the jitter of its delay
+        clock: the time that it streams in
     """
 
     device_descriptor = device_descriptor()
 
     def __init__(
-        self, config: UvcConfig, exposers: Mapping[tuple[int, int], Exposer], seed: int
+        self,
+        config: UvcConfig,
+        exposers: Mapping[tuple[int, int], Exposer],
+        seed: int,
+        clock: DeviceClock | None = None,
     ) -> None:
         self.config = config
         self._sizes = tuple(exposers)
@@ -75,7 +81,7 @@ class UvcCamera(UsbDevice):
         self.configuration_descriptor = configuration_descriptor(
             config.formats, self._sizes, self._intervals, Transfer.of(curve)
         )
-        super().__init__()
+        super().__init__(clock=clock)
         self.controls = Controls(self._write_exposure)
         self._wrong_factor, self._wrong_left = 1.0, 0
         self._truncated = self._rubbish = 0
@@ -160,7 +166,7 @@ class UvcCamera(UsbDevice):
         exposer = self._exposers[self._sizes[frame - 1]]
         self._log.clear()
         self._writes.clear()
-        self._stream = Stream(self, exposer, mode, self.controls.exposure)
+        self._stream = Stream(self, exposer, mode, self.controls.exposure, self.clock)
         self._stream.start()
 
     def _stop(self) -> None:
@@ -292,7 +298,7 @@ class UvcCamera(UsbDevice):
             }
 
 
-def make(config: Mapping[str, Any]) -> UvcCamera:
+def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> UvcCamera:
     """Return the webcam that a configuration describes.
 
     Raises:
@@ -310,4 +316,4 @@ def make(config: Mapping[str, Any]) -> UvcCamera:
         )
         repeat = bool(config.get("repeat_noise", False))
         exposers[shape] = Exposer(scene, exposer.sensor, seed=seed, repeat_noise=repeat)
-    return UvcCamera(camera, exposers, seed)
+    return UvcCamera(camera, exposers, seed, clock)

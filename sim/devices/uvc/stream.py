@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.clock import RealClock
 from camctl.controls import ExposureSetting
+from sim.devices.clock import DeviceClock
 from sim.devices.scenery import Exposer
 from sim.devices.uvc.controls import TICKS_PER_S
 from sim.devices.uvc.descriptors import FORMATS
@@ -50,7 +50,7 @@ class Exposed:
         slot: number since the stream began
         time_s, gain: the setting in force
         light: so many times the light came in beside that, by automatics or faults
-        ended_s: when the slot ended, on the machine's monotonic clock
+        ended_s: when the slot ended, on the device's clock
     """
 
     slot: int
@@ -61,7 +61,7 @@ class Exposed:
 
 
 class Owner(Protocol):
-    """The camera that streams; called from the stream's thread."""
+    """The camera that streams; called by scheduled calls of the stream."""
 
     def light(self, slot: int) -> float:
         """Return how many times the light a slot gets."""
@@ -81,17 +81,23 @@ class Owner(Protocol):
 
 
 class Stream:
-    """Frames, in a thread of their own until `stop`.
+    """Frames, by calls that are scheduled for the ends of their slots, until `stop`.
 
     Args:
         owner: the camera
         exposer: the sensor before its scene
         mode: see `Mode`
         setting: shutter time, s, and linear gain at the start
+        clock: the time that it runs in
     """
 
     def __init__(
-        self, owner: Owner, exposer: Exposer, mode: Mode, setting: tuple[float, float]
+        self,
+        owner: Owner,
+        exposer: Exposer,
+        mode: Mode,
+        setting: tuple[float, float],
+        clock: DeviceClock,
     ) -> None:
         self._owner = owner
         self._exposer = exposer
@@ -112,7 +118,7 @@ class Stream:
         )
         self._lock = threading.Lock()  # of the sensor's registers; never held while it renders
         self._is_over = threading.Event()
-        self._clock = RealClock()
+        self._clock = clock
         self._device = SimulatedDevice(sensor, self._render, self._clock, seed=mode.seed)
         # Not before the device begins, or its slots would be waited for with the lock held.
         self._began_s = self._clock.now()
@@ -122,7 +128,7 @@ class Stream:
 
     def start(self) -> None:
         """Begin to hand frames over."""
-        threading.Thread(target=self._run, name="uvc-stream", daemon=True).start()
+        self._schedule(0)
 
     def stop(self) -> None:
         """End after the frame that is being made, which comes to nothing; does not wait for it."""
@@ -133,21 +139,24 @@ class Stream:
         with self._lock:
             return self._device.write(ExposureSetting(time_s, gain))
 
-    def _run(self) -> None:
-        slot = 0  # the next one to end
-        while not self._is_over.is_set():
-            self._clock.sleep_until(self._began_s + (slot + 1) * self._mode.interval_s)
-            with self._lock:
-                buffer = self._device.dequeue(0.0)
-            assert buffer is not None  # this device is never frozen
-            slot = buffer.sequence + 1
-            if self._owner.is_left_out(buffer.sequence):
-                continue
+    def _schedule(self, slot: int) -> None:
+        ends_s = self._began_s + (slot + 1) * self._mode.interval_s
+        self._clock.call_at(ends_s, self._end_slot)
+
+    def _end_slot(self) -> None:
+        """Hand over the frame of the slot that has ended, and schedule the end of the next one."""
+        if self._is_over.is_set():
+            return
+        with self._lock:
+            buffer = self._device.dequeue(0.0)
+        assert buffer is not None  # this device is never frozen
+        if not self._owner.is_left_out(buffer.sequence):
             self._light = self._owner.light(buffer.sequence)
             pixels = self._device.read_out(buffer)
             level = float(pixels.mean()) / (2**self._exposer.sensor.bits - 1)
             assert self._exposed is not None  # reading out has made it
             self._owner.write_outputs(self, self._exposed, level, self._pack(pixels))
+        self._schedule(buffer.sequence + 1)
 
     def _render(self, slot: Slot) -> Pixels:
         # As the wire counts it, so that the time is the float nearest to its decimal.
