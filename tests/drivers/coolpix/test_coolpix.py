@@ -573,8 +573,8 @@ class TestOpening:
             ({"format": "raw"}, "invalid camera option format=raw; .* 'jpeg' or 'tiff'"),
             ({"speed": "1200"}, "invalid camera option speed=1200; the camera has the speeds 9600"),
             ({"response": "film"}, "unknown camera response 'film'"),
-            ({"response": "power:x"}, "a response of 'power:x'"),
-            ({"response": "power:0"}, "gamma lies between 0.05 and 20"),
+            ({"response": "power:x"}, "invalid response 'power:x'"),
+            ({"response": "power:0"}, "expected 0.05 to 20"),
             ({"response": "srgb:2"}, "unknown camera response 'srgb:2'"),
         ],
     )

@@ -330,7 +330,7 @@ class TestOpening:
             ({"bulb": "1e9"}, "invalid camera option bulb=1e9; .* less than or equal to 3600"),
             ({"delete": "maybe"}, "invalid camera option delete=maybe; .* valid boolean"),
             ({"response": "kodak"}, "unknown camera response 'kodak'; known: linear, "),
-            ({"response": "power:0"}, "power 1/0"),
+            ({"response": "power:0"}, "expected 0.05 to 20"),
         ],
     )
     def test_invalid_options_are_usage_errors(
