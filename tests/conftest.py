@@ -15,6 +15,11 @@ settings.register_profile("explore", _ALWAYS, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 
+# Programs and helper modules: --doctest-modules would import them.
+collect_ignore = ["bench", "example_driver", "helpers", "oracle"]
+collect_ignore += ["virtual_hardware/machine.py", "virtual_hardware/run.py"]
+
+
 @pytest.fixture
 def real_data() -> Path:
     """The folder of real data: $CAMCTL_DATA, else ../shared/data beside the project."""
