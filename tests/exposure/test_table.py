@@ -194,7 +194,7 @@ def test_table_of_another_camera_is_refused(tmp_path: Path) -> None:
 
 def test_table_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="a file of that name is in the way"):
+    with pytest.raises(StorageError, match=r"table\.json: a file of that name already exists"):
         small_table().save(tmp_path / "file" / "table.json")
 
 
