@@ -1,1 +1,1 @@
-"""Front panels: what a person sees and presses."""
+"""The camera menu: a state machine, its screens, and the panels that show it."""

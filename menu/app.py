@@ -1,4 +1,4 @@
-"""The menu at work: a panel in front, the machine in the middle, the job behind, on a thread."""
+"""The menu's loop: keys and events go into the state machine, its work runs on a thread."""
 
 from __future__ import annotations
 
@@ -27,21 +27,28 @@ from menu.messages import (
 )
 from menu.model import Model, State
 from menu.ports import SMALLEST, Cost, Job, Key, Panel, Summary
-from menu.screens import screen, settled
+from menu.screens import limit_scrolling, screen
 
 _log = logging.getLogger(__name__)
 
-_KEY_WAIT_S = 0.05  # between two looks at what the worker has to say
-_GRACE_S = 10.0  # for a camera to finish its frame after somebody has left
+_KEY_WAIT_S = 0.05
+"""Time to wait for a key before the next look at the worker's events, s."""
+
+_STOP_WAIT_S = 10.0
+"""Time that the camera has to finish its frame after the menu has ended, s."""
+
+_MOST_DISCARDED_KEYS = 100
+"""Keys to discard when the screen changes; a key that is stuck would never end."""
 
 
 def run(panel: Panel, job: Job) -> Summary | None:
-    """Run the menu on `panel` until somebody quits; return what the last capture gave, if any.
+    """Run the menu on `panel` until the user quits; return the result of the last capture, if any.
 
-    A `CamctlError` of the job is shown with a way on.  Any other exception of the job is a fault of
-    the program: it is shown in the same way, so that what was shot can be kept and tried again, and
-    raised from here once the panel is closed, unless later work has succeeded (then it is logged).
-    Errors of the panel are raised.  A running capture is cancelled on every way out.
+    A `CamctlError` of the job is shown with buttons to retry, go back or quit.  Any other exception
+    of the job is a programming error: it is shown in the same way, so that the user can keep or
+    repeat the capture, and is raised from here once the panel is closed, or logged if a later try
+    succeeded.  Errors of the panel are raised.  However this function ends, a running capture is
+    cancelled.
     """
     worker = _Worker(job)
     try:
@@ -49,10 +56,10 @@ def run(panel: Panel, job: Job) -> Summary | None:
             model = _loop(panel, worker)
     finally:
         worker.stop()
-    for fault in worker.overcome:
-        _log.warning("a fault of the program, overcome by a later try: %r", fault)
-    if worker.fault is not None:
-        raise worker.fault
+    for error in worker.recovered_errors:
+        _log.warning("internal error, a later try succeeded: %r", error)
+    if worker.internal_error is not None:
+        raise worker.internal_error
     return model.summary
 
 
@@ -62,15 +69,15 @@ def _loop(panel: Panel, worker: _Worker) -> Model:
         columns, rows = size = panel.size
         if columns < SMALLEST[0] or rows < SMALLEST[1]:
             raise UsageError(
-                f"the panel shows {columns} x {rows} characters",
+                f"the panel has only {columns} x {rows} characters",
                 hint=f"the menu needs {SMALLEST[0]} x {SMALLEST[1]}",
             )
         before = model.state
-        for event in worker.news():
+        for event in worker.poll_events():
             model = _advance(model, event, worker)
         if model.state is not before:
-            _forget_keys(panel)
-        model = settled(model, columns, rows)
+            _discard_keys(panel)
+        model = limit_scrolling(model, columns, rows)
         grid = screen(model, columns, rows)
         if (grid, size) != shown:
             panel.show(grid.lines, grid.highlight)
@@ -84,111 +91,113 @@ def _loop(panel: Panel, worker: _Worker) -> Model:
 def _advance(model: Model, given: Key | Event, worker: _Worker) -> Model:
     model, effect = step(model, given)
     if effect is not None:
-        worker.carry_out(effect)
+        worker.start(effect)
     return model
 
 
-def _forget_keys(panel: Panel) -> None:
-    """Drop keys pressed before the screen changed by itself: they were meant for the last one.
+def _discard_keys(panel: Panel) -> None:
+    """Discard keys pressed before an event changed the screen: they were meant for the old one.
 
-    Else an impatient second press of enter would shoot a plan that nobody has seen.
+    Otherwise a second press of enter would shoot a plan that the user has not seen.
     """
-    for _ in range(100):  # a stuck key never ends
+    for _ in range(_MOST_DISCARDED_KEYS):
         if panel.key(0) is None:
             return
 
 
 class _Worker:
-    """Does the job's work on a thread of its own, one piece after the other."""
+    """Does the job's work on a thread, one piece after the other."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
         self._tasks: queue.SimpleQueue[Predict | MakePlan | Shoot | None] = queue.SimpleQueue()
-        self._news: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._cancelled: dict[int, threading.Event] = {}
         self._stopped = threading.Event()
-        self._asked = 0  # ticket of the work asked for last
-        self._camera_asked = 0  # of that which uses the camera
-        self._camera_left = 0  # of that which has let go of the camera
-        self.fault: Exception | None = None
-        self.overcome: list[Exception] = []
-        # A daemon, so that a prediction that nobody waits for any more does not keep the program.
-        self._thread = threading.Thread(target=self._work, name="menu job", daemon=True)
+        self._latest_id = 0  # of the work that was started last
+        self._latest_camera_id = 0  # of the work with the camera that was started last
+        self._finished_camera_id = 0  # of the work with the camera that ended last
+        self.internal_error: Exception | None = None
+        self.recovered_errors: list[Exception] = []
+        # A daemon thread, so that a prediction that is not needed any more cannot delay the exit.
+        self._thread = threading.Thread(target=self._run, name="menu job", daemon=True)
         self._thread.start()
 
-    def carry_out(self, effect: Effect) -> None:
-        """Start or call off some work; returns at once."""
+    def start(self, effect: Effect) -> None:
+        """Start or cancel work; returns at once."""
         match effect:
-            case Cancel(ticket=ticket):
-                self._cancelled[ticket].set()
+            case Cancel(request_id=request_id):
+                self._cancelled[request_id].set()
             case Quit():
                 self._stopped.set()
             case Predict() | MakePlan() | Shoot():
-                self._asked = effect.ticket
+                self._latest_id = effect.request_id
                 if not isinstance(effect, Predict):
-                    self._camera_asked = effect.ticket
+                    self._latest_camera_id = effect.request_id
                 if isinstance(effect, Shoot):
-                    self._cancelled[effect.ticket] = threading.Event()
+                    self._cancelled[effect.request_id] = threading.Event()
                 self._tasks.put(effect)
 
-    def news(self) -> list[Event]:
-        """Return what has happened since the last call."""
+    def poll_events(self) -> list[Event]:
+        """Return the events since the last call."""
         events = []
         while True:
             try:
-                events.append(self._news.get_nowait())
+                events.append(self._events.get_nowait())
             except queue.Empty:
                 return events
 
     def stop(self) -> None:
-        """Cancel what runs; wait for the camera to be at rest, for a while."""
+        """Cancel all work, and wait up to `_STOP_WAIT_S` until the camera is idle."""
         self._stopped.set()
         for cancelled in self._cancelled.values():
             cancelled.set()
         self._tasks.put(None)
-        if self._camera_left != self._camera_asked:
-            self._thread.join(_GRACE_S)
+        if self._finished_camera_id != self._latest_camera_id:
+            self._thread.join(_STOP_WAIT_S)
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         while (task := self._tasks.get()) is not None and not self._stopped.is_set():
-            if task.ticket == self._asked:  # else nobody waits for it any more
-                self._news.put(self._outcome(task))
+            if task.request_id == self._latest_id:  # else the user has left it
+                self._events.put(self._outcome(task))
             if not isinstance(task, Predict):
-                self._camera_left = task.ticket
+                self._finished_camera_id = task.request_id
 
     def _outcome(self, task: Predict | MakePlan | Shoot) -> Event:
+        """Return the event that a task ends with, whether it succeeds or fails."""
+        request_id = task.request_id
         try:
-            event = self._done(task)
+            event = self._result(task)
         except CamctlError as error:
-            wanted = isinstance(task, Shoot) and self._cancelled[task.ticket].is_set()
-            if wanted and isinstance(error, InterruptedCaptureError):
-                return Cancelled(task.ticket, str(error))
-            return Failed(task.ticket, str(error))
+            cancelled = isinstance(task, Shoot) and self._cancelled[request_id].is_set()
+            if cancelled and isinstance(error, InterruptedCaptureError):
+                return Cancelled(request_id, str(error))
+            return Failed(request_id, str(error))
         except Exception as error:
-            self.fault = error
-            return Failed(task.ticket, f"{type(error).__name__}: {error}; a fault of the program")
-        if self.fault is not None:
-            self.overcome.append(self.fault)
-            self.fault = None
+            self.internal_error = error
+            return Failed(request_id, f"internal error: {type(error).__name__}: {error}")
+        if self.internal_error is not None:
+            self.recovered_errors.append(self.internal_error)
+            self.internal_error = None
         return event
 
-    def _done(self, task: Predict | MakePlan | Shoot) -> Event:
+    def _result(self, task: Predict | MakePlan | Shoot) -> Event:
         match task:
-            case Predict(ticket=ticket, response=response, dynamic_range=dynamic_range):
+            case Predict(request_id=request_id, response=response, dynamic_range=dynamic_range):
                 costs: list[Cost] = []
                 for cost in self._job.predict(response, dynamic_range):
                     costs.append(cost)
-                    if ticket != self._asked or self._stopped.is_set():
+                    if request_id != self._latest_id or self._stopped.is_set():
                         break
-                    self._reporter(ticket)(Progress(len(costs), 0, "counts done"))
-                return Predicted(ticket, tuple(costs))
-            case MakePlan(ticket=ticket, choice=choice):
-                return Planned(ticket, self._job.plan(choice))
-            case Shoot(ticket=ticket, plan=plan):
+                    self._progress_callback(request_id)(Progress(len(costs), 0, "computed"))
+                return Predicted(request_id, tuple(costs))
+            case MakePlan(request_id=request_id, choice=choice):
+                return Planned(request_id, self._job.plan(choice))
+            case Shoot(request_id=request_id, plan=plan):
                 summary = self._job.shoot(
-                    plan, self._reporter(ticket), self._cancelled[ticket].is_set
+                    plan, self._progress_callback(request_id), self._cancelled[request_id].is_set
                 )
-                return Done(ticket, summary)
+                return Done(request_id, summary)
 
-    def _reporter(self, ticket: int) -> Callable[[Progress], None]:
-        return lambda progress: self._news.put(Progressed(ticket, progress))
+    def _progress_callback(self, request_id: int) -> Callable[[Progress], None]:
+        return lambda progress: self._events.put(Progressed(request_id, progress))

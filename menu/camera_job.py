@@ -1,4 +1,4 @@
-"""The job behind the menu, done with a camera."""
+"""The job behind the menu, carried out with a camera."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ from camctl.camera import Camera
 from camctl.captures.plan import plan_capture
 from camctl.captures.request import CapturePlan, CaptureRequest
 from camctl.captures.sequencer import Progress, capture
-from camctl.errors import CaptureError
 from camctl.exposure.tradeoff import predict
 from camctl.response.desired import desired_response
 from menu.ports import Choice, Cost, Summary
 
 COUNTS = range(1, 7)
+"""Numbers of exposures that the menu offers."""
 
 
 class CameraJob:
     """A `menu.ports.Job` on an open camera.
 
-    `new_folder` is asked for the folder of each capture; `request` holds what the menu does not
-    ask, such as the frequency of the mains; `source` is what a report keeps so that the camera can
-    be opened again.
+    Args:
+        camera: an open camera
+        new_folder: returns the folder for the next capture
+        request: what the menu does not ask for, such as the frequency of the mains
+        source: kept in the report, so that the camera can be opened again
     """
 
     def __init__(
@@ -41,16 +43,16 @@ class CameraJob:
         self._source = source
 
     def predict(self, response: str, dynamic_range: float) -> Iterator[Cost]:
-        """Yield what one to six exposures cost, with the levels of this camera."""
+        """Yield the costs of one to six exposures, computed with the levels of this camera."""
         desired = desired_response(response, dynamic_range)
         for count in COUNTS:
             for row in predict(self._camera.controls.levels, desired, [count]):
                 yield Cost(row.n, row.exposures, row.total_exposure, row.effective_levels)
 
     def plan(self, choice: Choice) -> CapturePlan:
-        """Meter, look up, and choose among the settings that the camera has."""
+        """Meter, look up the exposures, and choose among the settings of the camera."""
         return plan_capture(
-            self._camera, self._asked(choice.response, choice.dynamic_range, choice.count)
+            self._camera, self._request_for(choice.response, choice.dynamic_range, choice.count)
         )
 
     def shoot(
@@ -63,17 +65,13 @@ class CameraJob:
         folder = self._new_folder()
         report = capture(
             self._camera,
-            self._asked(plan.response, plan.dynamic_range, len(plan.settings)),
+            self._request_for(plan.response, plan.dynamic_range, len(plan.settings)),
             folder,
             plan=plan,
             source=self._source,
             progress=on_progress,
             cancelled=cancelled,
         )
-        if report.achieved is None:
-            raise CaptureError(
-                f"{folder} holds no picture", hint=f"complete it: camctl shoot --resume {folder}"
-            )
         return Summary(
             effective_levels=report.achieved.effective_levels,
             saturated=report.achieved.saturated_fraction,
@@ -81,5 +79,5 @@ class CameraJob:
             notes=tuple(report.warnings),
         )
 
-    def _asked(self, response: str, dynamic_range: float, count: int) -> CaptureRequest:
+    def _request_for(self, response: str, dynamic_range: float, count: int) -> CaptureRequest:
         return replace(self._request, response=response, dynamic_range=dynamic_range, count=count)

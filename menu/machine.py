@@ -1,14 +1,15 @@
-"""The menu as two tables: what each state is, and where each key or event leads from it.
+"""The state machine of the menu: a table of states and a table of transitions.
 
-`step` is the only way from one `Model` to the next.  It is a pure function: work that has to be
-done comes back as an effect, and what became of that work comes in again as an event.
+`step` alone leads from one `Model` to the next.  It is a pure function: work to be done is returned
+as an effect, and its outcome comes in again as an event.  ``python -m menu.machine`` prints the
+tables as the page docs/menu-states.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum, auto
+from enum import Enum
 from typing import TypeAlias
 
 from menu.messages import (
@@ -30,26 +31,27 @@ from menu.model import RANGES, RESPONSES, Action, Model, State
 from menu.ports import Key
 
 Symbol: TypeAlias = Key | Action | type[Event]
+"""What can cause a transition."""
 
 
 class Kind(Enum):
-    """How a state is shown, and so what its keys do."""
+    """The kinds of screen; each gives the keys a meaning."""
 
-    LIST = auto()  # up, down: select; right, enter: on; left, exit: back
-    PAGE = auto()  # up, down: scroll; left, right: select an action; enter: do it; exit: back
-    WAIT = auto()  # exit: call it off
+    LIST = "list"  # up, down: select; right, enter: next; left, exit: back
+    PAGE = "page"  # up, down: scroll; left, right: select an action; enter: do it; exit: back
+    WAIT = "wait"  # exit: stop waiting
 
 
 @dataclass(frozen=True)
 class StateSpec:
-    """What a state is.
+    """The properties of a state.
 
     Attributes:
-        kind: how it is shown
-        title: its first line
-        help: what its keys do, what matters most first
-        actions: what it offers
-        effect: what is to be done on coming here
+        kind: kind of screen
+        title: first line of the screen, at most 20 characters
+        help: what the keys do, the most important first
+        actions: the buttons of a page
+        effect: the work that starts on entering the state
     """
 
     kind: Kind
@@ -60,85 +62,87 @@ class StateSpec:
 
 
 def _predict(model: Model) -> Effect:
-    return Predict(model.ticket, model.choice.response, model.choice.dynamic_range)
+    return Predict(model.request_id, model.choice.response, model.choice.dynamic_range)
+
+
+def _make_plan(model: Model) -> Effect:
+    return MakePlan(model.request_id, model.choice)
 
 
 def _shoot(model: Model) -> Effect:
     if model.plan is None:
-        raise ValueError("nothing is planned")
-    return Shoot(model.ticket, model.plan)
+        raise ValueError("there is no plan to shoot")
+    return Shoot(model.request_id, model.plan)
 
 
-_PICK = ("enter: next", "exit: back", "up/down: select")
-_READ = ("enter: do it", "left/right: select", "up/down: scroll", "exit: back")
-_WAY_ON = (Action.RETRY, Action.BACK, Action.QUIT)
+def _cancel(model: Model) -> Effect:
+    return Cancel(model.request_id)
+
+
+def _quit(_: Model) -> Effect:
+    return Quit()
+
+
+_FIRST_LIST = ("enter: next", "exit: quit", "up/down: select")
+_LIST = ("enter: next", "exit: back", "up/down: select")
+_PAGE = ("enter: do it", "left/right: select", "up/down: scroll", "exit: back")
+_AFTER_FAILURE = (Action.RETRY, Action.BACK, Action.QUIT)
 
 STATES: dict[State, StateSpec] = {
-    State.RESPONSE: StateSpec(
-        Kind.LIST, "Desired response", ("enter: next", "exit: quit", "up/down: select")
-    ),
-    State.RANGE: StateSpec(Kind.LIST, "Dynamic range", _PICK),
-    State.PREDICTING: StateSpec(Kind.WAIT, "Working out costs", ("exit: back",), effect=_predict),
-    State.PREDICTION_FAILED: StateSpec(Kind.PAGE, "No costs", _READ, _WAY_ON),
-    State.EXPOSURES: StateSpec(Kind.LIST, "Exposures: cost", _PICK),
-    State.PLANNING: StateSpec(
-        Kind.WAIT,
-        "Metering",
-        ("exit: back",),
-        effect=lambda model: MakePlan(model.ticket, model.choice),
-    ),
-    State.PLAN_FAILED: StateSpec(Kind.PAGE, "No plan", _READ, _WAY_ON),
-    State.REVIEW: StateSpec(Kind.PAGE, "Review", _READ, (Action.SHOOT, Action.BACK, Action.QUIT)),
+    State.RESPONSE: StateSpec(Kind.LIST, "Desired response", _FIRST_LIST),
+    State.RANGE: StateSpec(Kind.LIST, "Dynamic range", _LIST),
+    State.PREDICTING: StateSpec(Kind.WAIT, "Computing exposures", ("exit: back",), effect=_predict),
+    State.PREDICTION_FAILED: StateSpec(Kind.PAGE, "Computing failed", _PAGE, _AFTER_FAILURE),
+    State.EXPOSURES: StateSpec(Kind.LIST, "Exposures", _LIST),
+    State.PLANNING: StateSpec(Kind.WAIT, "Metering", ("exit: back",), effect=_make_plan),
+    State.PLAN_FAILED: StateSpec(Kind.PAGE, "Planning failed", _PAGE, _AFTER_FAILURE),
+    State.REVIEW: StateSpec(Kind.PAGE, "Review", _PAGE, (Action.SHOOT, Action.BACK, Action.QUIT)),
     State.SHOOTING: StateSpec(Kind.WAIT, "Shooting", ("exit: cancel",), effect=_shoot),
-    State.CANCELLING: StateSpec(
-        Kind.WAIT, "Cancelling", ("exit: quit now",), effect=lambda model: Cancel(model.ticket)
-    ),
-    State.CANCELLED: StateSpec(Kind.PAGE, "Cancelled", _READ, _WAY_ON),
-    State.SHOT_FAILED: StateSpec(Kind.PAGE, "Failed", _READ, _WAY_ON),
-    State.RESULT: StateSpec(Kind.PAGE, "Done", _READ, (Action.AGAIN, Action.MENU, Action.QUIT)),
-    State.QUIT: StateSpec(Kind.WAIT, "Good-bye", (), effect=lambda model: Quit()),
+    State.CANCELLING: StateSpec(Kind.WAIT, "Cancelling", ("exit: quit now",), effect=_cancel),
+    State.CANCELLED: StateSpec(Kind.PAGE, "Cancelled", _PAGE, _AFTER_FAILURE),
+    State.CAPTURE_FAILED: StateSpec(Kind.PAGE, "Capture failed", _PAGE, _AFTER_FAILURE),
+    State.RESULT: StateSpec(Kind.PAGE, "Done", _PAGE, (Action.AGAIN, Action.MENU, Action.QUIT)),
+    State.QUIT: StateSpec(Kind.WAIT, "Quitting", (), effect=_quit),
 }
 
 
-def _list(here: State, *, left: State, exit: State, on: State) -> dict[Symbol, State]:
+def _list(here: State, *, left: State, exit: State, next: State) -> dict[Symbol, State]:
     return {
         Key.UP: here,
         Key.DOWN: here,
         Key.LEFT: left,
-        Key.RIGHT: on,
-        Key.ENTER: on,
+        Key.RIGHT: next,
+        Key.ENTER: next,
         Key.EXIT: exit,
     }
 
 
 def _page(here: State, *, exit: State, actions: dict[Symbol, State]) -> dict[Symbol, State]:
-    return {
-        Key.UP: here,
-        Key.DOWN: here,
-        Key.LEFT: here,
-        Key.RIGHT: here,
-        Key.EXIT: exit,
-        **actions,
+    stay: dict[Symbol, State] = dict.fromkeys((Key.UP, Key.DOWN, Key.LEFT, Key.RIGHT), here)
+    return {**stay, Key.EXIT: exit, **actions}
+
+
+def _failure(here: State, *, retry: State, back: State) -> dict[Symbol, State]:
+    actions: dict[Symbol, State] = {
+        Action.RETRY: retry,
+        Action.BACK: back,
+        Action.QUIT: State.QUIT,
     }
+    return _page(here, exit=back, actions=actions)
 
 
 def _wait(here: State, *, exit: State, events: dict[Symbol, State]) -> dict[Symbol, State]:
-    return {
-        Key.UP: here,
-        Key.DOWN: here,
-        Key.LEFT: here,
-        Key.RIGHT: here,
-        Key.ENTER: here,
-        Key.EXIT: exit,
-        **events,
-    }
+    stay: dict[Symbol, State] = dict.fromkeys(Key, here)
+    return {**stay, Key.EXIT: exit, **events}
 
 
-# Enter on a page stands here as the action that is selected: so the table alone says where it goes.
-# An event that a state does not list has come too late and changes nothing.
+# A page lists its actions in place of the enter key, which performs the selected one.
+# An event that a state does not list is late and changes nothing.
 TRANSITIONS: dict[State, dict[Symbol, State]] = {
-    State.RESPONSE: _list(State.RESPONSE, left=State.RESPONSE, exit=State.QUIT, on=State.RANGE),
-    State.RANGE: _list(State.RANGE, left=State.RESPONSE, exit=State.RESPONSE, on=State.PREDICTING),
+    State.RESPONSE: _list(State.RESPONSE, left=State.RESPONSE, exit=State.QUIT, next=State.RANGE),
+    State.RANGE: _list(
+        State.RANGE, left=State.RESPONSE, exit=State.RESPONSE, next=State.PREDICTING
+    ),
     State.PREDICTING: _wait(
         State.PREDICTING,
         exit=State.RANGE,
@@ -148,30 +152,18 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
             Failed: State.PREDICTION_FAILED,
         },
     ),
-    State.PREDICTION_FAILED: _page(
-        State.PREDICTION_FAILED,
-        exit=State.RANGE,
-        actions={
-            Action.RETRY: State.PREDICTING,
-            Action.BACK: State.RANGE,
-            Action.QUIT: State.QUIT,
-        },
+    State.PREDICTION_FAILED: _failure(
+        State.PREDICTION_FAILED, retry=State.PREDICTING, back=State.RANGE
     ),
-    State.EXPOSURES: _list(State.EXPOSURES, left=State.RANGE, exit=State.RANGE, on=State.PLANNING),
+    State.EXPOSURES: _list(
+        State.EXPOSURES, left=State.RANGE, exit=State.RANGE, next=State.PLANNING
+    ),
     State.PLANNING: _wait(
         State.PLANNING,
         exit=State.EXPOSURES,
         events={Planned: State.REVIEW, Failed: State.PLAN_FAILED},
     ),
-    State.PLAN_FAILED: _page(
-        State.PLAN_FAILED,
-        exit=State.EXPOSURES,
-        actions={
-            Action.RETRY: State.PLANNING,
-            Action.BACK: State.EXPOSURES,
-            Action.QUIT: State.QUIT,
-        },
-    ),
+    State.PLAN_FAILED: _failure(State.PLAN_FAILED, retry=State.PLANNING, back=State.EXPOSURES),
     State.REVIEW: _page(
         State.REVIEW,
         exit=State.EXPOSURES,
@@ -188,7 +180,7 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
             Progressed: State.SHOOTING,
             Done: State.RESULT,
             Cancelled: State.CANCELLED,
-            Failed: State.SHOT_FAILED,
+            Failed: State.CAPTURE_FAILED,
         },
     ),
     State.CANCELLING: _wait(
@@ -198,27 +190,11 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
             Progressed: State.CANCELLING,
             Done: State.RESULT,
             Cancelled: State.CANCELLED,
-            Failed: State.SHOT_FAILED,
+            Failed: State.CAPTURE_FAILED,
         },
     ),
-    State.CANCELLED: _page(
-        State.CANCELLED,
-        exit=State.REVIEW,
-        actions={
-            Action.RETRY: State.SHOOTING,
-            Action.BACK: State.REVIEW,
-            Action.QUIT: State.QUIT,
-        },
-    ),
-    State.SHOT_FAILED: _page(
-        State.SHOT_FAILED,
-        exit=State.REVIEW,
-        actions={
-            Action.RETRY: State.SHOOTING,
-            Action.BACK: State.REVIEW,
-            Action.QUIT: State.QUIT,
-        },
-    ),
+    State.CANCELLED: _failure(State.CANCELLED, retry=State.SHOOTING, back=State.REVIEW),
+    State.CAPTURE_FAILED: _failure(State.CAPTURE_FAILED, retry=State.SHOOTING, back=State.REVIEW),
     State.RESULT: _page(
         State.RESULT,
         exit=State.RESPONSE,
@@ -233,87 +209,123 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
 
 
 def step(model: Model, given: Key | Event) -> tuple[Model, Effect | None]:
-    """Return what the menu is after a key or an event, and what has to be done for it, if anything.
+    """Return the menu's state after a key or an event, and the work that it starts, if any.
 
-    An event of other work than that started last, or one that its state does not wait for, changes
+    An event of other work than that started last, or one that its state does not list, changes
     nothing.
     """
     row = TRANSITIONS[model.state]
     if isinstance(given, Event):
-        if given.ticket != model.ticket or type(given) not in row:
+        if given.request_id != model.request_id or type(given) not in row:
             return model, None
-        return _enter(_learn(model, given), row[type(given)])
+        return _enter(_with_result(model, given), row[type(given)])
     actions = STATES[model.state].actions
     symbol = actions[model.action] if actions and given is Key.ENTER else given
     if row[symbol] is model.state:
-        return _move(model, given), None
+        return _select_or_scroll(model, given), None
     return _enter(model, row[symbol])
 
 
 def _enter(model: Model, state: State) -> tuple[Model, Effect | None]:
-    """Go to `state`; what is started there has a ticket of its own."""
+    """Go to `state`; the work that starts there has a new request id."""
     if state is model.state:
         return model, None
     model = replace(model, state=state, action=0, offset=0)
     if state in (State.PREDICTING, State.PLANNING, State.SHOOTING):
-        model = replace(model, ticket=model.ticket + 1, progress=None)
+        model = replace(model, request_id=model.request_id + 1, progress=None)
     effect = STATES[state].effect
     return model, None if effect is None else effect(model)
 
 
-def _learn(model: Model, event: Event) -> Model:
-    """Take in what an event tells."""
+def _with_result(model: Model, event: Event) -> Model:
+    """Return the model with what an event reports."""
     match event:
         case Predicted(costs=costs):
             counts = [cost.count for cost in costs]
             nearest = min(counts, key=lambda count: abs(count - model.count))
             return replace(model, costs=costs, count=nearest)
         case Planned(plan=plan):
-            # Where gain varies too, the shortest time says nothing about other exposures' times.
-            alone = len({(setting.gain, setting.f_number) for setting in plan.settings}) == 1
-            return replace(model, plan=plan, base_s=plan.base_s if alone else None)
+            # Where gain or aperture differ, times of other exposures do not follow from the first.
+            only_time = len({(setting.gain, setting.f_number) for setting in plan.settings}) == 1
+            return replace(model, plan=plan, base_s=plan.base_s if only_time else None)
         case Progressed(progress=progress):
             return replace(model, progress=progress)
         case Done(summary=summary):
             return replace(model, summary=summary)
-        case Failed(line=line) | Cancelled(line=line):
-            return replace(model, trouble=line)
+        case Failed(message=message) | Cancelled(message=message):
+            return replace(model, error=message)
     return model
 
 
-def _move(model: Model, key: Key) -> Model:
-    """Select or scroll within a state."""
+def _select_or_scroll(model: Model, key: Key) -> Model:
+    """Return the model after a key that stays in the same state."""
     down = (key is Key.DOWN) - (key is Key.UP)
     right = (key is Key.RIGHT) - (key is Key.LEFT)
-    face = STATES[model.state]
-    if face.kind is Kind.PAGE:
-        action = _within(model.action + right, len(face.actions))
+    spec = STATES[model.state]
+    if spec.kind is Kind.PAGE:
+        action = _clamp(model.action + right, len(spec.actions))
         return replace(model, action=action, offset=max(0, model.offset + down))
     if model.state is State.RESPONSE:
-        return replace(model, response=_within(model.response + down, len(RESPONSES)))
+        return replace(model, response=_clamp(model.response + down, len(RESPONSES)))
     if model.state is State.RANGE:
-        return replace(model, range=_within(model.range + down, len(RANGES)))
+        return replace(model, range=_clamp(model.range + down, len(RANGES)))
     if model.state is State.EXPOSURES:
-        row = _within(model.row + down, len(model.costs))
-        return replace(model, count=model.costs[row].count)
+        index = _clamp(model.cost_index + down, len(model.costs))
+        return replace(model, count=model.costs[index].count)
     return model
 
 
-def _within(index: int, length: int) -> int:
+def _clamp(index: int, length: int) -> int:
     return min(max(index, 0), length - 1)
 
 
 def diagram() -> str:
     """Return the tables as a Mermaid state diagram."""
-    lines = ["stateDiagram-v2", f"    [*] --> {Model().state}"]
+    lines = ["stateDiagram-v2", *(f'    state "{STATES[s].title}" as {s}' for s in State)]
+    lines.append(f"    [*] --> {Model().state}")
     for state, row in TRANSITIONS.items():
-        words: dict[State, list[str]] = {}
+        labels: dict[State, list[str]] = {}
         for symbol, target in row.items():
             if target is not state:
-                words.setdefault(target, []).append(_word(symbol))
-        lines += [f"    {state} --> {target}: {', '.join(w)}" for target, w in words.items()]
+                labels.setdefault(target, []).append(_label(symbol))
+        lines += [f"    {state} --> {target}: {', '.join(ls)}" for target, ls in labels.items()]
     return "\n".join([*lines, f"    {State.QUIT} --> [*]", ""])
 
 
-def _word(symbol: Symbol) -> str:
-    return symbol.name.lower() if isinstance(symbol, Key | Action) else symbol.__name__
+def _label(symbol: Symbol) -> str:
+    """Return a key in capitals, an action in brackets, or an event in small letters."""
+    if isinstance(symbol, Key):
+        return symbol.name
+    return f"[{symbol.value}]" if isinstance(symbol, Action) else symbol.__name__.lower()
+
+
+def states_page() -> str:
+    """Return the Markdown page with the diagram and the table of states."""
+    rows = [
+        f"| {spec.title} | {spec.kind.value} | {', '.join(spec.help)} "
+        f"| {', '.join(action.value for action in spec.actions)} |"
+        for spec in STATES.values()
+    ]
+    return "\n".join(
+        [
+            "# States of the menu",
+            "",
+            "This page is generated: `python -m menu.machine > docs/menu-states.md`.",
+            "",
+            "An arrow names what causes the transition: a key in capitals, a button in brackets, "
+            "or an",
+            "event from the camera in small letters. A key that is not shown selects or scrolls.",
+            "",
+            "```mermaid",
+            f"{diagram()}```",
+            "",
+            "| screen | kind | keys | buttons |",
+            "|---|---|---|---|",
+            *rows,
+            "",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    print(states_page(), end="")

@@ -1,4 +1,4 @@
-"""What comes into the menu from outside, and what it wants done there, as data."""
+"""What the state machine exchanges with the worker: events come in, effects go out."""
 
 from __future__ import annotations
 
@@ -12,92 +12,92 @@ from menu.ports import Choice, Cost, Summary
 
 @dataclass(frozen=True)
 class Event:
-    """What became of the work that was started with `ticket`."""
+    """A report on the work that was started with `request_id`."""
 
-    ticket: int
+    request_id: int
 
 
 @dataclass(frozen=True)
 class Predicted(Event):
-    """The costs are known, at least one."""
+    """The costs of all numbers of exposures are computed; there is at least one."""
 
     costs: tuple[Cost, ...]
 
     def __post_init__(self) -> None:
         if not self.costs:
-            raise ValueError("a prediction needs at least one number of exposures")
+            raise ValueError("a prediction needs the cost of at least one number of exposures")
 
 
 @dataclass(frozen=True)
 class Planned(Event):
-    """The settings are known."""
+    """The settings of the camera are chosen."""
 
     plan: CapturePlan
 
 
 @dataclass(frozen=True)
 class Progressed(Event):
-    """The work goes on."""
+    """The work has made progress."""
 
     progress: Progress
 
 
 @dataclass(frozen=True)
 class Done(Event):
-    """The picture is there."""
+    """The capture is complete."""
 
     summary: Summary
 
 
 @dataclass(frozen=True)
 class Cancelled(Event):
-    """The capture was called off; `line` says what was kept."""
+    """The capture was cancelled; `message` states what was kept."""
 
-    line: str
+    message: str
 
 
 @dataclass(frozen=True)
 class Failed(Event):
-    """The work could not be done; `line` says why and what to do."""
+    """The work failed; `message` states why and what to do."""
 
-    line: str
+    message: str
 
 
 @dataclass(frozen=True)
 class Predict:
-    """Effect: find what each number of exposures costs."""
+    """Effect: compute what each number of exposures costs."""
 
-    ticket: int
+    request_id: int
     response: str
     dynamic_range: float
 
 
 @dataclass(frozen=True)
 class MakePlan:
-    """Effect: find the settings."""
+    """Effect: meter and choose the settings."""
 
-    ticket: int
+    request_id: int
     choice: Choice
 
 
 @dataclass(frozen=True)
 class Shoot:
-    """Effect: take the pictures of `plan`."""
+    """Effect: shoot the settings of `plan`."""
 
-    ticket: int
+    request_id: int
     plan: CapturePlan
 
 
 @dataclass(frozen=True)
 class Cancel:
-    """Effect: call off the capture that was started with `ticket`."""
+    """Effect: cancel the capture that was started with `request_id`."""
 
-    ticket: int
+    request_id: int
 
 
 @dataclass(frozen=True)
 class Quit:
-    """Effect: leave the menu."""
+    """Effect: end the menu."""
 
 
 Effect: TypeAlias = Predict | MakePlan | Shoot | Cancel | Quit

@@ -1,4 +1,4 @@
-"""All that the menu knows at one moment."""
+"""The state of the menu as one immutable value."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from menu.ports import Choice, Cost, Summary
 
 
 class State(StrEnum):
-    """Where in the menu somebody is."""
+    """The screens of the menu."""
 
     RESPONSE = auto()
     RANGE = auto()
@@ -24,13 +24,13 @@ class State(StrEnum):
     SHOOTING = auto()
     CANCELLING = auto()
     CANCELLED = auto()
-    SHOT_FAILED = auto()
+    CAPTURE_FAILED = auto()
     RESULT = auto()
     QUIT = auto()
 
 
 class Action(Enum):
-    """What a page offers to do; its value is the word on the panel."""
+    """The buttons at the bottom of a page; the value is the text on the panel."""
 
     SHOOT = "Shoot"
     RETRY = "Retry"
@@ -42,44 +42,51 @@ class Action(Enum):
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of a list: its name for the controller, for the panel, and what it means."""
+    """One line of a list.
+
+    Attributes:
+        name: what the controller calls it
+        label: what the panel calls it
+        description: what it is for, shown on wide panels
+        value: its number, for dynamic ranges
+    """
 
     name: str
     label: str
-    gloss: str
+    description: str
     value: float = 0.0
 
 
 RESPONSES = (
     Entry("log", "Constant contrast", "equal steps of contrast"),
     Entry("linear", "Linear", "equal steps of light"),
-    Entry("gamma", "Gamma 1/2", "between the two, as displays"),
+    Entry("gamma", "Gamma 1/2", "between the two, as in displays"),
 )
 RANGES = (
     Entry("high", "High 1:16,000", "sun and deep shade", 16000.0),
-    Entry("medium", "Medium 1:1,000", "a room by day", 1000.0),
+    Entry("medium", "Medium 1:1,000", "a room in daylight", 1000.0),
     Entry("low", "Low 1:256", "even light", 256.0),
 )
 
 
 @dataclass(frozen=True)
 class Model:
-    """All that the menu knows.
+    """The state of the menu.
 
     Attributes:
-        state: where it is
-        response: selected entry of `RESPONSES`
-        range: selected entry of `RANGES`
-        count: number of exposures selected
-        costs: what each number of exposures costs, once known
-        base_s: shortest exposure of the last plan, s, once known
-        plan: what the review shows and what will be shot
-        progress: of the work that is running
-        summary: of the last capture
-        trouble: the line of the last failure
-        action: selected action of a page
-        offset: first line of a page that is wanted on the panel
-        ticket: of the work started last; events with another one come too late
+        state: the screen that is shown
+        response: index of the selected entry of `RESPONSES`
+        range: index of the selected entry of `RANGES`
+        count: selected number of exposures
+        costs: what each number of exposures costs, empty until predicted
+        base_s: shortest exposure of the last plan, s; None until known
+        plan: the plan that the review shows and that will be shot
+        progress: progress of the running work
+        summary: result of the last capture
+        error: message of the last failure
+        action: index of the selected action of a page
+        offset: first line of a page to show
+        request_id: of the work started last; events of earlier work are ignored
     """
 
     state: State = State.RESPONSE
@@ -91,17 +98,17 @@ class Model:
     plan: CapturePlan | None = None
     progress: Progress | None = None
     summary: Summary | None = None
-    trouble: str = ""
+    error: str = ""
     action: int = 0
     offset: int = 0
-    ticket: int = 0
+    request_id: int = 0
 
     @property
     def choice(self) -> Choice:
-        """What is picked now."""
+        """The selected response, dynamic range and number of exposures."""
         return Choice(RESPONSES[self.response].name, RANGES[self.range].value, self.count)
 
     @property
-    def row(self) -> int:
-        """Position of `count` among `costs`."""
+    def cost_index(self) -> int:
+        """Index of `count` in `costs`."""
         return [cost.count for cost in self.costs].index(self.count)

@@ -1,4 +1,4 @@
-"""What the menu has done for it: the job port and the data that goes through it."""
+"""The interfaces of the menu: the job behind it, the panel in front, and their data."""
 
 from __future__ import annotations
 
@@ -11,15 +11,13 @@ from typing import Protocol, Self
 from camctl.captures.request import CapturePlan
 from camctl.captures.sequencer import Progress
 
-__all__ = ["CapturePlan", "Choice", "Cost", "Job", "Progress", "Summary"]
-
 
 @dataclass(frozen=True)
 class Choice:
-    """What a person picked.
+    """What the user selected.
 
     Attributes:
-        response: desired response, one of `camctl.exposure.response.RESPONSES`
+        response: desired response, one of `camctl.response.desired.RESPONSES`
         dynamic_range: desired dynamic range, brightest over darkest
         count: number of exposures
     """
@@ -31,30 +29,30 @@ class Choice:
 
 @dataclass(frozen=True)
 class Cost:
-    """What one number of exposures costs and gives.
+    """The price and the benefit of one number of exposures.
 
     Attributes:
         count: number of exposures
         exposures: relative to the shortest, ascending
-        shutter_time: time that the shutter is open in all, in units of the shortest exposure
-        effective_levels: how many equal steps in the desired response are as accurate
+        total_exposure: sum of `exposures`
+        effective_levels: number of equal steps in the desired response that are as accurate
     """
 
     count: int
     exposures: tuple[float, ...]
-    shutter_time: float
+    total_exposure: float
     effective_levels: float
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a capture gave.
+    """The result of a capture.
 
     Attributes:
         effective_levels: achieved with the exposures that the camera applied
-        saturated: share of the samples that no exposure caught below saturation, 0 to 1
-        folder: where the files are
-        notes: what else a person should know, one line each
+        saturated: fraction of the samples that are saturated in every frame, 0 to 1
+        folder: folder of the files
+        notes: warnings, one line each
     """
 
     effective_levels: float
@@ -66,19 +64,19 @@ class Summary:
 class Job(Protocol):
     """The work behind the menu.  Methods are called from one worker thread, one at a time.
 
-    All raise `camctl.errors.CamctlError` where something cannot be done.
+    All raise `camctl.errors.CamctlError` for what cannot be done.
     """
 
     def predict(self, response: str, dynamic_range: float) -> Iterable[Cost]:
-        """Return what each number of exposures costs, ascending by number, at least one.
+        """Return the cost of each number of exposures, ascending, at least one.
 
-        Where they take time, an iterator that yields each as it is found lets the menu show how far
-        it is, and stop when nobody waits any more.
+        If they take time to compute, return an iterator that yields each as it is found: the menu
+        then shows progress, and stops iterating when the user leaves.
         """
         ...
 
     def plan(self, choice: Choice) -> CapturePlan:
-        """Return the very settings that will be shot for `choice`, metered where need be."""
+        """Return the exact settings that will be shot for `choice`, metered where needed."""
         ...
 
     def shoot(
@@ -89,13 +87,14 @@ class Job(Protocol):
     ) -> Summary:
         """Shoot exactly the settings of `plan`.
 
-        Once `cancelled` returns True it stops, keeps what was shot, and raises
-        `camctl.errors.InterruptedCaptureError` with one line that says where that is.
+        Once `cancelled` returns True, stop, keep the frames shot so far, and raise
+        `camctl.errors.InterruptedCaptureError` with one line that states where they are.
         """
         ...
 
 
 SMALLEST = (20, 4)
+"""(columns, rows) of the smallest panel that the menu can be shown on."""
 
 
 class Key(Enum):
@@ -111,7 +110,7 @@ class Key(Enum):
 
 @dataclass(frozen=True)
 class Highlight:
-    """The characters of one row that are the selected entry, counted from 0."""
+    """The characters of the selected entry: `width` of them in one row, counted from 0."""
 
     row: int
     column: int
@@ -119,10 +118,10 @@ class Highlight:
 
 
 class Panel(Protocol):
-    """What every panel, on a screen or on a cable, stands behind.
+    """A display with keys, on a screen or at the end of a cable.
 
-    A panel is a context manager: entering opens it, leaving gives everything back as it was.  All
-    methods raise `camctl.errors.CamctlError` when the panel is gone.
+    A panel is a context manager: entering opens it, leaving closes it and restores what it changed.
+    All methods raise `camctl.errors.CamctlError` when the panel is disconnected.
     """
 
     @property
@@ -133,13 +132,13 @@ class Panel(Protocol):
     def show(self, lines: Sequence[str], highlight: Highlight | None = None) -> None:
         """Show `lines`, one for each row, each as long as a row.
 
-        The selected entry can be told from the text alone; a panel that can do more about it finds
-        its place in `highlight`.
+        The text alone marks the selected entry; a panel that can also emphasise it finds its place
+        in `highlight`.
         """
         ...
 
     def key(self, timeout_s: float) -> Key | None:
-        """Return the next key; None after `timeout_s` without one, or sooner."""
+        """Return the next key; None after `timeout_s` without one, or earlier."""
         ...
 
     def __enter__(self) -> Self:

@@ -1,37 +1,61 @@
 """What a panel shows: a pure function from the model to a grid of characters.
 
-From the top: title, on a roomy panel what is picked so far, the body (a list, or text), the actions
-of a page, and on a panel of six rows and more the keys.
+From the top: title; on a panel of eight rows and more the selection so far and column headings; the
+body (a list or text); the actions of a page; on a panel of six rows and more the keys.
 """
 
 from __future__ import annotations
 
 import textwrap
-import unicodedata
 from dataclasses import dataclass, replace
 
 from camctl.captures.request import CapturePlan
 from camctl.controls import ExposureSetting
 from menu.machine import STATES, Kind
 from menu.model import RANGES, RESPONSES, Model, State
-from menu.numbers import count_of, exact_time, multiple, share, short_time, times
 from menu.ports import Cost, Highlight
+from menu.text import (
+    fit,
+    format_exact_time,
+    format_levels,
+    format_percent,
+    format_ratio,
+    format_short_time,
+    format_total,
+    wrap,
+)
 
-_WIDE = 40  # columns from which there is room for words beside numbers
-_HELPFUL = 6  # rows from which the keys are told at the bottom
-_ROOMY = 8  # rows from which there is room for what was picked so far
+_WIDE = 40
+"""Columns from which there is room for words beside numbers."""
+
+_ROWS_WITH_HELP = 6
+"""Rows from which the last one shows the keys."""
+
+_ROWS_WITH_SELECTION = 8
+"""Rows from which two show the selection so far and column headings."""
 
 _WAITING = {
-    State.PREDICTING: "The first time with a camera this takes a while",
-    State.PLANNING: "Looking for the highlights",
+    State.PREDICTING: "Takes a while the first time with a camera",
+    State.PLANNING: "Measuring the highlights",
     State.SHOOTING: "Starting",
-    State.CANCELLING: "Keeping what was shot",
+    State.CANCELLING: "Keeping the frames shot so far",
 }
+"""Text of a waiting screen until there is progress to show."""
+
+_SELECTED_PARTS = {
+    State.RESPONSE: 0,
+    State.RANGE: 1,
+    State.PREDICTING: 2,
+    State.PREDICTION_FAILED: 2,
+    State.EXPOSURES: 2,
+    State.QUIT: 0,
+}
+"""How many of response, dynamic range and number are selected in a state; elsewhere all three."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What a panel shows: `lines`, all of one length, and where the selected entry is."""
+    """The characters on a panel: lines of equal length, and the place of the selected entry."""
 
     lines: tuple[str, ...]
     highlight: Highlight | None
@@ -40,71 +64,76 @@ class Grid:
 def screen(model: Model, columns: int, rows: int) -> Grid:
     """Return exactly `rows` lines of exactly `columns` characters, each one cell wide.
 
-    Made for 20 x 4 to 60 x 16; what is outside of that is cut or padded.
+    Made for 20 x 4 to 60 x 16; text outside the panel is cut.
     """
-    face = STATES[model.state]
+    spec = STATES[model.state]
     top, bottom = _top(model, columns, rows), _bottom(model, columns, rows)
-    room = max(0, rows - len(top) - len(bottom))
+    height = max(0, rows - len(top) - len(bottom))
     body = _body(model, columns, rows)
-    first = _first(model, len(body), room)
-    shown = body[first : first + room]
-    more = ("^" if first > 0 else " ") + ("v" if first + room < len(body) else " ")
+    first = _first_line(model, len(body), height)
+    shown = body[first : first + height]
+    more = ("^" if first > 0 else " ") + ("v" if first + height < len(body) else " ")
     if more.strip():
-        top[0] = f"{_fit(top[0], columns - 3)} {more}"
-    lines = [*top, *shown, *[""] * (room - len(shown)), *bottom]
+        top[0] = f"{fit(top[0], columns - 3)} {more}"
+    lines = [*top, *shown, *[""] * (height - len(shown)), *bottom]
     highlight = None
-    if face.kind is Kind.LIST:
-        highlight = Highlight(len(top) + _cursor(model) - first, 0, columns)
-    elif face.actions:
-        before = sum(len(action.value) + 2 for action in face.actions[: model.action])
-        width = len(face.actions[model.action].value) + 2
+    if spec.kind is Kind.LIST:
+        highlight = Highlight(len(top) + _selected_index(model) - first, 0, columns)
+    elif spec.actions:
+        before = sum(len(action.value) + 2 for action in spec.actions[: model.action])
+        width = len(spec.actions[model.action].value) + 2
         highlight = Highlight(rows - len(bottom), before, width)
-    return Grid(tuple(_fit(line, columns) for line in lines[:rows]), highlight)
+    return Grid(tuple(fit(line, columns) for line in lines[:rows]), highlight)
 
 
-def settled(model: Model, columns: int, rows: int) -> Model:
-    """Return the model with its page scrolled no further than the last line is on the panel."""
+def limit_scrolling(model: Model, columns: int, rows: int) -> Model:
+    """Return the model with a page's offset reduced to where its last line is on the panel."""
     if STATES[model.state].kind is not Kind.PAGE:
         return model
-    room = rows - len(_top(model, columns, rows)) - len(_bottom(model, columns, rows))
-    return replace(model, offset=_first(model, len(_body(model, columns, rows)), room))
+    height = rows - len(_top(model, columns, rows)) - len(_bottom(model, columns, rows))
+    return replace(model, offset=_first_line(model, len(_body(model, columns, rows)), height))
 
 
 def _top(model: Model, columns: int, rows: int) -> list[str]:
     title = STATES[model.state].title
     if model.state is State.REVIEW and model.plan is not None:
-        word = "levels" if columns >= _WIDE else "lv"
-        title = f"{title}: {count_of(model.plan.effective_levels)} {word}"
-    if rows < _ROOMY:
+        levels = format_levels(model.plan.effective_levels)
+        title = f"{title}: {levels} {_unit(columns, narrow='lv')}"
+    if rows < _ROWS_WITH_SELECTION:
         return [title]
-    return [title, _picked(model), _heads(model, columns)]
+    return [title, _selection(model), _column_headings(model, columns)]
 
 
-def _heads(model: Model, columns: int) -> str:
-    """Return what stands in the columns of a list, where that needs saying."""
+def _unit(columns: int, *, narrow: str) -> str:
+    """Return the unit of effective levels, in full on a wide panel."""
+    return "effective levels" if columns >= _WIDE else narrow
+
+
+def _column_headings(model: Model, columns: int) -> str:
+    """Return the headings of the list of exposures, on a wide panel."""
     if model.state is not State.EXPOSURES or columns < _WIDE:
         return ""
-    return f"{'n':>3}{'shutter open':>14}{'effective':>14}   exposures"
+    return f"{'n':>3}{'total time':>14}{'effective':>14}   exposures"
 
 
 def _bottom(model: Model, columns: int, rows: int) -> list[str]:
-    face = STATES[model.state]
+    spec = STATES[model.state]
     lines = []
-    if face.actions:
-        words = [action.value for action in face.actions]
+    if spec.actions:
+        texts = [action.value for action in spec.actions]
         lines.append(
             "".join(
-                f"[{word}]" if index == model.action else f" {word} "
-                for index, word in enumerate(words)
+                f"[{text}]" if index == model.action else f" {text} "
+                for index, text in enumerate(texts)
             )
         )
-    if rows >= _HELPFUL:
-        lines += [""] * (rows >= _ROOMY) + [_help(face.help, columns)]
+    if rows >= _ROWS_WITH_HELP:
+        lines += [""] * (rows >= _ROWS_WITH_SELECTION) + [_help(spec.help, columns)]
     return lines
 
 
 def _help(keys: tuple[str, ...], columns: int) -> str:
-    """Return what the keys do, as far as it fits."""
+    """Return what the keys do, as many as fit."""
     line = ""
     for key in keys:
         longer = f"{line}  {key}" if line else key
@@ -112,31 +141,33 @@ def _help(keys: tuple[str, ...], columns: int) -> str:
     return line
 
 
-def _picked(model: Model) -> str:
-    """Return what was picked on the way to here."""
-    way = [RESPONSES[model.response].label, f"1:{RANGES[model.range].value:,.0f}"]
-    way.append(f"{model.count} exposure{'s' * (model.count > 1)}")
-    known = {State.RESPONSE: 0, State.RANGE: 1, State.EXPOSURES: 2, State.QUIT: 0}
-    known |= {State.PREDICTING: 2, State.PREDICTION_FAILED: 2}
-    return ", ".join(way[: known.get(model.state, 3)])
+def _selection(model: Model) -> str:
+    """Return what was selected on earlier screens."""
+    plural = "s" * (model.count > 1)
+    parts = (
+        RESPONSES[model.response].label,
+        f"1:{RANGES[model.range].value:,.0f}",
+        f"{model.count} exposure{plural}",
+    )
+    return ", ".join(parts[: _SELECTED_PARTS.get(model.state, len(parts))])
 
 
-def _cursor(model: Model) -> int:
+def _selected_index(model: Model) -> int:
     match model.state:
         case State.RESPONSE:
             return model.response
         case State.RANGE:
             return model.range
         case _:
-            return model.row
+            return model.cost_index
 
 
-def _first(model: Model, length: int, room: int) -> int:
-    """Return the first line of the body that is shown: the selected one is always among them."""
-    wanted = model.offset
+def _first_line(model: Model, length: int, height: int) -> int:
+    """Return the first line of the body to show, so that the selected one is among them."""
+    first = model.offset
     if STATES[model.state].kind is Kind.LIST:
-        wanted = _cursor(model) - room // 2
-    return max(0, min(wanted, length - room))
+        first = _selected_index(model) - height // 2
+    return max(0, min(first, length - height))
 
 
 def _body(model: Model, columns: int, rows: int) -> list[str]:
@@ -144,110 +175,91 @@ def _body(model: Model, columns: int, rows: int) -> list[str]:
         case State.RESPONSE | State.RANGE:
             entries = RESPONSES if model.state is State.RESPONSE else RANGES
             lines = [
-                f"{entry.label:<20}{entry.gloss}" if columns >= _WIDE else entry.label
+                f"{entry.label:<20}{entry.description}" if columns >= _WIDE else entry.label
                 for entry in entries
             ]
-            return _marked(lines, _cursor(model))
+            return _with_cursor(lines, _selected_index(model))
         case State.EXPOSURES:
-            lines = [_cost(cost, model.base_s, columns) for cost in model.costs]
-            return _marked(lines, _cursor(model))
+            lines = [_cost_line(cost, model.base_s, columns) for cost in model.costs]
+            return _with_cursor(lines, _selected_index(model))
         case State.PREDICTING | State.PLANNING | State.SHOOTING | State.CANCELLING:
-            keys = [] if rows >= _HELPFUL else [_help(STATES[model.state].help, columns)]
-            return [*_progress(model, columns), *keys]
+            keys = [] if rows >= _ROWS_WITH_HELP else [_help(STATES[model.state].help, columns)]
+            return [*_progress_lines(model, columns), *keys]
         case State.REVIEW:
-            return [] if model.plan is None else _wrapped(_plan_lines(model.plan), columns)
+            return [] if model.plan is None else wrap(_plan_lines(model.plan), columns)
         case State.RESULT:
-            return _wrapped(_summary_lines(model), columns)
+            return wrap(_summary_lines(model, columns), columns)
         case State.QUIT:
             return []
         case _:
-            return _wrapped([model.trouble], columns, indent="")
+            return wrap([model.error], columns, indent="")
 
 
-def _marked(lines: list[str], cursor: int) -> list[str]:
-    return [f"{'>' if index == cursor else ' '}{line}" for index, line in enumerate(lines)]
+def _with_cursor(lines: list[str], selected: int) -> list[str]:
+    return [f"{'>' if index == selected else ' '}{line}" for index, line in enumerate(lines)]
 
 
-def _cost(cost: Cost, base_s: float | None, columns: int) -> str:
-    """Return one number of exposures with what it costs; 19 characters where it must be short."""
-    wide = columns >= _WIDE
+def _cost_line(cost: Cost, base_s: float | None, columns: int) -> str:
+    """Return one number of exposures with its cost; at most 19 characters on a narrow panel."""
+    is_wide = columns >= _WIDE
     if base_s is not None:
-        time = f"~{short_time(cost.shutter_time * base_s)}"
+        time = f"~{format_short_time(cost.total_exposure * base_s)}"
     else:
-        time = f"{times(cost.shutter_time)}{' x base' if wide else 'x'}"
-    levels = count_of(cost.effective_levels)
-    if not wide:
+        time = f"{format_total(cost.total_exposure)}{' x base' if is_wide else 'x'}"
+    levels = format_levels(cost.effective_levels)
+    if not is_wide:
         return f"{cost.count:>2}{time.replace(' ', ''):>8}{levels:>6} lv"
     line = f"{cost.count:>2}{time:>14}{levels:>7} levels  "
-    ratios = " ".join(multiple(exposure) for exposure in cost.exposures)
+    ratios = " ".join(format_ratio(exposure) for exposure in cost.exposures)
     return f"{line} {textwrap.shorten(ratios, columns - len(line) - 2, placeholder=' ..')}"
 
 
 def _plan_lines(plan: CapturePlan) -> list[str]:
-    settings = [_setting(setting) for setting in plan.settings]
+    settings = [_setting_text(setting) for setting in plan.settings]
     width = max(map(len, settings), default=0)
     lines = [
-        f"{index} {setting:>{width}} x{multiple(exposure)}"
+        f"{index} {setting:>{width}} x{format_ratio(exposure)}"
         for index, (setting, exposure) in enumerate(
             zip(settings, plan.exposures, strict=True), start=1
         )
     ]
-    lines.append(f"Shutter open {short_time(plan.shutter_s)} in all")
-    lines.append(f"{count_of(plan.xi)} of {count_of(plan.levels_wanted)} wanted levels missing")
+    lines.append(f"Total time {format_short_time(plan.shutter_s)}")
+    missing, wanted = format_levels(plan.xi), format_levels(plan.levels_wanted)
+    lines.append(f"{missing} of {wanted} desired levels missing")
     return lines + [f"! {warning}" for warning in plan.warnings]
 
 
-def _setting(setting: ExposureSetting) -> str:
-    words = [exact_time(setting.time_s)]
+def _setting_text(setting: ExposureSetting) -> str:
+    parts = [format_exact_time(setting.time_s)]
     if setting.gain != 1:
-        words.append(f"gain {setting.gain:.7g}")
+        parts.append(f"gain {setting.gain:.7g}")
     if setting.f_number is not None:
-        words.append(f"f/{setting.f_number:.7g}")
-    return " ".join(words)
+        parts.append(f"f/{setting.f_number:.7g}")
+    return " ".join(parts)
 
 
-def _summary_lines(model: Model) -> list[str]:
+def _summary_lines(model: Model, columns: int) -> list[str]:
     if model.summary is None:
         return []
     summary = model.summary
-    planned = "" if model.plan is None else f", {count_of(model.plan.effective_levels)} planned"
+    planned = (
+        "" if model.plan is None else f", {format_levels(model.plan.effective_levels)} planned"
+    )
     return [
-        f"{count_of(summary.effective_levels)} levels{planned}",
-        f"Saturated {share(summary.saturated)}",
-        f"In {summary.folder}",
+        f"{format_levels(summary.effective_levels)} {_unit(columns, narrow='lv')}{planned}",
+        f"{format_percent(summary.saturated)} saturated in all frames",
+        f"Saved in {summary.folder}",
         *(f"! {note}" for note in summary.notes),
     ]
 
 
-def _progress(model: Model, columns: int) -> list[str]:
+def _progress_lines(model: Model, columns: int) -> list[str]:
     progress = model.progress
     if progress is None:
-        return _wrapped([_WAITING[model.state]], columns, indent="")
+        return wrap([_WAITING[model.state]], columns, indent="")
     if progress.total <= 0:
         return [f"{progress.done} {progress.stage}"]
-    part = min(1.0, progress.done / progress.total)
     width = columns - 2
-    filled = int(part * width)
+    filled = int(min(1.0, progress.done / progress.total) * width)
     bar = f"[{'#' * filled}{'.' * (width - filled)}]"
     return [f"{progress.done}/{progress.total} {progress.stage}", bar]
-
-
-def _wrapped(paragraphs: list[str], columns: int, indent: str = " ") -> list[str]:
-    lines: list[str] = []
-    for paragraph in paragraphs:
-        lines += textwrap.wrap(paragraph, columns, subsequent_indent=indent) or [""]
-    return lines
-
-
-def _fit(line: str, columns: int) -> str:
-    """Return `line` as exactly `columns` characters that take one cell each."""
-    cells = "".join(character if _is_one_cell(character) else "?" for character in line)
-    return cells[:columns].ljust(columns)
-
-
-def _is_one_cell(character: str) -> bool:
-    return (
-        character.isprintable()
-        and unicodedata.east_asian_width(character) not in "WF"
-        and not unicodedata.category(character).startswith("M")
-    )

@@ -1,4 +1,4 @@
-"""`camctl calibrate`: measuring a real camera."""
+"""`camctl calibrate`: measure a real camera."""
 
 from __future__ import annotations
 
@@ -7,19 +7,28 @@ from typing import TYPE_CHECKING
 import click
 
 from camctl.cli import options
-from camctl.cli import parameters as kinds
 from camctl.cli.commands import LazyGroup, command
-from camctl.cli.output import fields, progress_bar, say, say_json, share_only, warn
+from camctl.cli.options import CameraOptions
+from camctl.cli.output import (
+    format_delay,
+    format_fields,
+    print_json,
+    print_text,
+    print_warning,
+    progress_bar,
+    without_stage,
+)
+from camctl.cli.parameter_types import WholeNumber
 
 if TYPE_CHECKING:
-    from camctl.profile import DelayRecord
+    from camctl.profile import DelayRecord, Profile
 
 calibrate = LazyGroup(
     "calibrate",
-    help="Measure what a camera does not say of itself; its profile keeps it.",
+    help="Measure a camera and keep the result in its profile.",
     examples=(
-        ("camctl calibrate delay --camera v4l2:/dev/video0", "how late its controls are"),
-        ("camctl profile list", "what is known of each camera"),
+        ("camctl calibrate delay --camera v4l2:/dev/video0", "the delay of its exposure controls"),
+        ("camctl profile list", "the profiles of all cameras"),
     ),
 )
 
@@ -27,7 +36,7 @@ calibrate = LazyGroup(
 @command(
     parent=calibrate,
     examples=(
-        ("camctl calibrate delay --camera v4l2:/dev/video0", "a webcam, in its usual format"),
+        ("camctl calibrate delay --camera v4l2:/dev/video0", "a webcam, in its default format"),
         (
             "camctl calibrate delay --camera v4l2:/dev/video0 -O format=yuyv --size 640x480",
             "in another format: a delay belongs to format, size and frame rate",
@@ -35,76 +44,57 @@ calibrate = LazyGroup(
         ("camctl calibrate delay --sensor consumer --trials 40", "a simulated one, thoroughly"),
     ),
 )
-@options.camera
-@options.camera_words
-@options.simulation
+@options.camera_options
 @click.option(
     "--trials",
-    type=kinds.Whole("a whole number of trials, 2 to 10000", least=2, most=10_000),
+    type=WholeNumber(least=2, most=10_000),
     metavar="N",
     default=12,
-    help="Steps of exposure to look at.",
+    help="Number of exposure changes to measure.",
 )
 @options.as_json
-def delay(
-    camera_id: str,
-    words: tuple[tuple[str, str], ...],
-    scene: str | None,
-    sensor: str | None,
-    size: str | None,
-    seed: int | None,
-    real_time: bool,
-    trials: int,
-    as_json: bool,
-) -> None:
-    """Measure how many frames pass until a new exposure shows, and keep it.
+def delay(camera: CameraOptions, trials: int, as_json: bool) -> None:
+    """Measure how many frames pass until a new exposure takes effect.
 
-    Point the camera at something steady under steady light first.  A trial takes some 20 frames.
-    Where the delay is constant, n exposures then take n frames and the delay; where it is not, or
-    is not known, the stream settles for each exposure.
+    First point the camera at a scene that neither moves nor changes brightness. A trial takes about
+    20 frames. With a constant delay of d frames, n exposures take n + d frames; with a varying or
+    unknown delay, the camera waits at each exposure until it has taken effect.
     """
-    from camctl.backends import open_camera
     from camctl.calibration.delay import measure_delay
     from camctl.camera import StreamingCamera
-    from camctl.profile import Profile, change_profile
+    from camctl.profile import change_profile
 
-    beside = options.camera_options(
-        words, scene=scene, sensor=sensor, size=size, seed=seed, real_time=real_time
-    )
-    with open_camera(camera_id, beside) as camera, progress_bar("stepping the exposure") as tick:
-        record = measure_delay(camera, trials=trials, progress=share_only(tick), warn=warn)
-        assert isinstance(camera, StreamingCamera)  # or there was nothing to measure
-        info, mode = camera.info, camera.mode
+    with camera.open() as opened, progress_bar("changing the exposure") as bar:
+        record = measure_delay(
+            opened, trials=trials, progress=without_stage(bar), warn=print_warning
+        )
+        assert isinstance(opened, StreamingCamera)  # `measure_delay` refuses others
+        info, mode = opened.info, opened.mode
 
     def keep(profile: Profile) -> None:
         profile.delays[mode] = record
 
     file = change_profile(info, keep)
     if as_json:
-        who = {name: getattr(info, name) for name in ("id", "make", "model", "serial", "driver")}
-        say_json({"camera": who, "mode": mode, **record.model_dump(), "file": file})
+        identity = {
+            name: getattr(info, name) for name in ("id", "make", "model", "serial", "driver")
+        }
+        print_json({"camera": identity, "mode": mode, **record.model_dump(), "file": file})
         return
-    say(
-        fields(
-            [
-                ("camera", f"{info.make} {info.model} ({info.id})"),
-                ("mode", mode),
-                ("control delay", f"{delay_text(record)}, in {record.trials} trials"),
-                ("so that", _so_that(record)),
-                ("kept in", str(file)),
-            ]
-        )
-    )
+    rows = [
+        ("camera", f"{info.make} {info.model} ({info.id})"),
+        ("mode", mode),
+        ("control delay", f"{format_delay(record)}, in {record.trials} trials"),
+        ("consequence", _consequence(record)),
+        ("profile", str(file)),
+    ]
+    print_text(format_fields(rows))
 
 
-def delay_text(record: DelayRecord) -> str:
-    """Return a delay as a person says it: 2 frames; 1 to 3 frames, not constant."""
+def _consequence(record: DelayRecord) -> str:
+    """Return what the delay means for the number of frames of a capture."""
     if record.frames is None:
-        return f"{record.smallest} to {record.largest} frames, not constant"
-    return f"{record.frames} frame{'' if record.frames == 1 else 's'}"
-
-
-def _so_that(record: DelayRecord) -> str:
-    if record.frames is None:
-        return f"the stream settles for {record.largest} frames at each exposure"
-    return f"n exposures take n + {record.frames} frames" if record.frames else "no frame is lost"
+        return f"the camera waits {record.largest} frames at each exposure"
+    if record.frames == 0:
+        return "n exposures take n frames"
+    return f"n exposures take n + {record.frames} frames"

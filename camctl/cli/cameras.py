@@ -1,4 +1,4 @@
-"""`camctl cameras`: what is connected."""
+"""`camctl cameras`: the connected cameras."""
 
 from __future__ import annotations
 
@@ -6,65 +6,64 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.output import say, say_json, table, warn
-from camctl.errors import UsageError
+from camctl.cli.output import format_table, print_json, print_text, print_warning
 
-RULES = "/etc/udev/rules.d/70-camctl.rules"
+UDEV_FILE = "/etc/udev/rules.d/70-camctl.rules"
 
 
 @command(
     examples=(
-        ("camctl cameras", "every camera that can be opened now"),
+        ("camctl cameras", "all cameras that can be opened now"),
         ("camctl shoot --camera ID", "shoot with one of them"),
-        ("camctl cameras --probe", "ask serial ports, too, whether a camera hangs on them"),
+        ("camctl cameras --probe", "also look for cameras on serial ports"),
         (
-            f"camctl cameras --udev-rules | sudo tee {RULES}",
-            "let the person at the desk use USB cameras without being root",
+            f"camctl cameras --udev-rules | sudo tee {UDEV_FILE}",
+            "let the person logged in at this computer use USB cameras without being root",
         ),
     )
 )
 @click.option(
     "--probe",
     is_flag=True,
-    help="Also speak to devices that may be no cameras, such as whatever hangs on a serial port.",
+    help="Also send commands to devices that may not be cameras, such as serial ports.",
 )
 @click.option(
     "--udev-rules",
     is_flag=True,
-    help="Write the rules that give the person at the desk access to USB cameras, and no more.",
+    help="Print udev rules that give the person logged in at this computer access to USB cameras.",
 )
 @options.as_json
-def cameras(probe: bool, udev_rules: bool, as_json: bool) -> None:
-    """List the cameras that are connected, and the roads that lead to cameras.
+@click.pass_context
+def cameras(context: click.Context, probe: bool, udev_rules: bool, as_json: bool) -> None:
+    """List the connected cameras.
 
-    The first column is the id that --camera takes.
+    The first column is the id for --camera. Below, each backend with what it looks for.
     """
     if udev_rules:
-        if probe or as_json:
-            raise UsageError("--udev-rules goes alone")
+        options.refuse_together(context, "--udev-rules", {"probe", "as_json"})
         from drivers.common.usb import UDEV_RULES
 
-        say(UDEV_RULES.rstrip("\n"))
+        print_text(UDEV_RULES.rstrip("\n"))
         return
     from camctl.backends import list_backends
 
-    looks = list_backends(probe=probe)
-    for look in looks:
-        if look.problem:
-            warn(f"{look.name}: {look.problem}")
-    heads = ("id", "make", "model", "serial", "driver")
-    found = [camera for look in looks for camera in look.cameras]
-    rows = [[str(getattr(camera, name)) for name in heads] for camera in found]
+    backends = list_backends(probe=probe)
+    for backend in backends:
+        if backend.problem:
+            print_warning(f"{backend.name}: {backend.problem}")
+    headings = ("id", "make", "model", "serial", "driver")
+    found = [camera for backend in backends for camera in backend.cameras]
+    rows = [[str(getattr(camera, name)) for name in headings] for camera in found]
     if as_json:
-        say_json([dict(zip(heads, row, strict=True)) for row in rows])
+        print_json([dict(zip(headings, row, strict=True)) for row in rows])
         return
-    say(table(heads, rows) if rows else "no camera found")
-    roads = [
+    print_text(format_table(headings, rows) if rows else "no camera found")
+    searches = [
         (
-            look.name,
-            "cannot look" if look.problem else str(len(look.cameras) or "none"),
-            look.about,
+            backend.name,
+            "search failed" if backend.problem else str(len(backend.cameras) or "none"),
+            backend.about,
         )
-        for look in looks
+        for backend in backends
     ]
-    say("\n" + table(("road", "found", "cameras"), roads))
+    print_text("\n" + format_table(("backend", "found", "cameras"), searches))

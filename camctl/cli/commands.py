@@ -1,4 +1,4 @@
-"""What all commands share: help with examples, errors of one line, late imports."""
+"""Base classes of the commands: help pages with examples, one-line usage errors, late imports."""
 
 from __future__ import annotations
 
@@ -8,25 +8,34 @@ from typing import Any, TypeAlias
 
 import click
 
-from camctl.cli.output import say
+from camctl.cli.output import print_text
 from camctl.errors import UsageError, unknown_name
 
-UNDER_DEBUG = "camctl.debug"
-"""Key in a context's `meta` that says whether the user asked for tracebacks."""
+DEBUG_KEY = "camctl.debug"
+"""Key in a context's `meta` that is present where the user asked for tracebacks."""
 
 Examples: TypeAlias = Sequence[tuple[str, str]]
+"""Command lines with what each does."""
 
-_CONTEXT = {"help_option_names": ["-h", "--help"], "show_default": True, "max_content_width": 100}
+_LONG_EXPLANATION = 70
+"""From this many characters on, an example's explanation is wrapped as a paragraph."""
+
+_CONTEXT = {
+    "help_option_names": ["-h", "--help"],
+    "show_default": True,
+    "max_content_width": 100,
+    "allow_extra_args": True,  # they are refused in `Command.parse_args`
+}
 
 
 def one_line(text: str) -> str:
-    """Return `text` as one line without trailing stop."""
+    """Return `text` as one line without a full stop at its end."""
     return " ".join(text.split()).removesuffix(".")
 
 
-def _note_debug(context: click.Context, _option: click.Parameter, value: bool) -> None:
+def _remember_debug(context: click.Context, _option: click.Parameter, value: bool) -> None:
     if value:
-        context.meta[UNDER_DEBUG] = True
+        context.meta[DEBUG_KEY] = True
 
 
 def _debug_option() -> click.Option:
@@ -35,21 +44,21 @@ def _debug_option() -> click.Option:
         is_flag=True,
         is_eager=True,
         expose_value=False,
-        callback=_note_debug,
+        callback=_remember_debug,
         help="Show the traceback of an error.",
     )
 
 
 def _show_help(context: click.Context, _option: click.Parameter, value: bool) -> None:
-    if value:
-        say(context.get_help())
+    if value and not context.resilient_parsing:
+        print_text(context.get_help())
         context.exit()
 
 
 @click.pass_context
-def _help_where_no_command(context: click.Context) -> None:
+def _show_help_without_command(context: click.Context) -> None:
     if context.invoked_subcommand is None:
-        say(context.get_help())
+        print_text(context.get_help())
 
 
 class Command(click.Command):
@@ -62,11 +71,11 @@ class Command(click.Command):
         self.params.append(_debug_option())
 
     def get_help_option(self, ctx: click.Context) -> click.Option | None:
-        """Return the help option; it writes as every other output is written."""
+        """Return the help option, which prints through `print_text`."""
         option = super().get_help_option(ctx)
         if option is not None:
             option.callback = _show_help
-            option.help = "Show this page."
+            option.help = "Show this help page."
         return option
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -74,23 +83,33 @@ class Command(click.Command):
         super().format_help_text(ctx, formatter)
         if self.examples:
             with formatter.section("Examples"):
-                for line, what in self.examples:
+                for line, explanation in self.examples:
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
-                    formatter.write_text(f"    {what}" if len(what) < 70 else what)
+                    is_short = len(explanation) < _LONG_EXPLANATION
+                    formatter.write_text(f"    {explanation}" if is_short else explanation)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse; what is wrong becomes a `UsageError` that names the near words."""
+        """Parse; raise `UsageError` with similar names or with the help page to read."""
         try:
-            return super().parse_args(ctx, args)
+            rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            known = [word for option in self.get_params(ctx) for word in option.opts]
-            long = [word for word in known if word.startswith("--")]
+            names = [name for option in self.get_params(ctx) for name in option.opts]
+            long = [name for name in names if name.startswith("--")]
             raise unknown_name("option", error.option_name, long) from error
+        except click.MissingParameter as error:
+            param = error.param or ctx.command.params[0]
+            name = param.opts[-1] if isinstance(param, click.Option) else param.human_readable_name
+            raise _usage_error(f"{param.param_type_name} {name} is missing", ctx) from error
         except click.UsageError as error:
-            said = one_line(error.format_message())
-            raise UsageError(
-                said[:1].lower() + said[1:], hint=f"see {ctx.command_path} --help"
-            ) from error
+            message = one_line(error.format_message())
+            raise _usage_error(message[:1].lower() + message[1:], ctx) from error
+        if rest and not isinstance(self, click.Group) and not ctx.resilient_parsing:
+            raise _usage_error(f"unexpected argument '{rest[0]}'", ctx)
+        return rest
+
+
+def _usage_error(message: str, context: click.Context) -> UsageError:
+    return UsageError(message, hint=f"see {context.command_path} --help")
 
 
 class LazyGroup(Command, click.Group):
@@ -105,7 +124,7 @@ class LazyGroup(Command, click.Group):
         **settings: Any,
     ) -> None:
         super().__init__(
-            name, invoke_without_command=True, callback=_help_where_no_command, **settings
+            name, invoke_without_command=True, callback=_show_help_without_command, **settings
         )
         self._modules = tuple(modules)
         self._package = package
@@ -115,7 +134,7 @@ class LazyGroup(Command, click.Group):
         return [*self._modules, *self.commands]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command's module and return the command, None if there is none."""
+        """Import a command's module and return the command, None for an unknown name."""
         if cmd_name in self._modules:
             found = getattr(import_module(f"{self._package}.{cmd_name}"), cmd_name)
             assert isinstance(found, click.Command)
@@ -130,23 +149,23 @@ class LazyGroup(Command, click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that the first word names; raise `UsageError` with the near ones."""
+        """Return the command that the first argument names; `UsageError` for an unknown one."""
         name = args[0]
         command = self.get_command(ctx, name)
-        if command is None:
+        if command is None and not ctx.resilient_parsing:
             raise unknown_name("command", name, self.list_commands(ctx))
-        return name, command, args[1:]
+        return name if command else None, command, args[1:]
 
 
 def command(
     *, examples: Examples, parent: click.Group | None = None, **settings: Any
 ) -> Callable[[Callable[..., Any]], Command]:
-    """Decorate a function as a command of its own name, with examples in its help."""
+    """Return a decorator that makes a function a command of its own name with examples."""
 
     def decorate(function: Callable[..., Any]) -> Command:
-        made = click.command(cls=Command, examples=examples, **settings)(function)
+        created = click.command(cls=Command, examples=examples, **settings)(function)
         if parent is not None:
-            parent.add_command(made)
-        return made
+            parent.add_command(created)
+        return created
 
     return decorate

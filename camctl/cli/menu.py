@@ -7,10 +7,11 @@ from pathlib import Path
 import click
 
 from camctl.cli import options
-from camctl.cli import parameters as kinds
-from camctl.cli.capture_output import fresh_directory, source_of
+from camctl.cli.capture_output import new_directory
 from camctl.cli.commands import command
-from camctl.cli.output import say, warn
+from camctl.cli.options import CameraOptions, LightOptions
+from camctl.cli.output import print_text, print_warning
+from camctl.cli.parameter_types import PANEL, PATH
 from camctl.errors import UsageError
 
 
@@ -20,46 +21,32 @@ from camctl.errors import UsageError
         ("camctl menu --camera v4l2:/dev/video0 -o pictures", "a real camera; results in pictures"),
     )
 )
-@options.camera
-@options.camera_words
+@options.camera_options
 @click.option(
     "--panel",
     "panel_id",
+    type=PANEL,
     default="terminal",
     metavar="NAME[:ADDRESS]",
-    help="Which panel; terminal is this one, with arrow keys.",
+    help="Panel that shows the menu; terminal is this terminal, with the arrow keys.",
 )
-@options.shooting
-@options.simulation
+@options.light_options
 @click.option(
     "-o",
     "--output",
     "parent",
-    type=kinds.PATH,
+    type=PATH,
     default=".",
     metavar="PATH",
     help="Folder in which each capture gets a folder of its own.",
 )
-def menu(
-    camera_id: str,
-    words: tuple[tuple[str, str], ...],
-    panel_id: str,
-    mains: str | None,
-    use_aperture: bool,
-    spend_shutter: bool,
-    scene: str | None,
-    sensor: str | None,
-    size: str | None,
-    seed: int | None,
-    real_time: bool,
-    parent: Path,
-) -> None:
-    """Pick a picture on a panel with a few keys, and shoot it.
+def menu(camera: CameraOptions, panel_id: str, light: LightOptions, parent: Path) -> None:
+    """Choose a picture in a menu with a few keys, and shoot it.
 
-    First the response, then the range, then the number of exposures.  Beside each number stands
-    what it costs: how long the shutter is open, and how many effective levels that buys.
+    First the response, then the dynamic range, then the number of exposures. Each number is shown
+    with its total exposure time and the effective levels that it gives.
     """
-    from camctl.backends import PANELS, load, open_camera
+    from camctl.backends import PANELS, load
     from camctl.captures.request import CaptureRequest
     from menu.app import run
     from menu.camera_job import CameraJob
@@ -69,27 +56,20 @@ def menu(
     try:
         panel = kind(address) if address else kind()
     except TypeError as error:
-        needs = "takes no address" if address else "needs an address"
+        problem = "takes no address" if address else "needs an address"
         raise UsageError(
-            f"panel '{name}' {needs}", hint=f"say --panel {name}{'' if address else ':ADDRESS'}"
+            f"panel '{name}' {problem}",
+            hint=f"use --panel {name}{'' if address else ':ADDRESS'}",
         ) from error
-    beside = options.camera_options(
-        words, scene=scene, sensor=sensor, size=size, seed=seed, real_time=real_time
-    )
-    request = CaptureRequest(
-        use_aperture=use_aperture,
-        mains_hz=None if mains is None else float(mains),
-        spend_shutter=spend_shutter,
-    )
-    with open_camera(camera_id, beside) as camera:
+    with camera.open() as opened:
         job = CameraJob(
-            camera,
-            lambda: fresh_directory(parent),
-            request=request,
-            source=source_of(camera_id, beside),
+            opened,
+            lambda: new_directory(parent),
+            request=CaptureRequest(**light.request_fields()),
+            source=camera.source(),
         )
         last = run(panel, job)
     if last is not None:
         for note in last.notes:
-            warn(note)
-        say(f"the last picture is in {last.folder}")
+            print_warning(note)
+        print_text(f"the last picture is in {last.folder}")

@@ -1,31 +1,36 @@
-"""Options that several commands share, and what their values mean."""
+"""Options that several commands share; options that belong together arrive as one dataclass."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from camctl.cli.parameters import Name, NameOrFile, Number, Range, Size, Whole, Word
+from camctl.cli.parameter_types import (
+    CAMERA,
+    SCENE,
+    SENSOR,
+    DynamicRange,
+    FrameSize,
+    KeyValue,
+    Name,
+    WholeNumber,
+)
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
-    from camctl.exposure.noise import NoiseTerm
-    from camctl.response.desired import DesiredResponse
+    from camctl.camera import Camera
 
-RESPONSES = ("linear", "gamma", "log")
-
-NOISE_KINDS = ("paper", "time", "aperture", "gain")
-
-RESPONSE = Name("response", RESPONSES)
-
-COUNT = Whole("a whole number of exposures, 1 to 16", least=1, most=16)
+Decorator = Callable[[Any], Any]
 
 
-def all_of(*decorators: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return one decorator that adds the options of all, in this order."""
+def all_of(*decorators: Decorator) -> Decorator:
+    """Return one decorator that applies all, so that their options are listed in this order."""
 
     def decorate(function: Any) -> Any:
         for decorator in reversed(decorators):
@@ -35,39 +40,60 @@ def all_of(*decorators: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return decorate
 
 
-response = click.option(
-    "--response",
-    type=RESPONSE,
-    default="log",
-    metavar="linear|gamma|log",
-    help="How brightness shall follow light; log gives equal contrast in shadows and highlights.",
-)
+def option_group(model: type[Any], name: str, *options: Decorator) -> Decorator:
+    """Return a decorator that adds options to a command and passes their values as one argument.
 
-wish = click.option(
-    "--response",
-    type=NameOrFile("response", RESPONSES),
-    default="log",
-    metavar="linear|gamma|log|FILE",
-    help="How brightness shall follow light; log gives equal contrast in shadows and highlights. A "
-    "file has two columns, irradiance and brightness, and brings its own range.",
-)
+    Args:
+        model: a dataclass with one field for each option, of the same name
+        name: of the command's argument that receives the instance
+        options: decorators made by `click.option`
+    """
 
-exponent = click.option(
-    "--gamma",
-    "exponent",
-    type=Number("an exponent from 0.01 to 100", least=0.01),
-    metavar="Q",
-    help="Exponent of --response gamma: brightness goes with light^Q.  [default: 0.5]",
-)
+    def decorate(function: Any) -> Any:
+        @functools.wraps(function)
+        def call(*arguments: Any, **values: Any) -> Any:
+            names = [field.name for field in fields(model) if field.name in values]
+            group = model(**{each: values.pop(each) for each in names})
+            return function(*arguments, **{name: group}, **values)
+
+        return all_of(*options)(call)
+
+    return decorate
+
+
+def given(context: click.Context) -> set[str]:
+    """Return the names of the parameters that were given on the command line."""
+    return {
+        name
+        for name in context.params
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+    }
+
+
+def option_name(context: click.Context, parameter: str) -> str:
+    """Return the long name of a parameter's option, such as --range."""
+    return next(each.opts[-1] for each in context.command.params if each.name == parameter)
+
+
+def refuse_together(
+    context: click.Context, option: str, others: set[str], hint: str = "leave one of them out"
+) -> None:
+    """Raise `UsageError` if one of the parameters `others` was given beside `option`."""
+    if conflicts := sorted(option_name(context, name) for name in others & given(context)):
+        raise UsageError(f"{option} cannot be combined with {', '.join(conflicts)}", hint=hint)
+
 
 dynamic_range = click.option(
     "--range",
     "dynamic_range",
-    type=Range(),
+    type=DynamicRange(),
     default="medium",
     metavar="low|medium|high|NUMBER",
-    help="Brightest over darkest light to be told apart: 256, 1,000, 16,000, or any NUMBER.",
+    help="Dynamic range of the picture, brightest over darkest light: 256, 1,000, 16,000, or any "
+    "NUMBER.",
 )
+
+COUNT = WholeNumber(least=1, most=16)
 
 count = click.option(
     "-n",
@@ -79,20 +105,12 @@ count = click.option(
     help="Number of exposures.",
 )
 
-levels_wanted = click.option(
-    "--levels",
-    "levels_wanted",
-    type=Number("a positive number of levels", above=0),
-    metavar="G",
-    help="Brightness levels wanted in the picture.  [default: as many as the frames hold]",
-)
-
 seed = click.option(
     "--seed",
-    type=Whole("a whole number from 0", least=0),
+    type=WholeNumber(least=0),
     default=0,
     metavar="N",
-    help="Start of the random numbers; the same seed gives the same result.",
+    help="Seed of the random numbers; the same seed gives the same result.",
 )
 
 as_json = click.option(
@@ -102,129 +120,122 @@ as_json = click.option(
     help="Write one JSON value to standard output and nothing else.",
 )
 
-objective = all_of(
+force = click.option("--force", is_flag=True, help="Replace existing files.")
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """What the simulated camera looks at, and with which sensor; None is the default."""
+
+    scene: str | None
+    sensor: str | None
+    size: str | None
+    seed: int | None
+
+    def camera_options(self) -> dict[str, Any]:
+        """Return those that were given, by their names as options of the simulated camera."""
+        values = {field.name: getattr(self, field.name) for field in fields(SceneOptions)}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+def scene_options(default_sensor: str | None = None) -> Decorator:
+    """Return the options of `SceneOptions`; their argument is called `scenery`."""
+    return option_group(
+        SceneOptions,
+        "scenery",
+        click.option(
+            "--scene",
+            type=SCENE,
+            metavar="NAME|FILE",
+            help="Scene before the simulated camera: a built-in one or a radiance map "
+            "(.hdr, .exr, .tiff, .npy).  [default: tile-floor]",
+        ),
+        click.option(
+            "--sensor",
+            type=SENSOR,
+            default=default_sensor,
+            metavar="NAME|FILE.json",
+            help="Sensor of the simulated camera."
+            + ("" if default_sensor else "  [default: standard]"),
+        ),
+        click.option(
+            "--size",
+            type=FrameSize(),
+            metavar="WIDTHxHEIGHT",
+            help="Size of a frame in pixels.  [default: the sensor's, or the radiance map's]",
+        ),
+        click.option(
+            "--seed",
+            type=WholeNumber(least=0),
+            metavar="N",
+            help="Seed of the simulated noise; the same seed gives the same frames.  [default: 0]",
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Which camera to open, and the options to open it with."""
+
+    camera_id: str
+    settings: tuple[tuple[str, str], ...]
+    scenery: SceneOptions
+    real_time: bool
+    simulation_tolerance: float | None = None
+
+    def camera_options(self) -> dict[str, str]:
+        """Return the camera's options by name; raise `UsageError` where one is given twice."""
+        simulation = self.scenery.camera_options()
+        if self.real_time:
+            simulation["time"] = "real"
+        if self.simulation_tolerance is not None:
+            simulation["tolerance"] = self.simulation_tolerance
+        options = {name: str(value) for name, value in simulation.items()}
+        for name, value in self.settings:
+            if name in options:
+                raise UsageError(f"camera option '{name}' is given twice", hint="give it once")
+            options[name] = value
+        return options
+
+    def open(self) -> Camera:
+        """Open the camera."""
+        from camctl.backends import open_camera
+
+        return open_camera(self.camera_id, self.camera_options())
+
+    def source(self) -> dict[str, Any]:
+        """Return what a report must hold to open the camera again from any working directory."""
+        options = {name: _absolute(value) for name, value in self.camera_options().items()}
+        return {"camera": self.camera_id, "options": options}
+
+
+def _absolute(value: str) -> str:
+    """Return a file's full path; a name without dot and slash stays, even if a file has it."""
+    path = Path(value)
+    return str(path.resolve()) if (path.suffix or "/" in value) and path.exists() else value
+
+
+camera_options = option_group(
+    CameraOptions,
+    "camera",
     click.option(
-        "--p",
-        type=Number("a number of at least 1", least=1),
-        default=1.0,
-        show_default="1",
-        metavar="P",
-        help="Power of the objective, 1 to 16; only 1 counts missing levels.",
+        "--camera",
+        "camera_id",
+        type=CAMERA,
+        default="sim",
+        metavar="ID",
+        help="Camera; `camctl cameras` lists the ids.",
     ),
     click.option(
-        "--noise",
-        type=Number("a number from 0", least=0),
-        metavar="SIGMA",
-        help="Add what noise costs: its standard deviation at exposure 1, full scale being 1.  "
-        "[default: not added]",
+        "-O",
+        "--camera-option",
+        "settings",
+        type=KeyValue(),
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Option of this kind of camera, such as format=y16; may be given several times.",
     ),
-    click.option(
-        "--noise-weight",
-        type=Number("a number from 0", least=0),
-        default=1.0,
-        show_default="1",
-        metavar="C",
-        help="What a squared full scale of noise costs, in levels.",
-    ),
-    click.option(
-        "--noise-kind",
-        type=Name("noise term", NOISE_KINDS),
-        default="paper",
-        metavar="|".join(NOISE_KINDS),
-        help="How noise goes with exposure: as the paper has it, or as read noise does where "
-        "exposure is shutter time, aperture or gain.",
-    ),
-    click.option(
-        "--jitter",
-        type=Number("a fraction from 0", least=0),
-        default=0.0,
-        show_default="0",
-        metavar="FRACTION",
-        help="Average over exposures that come out wrong by this fraction, up to 0.2; for example "
-        "0.01.",
-    ),
-)
-
-
-def desired(response: str, dynamic_range: float, exponent: float | None) -> DesiredResponse:
-    """Return the wanted response that `response`, `dynamic_range` and `exponent` describe."""
-    from camctl.response.desired import desired_response
-    from camctl.response.measured import read_desired
-
-    if response not in RESPONSES:
-        if given(click.get_current_context()) & {"dynamic_range", "exponent"}:
-            raise UsageError(
-                f"{response} brings its own range", hint="leave out --range and --gamma"
-            )
-        return read_desired(response)
-    if exponent is None:
-        return desired_response(response, dynamic_range)
-    if response != "gamma":
-        raise UsageError(f"--gamma goes without --response {response}", hint="say --response gamma")
-    return desired_response(response, dynamic_range, gamma=exponent)
-
-
-def noise_term(sigma: float | None, weight: float, kind: str) -> NoiseTerm | None:
-    """Return the noise term that `objective`'s options describe."""
-    from camctl.exposure.noise import NoiseTerm
-
-    return None if sigma is None else NoiseTerm(sigma, weight, kind)
-
-
-def given(context: click.Context) -> set[str]:
-    """Return the names of the parameters that the user gave."""
-    return {
-        name
-        for name in context.params
-        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE
-    }
-
-
-def spelling(context: click.Context, name: str) -> str:
-    """Return how a parameter is spelt on the command line."""
-    return next(each.opts[-1] for each in context.command.params if each.name == name)
-
-
-camera = click.option(
-    "--camera",
-    "camera_id",
-    default="sim",
-    metavar="ID",
-    help="Which camera; `camctl cameras` lists the ids.",
-)
-
-scene = click.option(
-    "--scene",
-    metavar="NAME|FILE",
-    help="What the simulated camera looks at: a built-in scene, or a radiance map "
-    "(.hdr, .exr, .tiff, .npy).  [default: tile-floor]",
-)
-
-sensor = click.option(
-    "--sensor",
-    metavar="NAME|FILE.json",
-    help="The sensor of the simulated camera.  [default: standard]",
-)
-
-size = click.option(
-    "--size",
-    type=Size(),
-    metavar="WxH",
-    help="Pixels of a frame.  [default: the sensor's, or the map's]",
-)
-
-noise_seed = click.option(
-    "--seed",
-    type=Whole("a whole number from 0", least=0),
-    metavar="N",
-    help="Start of the simulated noise; the same seed gives the same frames.  [default: 0]",
-)
-
-simulation = all_of(
-    scene,
-    sensor,
-    size,
-    noise_seed,
+    scene_options(),
     click.option(
         "--real-time",
         is_flag=True,
@@ -232,28 +243,38 @@ simulation = all_of(
     ),
 )
 
-camera_words = click.option(
-    "-O",
-    "--camera-option",
-    "words",
-    type=Word(),
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="An option of the camera's own, such as format=y16; may be given several times.",
-)
 
-shooting = all_of(
+@dataclass(frozen=True)
+class LightOptions:
+    """How the light is metered and which controls reach an exposure."""
+
+    mains: str | None
+    use_aperture: bool
+    spend_shutter: bool
+
+    def request_fields(self) -> dict[str, Any]:
+        """Return the fields of a `CaptureRequest`."""
+        return {
+            "mains_hz": None if self.mains is None else float(self.mains),
+            "use_aperture": self.use_aperture,
+            "spend_shutter": self.spend_shutter,
+        }
+
+
+light_options = option_group(
+    LightOptions,
+    "light",
     click.option(
         "--mains",
         type=Name("mains frequency", ("50", "60")),
         metavar="50|60",
-        help="Lamps on mains of that many Hz: prefer whole flicker periods.",
+        help="Frequency in Hz of the mains that power the lamps: prefer whole flicker periods.",
     ),
     click.option(
         "--aperture",
         "use_aperture",
         is_flag=True,
-        help="Let the aperture take part where time and gain do not reach.",
+        help="Also change the aperture where shutter time and gain do not reach.",
     ),
     click.option(
         "--meter",
@@ -262,34 +283,3 @@ shooting = all_of(
         help="Meter with full exposures on a camera that has no preview.",
     ),
 )
-
-
-def camera_options(
-    words: Sequence[tuple[str, str]] = (),
-    *,
-    scene: str | None = None,
-    sensor: str | None = None,
-    size: str | None = None,
-    seed: int | None = None,
-    real_time: bool = False,
-    tolerance_dn: float | None = None,
-) -> dict[str, str]:
-    """Return the options for the camera that the user gave: those of their own names, and `words`.
-
-    Raises:
-        UsageError: one is said twice
-    """
-    named = {
-        "scene": scene,
-        "sensor": sensor,
-        "size": size,
-        "seed": seed,
-        "time": "real" if real_time else None,
-        "tolerance": tolerance_dn,
-    }
-    said = {name: str(word) for name, word in named.items() if word is not None}
-    for name, value in words:
-        if name in said:
-            raise UsageError(f"the camera's option '{name}' is said twice", hint="say it once")
-        said[name] = value
-    return said

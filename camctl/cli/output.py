@@ -1,23 +1,24 @@
-"""What goes to standard output: plain aligned text, or exactly one JSON value."""
+"""What commands print: text or one JSON value on standard output, progress on standard error."""
 
 from __future__ import annotations
 
 import json
 import math
-import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+if TYPE_CHECKING:
+    from camctl.profile import DelayRecord
+
 
 class ClosedOutputError(Exception):
-    """Whoever read our output has gone, as `head` does once it has its lines."""
+    """The reader of standard output has closed it, as `head` does after its last line."""
 
 
-def say(text: str) -> None:
-    """Write lines to standard output."""
+def print_text(text: str) -> None:
+    """Write `text` and a line end to standard output."""
     try:
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
@@ -25,33 +26,33 @@ def say(text: str) -> None:
         raise ClosedOutputError from error
 
 
-def warn(text: str) -> None:
+def print_warning(text: str) -> None:
     """Write one line of warning to standard error."""
     sys.stderr.write(f"camctl: warning: {text}\n")
 
 
-def say_json(value: object) -> None:
-    """Write one JSON value; what JSON has no word for (NaN, infinity) becomes null."""
-    say(json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False))
+def print_json(value: object) -> None:
+    """Write one JSON value to standard output; NaN and infinity become null."""
+    print_text(json.dumps(to_json(value), indent=2, allow_nan=False, ensure_ascii=False))
 
 
-def plain(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """Return `value` as dicts, lists, strings, finite numbers, booleans and None."""
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, Iterable):
-        return [plain(item) for item in value]
+        return [to_json(item) for item in value]
     if hasattr(value, "item"):  # a numpy scalar
-        return plain(value.item())
+        return to_json(value.item())
     return str(value)
 
 
-def number(value: float, digits: int = 6) -> str:
-    """Return `value` with `digits` significant digits, never in powers of ten below 10^9."""
+def format_number(value: float, digits: int = 6) -> str:
+    """Return `value` with `digits` significant digits, in powers of ten only from 10^9 on."""
     if not math.isfinite(value):
         return str(value)
     if value == 0:
@@ -63,117 +64,103 @@ def number(value: float, digits: int = 6) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def duration(seconds: float) -> str:
-    """Return a time as a person says it: 1/250 s, 12.5 ms, 3.2 s."""
+def format_duration(seconds: float) -> str:
+    """Return a time in s, ms or us, such as 12.5 ms."""
     if seconds >= 1:
-        return f"{number(seconds, 4)} s"
+        return f"{format_number(seconds, 4)} s"
     if seconds >= 1e-3:
-        return f"{number(seconds * 1e3, 4)} ms"
-    return f"{number(seconds * 1e6, 4)} us"
+        return f"{format_number(seconds * 1e3, 4)} ms"
+    return f"{format_number(seconds * 1e6, 4)} us"
 
 
-def range_name(dynamic_range: float) -> str:
-    """Return a dynamic range as 1:1,000."""
-    whole = float(dynamic_range).is_integer()
-    return f"1:{dynamic_range:,.0f}" if whole else f"1:{dynamic_range:,g}"
+def format_range(dynamic_range: float) -> str:
+    """Return a dynamic range such as 1:1,000."""
+    is_whole = float(dynamic_range).is_integer()
+    return f"1:{dynamic_range:,.0f}" if is_whole else f"1:{dynamic_range:,g}"
 
 
-def fields(rows: Sequence[tuple[str, str]]) -> str:
-    """Return `name  value` lines with the values below each other."""
+def format_percent(fraction: float) -> str:
+    """Return a fraction as a percentage; a small positive one is never shown as zero."""
+    if 0 < fraction < 0.0001:
+        return "< 0.01 %"
+    return f"{fraction * 100:.2f} %" if fraction < 0.1 else f"{fraction * 100:.1f} %"
+
+
+def format_request(response: str, dynamic_range: float, count: int) -> str:
+    """Return a desired response such as: log, 1:1,000, in 3 exposures."""
+    plural = "s" if count != 1 else ""
+    return f"{response}, {format_range(dynamic_range)}, in {count} exposure{plural}"
+
+
+def format_objective(xi: float, levels_wanted: float, *, counts_levels: bool) -> tuple[str, str]:
+    """Return name and value of the objective, which is a number of levels only where it counts."""
+    if counts_levels:
+        return "missing levels (xi)", f"{format_number(xi, 5)} of {format_number(levels_wanted)}"
+    return "objective", f"{format_number(xi)} for {format_number(levels_wanted)} desired levels"
+
+
+def format_delay(record: DelayRecord) -> str:
+    """Return a control delay such as: 2 frames; or: 1 to 3 frames, not constant."""
+    if record.frames is None:
+        return f"{record.smallest} to {record.largest} frames, not constant"
+    return f"{record.frames} frame{'' if record.frames == 1 else 's'}"
+
+
+def format_fields(rows: Sequence[tuple[str, str]]) -> str:
+    """Return one `name  value` line per row, with the values in one column."""
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {value}".rstrip() for name, value in rows)
 
 
-def table(heads: Sequence[str], rows: Sequence[Sequence[str]], *, right: Iterable[int] = ()) -> str:
-    """Return a table of text; columns in `right` are flush right."""
-    flush_right = set(right)
-    lines = [list(heads), *[list(row) for row in rows]]
-    widths = [max(len(line[column]) for line in lines) for column in range(len(heads))]
+def format_table(
+    headings: Sequence[str], rows: Sequence[Sequence[str]], *, right_aligned: Iterable[int] = ()
+) -> str:
+    """Return a table of text; columns are left-aligned except those in `right_aligned`."""
+    right = set(right_aligned)
+    lines = [list(headings), *[list(row) for row in rows]]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(headings))]
     return "\n".join(
         "  ".join(
-            f"{cell:>{width}}" if column in flush_right else f"{cell:<{width}}"
+            f"{cell:>{width}}" if column in right else f"{cell:<{width}}"
             for column, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in lines
     )
 
 
-if TYPE_CHECKING:
-    from camctl.captures.sequencer import Progress as CaptureProgress
-
-Tick: TypeAlias = Callable[[float, str], None]
-"""Takes the share that is done, 0 to 1, and what is being done now."""
+ProgressBar: TypeAlias = Callable[[float, str], None]
+"""Shows a completed fraction, 0 to 1, and the current stage of the work."""
 
 
 @contextmanager
-def progress_bar(what: str) -> Iterator[Tick | None]:
-    """Show a bar with the time left while the block runs; yield None where nobody looks."""
+def progress_bar(label: str) -> Iterator[ProgressBar | None]:
+    """Show a progress bar while the block runs; yield None if standard error is no terminal."""
     if not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-    from rich.progress import TimeRemainingColumn as TimeLeftColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
     with Progress(
-        *columns,
-        TimeLeftColumn(elapsed_when_finished=True),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
         console=Console(stderr=True),
         transient=True,
     ) as bar:
-        task = bar.add_task(what, total=1.0)
-        yield lambda share, now: bar.update(task, completed=share, description=now or what)
+        task = bar.add_task(label, total=1.0)
+        yield lambda fraction, stage: bar.update(
+            task, completed=fraction, description=stage or label
+        )
 
 
-def share_only(tick: Tick | None) -> Callable[[float], None] | None:
-    """Return `tick` for work that knows only the share that is done."""
-    return None if tick is None else lambda share: tick(share, "")
-
-
-@contextmanager
-def capture_progress() -> Iterator[Callable[[CaptureProgress], None] | None]:
-    """Show how far a capture is while the block runs; yield None where nobody looks."""
-    with progress_bar("opening") as tick:
-        if tick is None:
-            yield None
-            return
-        show = tick
-        yield lambda now: show(now.share, now.stage)
-
-
-def share_of_time(done: int, each: int, count: int) -> float:
-    """Return the share of the work in the first `done` rows: `each` rows a number, most first."""
-    from camctl.exposure.solver import EVALUATIONS, MAX_EVALUATIONS
-
-    work = [0.0] + [n * EVALUATIONS.get(n, MAX_EVALUATIONS) for n in range(2, count + 1)]
-    spent = sum(
-        weight * min(max(done - each * place, 0), each)
-        for place, weight in enumerate(reversed(work))
-    )
-    return spent / (sum(work) * each) if count > 1 else done / each
-
-
-@contextmanager
-def executor_of(workers: int) -> Iterator[Executor | None]:
-    """Yield processes to work with; None for one worker, which is this one."""
-    if workers == 1:
-        yield None
-        return
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    pool = ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),  # Control-C is for us to answer
-    )
-    try:
-        yield pool
-    except BaseException:
-        for child in multiprocessing.active_children():
-            child.terminate()  # a row can take a long while, and nobody waits for it
-        pool.shutdown(cancel_futures=True)
-        raise
-    pool.shutdown()
+def without_stage(bar: ProgressBar | None) -> Callable[[float], None] | None:
+    """Return a callback for work that reports its completed fraction alone."""
+    return None if bar is None else lambda fraction: bar(fraction, "")

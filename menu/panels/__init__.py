@@ -1,1 +1,1 @@
-"""Panels: one module each."""
+"""Panels that can show the menu, one module each."""

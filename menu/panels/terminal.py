@@ -1,4 +1,4 @@
-"""The panel in a terminal: arrow keys, enter, and escape or q for exit."""
+"""The menu in a terminal: arrow keys, enter, and escape or q for exit."""
 
 from __future__ import annotations
 
@@ -17,9 +17,15 @@ from camctl.errors import UsageError
 from menu.ports import SMALLEST, Highlight, Key
 
 _LARGEST = (60, 16)
-_FRAME = 1  # characters on each side
+"""(columns, rows) that the menu uses in a larger terminal."""
+
+_FRAME = 1
+"""Width of the frame, characters on each side."""
+
 _TITLE = " camctl "
-_ESCAPE_WAIT_MS = 50  # after escape alone; the rest of an arrow key's code comes faster
+
+_ESCAPE_WAIT_MS = 50
+"""Time after which escape is the key and not the start of an arrow key's code, ms."""
 
 _KEYS = {
     curses.KEY_UP: Key.UP,
@@ -32,11 +38,13 @@ _KEYS = {
     27: Key.EXIT,
     ord("q"): Key.EXIT,
 }
-_REDRAW = 12  # control-L
+
+_REDRAW = 12
+"""Control-L, which redraws the screen as in other programs."""
 
 
 class TerminalPanel:
-    """A framed panel in the middle of the terminal; it follows when the terminal is resized."""
+    """A framed panel in the middle of the terminal; it adapts when the terminal is resized."""
 
     def __init__(self) -> None:
         self._screen: curses.window | None = None
@@ -44,15 +52,14 @@ class TerminalPanel:
         self._restore: list[Callable[[], Any]] = []
 
     def __enter__(self) -> Self:
-        """Take over the terminal.
+        """Switch the terminal to full screen and return the panel.
 
         Raises:
-            UsageError: there is no terminal, it cannot be drawn on, or it is too small
-
+            UsageError: there is no terminal, it cannot place the cursor, or it is too small
         """
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise UsageError(
-                "the terminal panel needs a terminal", hint="run it without pipes and redirection"
+                "the terminal panel needs a terminal", hint="run it without pipes or redirection"
             )
         self._check_terminal()
         try:
@@ -68,17 +75,17 @@ class TerminalPanel:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Give the terminal back as it was."""
+        """Restore the terminal."""
         self._close()
 
     @property
     def size(self) -> tuple[int, int]:
         """(columns, rows) within the frame."""
         rows, columns = self._opened.getmaxyx()
-        room = (columns - 2 * _FRAME, rows - 2 * _FRAME)
+        inner = (columns - 2 * _FRAME, rows - 2 * _FRAME)
         return (
-            min(max(room[0], SMALLEST[0]), _LARGEST[0]),
-            min(max(room[1], SMALLEST[1]), _LARGEST[1]),
+            min(max(inner[0], SMALLEST[0]), _LARGEST[0]),
+            min(max(inner[1], SMALLEST[1]), _LARGEST[1]),
         )
 
     def show(self, lines: Sequence[str], highlight: Highlight | None = None) -> None:
@@ -89,13 +96,13 @@ class TerminalPanel:
         try:
             self._draw(screen, lines, highlight)
         except curses.error:
-            # The terminal has just been made smaller than the panel: the user is looking at it.
+            # The user is making the terminal smaller than the panel.
             screen.erase()
             screen.insnstr(0, 0, "make the terminal larger", screen.getmaxyx()[1])
         screen.refresh()
 
     def key(self, timeout_s: float) -> Key | None:
-        """Return the next key; None after `timeout_s`, after another key and after a resize."""
+        """Return the next key; None after `timeout_s`, an unused key or a resize."""
         self._opened.timeout(max(0, round(1000 * timeout_s)))
         code = self._opened.getch()
         if code == _REDRAW:
@@ -107,7 +114,7 @@ class TerminalPanel:
     @property
     def _opened(self) -> curses.window:
         if self._screen is None:
-            raise ValueError("the terminal panel is not open; use it in a with statement")
+            raise ValueError("the terminal panel is not open: use it in a with statement")
         return self._screen
 
     def _check_terminal(self) -> None:
@@ -115,26 +122,27 @@ class TerminalPanel:
         try:
             curses.setupterm(fd=sys.stdout.fileno())
         except curses.error as error:
-            raise UsageError(f"unknown terminal TERM='{name}'", hint="set TERM=xterm") from error
+            raise UsageError(f"unknown terminal type TERM={name}", hint="set TERM=xterm") from error
         if not curses.tigetstr("cup"):
             raise UsageError(
-                f"the terminal TERM='{name}' cannot be drawn on", hint="use another, or set TERM"
+                f"the terminal type TERM={name} cannot place the cursor",
+                hint="use another terminal, or set TERM",
             )
-        columns, rows = shutil.get_terminal_size()  # curses asks COLUMNS and LINES first, too
-        least = (SMALLEST[0] + 2 * _FRAME, SMALLEST[1] + 2 * _FRAME)
-        if columns < least[0] or rows < least[1]:
+        columns, rows = shutil.get_terminal_size()  # as curses, from COLUMNS and LINES first
+        smallest = (SMALLEST[0] + 2 * _FRAME, SMALLEST[1] + 2 * _FRAME)
+        if columns < smallest[0] or rows < smallest[1]:
             raise UsageError(
-                f"the terminal has {columns} x {rows} characters",
-                hint=f"the menu needs {least[0]} x {least[1]}; make it larger",
+                f"the terminal has only {columns} x {rows} characters",
+                hint=f"enlarge it to {smallest[0]} x {smallest[1]}",
             )
 
     def _open(self) -> None:
         before = locale.setlocale(locale.LC_CTYPE)
-        locale.setlocale(locale.LC_CTYPE, "")  # else curses takes no character beyond ASCII
+        locale.setlocale(locale.LC_CTYPE, "")  # else curses refuses characters outside ASCII
         self._restore.append(lambda: locale.setlocale(locale.LC_CTYPE, before))
         if threading.current_thread() is threading.main_thread():
-            # The default way to die of SIGTERM would leave the terminal as it is now.
-            handler = signal.signal(signal.SIGTERM, _leave)
+            # Without a handler, SIGTERM would end the process with the terminal in full screen.
+            handler = signal.signal(signal.SIGTERM, _exit_with_signal)
             self._restore.append(lambda: signal.signal(signal.SIGTERM, handler))
         screen = curses.initscr()
         self._restore.append(curses.endwin)
@@ -173,5 +181,5 @@ class TerminalPanel:
             frame.chgat(row + _FRAME, column + _FRAME, count, curses.A_REVERSE)
 
 
-def _leave(number: int, frame: FrameType | None) -> NoReturn:
+def _exit_with_signal(number: int, frame: FrameType | None) -> NoReturn:
     sys.exit(128 + number)

@@ -1,24 +1,30 @@
-"""What holds for every command: help, errors of one line, exit statuses, late imports."""
+"""Rules for all commands: help pages, one-line errors, exit statuses, completion, late imports."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING
 
 import click
 import pytest
+from command_line import Ran, Run
 
-from camctl.cli import COMMANDS, cli
+import camctl
+from camctl.backends import CAMERAS, PANELS
+from camctl.cli import COMMANDS, cli, parameter_types
+from camctl.cli.commands import Command
 from camctl.errors import CamctlError, CaptureError, InterruptedCaptureError, UsageError
+from camctl.response.desired import RANGES
+from sim.scenes.scene import scene_names
+from sim.sensors.sensor import sensor_names
 
-if TYPE_CHECKING:
-    from conftest import Run
+Path = tuple[str, ...]
 
-GROUPS = [("calibrate",), ("profile",), ("table",)]
-LINES = [
+GROUPS: list[Path] = [("calibrate",), ("profile",), ("table",)]
+LINES: list[Path] = [
     *((name,) for name in COMMANDS if (name,) not in GROUPS),
+    ("help",),
     ("calibrate", "delay"),
     ("profile", "list"),
     ("profile", "show"),
@@ -26,9 +32,11 @@ LINES = [
     ("table", "show"),
     ("table", "build"),
 ]
+HEAVY = {"numpy", "cv2", "pydantic", "rich", "tifffile", "camctl.camera", "menu"}
+"""Modules that neither help nor completion may import: they take long."""
 
 
-def command_at(line: tuple[str, ...]) -> click.Command:
+def command_at(line: Path) -> click.Command:
     context = click.Context(cli)
     found: click.Command = cli
     for name in line:
@@ -39,43 +47,57 @@ def command_at(line: tuple[str, ...]) -> click.Command:
     return found
 
 
-def test_help_imports_nothing_heavy() -> None:
-    code = "import sys; from camctl.cli import main; main(['--help']); print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "Commands:" in done.stdout
-    imported = set(done.stdout.splitlines()[-1].split())
+def run_alone(*arguments: str, **environment: str) -> tuple[str, set[str]]:
+    """Return the output of a command line in a process of its own, and what it imported."""
+    code = "import sys; from camctl.cli import main; main(sys.argv[1:]); print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    out, _, modules = done.stdout.rstrip("\n").rpartition("\n")
+    return out, set(modules.split())
+
+
+def test_help_imports_no_heavy_module() -> None:
+    out, imported = run_alone("--help")
+    assert "Commands:" in out
     assert "camctl.cli.shoot" in imported
-    heavy = {"numpy", "cv2", "pydantic", "rich", "tifffile", "camctl.camera", "sim", "menu"}
-    assert not heavy & imported
+    assert not (HEAVY | {"sim"}) & imported
 
 
 @pytest.mark.parametrize("line", [(), *GROUPS, *LINES])
-def test_help_shows_examples_and_every_option(run: Run, line: tuple[str, ...]) -> None:
+def test_help_shows_examples_and_every_option(run: Run, line: Path) -> None:
     page = run(*line, "--help")
     assert page.status == 0
     assert page.err == ""
     assert "Examples:" in page.out
     for parameter in command_at(line).params:
-        word = parameter.metavar if isinstance(parameter, click.Argument) else parameter.opts[-1]
-        assert word in page.out
+        is_argument = isinstance(parameter, click.Argument)
+        name = parameter.metavar if is_argument else parameter.opts[-1]
+        assert name is not None
+        assert name in page.out
     assert run(*line, "-h") == page
+    assert run("help", *line) == page
 
 
 @pytest.mark.parametrize("line", LINES)
-def test_examples_are_understood(line: tuple[str, ...]) -> None:
-    """Each example of a help page parses: its options exist and its values are accepted."""
-    made = command_at(line)
-    examples = made.examples  # type: ignore[attr-defined]
-    assert 2 <= len(examples) <= 5
-    own = [words for words, _ in examples if words.split()[1 : len(line) + 1] == list(line)]
+def test_examples_of_the_help_page_parse(line: Path) -> None:
+    """The options of each example exist, and its values are accepted."""
+    command = command_at(line)
+    assert isinstance(command, Command)
+    assert 2 <= len(command.examples) <= 5
+    own = [text for text, _ in command.examples if text.split()[1 : len(line) + 1] == list(line)]
     assert own
-    for words in own:
-        own_words = words.partition(" | ")[0].split()
-        made.make_context("camctl", own_words[len(line) + 1 :])
+    for text in own:
+        arguments = text.partition(" | ")[0].split()
+        command.make_context("camctl", arguments[len(line) + 1 :])
 
 
 @pytest.mark.parametrize("line", LINES)
-def test_every_option_says_what_it_is_for(line: tuple[str, ...]) -> None:
+def test_every_option_has_a_help_text(line: Path) -> None:
     for parameter in command_at(line).params:
         if isinstance(parameter, click.Option):
             assert parameter.help, parameter.opts
@@ -84,152 +106,329 @@ def test_every_option_says_what_it_is_for(line: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("line", [(), *GROUPS])
-def test_group_without_a_command_shows_its_help(run: Run, line: tuple[str, ...]) -> None:
+def test_group_without_a_command_shows_its_help(run: Run, line: Path) -> None:
     assert run(*line) == run(*line, "--help")
 
 
-def test_version(run: Run) -> None:
-    import camctl
+@pytest.mark.parametrize("option", ["-V", "--version"])
+def test_version(run: Run, option: str) -> None:
+    assert run(option) == Ran(0, f"camctl {camctl.__version__}\n", "")
 
-    assert run("--version").out == f"camctl {camctl.__version__}\n"
+
+def test_python_runs_the_package() -> None:
+    module = [sys.executable, "-m", "camctl"]
+    done = subprocess.run([*module, "-V"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"camctl {camctl.__version__}\n"
+    failed = subprocess.run([*module, "shot"], capture_output=True, text=True, check=False)
+    assert failed.returncode == 2
+    assert failed.stderr == "camctl: unknown command 'shot'; did you mean shoot?\n"
+
+
+WHOLE_TO_16 = "expected a whole number from 1 to 16"
+A_TIME = "expected a time in seconds such as 0.004 or 1/250"
+RATIOS = "expected positive numbers such as 1,2,4"
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("line", "message"),
     [
-        (["shot"], "unknown command 'shot'; did you mean shoot?"),
-        (["table", "biuld"], "unknown command 'biuld'; did you mean build?"),
-        (["--debig"], "unknown option '--debig'; did you mean --debug"),
-        (["shoot", "--respones", "log"], "unknown option '--respones'; did you mean --response"),
-        (["shoot", "--response", "lograrithm"], "unknown response 'lograrithm'"),
-        (["shoot", "--response", "liner"], "unknown response 'liner'; did you mean linear?"),
-        (["shoot", "--range", "hihg"], "unknown dynamic range 'hihg'; did you mean high?"),
-        (["shoot", "--mains", "55"], "unknown mains frequency '55'"),
-        (["shoot", "--scene"], "option '--scene' requires an argument; see camctl shoot --help"),
-        (["shoot", "somewhere"], "got unexpected extra argument (somewhere)"),
-        (["evaluate"], "missing option '--ratios'"),
-        (["solve", "--range", "1"], "--range: 1 is no dynamic range"),
-        (["solve", "--range", "0.5"], "--range: 0.5 is no dynamic range"),
-        (["solve", "--range", "nan"], "--range: nan is no dynamic range"),
-        (["solve", "--range", "inf"], "--range: inf is no dynamic range"),
-        (["solve", "-n", "0"], "--exposures: 0 is not a whole number of exposures, 1 to 16"),
-        (["solve", "-n", "17"], "--exposures: 17 is not a whole number of exposures, 1 to 16"),
-        (["solve", "-n", "three"], "--exposures: 'three' is not a whole number of exposures"),
-        (["solve", "--bits", "17"], "--bits: 17 is not a whole number of bits, 1 to 16"),
-        (["solve", "--phase", "1"], "--phase: 1 is not a phase of at least 0 and below 1"),
-        (["solve", "--levels", "0"], "--levels: 0 is not a positive number of levels"),
-        (["solve", "--levels", "nan"], "--levels: nan is not finite"),
-        (["solve", "--seed", "-1"], "--seed: -1 is not a whole number from 0"),
-        (["evaluate", "--ratios", "1,-2"], "--ratios: exposure -2 is not positive"),
-        (["evaluate", "--ratios", "1,0"], "--ratios: exposure 0 is not positive"),
-        (["evaluate", "--ratios", "1,inf"], "--ratios: inf is not finite"),
-        (["evaluate", "--ratios", "1,nan"], "--ratios: nan is not finite"),
-        (["evaluate", "--ratios", "1,two"], "--ratios: 'two' is not a number"),
-        (["evaluate", "--ratios", ","], "--ratios: no exposures"),
-        (["evaluate", "--ratios", "1", "--p", "0.5"], "--p: 0.5 is not a number of at least 1"),
-        (["shoot", "--base", "0"], "--base: 0 is not a time in seconds"),
-        (["shoot", "--base", "1/0"], "--base: 1/0 is not a time in seconds"),
-        (["shoot", "--base", "soon"], "--base: 'soon' is not a time in seconds"),
-        (["shoot", "--compensation", "inf"], "--compensation: inf is not finite"),
-        (["shoot", "--size", "640"], "--size: '640' is no size; for example --size 640x480"),
-        (["shoot", "--ratios", "1,2,4", "-n", "2"], "--ratios names 3 exposures, -n says 2"),
-        (["shoot", "-O", "format"], "--camera-option: 'format' is not NAME=VALUE; for example"),
-        (["shoot", "-O", "=y16"], "--camera-option: '=y16' is not NAME=VALUE"),
-        (["shoot", "-O", "size=9x9", "-O", "size=8x8"], "option 'size' is said twice; say it once"),
-        (["menu", "-O", "size=9x9", "--size", "9x9"], "option 'size' is said twice; say it once"),
-        (["shoot", "-O", "fromat=y16"], "unknown camera option 'fromat'; known"),
-        (["shoot", "-O", "scenes=room"], "unknown camera option 'scenes'; did you mean scene or"),
-        (["calibrate", "delay", "--trials", "1"], "--trials: 1 is not a whole number of trials"),
-        (["calibrate", "dealy"], "unknown command 'dealy'; did you mean delay?"),
-        (["profile", "show"], "missing argument 'NAME'; see camctl profile show --help"),
-        (["profile", "show", "x"], "no profile 'x', and no other; camctl calibrate makes them"),
-        (["profile", "remove", "x"], "no profile 'x', and no other; camctl calibrate makes them"),
-        (["cameras", "--udev-rules", "--json"], "--udev-rules goes alone"),
+        ("shot", "unknown command 'shot'; did you mean shoot?"),
+        ("table biuld", "unknown command 'biuld'; did you mean build?"),
+        ("calibrate dealy", "unknown command 'dealy'; did you mean delay?"),
+        ("help table biuld", "unknown command 'biuld'; did you mean build?"),
+        ("help solve x", "camctl solve has no commands of its own"),
+        ("--debig", "unknown option '--debig'; did you mean --debug"),
+        ("shoot --respones log", "unknown option '--respones'; did you mean --response"),
+        ("shoot --response lograrithm", "unknown response 'lograrithm'"),
+        ("shoot --response liner", "unknown response 'liner'; did you mean linear?"),
+        ("shoot --range hihg", "unknown dynamic range 'hihg'; did you mean high?"),
+        ("shoot --mains 55", "unknown mains frequency '55'"),
+        ("shoot --scene", "option '--scene' requires an argument; see camctl shoot --help"),
+        ("shoot folder", "unexpected argument 'folder'; see camctl shoot --help"),
+        ("evaluate", "option --ratios is missing; see camctl evaluate --help"),
+        ("profile show", "argument NAME is missing; see camctl profile show --help"),
+        ("solve --range 1", "invalid value for --range: 1; the range must be above 1"),
+        ("solve --range 0.5", "invalid value for --range: 0.5; the range must be above 1"),
+        ("solve --range nan", "invalid value for --range: nan; the range must be above 1"),
+        ("solve --range inf", "invalid value for --range: inf; the range must be finite"),
+        ("solve -n 0", f"invalid value for --exposures: 0; {WHOLE_TO_16}"),
+        ("solve -n 17", f"invalid value for --exposures: 17; {WHOLE_TO_16}"),
+        ("solve -n three", f"invalid value for --exposures: three; {WHOLE_TO_16}"),
+        ("solve --bits 17", f"invalid value for --bits: 17; {WHOLE_TO_16}"),
         (
-            ["shoot", "--resume", "x", "-O", "a=b"],
-            "--resume goes on as it was planned, without --c",
+            "solve --phase 1",
+            "invalid value for --phase: 1; expected a phase of at least 0 and below 1",
         ),
-        (["shoot", "--resume", "x", "-n", "2"], "--resume goes on as it was planned, without --ex"),
+        (
+            "solve --levels 0",
+            "invalid value for --levels: 0; expected a positive number of levels",
+        ),
+        (
+            "solve --levels nan",
+            "invalid value for --levels: nan; expected a positive number of levels",
+        ),
+        ("solve --seed -1", "invalid value for --seed: -1; expected a whole number of at least 0"),
+        ("evaluate --ratios 1,-2", f"invalid value for --ratios: -2; {RATIOS}"),
+        ("evaluate --ratios 1,0", f"invalid value for --ratios: 0; {RATIOS}"),
+        ("evaluate --ratios 1,inf", f"invalid value for --ratios: inf; {RATIOS}"),
+        ("evaluate --ratios 1,nan", f"invalid value for --ratios: nan; {RATIOS}"),
+        ("evaluate --ratios 1,two", f"invalid value for --ratios: two; {RATIOS}"),
+        ("evaluate --ratios ,", f"invalid value for --ratios: ,; {RATIOS}"),
+        (
+            "evaluate --ratios 1 --p 0.5",
+            "invalid value for --p: 0.5; expected a number of at least 1",
+        ),
+        ("shoot --base 0", f"invalid value for --base: 0; {A_TIME}, or auto"),
+        ("shoot --base 1/0", f"invalid value for --base: 1/0; {A_TIME}, or auto"),
+        ("shoot --base soon", f"invalid value for --base: soon; {A_TIME}, or auto"),
+        (
+            "shoot --compensation inf",
+            "invalid value for --compensation: inf; expected a number of stops",
+        ),
+        (
+            "shoot --size 640",
+            "invalid value for --size: 640; expected WIDTHxHEIGHT such as 640x480",
+        ),
+        ("shoot --ratios 1,2,4 -n 2", "--ratios has 3 exposures but -n is 2; leave -n out"),
+        ("shoot --ratios 1,2 --time-budget 1", "--ratios cannot be combined with --time-budget"),
+        ("shoot --ratios 1,2 --response auto", "--ratios cannot be combined with --response auto"),
+        (
+            "shoot -O format",
+            "invalid value for --camera-option: format; expected NAME=VALUE such as format=y16",
+        ),
+        ("shoot -O =y16", "invalid value for --camera-option: =y16; expected NAME=VALUE"),
+        ("shoot -O size=9x9 -O size=8x8", "camera option 'size' is given twice; give it once"),
+        ("menu -O size=9x9 --size 9x9", "camera option 'size' is given twice; give it once"),
+        ("shoot -O fromat=y16", "unknown camera option 'fromat'; did you mean"),
+        ("shoot -O scenes=room", "unknown camera option 'scenes'; did you mean scene or"),
+        (
+            "calibrate delay --trials 1",
+            "invalid value for --trials: 1; expected a whole number from 2 to 10000",
+        ),
+        (
+            "profile show x",
+            "unknown profile 'x': there are no profiles; make one with camctl calibrate",
+        ),
+        ("profile remove x", "unknown profile 'x': there are no profiles; make one with camctl"),
+        ("cameras --udev-rules --json", "--udev-rules cannot be combined with --json"),
+        (
+            "shoot --resume x -O a=b",
+            "--resume cannot be combined with --camera-option; the capture continues with the "
+            "options it was started with",
+        ),
+        ("shoot --resume x -n 2", "--resume cannot be combined with --exposures; the capture"),
     ],
 )
-def test_words_that_are_off_get_one_line_and_status_2(
-    run: Run, words: list[str], message: str
-) -> None:
-    ran = run(*words)
-    assert message in ran.error
+def test_usage_error_is_one_line_with_status_2(run: Run, line: str, message: str) -> None:
+    ran = run(*line.split())
+    assert message in ran.err
+    assert ran.err.startswith("camctl: ")
+    assert ran.err.count("\n") == 1
     assert ran.status == 2
+    if "--json" not in line:
+        assert ran.out == ""
 
 
 @pytest.mark.parametrize("line", LINES)
-def test_every_command_takes_debug(run: Run, line: tuple[str, ...]) -> None:
+def test_every_command_has_the_option_debug(run: Run, line: Path) -> None:
     ran = run(*line, "--debug", "--no-such-option")
     assert ran.status == 2
     assert ran.err.endswith("\n")
     assert "camctl: unknown option '--no-such-option'" in ran.err.splitlines()[-1]
 
 
-def stand_in(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+def fail_with(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    """Let `camctl cameras` raise an error."""
+
     def fail(**_: bool) -> None:
         raise error
 
-    import camctl.backends
-
-    monkeypatch.setattr(camctl.backends, "list_backends", fail)
+    monkeypatch.setattr("camctl.backends.list_backends", fail)
 
 
 @pytest.mark.parametrize(
     ("error", "status", "line"),
     [
-        (CamctlError("it rains", hint="wait"), 1, "it rains; wait"),
+        (CamctlError("the disk is full", hint="free space"), 1, "the disk is full; free space"),
         (CamctlError("two\nlines"), 1, "two lines"),
-        (UsageError("no such thing"), 2, "no such thing"),
+        (UsageError("unknown option"), 2, "unknown option"),
         (CaptureError("frame 2 is missing"), 1, "frame 2 is missing"),
         (InterruptedCaptureError("stopped"), 130, "stopped"),
         (KeyboardInterrupt(), 130, "interrupted"),
         (BrokenPipeError(32, "stalled"), 1, "internal error: BrokenPipeError: [Errno 32] stalled"),
-        (
-            ValueError("odd\nthing"),
-            1,
-            "internal error: ValueError: odd thing; run again",
-        ),
+        (ValueError("odd\nthing"), 1, "internal error: ValueError: odd thing; run again"),
         (AssertionError(), 1, "internal error: AssertionError; run again with --debug"),
     ],
 )
-def test_errors_of_a_command(
+def test_error_of_a_command_is_one_line(
     run: Run, monkeypatch: pytest.MonkeyPatch, error: BaseException, status: int, line: str
 ) -> None:
-    stand_in(monkeypatch, error)
+    fail_with(monkeypatch, error)
     ran = run("cameras")
     assert ran.error.startswith(line)
     assert ran.status == status
 
 
-@pytest.mark.parametrize("words", [("--debug", "cameras"), ("cameras", "--debug")])
-@pytest.mark.parametrize("error", [CamctlError("it rains"), ValueError("odd")])
-def test_debug_shows_the_traceback_before_the_line(
-    run: Run, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], error: Exception
+@pytest.mark.parametrize(
+    ("error", "status", "content"),
+    [
+        (
+            CaptureError("frame 2 is missing", hint="shoot again"),
+            1,
+            {"type": "CaptureError", "message": "frame 2 is missing", "hint": "shoot again"},
+        ),
+        (
+            KeyboardInterrupt(),
+            130,
+            {"type": "KeyboardInterrupt", "message": "interrupted", "hint": None},
+        ),
+        (
+            ValueError("odd"),
+            1,
+            {
+                "type": "ValueError",
+                "message": "internal error: ValueError: odd",
+                "hint": "run again with --debug for the traceback",
+            },
+        ),
+    ],
+)
+def test_error_with_json_is_an_object_and_one_line(
+    run: Run,
+    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException,
+    status: int,
+    content: dict[str, str | None],
 ) -> None:
-    stand_in(monkeypatch, error)
-    ran = run(*words)
+    fail_with(monkeypatch, error)
+    ran = run("cameras", "--json")
+    assert ran.json == {"error": content}
+    assert ran.err == run("cameras").err
+    assert ran.err.count("\n") == 1
+    assert ran.status == status
+
+
+@pytest.mark.parametrize(
+    ("line", "message", "hint"),
+    [
+        ("solve --json -n 0", "invalid value for --exposures: 0", WHOLE_TO_16),
+        ("solve --json --curv x", "unknown option '--curv'", "did you mean --curve?"),
+        ("solv --json", "unknown command 'solv'", "did you mean solve?"),
+        ("evaluate --json", "option --ratios is missing", "see camctl evaluate --help"),
+    ],
+)
+def test_usage_error_with_json_is_an_object(run: Run, line: str, message: str, hint: str) -> None:
+    ran = run(*line.split())
+    content = {"type": "UsageError", "message": message, "hint": hint}
+    assert ran.json == {"error": content}
+    assert ran.err == f"camctl: {message}; {hint}\n"
+    assert ran.status == 2
+
+
+@pytest.mark.parametrize("arguments", [("--debug", "cameras"), ("cameras", "--debug")])
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (CamctlError("the disk is full"), "camctl: the disk is full"),
+        (ValueError("odd"), "camctl: internal error: ValueError: odd; run again"),
+    ],
+)
+def test_debug_shows_the_traceback_before_the_line(
+    run: Run,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    error: Exception,
+    line: str,
+) -> None:
+    fail_with(monkeypatch, error)
+    ran = run(*arguments)
     assert ran.err.startswith("Traceback")
-    assert f"camctl: {'' if isinstance(error, CamctlError) else 'internal error: '}" in ran.err
+    assert ran.err.splitlines()[-1].startswith(line)
     assert ran.status == 1
 
 
-@pytest.mark.parametrize("words", ["--help", "evaluate --ratios 1,2", "evaluate --help"])
-def test_reader_that_has_gone_gets_no_complaint(words: str) -> None:
-    code = f"import sys; from camctl.cli import main; sys.exit(main({words.split()!r}))"
+@pytest.mark.parametrize(
+    "line", ["--help", "evaluate --ratios 1,2", "evaluate --help", "evaluate --ratios 0 --json"]
+)
+def test_closed_output_is_not_an_internal_error(line: str) -> None:
+    code = f"import sys; from camctl.cli import main; sys.exit(main({line.split()!r}))"
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
         [sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True, check=False
     )
     os.close(writer)
-    assert (done.returncode, done.stderr) == (1, "")
+    if "--json" in line:
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert done.stderr.startswith("camctl: invalid value for --ratios: 0;")
+    else:
+        assert (done.returncode, done.stderr) == (1, "")
 
 
-def test_completion_offers_commands(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def complete(run: Run, monkeypatch: pytest.MonkeyPatch, line: str) -> list[str]:
+    """Return what the Tab key in bash offers after `line`; a file name is offered as <file>."""
+    words = line.split(" ")
     monkeypatch.setenv("_CAMCTL_COMPLETE", "bash_complete")
-    monkeypatch.setenv("COMP_WORDS", "camctl so")
-    monkeypatch.setenv("COMP_CWORD", "1")
-    assert run().out == "plain,solve\n"
+    monkeypatch.setenv("COMP_WORDS", line)
+    monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
+    ran = run()
+    assert ran.err == ""
+    offers = [offer.partition(",") for offer in ran.out.splitlines() if offer]
+    return ["<file>" if kind == "file" else value for kind, _, value in offers]
+
+
+@pytest.mark.parametrize(
+    ("line", "offers"),
+    [
+        ("camctl so", ["solve"]),
+        ("camctl table ", ["show", "build"]),
+        ("camctl help so", ["solve"]),
+        ("camctl help table b", ["build"]),
+        ("camctl shoot --ra", ["--range", "--ratios"]),
+        ("camctl shoot --response ", ["linear", "gamma", "log", "auto"]),
+        ("camctl solve --response ", ["<file>", "linear", "gamma", "log"]),
+        ("camctl solve --response l", ["<file>", "linear", "log"]),
+        ("camctl shoot --range ", ["low", "medium", "high"]),
+        ("camctl shoot --scene n", ["<file>", "night-street"]),
+        ("camctl shoot --sensor ideal-1", ["<file>", "ideal-12"]),
+        ("camctl shoot --camera s", ["sim"]),
+        ("camctl menu --panel t", ["terminal"]),
+        ("camctl shoot --base ", ["auto"]),
+        ("camctl shoot --mains ", ["50", "60"]),
+        ("camctl shoot --desired ", ["<file>"]),
+        ("camctl solve --noise-kind ", ["paper", "time", "aperture", "gain"]),
+        ("camctl solve --curve ", ["<file>", "srgb", "rec709", "power:"]),
+        ("camctl table build --responses log,l", ["log,linear", "log,log"]),
+        ("camctl table build --ranges low,m", ["low,medium"]),
+        ("camctl shoot --no-such-option ", []),
+        ("camctl shot --range so", ["solve"]),
+    ],
+)
+def test_completion_offers_commands_options_and_values(
+    run: Run, monkeypatch: pytest.MonkeyPatch, line: str, offers: list[str]
+) -> None:
+    assert complete(run, monkeypatch, line) == offers
+
+
+def test_completion_offers_profiles(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert complete(run, monkeypatch, "camctl profile show ") == []
+    monkeypatch.delenv("_CAMCTL_COMPLETE")
+    assert run("calibrate", "delay", "--size", "32x24", "--trials", "2").status == 0
+    (name,) = [each["name"] for each in run("profile", "list", "--json").json]
+    assert complete(run, monkeypatch, "camctl profile show ") == [name]
+
+
+@pytest.mark.parametrize("option", ["response", "range", "scene", "sensor", "camera"])
+def test_completion_imports_no_heavy_module(option: str) -> None:
+    out, imported = run_alone(
+        _CAMCTL_COMPLETE="bash_complete", COMP_WORDS=f"camctl shoot --{option} ", COMP_CWORD="3"
+    )
+    assert out
+    assert not HEAVY & imported
+
+
+def test_names_for_completion_are_those_of_the_packages() -> None:
+    assert list(parameter_types.SCENE.suggestions()) == sorted(scene_names())
+    assert list(parameter_types.SENSOR.suggestions()) == sorted(sensor_names())
+    assert tuple(RANGES) == parameter_types.RANGE_NAMES
+    assert (CAMERAS, PANELS) == ("camctl.cameras", "camctl.panels")

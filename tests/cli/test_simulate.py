@@ -1,96 +1,161 @@
-"""`camctl simulate`: brackets, tolerance, what it explains, and what it refuses."""
+"""`camctl simulate`: frames, brackets, tolerance, explanations, and what it refuses."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
+from command_line import Run
 
 from sim.effects import effect_names
-
-if TYPE_CHECKING:
-    from conftest import Run
 
 SMALL = ("--size", "64x48")
 
 
-def decided(told: dict[str, Any]) -> dict[str, bool]:
-    return {effect["name"]: effect["ran"] for effect in told["effects"]}
+def decisions(output: dict[str, Any]) -> dict[str, bool]:
+    """Return for each effect whether it was simulated."""
+    return {effect["name"]: effect["ran"] for effect in output["effects"]}
 
 
-def test_a_street_at_night_calls_for_nearly_everything_and_a_dim_ramp_does_not(run: Run) -> None:
+def test_json_output_describes_frame_and_effects(run: Run) -> None:
+    output = run("simulate", *SMALL, "--json").json
+    assert {"tolerance_dn", "joint_bound_dn", "effects", "seconds"} <= set(output)
+    for effect in output["effects"]:
+        assert set(effect) == {"name", "bound_dn", "ran", "why"}
+    assert decisions(output)["photon noise"]
+    assert not decisions(output)["colour mosaic"]
+    assert (output["width"], output["height"]) == (64, 48)
+    ideal = run("simulate", *SMALL, "--sensor", "ideal-6", "--json").json
+    assert not decisions(ideal)["photon noise"]
+
+
+@pytest.mark.parametrize("suffix", ["tiff", "png", "npy"])
+@pytest.mark.parametrize(("sensor", "scene"), [("machine-vision", "ramp"), ("consumer", "colour")])
+def test_file_holds_the_frame(run: Run, suffix: str, sensor: str, scene: str) -> None:
+    if scene == "colour":
+        scene = "colour.npy"
+        np.save(scene, np.random.default_rng(1).uniform(1, 9, (48, 64, 3)))
+    size = () if scene == "colour.npy" else SMALL
+    arguments = ("simulate", "--sensor", sensor, "--scene", scene, *size, "--seed", "3")
+    output = run(*arguments, "-o", f"frame.{suffix}", "--json").json
+    readers: dict[str, Callable[[str], Any]] = {
+        "tiff": tifffile.imread,
+        "png": partial(cv2.imread, flags=cv2.IMREAD_UNCHANGED),
+        "npy": np.load,
+    }
+    pixels = readers[suffix](f"frame.{suffix}")
+    assert output["file"] == f"frame.{suffix}"
+    assert (int(pixels.min()), int(pixels.max())) == (output["minimum"], output["maximum"])
+    assert pixels.mean() == pytest.approx(output["mean"])
+    run(*arguments, "-o", "same.npy")
+    rgb = pixels[..., ::-1] if suffix == "png" and pixels.ndim == 3 else pixels
+    assert np.array_equal(rgb, np.load("same.npy"))
+
+
+def test_text_output_describes_the_frame(run: Run) -> None:
+    ran = run("simulate", *SMALL, "--time", "1/50")
+    for text in ("64 x 48, mono", "20 ms, gain 1", "photon noise", "none; -o FILE writes one"):
+        assert text in ran.out
+    assert ran.err == ""
+
+
+def test_nearest_setting_is_used_with_a_warning(run: Run) -> None:
+    ran = run("simulate", *SMALL, "--time", "0.0100049", "--json")
+    assert ran.json["time_s"] == pytest.approx(0.01)
+    assert "warning: the sensor has no shutter time of 0.0100049; 0.01 is used\n" in ran.err
+
+
+def test_existing_file_is_replaced_only_with_force(run: Run) -> None:
+    Path("a.npy").write_text("mine")
+    ran = run("simulate", *SMALL, "-o", "a.npy")
+    assert ran.status == 1
+    assert ran.error == "a.npy exists; choose another file with -o, or add --force"
+    assert Path("a.npy").read_text() == "mine"
+    assert run("simulate", *SMALL, "-o", "a.npy", "--force").status == 0
+    assert "unknown file type '.jpg'" in run("simulate", "-o", "a.jpg").error
+    assert "cannot write nix/a.png" in run("simulate", *SMALL, "-o", "nix/a.png").error
+
+
+def test_night_street_needs_more_effects_than_a_dim_ramp(run: Run) -> None:
     night = run("simulate", "--scene", "night-street", "--time", "4", *SMALL, "--json").json
     ramp = run("simulate", "--scene", "ramp", "--time", "0.001", *SMALL, "--json").json
-    assert list(decided(night)) == list(effect_names())
+    assert list(decisions(night)) == list(effect_names())
     for name in ("veiling glare", "blooming", "full well", "vignetting", "photon noise"):
-        assert decided(night)[name], name
+        assert decisions(night)[name], name
     for name in ("blooming", "full well", "crosstalk", "DSNU", "dark current"):
-        assert not decided(ramp)[name], name
-    assert sum(decided(night).values()) > sum(decided(ramp).values())
-    for told in (night, ramp):
-        assert 0 < told["joint_bound_dn"] <= told["tolerance_dn"] == 0.5
+        assert not decisions(ramp)[name], name
+    assert sum(decisions(night).values()) > sum(decisions(ramp).values())
+    for output in (night, ramp):
+        assert 0 < output["joint_bound_dn"] <= output["tolerance_dn"] == 0.5
 
 
-def test_the_default_differs_from_tolerance_0_by_no_more_than_was_promised(run: Run) -> None:
-    words = ("simulate", "--scene", "ball", "--time", "0.002", *SMALL)
-    told = run(*words, "-o", "some.tiff", "--json").json
-    all_on = run(*words, "--tolerance", "0", "-o", "all.tiff", "--json").json
-    assert all_on["joint_bound_dn"] == 0
-    assert sum(decided(all_on).values()) > sum(decided(told).values())
+def test_frame_differs_from_tolerance_0_by_at_most_the_bound(run: Run) -> None:
+    arguments = ("simulate", "--scene", "ball", "--time", "0.002", *SMALL)
+    usual = run(*arguments, "-o", "some.tiff", "--json").json
+    complete = run(*arguments, "--tolerance", "0", "-o", "all.tiff", "--json").json
+    assert complete["joint_bound_dn"] == 0
+    assert sum(decisions(complete).values()) > sum(decisions(usual).values())
     some, everything = (tifffile.imread(f"{name}.tiff").astype(int) for name in ("some", "all"))
-    assert 0 < np.abs(some - everything).max() <= np.ceil(told["joint_bound_dn"])
+    assert 0 < np.abs(some - everything).max() <= np.ceil(usual["joint_bound_dn"])
 
 
-def test_explain_shows_each_effect_with_its_bound_and_why(run: Run) -> None:
-    told = run("simulate", *SMALL, "--scene", "ramp", "--time", "0.001", "--explain").out
+def test_explain_shows_each_effect_with_bound_and_reason(run: Run) -> None:
+    out = run("simulate", *SMALL, "--scene", "ramp", "--time", "0.001", "--explain").out
     for name in effect_names():
-        assert name in told
-    for words in ("at most, DN", "left out", "pixel values are whole numbers", "DN of 0.5 allowed"):
-        assert words in told
+        assert name in out
+    for text in ("bound, DN", "left out", "pixel values are whole numbers", "tolerance 0.5 DN"):
+        assert text in out
 
 
-def test_a_bracket_shares_the_tolerance_and_is_planned_frame_by_frame(run: Run) -> None:
-    words = ("simulate", "--scene", "room", *SMALL, "--time", "0.001", "--bracket", "1,8,512")
-    told = run(*words, "-o", "room.npy", "--json").json
-    assert [frame["time_s"] for frame in told["frames"]] == pytest.approx([0.001, 0.008, 0.512])
-    assert [frame["file"] for frame in told["frames"]] == [f"room-{i}.npy" for i in (1, 2, 3)]
-    assert all(frame["tolerance_dn"] == pytest.approx(0.5 / 3) for frame in told["frames"])
-    assert told["joint_bound_dn"] <= told["tolerance_dn"] == 0.5
-    first, *_, last = (decided(frame) for frame in told["frames"])
+def test_bracket_shares_the_tolerance_and_is_planned_per_frame(run: Run) -> None:
+    arguments = ("simulate", "--scene", "room", *SMALL, "--time", "0.001", "--bracket", "1,8,512")
+    output = run(*arguments, "-o", "room.npy", "--json").json
+    assert [frame["time_s"] for frame in output["frames"]] == pytest.approx([0.001, 0.008, 0.512])
+    assert [frame["file"] for frame in output["frames"]] == [f"room-{i}.npy" for i in (1, 2, 3)]
+    assert all(frame["tolerance_dn"] == pytest.approx(0.5 / 3) for frame in output["frames"])
+    assert output["joint_bound_dn"] <= output["tolerance_dn"] == 0.5
+    first, *_, last = (decisions(frame) for frame in output["frames"])
     assert not first["blooming"]
     assert last["blooming"]
-    assert decided(told)["blooming"]
+    assert decisions(output)["blooming"]
     means = [np.load(f"room-{i}.npy").mean() for i in (1, 2, 3)]
     assert means == sorted(means)
     listed = run("simulate", *SMALL, "--times", "1/100,1/50", "--json").json
     assert [frame["time_s"] for frame in listed["frames"]] == pytest.approx([0.01, 0.02])
 
 
-def test_scenes_and_sensors_are_files_too(run: Run) -> None:
+def test_scene_can_be_a_file(run: Run) -> None:
     scene = {"name": "mine", "picture": "wall", "luminance_cd_m2": 50, "target": {"size": 0.5}}
     Path("mine.json").write_text(json.dumps(scene))
-    told = run("simulate", "--scene", "mine.json", *SMALL, "--time", "1/50", "--json").json
-    assert decided(told)["motion blur"]
+    output = run("simulate", "--scene", "mine.json", *SMALL, "--time", "1/50", "--json").json
+    assert decisions(output)["motion blur"]
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("line", "message", "status"),
     [
-        (("--tolerance", "-1"), "--tolerance: -1 is not a tolerance of 0 DN or more"),
-        (("--tolerance", "nan"), "--tolerance: nan is not finite"),
-        (("--times", "1,x"), "--times: 'x' is not a time"),
-        (("--times", "1", "--bracket", "1,2"), "--times and --bracket; give one of them"),
-        (("--bracket", "1,-2"), "--bracket: exposure -2 is not positive"),
-        (("--sensor", "complet"), "did you mean complete"),
-        (("--scene", "nightstreet"), "did you mean night-street"),
-        (("--scene", "ramp", "--size", "999999x999999"), "GiB"),
+        ("--tolerance -1", "invalid value for --tolerance: -1; expected a tolerance of at", 2),
+        ("--tolerance nan", "invalid value for --tolerance: nan; expected a tolerance of at", 2),
+        ("--times 1,x", "invalid value for --times: x; expected a time in seconds", 2),
+        (
+            "--times 1 --bracket 1,2",
+            "--times cannot be combined with --bracket; leave one of them out",
+            2,
+        ),
+        ("--bracket 1,-2", "invalid value for --bracket: -2; expected positive numbers", 2),
+        ("--sensor complet", "unknown sensor 'complet'; did you mean complete", 2),
+        ("--scene nightstreet", "unknown scene 'nightstreet'; did you mean night-street", 2),
+        ("--scene ramp --size 999999x999999", "GiB", 1),
     ],
 )
-def test_what_is_off_is_one_line(run: Run, words: tuple[str, ...], said: str) -> None:
-    ran = run("simulate", *words)
-    assert said in ran.error
-    assert ran.status in (1, 2)
+def test_invalid_simulation_is_one_line(run: Run, line: str, message: str, status: int) -> None:
+    ran = run("simulate", *line.split())
+    assert message in ran.error
+    assert ran.status == status

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeAlias
 
 from camctl.captures.request import CapturePlan
 from camctl.captures.sequencer import Progress
@@ -19,10 +19,17 @@ COSTS = tuple(
     for count in range(1, 7)
 )
 
+Script: TypeAlias = list[tuple[str, Key | Callable[[], object]]]
+"""Texts to wait for on the screen, each with the key to press or the function to call then."""
+
+MOST_SILENCE_S = 60.0
+"""A screen that does not change for this long, s, will never change: the script is wrong."""
+
 
 def plan_of(
     settings: Sequence[ExposureSetting], response: str = "log", dynamic_range: float = 1000.0
 ) -> CapturePlan:
+    """Return a plan with these settings."""
     smallest = min(setting.exposure for setting in settings)
     exposures = tuple(setting.exposure / smallest for setting in settings)
     return CapturePlan(
@@ -40,7 +47,11 @@ def plan_of(
 
 
 class FakeJob:
-    """Does what it is told to do: each hook may raise."""
+    """A job that records its calls.
+
+    `before` maps the name of a method to a function that is called first and may raise.  A capture
+    stays at its first frame while `frame_may_end` is cleared.
+    """
 
     def __init__(self) -> None:
         self.shot: list[CapturePlan] = []
@@ -51,17 +62,19 @@ class FakeJob:
         self.frame_may_end = threading.Event()
         self.frame_may_end.set()
 
-    def _at(self, name: str) -> None:
-        self.before.get(name, lambda: None)()
+    def _call_before(self, method: str) -> None:
+        self.before.get(method, lambda: None)()
 
-    def predict(self, response: str, dynamic_range: float) -> Sequence[Cost]:
+    def predict(self, response: str, dynamic_range: float) -> Iterable[Cost]:
+        """Return `COSTS`."""
         self.predicted.append((response, dynamic_range))
-        self._at("predict")
+        self._call_before("predict")
         return COSTS
 
     def plan(self, choice: Choice) -> CapturePlan:
+        """Return a plan with one setting for each exposure of `choice`."""
         self.planned.append(choice)
-        self._at("plan")
+        self._call_before("plan")
         times = (0.0033 * 9.91**i for i in range(choice.count))
         settings = [ExposureSetting(time_s) for time_s in times]
         return plan_of(settings, choice.response, choice.dynamic_range)
@@ -72,8 +85,9 @@ class FakeJob:
         on_progress: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> Summary:
+        """Return a summary once `frame_may_end` is set; raise when cancelled before."""
         self.shot.append(plan)
-        self._at("shoot")
+        self._call_before("shoot")
         for done in range(len(plan.settings)):
             on_progress(Progress(done, len(plan.settings), "shooting"))
             self.frame_started.set()
@@ -86,25 +100,19 @@ class FakeJob:
 
 
 class ScriptedPanel:
-    """Presses each key once certain words are shown; fails where they never come.
+    """A panel that presses the keys of a script, each once its text is on the screen."""
 
-    A callable in place of a key is called then.
-    """
-
-    def __init__(
-        self,
-        script: Sequence[tuple[str, Key | Callable[[], object]]],
-        size: tuple[int, int] = (20, 4),
-    ) -> None:
-        self.script = list(script)
+    def __init__(self, script: Script, size: tuple[int, int] = (20, 4)) -> None:
+        self.script: Script = list(script)
         self.size = size
         self.typed_ahead: list[Key] = []
         self.lines: tuple[str, ...] = ()
-        self.seen: list[tuple[str, ...]] = []
+        self.screens: list[tuple[str, ...]] = []
         self.open = False
-        self._deadline = time.monotonic() + 20
+        self._last_change = time.monotonic()
 
     def __enter__(self) -> Self:
+        """Open the panel."""
         self.open = True
         return self
 
@@ -114,16 +122,21 @@ class ScriptedPanel:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        """Close the panel."""
         self.open = False
 
     def show(self, lines: Sequence[str], highlight: Highlight | None = None) -> None:
+        """Record the lines."""
         assert self.open
         assert [len(line) for line in lines] == [self.size[0]] * self.size[1]
         self.lines = tuple(lines)
-        self.seen.append(self.lines)
+        self.screens.append(self.lines)
+        self._last_change = time.monotonic()
 
     def key(self, timeout_s: float) -> Key | None:
-        assert time.monotonic() < self._deadline, f"waits for {self.script[:1]} at {self.lines}"
+        """Return the next key of the script once its text is shown, else None."""
+        silence_s = time.monotonic() - self._last_change
+        assert silence_s < MOST_SILENCE_S, f"waits for {self.script[:1]}, shows {self.lines}"
         if self.typed_ahead:
             return self.typed_ahead.pop(0)
         if timeout_s == 0 or not self.script or self.script[0][0] not in " ".join(self.lines):

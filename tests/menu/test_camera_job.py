@@ -1,12 +1,12 @@
-"""The menu before the simulated camera: what was reviewed is what the camera was told to shoot."""
+"""The menu with the simulated camera: the settings reviewed are the settings shot."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from panel_fakes import ScriptedPanel
+from panel_fakes import Script, ScriptedPanel
 
 from camctl import read_report
 from camctl.camera import Frame
@@ -25,30 +25,29 @@ from sim.sensors.sensor import load_sensor
 from tests.menu.test_screens import settings_on
 
 SIZE = (60, 16)
-Script = list[tuple[str, Key | Callable[[], object]]]
 
 
-class WatchedCamera(SimulatedCamera):
-    """Notes the lists of settings that it is told to shoot."""
+class RecordingCamera(SimulatedCamera):
+    """Records the lists of settings that it shoots, and calls `on_frame` before each frame."""
 
-    def __init__(self, faults: Faults | None = None) -> None:
+    def __init__(self, faults: Faults | None = None, *, sensor: str = "ideal-8") -> None:
         scene = load_scene("tile-floor", (24, 32))
-        super().__init__(scene, load_sensor("ideal-8"), faults=faults)
+        super().__init__(scene, load_sensor(sensor), faults=faults)
         self.lists: list[tuple[ExposureSetting, ...]] = []
         self.on_frame: Callable[[], object] = lambda: None
 
-    def shoot(self, settings: Sequence[ExposureSetting]) -> Iterator[Frame]:
+    def shoot(self, settings: Sequence[ExposureSetting]) -> Generator[Frame, None, None]:
         self.lists.append(tuple(settings))
-        return self._watched(super().shoot(settings))
+        return self._recorded(super().shoot(settings))
 
-    def _watched(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+    def _recorded(self, frames: Iterable[Frame]) -> Generator[Frame, None, None]:
         for frame in frames:
             self.on_frame()
             yield frame
 
 
 class Folders:
-    """A fresh folder for each capture."""
+    """A new folder for each capture; `given` lists them."""
 
     def __init__(self, parent: Path) -> None:
         self.parent = parent
@@ -60,6 +59,12 @@ class Folders:
 
 
 @pytest.fixture
+def camera() -> Iterator[RecordingCamera]:
+    with RecordingCamera() as opened:
+        yield opened
+
+
+@pytest.fixture
 def folders(tmp_path: Path) -> Folders:
     return Folders(tmp_path)
 
@@ -67,12 +72,12 @@ def folders(tmp_path: Path) -> Folders:
 @pytest.mark.parametrize(
     ("response", "dynamic_range", "count"), [(0, 1, 3), (1, 2, 2), (2, 0, 4), (0, 0, 1)]
 )
-def test_what_was_reviewed_is_what_was_shot(
-    folders: Folders, response: int, dynamic_range: int, count: int
+def test_settings_reviewed_are_the_settings_shot(
+    camera: RecordingCamera, folders: Folders, response: int, dynamic_range: int, count: int
 ) -> None:
-    camera = WatchedCamera()
     job = CameraJob(camera, folders, source={"camera": "sim"})
-    script: Script = [("Desired", Key.DOWN)] * response + [("Desired", Key.ENTER)]
+    script: Script = []
+    script += [("Desired", Key.DOWN)] * response + [("Desired", Key.ENTER)]
     script += [("Dynamic", Key.UP)] * 2 + [("Dynamic", Key.DOWN)] * dynamic_range
     script += [("Dynamic", Key.ENTER)]
     script += [("Exposures", Key.UP)] * 6 + [("Exposures", Key.DOWN)] * (count - 1)
@@ -102,28 +107,35 @@ def test_what_was_reviewed_is_what_was_shot(
     assert summary.folder == str(folders.given[0])
 
 
-def test_each_number_of_exposures_costs_what_its_exposures_add_up_to(folders: Folders) -> None:
-    with WatchedCamera() as camera:
-        costs = list(CameraJob(camera, folders).predict("log", 1000.0))
+def test_cost_is_the_sum_of_the_exposures(camera: RecordingCamera, folders: Folders) -> None:
+    costs = list(CameraJob(camera, folders).predict("log", 1000.0))
     assert [cost.count for cost in costs] == [1, 2, 3, 4, 5, 6]
     for cost in costs:
         assert len(cost.exposures) == cost.count
-        assert cost.shutter_time == pytest.approx(sum(cost.exposures))
+        assert cost.total_exposure == pytest.approx(sum(cost.exposures))
     levels = [cost.effective_levels for cost in costs]
     assert levels == sorted(levels)
 
 
-def test_what_the_menu_does_not_ask_comes_from_the_request(folders: Folders) -> None:
-    with WatchedCamera() as camera:
-        request = CaptureRequest(base_s=0.002, ratios=(1.0, 2.0))
-        plan = CameraJob(camera, folders, request=request).plan(Choice("gamma", 256.0, 3))
+def test_costs_are_computed_for_a_camera_outside_the_table(folders: Folders) -> None:
+    with RecordingCamera(sensor="ideal-4") as camera:
+        costs = list(CameraJob(camera, folders).predict("log", 256.0))
+    assert [cost.count for cost in costs] == [1, 2, 3, 4, 5, 6]
+    levels = [cost.effective_levels for cost in costs]
+    assert levels == sorted(levels)
+
+
+def test_request_supplies_what_the_menu_does_not_ask_for(
+    camera: RecordingCamera, folders: Folders
+) -> None:
+    request = CaptureRequest(base_s=0.002, ratios=(1.0, 2.0))
+    plan = CameraJob(camera, folders, request=request).plan(Choice("gamma", 256.0, 3))
     assert (plan.response, plan.dynamic_range, len(plan.settings)) == ("gamma", 256.0, 3)
     assert plan.base_s == pytest.approx(0.002, rel=0.01)
     assert plan.metering is None
 
 
-def test_a_cancelled_capture_keeps_its_frames(folders: Folders) -> None:
-    camera = WatchedCamera()
+def test_cancelled_capture_keeps_its_frames(camera: RecordingCamera, folders: Folders) -> None:
     job = CameraJob(camera, folders)
     plan = job.plan(Choice("log", 1000.0, 3))
     frames: list[int] = []
@@ -134,21 +146,21 @@ def test_a_cancelled_capture_keeps_its_frames(folders: Folders) -> None:
     assert resume(camera, folders.given[0]).status == "complete"
 
 
-def test_a_camera_that_goes_away_is_an_error_with_a_way_on(folders: Folders) -> None:
-    camera = WatchedCamera(Faults(unplug_after=1))
+def test_disconnected_camera_is_reported_and_the_menu_goes_on(folders: Folders) -> None:
     script: Script = [
         ("Desired", Key.ENTER),
         ("Dynamic", Key.ENTER),
         ("Exposures", Key.ENTER),
         ("Review", Key.ENTER),
-        ("Failed", Key.RIGHT),
-        ("Failed", Key.ENTER),
+        ("Capture failed", Key.RIGHT),
+        ("Capture failed", Key.ENTER),
         ("Review", Key.EXIT),
         ("Exposures", Key.EXIT),
         ("Dynamic", Key.EXIT),
         ("Desired", Key.EXIT),
     ]
     panel = ScriptedPanel(script, SIZE)
-    assert run(panel, CameraJob(camera, folders)) is None
-    failed = next(lines for lines in panel.seen if lines[0].startswith("Failed"))
+    with RecordingCamera(Faults(unplug_after=1)) as camera:
+        assert run(panel, CameraJob(camera, folders)) is None
+    failed = next(lines for lines in panel.screens if lines[0].startswith("Capture failed"))
     assert "1 of 3 frames are kept" in " ".join(" ".join(failed).split())

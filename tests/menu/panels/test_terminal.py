@@ -1,4 +1,4 @@
-"""The terminal panel on a pseudo-terminal: keys in, screen text out, the terminal given back."""
+"""The terminal panel on a pseudo-terminal: keys in, text out, and the terminal restored."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ import struct
 import subprocess
 import sys
 import termios
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -29,22 +27,27 @@ MENU = """
 from panel_fakes import FakeJob
 from menu.app import run
 from menu.panels.terminal import TerminalPanel
-print("gave", run(TerminalPanel(), FakeJob()))
+print("returned", run(TerminalPanel(), FakeJob()))
 """
-HOLD = MENU.replace("FakeJob())", "job)").replace(
-    "print", "job = FakeJob(); job.frame_may_end.clear()\nprint"
-)
-FOREIGN = """
+MENU_THAT_KEEPS_SHOOTING = """
+from panel_fakes import FakeJob
+from menu.app import run
+from menu.panels.terminal import TerminalPanel
+job = FakeJob()
+job.frame_may_end.clear()
+print("returned", run(TerminalPanel(), job))
+"""
+MENU_WITH_ERROR_BEYOND_ASCII = """
 from camctl.errors import CaptureError
 from panel_fakes import FakeJob
 from menu.app import run
 from menu.panels.terminal import TerminalPanel
-class Foreign(FakeJob):
+class FailingJob(FakeJob):
     def predict(self, response, dynamic_range):
         raise CaptureError("nichts für uns")
-run(TerminalPanel(), Foreign())
+run(TerminalPanel(), FailingJob())
 """
-REFUSED = """
+OPEN_PANEL = """
 from camctl.errors import CamctlError
 from menu.panels.terminal import TerminalPanel
 try:
@@ -56,12 +59,22 @@ REDRAW = "\x0c"
 UP, DOWN, RIGHT, LEFT = "\x1bOA", "\x1bOB", "\x1bOC", "\x1bOD"
 FULL_SCREEN, NORMAL_SCREEN = "\x1b[?1049h", "\x1b[?1049l"
 
+QUIET_S = 0.1
+"""After this time without output, s, the screen is asked for again."""
 
-_ENVIRONMENT = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
+
+def _environment(**more: str) -> dict[str, str]:
+    """Return the environment of a program that imports the test helpers."""
+    kept = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    path = os.pathsep.join([str(HELPERS), *filter(None, [os.environ.get("PYTHONPATH")])])
+    return {**kept, "PYTHONPATH": path, **more}
 
 
 class Terminal:
-    """A program on a pseudo-terminal."""
+    """A Python program on a pseudo-terminal.
+
+    Waits have no limit of their own: the time-out of the test ends a wait that is in vain.
+    """
 
     def __init__(
         self,
@@ -81,48 +94,61 @@ class Terminal:
             stdout=self.slave,
             stderr=self.slave,
             cwd=HELPERS,
-            env={**_ENVIRONMENT, "TERM": kind, "LC_ALL": locale, "PYTHONPATH": _python_path()},
+            env=_environment(TERM=kind, LC_ALL=locale),
             start_new_session=True,
         )
 
     def resize(self, columns: int, rows: int) -> None:
+        """Set the size; a running program is notified by `notify_resize`."""
         fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
 
+    def notify_resize(self) -> None:
+        """Send the signal that a terminal sends when its size has changed."""
+        os.kill(self.process.pid, signal.SIGWINCH)
+
     def type(self, keys: str) -> None:
+        """Press keys."""
         os.write(self.master, keys.encode())
 
-    def read(self, wait_s: float) -> str:
-        """What has come out, until it is silent for `wait_s`."""
-        data = b""
-        while select.select([self.master], [], [], wait_s)[0]:
-            data += os.read(self.master, 65536)
-        text = data.decode(errors="replace")
+    def _read(self, quiet_s: float) -> str:
+        """Return the output that comes within `quiet_s`, "" for none."""
+        if not select.select([self.master], [], [], quiet_s)[0]:
+            return ""
+        text = os.read(self.master, 65536).decode(errors="replace")
         self.raw += text
         return text
 
-    def screen(self) -> str:
-        """The text of the screen, drawn anew."""
-        self.read(0.05)
-        self.type(REDRAW)
-        drawn = re.sub(r"\x1b\[[\d;?]*[A-Za-z]|\x1b[()][A-Z0]", " ", self.read(0.15))
-        return " ".join(drawn.split())
+    def wait_until(self, condition: Callable[[str], bool]) -> None:
+        """Wait until the text of the screen meets a condition.
 
-    def wait_for(self, words: str) -> str:
-        deadline = time.monotonic() + 20
-        screen = ""
-        while words not in screen:
-            assert time.monotonic() < deadline, f"waits for {words!r}, sees {screen!r}"
-            assert self.process.poll() is None, f"ended with {self.raw!r}"
-            screen = self.screen()
-        return screen
+        The program is asked to draw the screen, and again whenever it has been quiet.
+        """
+        while self._read(0):
+            pass
+        while True:
+            self.type(REDRAW)
+            drawn = ""
+            while text := self._read(QUIET_S):
+                drawn += text
+                without_codes = re.sub(r"\x1b\[[\d;?]*[A-Za-z]|\x1b[()][A-Z0]", " ", drawn)
+                if condition(" ".join(without_codes.split())):
+                    return
+            assert self.process.poll() is None, f"the program has ended: {self.raw!r}"
 
-    def ended(self) -> int:
-        """The exit status, with the rest of the output read."""
-        status = self.process.wait(20)
-        self.read(0.1)
-        return status
+    def wait_for(self, *texts: str) -> None:
+        """Wait until all `texts` are on the screen."""
+        self.wait_until(lambda screen: all(text in screen for text in texts))
+
+    def wait_for_end(self) -> int:
+        """Return the exit status once the program has ended and its output is read."""
+        while self.process.poll() is None:
+            self._read(QUIET_S)
+        while self._read(0):
+            pass
+        return self.process.returncode
 
     def close(self) -> None:
+        """Kill the program and close the terminal."""
         with contextlib.suppress(ProcessLookupError):
             self.process.kill()
         self.process.wait()
@@ -130,28 +156,31 @@ class Terminal:
         os.close(self.slave)
 
 
-def _python_path() -> str:
-    return os.pathsep.join([str(HELPERS), *filter(None, [os.environ.get("PYTHONPATH")])])
+Start = Callable[..., Terminal]
 
 
 @pytest.fixture
-def start() -> Iterator[Any]:
-    running: list[Terminal] = []
+def start() -> Iterator[Start]:
+    """Start a program on a terminal of its own; takes the arguments of `Terminal`."""
+    with contextlib.ExitStack() as stack:
 
-    def begin(*arguments: Any, **options: Any) -> Terminal:
-        running.append(Terminal(*arguments, **options))
-        return running[-1]
+        def begin(
+            code: str,
+            columns: int = 80,
+            rows: int = 24,
+            kind: str = "xterm",
+            locale: str = "C.UTF-8",
+        ) -> Terminal:
+            terminal = Terminal(code, columns, rows, kind, locale)
+            stack.callback(terminal.close)
+            return terminal
 
-    yield begin
-    for terminal in running:
-        terminal.close()
+        yield begin
 
 
-def test_the_whole_way_with_keys(start: Any) -> None:
+def test_menu_is_operated_with_the_keys(start: Start) -> None:
     terminal = start(MENU)
-    first = terminal.wait_for(">Constant contrast")
-    assert "camctl" in first
-    assert "enter: next exit: quit" in first
+    terminal.wait_for("camctl", ">Constant contrast", "enter: next exit: quit")
     terminal.type(DOWN)
     terminal.wait_for(">Linear")
     terminal.type(UP + "\r")
@@ -163,21 +192,21 @@ def test_the_whole_way_with_keys(start: Any) -> None:
     terminal.type("\r")
     terminal.wait_for("> 3")
     terminal.type("\r")
-    assert "3.3 ms" in terminal.wait_for("[Shoot]")
+    terminal.wait_for("3.3 ms", "[Shoot]")
     terminal.type("\r")
-    assert "390 levels" in terminal.wait_for("Done")
+    terminal.wait_for("Done", "390 effective levels, 392 planned")
     terminal.type(RIGHT + RIGHT + "\r")
-    assert terminal.ended() == 0
+    assert terminal.wait_for_end() == 0
     assert "folder='captures/x'" in terminal.raw
 
 
-def test_the_selected_line_is_reversed(start: Any) -> None:
+def test_selected_line_is_shown_in_reverse_video(start: Start) -> None:
     terminal = start(MENU)
     terminal.wait_for(">Constant contrast")
     assert re.search(r"\x1b\[(0;)?7m>Constant contrast", terminal.raw)
 
 
-def test_escape_and_q_are_exit(start: Any) -> None:
+def test_escape_and_q_are_the_exit_key(start: Start) -> None:
     terminal = start(MENU)
     terminal.wait_for(">Constant")
     terminal.type("\r")
@@ -185,99 +214,105 @@ def test_escape_and_q_are_exit(start: Any) -> None:
     terminal.type("\x1b")
     terminal.wait_for(">Constant")
     terminal.type("q")
-    assert terminal.ended() == 0
-    assert terminal.raw.endswith("gave None\r\n")
+    assert terminal.wait_for_end() == 0
+    assert terminal.raw.endswith("returned None\r\n")
 
 
-def test_it_follows_the_size_of_the_terminal(start: Any) -> None:
+def test_panel_adapts_to_the_size_of_the_terminal(start: Start) -> None:
     terminal = start(MENU, 80, 24)
     terminal.wait_for("equal steps of contrast")
     terminal.resize(22, 6)
-    os.kill(terminal.process.pid, signal.SIGWINCH)
-    small = terminal.wait_for(">Constant contrast")
-    while "equal steps" in small:
-        small = terminal.screen()
-    assert "Gamma 1/2" in small
+    terminal.notify_resize()
+    terminal.wait_until(
+        lambda screen: (
+            ">Constant contrast" in screen and "Gamma 1/2" in screen and "equal steps" not in screen
+        )
+    )
     terminal.resize(10, 3)
-    os.kill(terminal.process.pid, signal.SIGWINCH)
+    terminal.notify_resize()
     terminal.wait_for("make the t")
     terminal.resize(100, 40)
-    os.kill(terminal.process.pid, signal.SIGWINCH)
+    terminal.notify_resize()
     terminal.wait_for("equal steps of contrast")
 
 
 @pytest.mark.parametrize(("locale", "shown"), [("C.UTF-8", "für"), ("C", "f?r")])
-def test_what_the_terminal_cannot_write_is_replaced(start: Any, locale: str, shown: str) -> None:
-    terminal = start(FOREIGN, locale=locale)
-    for words in (">Constant", "Dynamic range"):
-        terminal.wait_for(words)
+def test_characters_outside_the_locale_are_replaced(start: Start, locale: str, shown: str) -> None:
+    terminal = start(MENU_WITH_ERROR_BEYOND_ASCII, locale=locale)
+    for text in (">Constant", "Dynamic range"):
+        terminal.wait_for(text)
         terminal.type("\r")
     terminal.wait_for(f"nichts {shown} uns")
 
 
-@pytest.mark.parametrize("how", ["quit", signal.SIGINT, signal.SIGTERM])
-def test_the_terminal_is_given_back(start: Any, how: str | signal.Signals) -> None:
-    terminal = start(HOLD)
-    for words in (">Constant", "Dynamic range", "> 3", "[Shoot]"):
-        terminal.wait_for(words)
+@pytest.mark.parametrize(
+    ("end_with", "status"),
+    [("quit", 0), (signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143)],
+)
+def test_terminal_is_restored(start: Start, end_with: str | signal.Signals, status: int) -> None:
+    terminal = start(MENU_THAT_KEEPS_SHOOTING)
+    for text in (">Constant", "Dynamic range", "> 3", "[Shoot]"):
+        terminal.wait_for(text)
         terminal.type("\r")
     terminal.wait_for("Shooting")
     assert FULL_SCREEN in terminal.raw
     assert termios.tcgetattr(terminal.slave) != terminal.before
-    if isinstance(how, signal.Signals):
-        os.kill(terminal.process.pid, how)
+    if isinstance(end_with, signal.Signals):
+        os.kill(terminal.process.pid, end_with)
     else:
         terminal.type("q")
         terminal.wait_for("stopped after 0 frames")
         terminal.type(RIGHT + RIGHT + "\r")
-    status = terminal.ended()
-    assert status == {"quit": 0, signal.SIGINT: -signal.SIGINT, signal.SIGTERM: 143}[how]
+    assert terminal.wait_for_end() == status
     assert terminal.raw.rindex(NORMAL_SCREEN) > terminal.raw.rindex(FULL_SCREEN)
     assert termios.tcgetattr(terminal.slave) == terminal.before
 
 
 @pytest.mark.parametrize(
-    ("options", "line"),
+    ("columns", "rows", "kind", "line"),
     [
+        (19, 5, "xterm", "the terminal has only 19 x 5 characters; enlarge it to 22 x 6"),
         (
-            {"columns": 19, "rows": 5},
-            "UsageError the terminal has 19 x 5 characters; the menu needs 22 x 6; make it larger",
+            80,
+            24,
+            "dumb",
+            "the terminal type TERM=dumb cannot place the cursor; use another terminal, "
+            "or set TERM",
         ),
-        ({"kind": "dumb"}, "UsageError the terminal TERM='dumb' cannot be drawn on;"),
-        ({"kind": "nonsense"}, "UsageError unknown terminal TERM='nonsense'; set TERM=xterm"),
+        (80, 24, "unheard", "unknown terminal type TERM=unheard; set TERM=xterm"),
     ],
 )
-def test_what_cannot_be_drawn_on_is_said_in_one_line(
-    start: Any, options: dict[str, Any], line: str
+def test_unusable_terminal_is_refused(
+    start: Start, columns: int, rows: int, kind: str, line: str
 ) -> None:
-    terminal = start(REFUSED, **options)
-    assert terminal.ended() == 0
-    assert terminal.raw.startswith(line)
+    terminal = start(OPEN_PANEL, columns, rows, kind)
+    assert terminal.wait_for_end() == 0
+    assert " ".join(terminal.raw.split()) == f"UsageError {line}"
     assert terminal.raw.count("\n") == 1
     assert termios.tcgetattr(terminal.slave) == terminal.before
 
 
-def test_without_a_terminal_it_says_so() -> None:
-    found = subprocess.run(
-        [sys.executable, "-c", REFUSED],
+def test_panel_without_a_terminal_is_refused() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", OPEN_PANEL],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         cwd=HELPERS,
-        env={**os.environ, "PYTHONPATH": _python_path()},
+        env=_environment(),
         check=True,
     )
-    assert found.stdout == (
-        "UsageError the terminal panel needs a terminal; run it without pipes and redirection\n"
+    assert done.stdout == (
+        "UsageError the terminal panel needs a terminal; run it without pipes or redirection\n"
     )
 
 
-def test_it_is_found_by_its_name() -> None:
+def test_panel_is_loaded_by_its_name() -> None:
     assert load(PANELS, "panel", "terminal") is TerminalPanel
-    with pytest.raises(UsageError, match="did you mean terminal"):
+    with pytest.raises(UsageError, match=r"unknown panel 'terminl'; did you mean terminal\?"):
         load(PANELS, "panel", "terminl")
 
 
-def test_a_panel_that_is_not_open_says_so() -> None:
-    with pytest.raises(ValueError, match="not open"):
+def test_panel_that_is_not_open_refuses_to_work() -> None:
+    with pytest.raises(ValueError, match="the terminal panel is not open"):
         TerminalPanel().key(0)

@@ -1,0 +1,340 @@
+"""Types of option values: each parses a text, reports what it expects, and completes it on Tab."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from importlib import resources
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from camctl.errors import DataError, UsageError, unknown_name
+
+if TYPE_CHECKING:
+    AnyType = click.ParamType[Any]
+else:
+    AnyType = click.ParamType  # generic only since click 8.3, and only for type checkers
+
+PATH = click.Path(path_type=Path)
+
+RANGE_NAMES = ("low", "medium", "high")
+"""Names of `camctl.response.desired.RANGES`, here because that module imports numpy."""
+
+
+def invalid_value(option: str, text: str, reason: str) -> UsageError:
+    """Return the error for a text that is no value of an option."""
+    return UsageError(f"invalid value for {option}: {text or repr(text)}", hint=reason)
+
+
+class _ValueType(AnyType):
+    """Base of the types; a subclass implements `parse`, and `suggestions` where it has names."""
+
+    completes_files = False
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the parsed text; other defaults, and texts during completion, are unchanged."""
+        if not isinstance(value, str) or (ctx is not None and ctx.resilient_parsing):
+            return value
+        option = param.opts[-1] if param is not None else "value"
+        return self.parse(value.strip(), option)
+
+    def parse(self, text: str, option: str) -> Any:
+        """Return the value of `text`; raise `UsageError`, which names the option."""
+        raise NotImplementedError
+
+    def suggestions(self) -> Iterable[str]:
+        """Return the names that the Tab key offers."""
+        return ()
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the suggestions that start with `incomplete`."""
+        files = [CompletionItem(incomplete, type="file")] if self.completes_files else []
+        names = [name for name in self.suggestions() if name.startswith(incomplete)]
+        return files + [CompletionItem(name) for name in names]
+
+
+class Text(_ValueType):
+    """Any text; the Tab key offers names and, with `files`, file names."""
+
+    name = "text"
+
+    def __init__(
+        self, suggestions: Callable[[], Iterable[str]] = tuple, *, files: bool = False
+    ) -> None:
+        self._suggestions = suggestions
+        self.completes_files = files
+
+    def parse(self, text: str, option: str) -> str:
+        """Return the text."""
+        return text
+
+    def suggestions(self) -> Iterable[str]:
+        """Return the names of the constructor's function."""
+        return self._suggestions()
+
+
+def _entry_point_names(group: str) -> list[str]:
+    return sorted(point.name for point in entry_points(group=group))
+
+
+def _built_in_names(folder: str) -> list[str]:
+    """Return the names of the JSON files in a folder of the package `sim`."""
+    files = (resources.files("sim") / folder).iterdir()
+    return sorted(file.name.removesuffix(".json") for file in files if file.name.endswith(".json"))
+
+
+# The entry-point groups are those of `camctl.backends`, which imports numpy.
+CAMERA = Text(lambda: _entry_point_names("camctl.cameras"))
+PANEL = Text(lambda: _entry_point_names("camctl.panels"))
+SCENE = Text(lambda: _built_in_names("scenes"), files=True)
+SENSOR = Text(lambda: _built_in_names("sensors"), files=True)
+FILE = Text(files=True)
+
+
+def _float(text: str) -> float:
+    """Return the number that `text` is, NaN if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+class Number(_ValueType):
+    """A finite number within bounds; `expected` describes it in error messages."""
+
+    name = "number"
+
+    def __init__(
+        self,
+        expected: str,
+        *,
+        above: float = -math.inf,
+        least: float = -math.inf,
+        below: float = math.inf,
+    ) -> None:
+        self.expected = expected
+        self._above, self._least, self._below = above, least, below
+
+    def parse(self, text: str, option: str) -> float:
+        """Return the number."""
+        value = _float(text)
+        within = self._above < value < self._below and value >= self._least
+        if not (within and math.isfinite(value)):
+            raise invalid_value(option, text, f"expected {self.expected}")
+        return value
+
+
+class WholeNumber(_ValueType):
+    """A whole number within bounds, both included."""
+
+    name = "integer"
+
+    def __init__(self, *, least: int, most: int | None = None) -> None:
+        self._least, self._most = least, most
+        limits = f"of at least {least}" if most is None else f"from {least} to {most}"
+        self.expected = f"a whole number {limits}"
+
+    def parse(self, text: str, option: str) -> int:
+        """Return the number."""
+        try:
+            value = int(text)
+        except ValueError:
+            raise invalid_value(option, text, f"expected {self.expected}") from None
+        if value < self._least or (self._most is not None and value > self._most):
+            raise invalid_value(option, text, f"expected {self.expected}")
+        return value
+
+
+class Name(_ValueType):
+    """One of a few names; `kind` is what error messages call it."""
+
+    name = "name"
+
+    def __init__(self, kind: str, names: Iterable[str]) -> None:
+        self.kind = kind
+        self.names = tuple(names)
+
+    def parse(self, text: str, option: str) -> str:
+        """Return the name in lower case."""
+        if text.lower() not in self.names:
+            raise unknown_name(self.kind, text, self.names)
+        return text.lower()
+
+    def suggestions(self) -> Iterable[str]:
+        """Return all names."""
+        return self.names
+
+
+class NameOrFile(Name):
+    """One of a few names, or a file, whose path contains a dot or a slash."""
+
+    completes_files = True
+
+    def parse(self, text: str, option: str) -> str:
+        """Return the name, or the path as it was given."""
+        if "." in text or "/" in text:
+            return text
+        return super().parse(text, option)
+
+
+class DynamicRange(_ValueType):
+    """A dynamic range: low, medium, high, or a number above 1, also written 1:NUMBER."""
+
+    name = "range"
+
+    def parse(self, text: str, option: str) -> float:
+        """Return the dynamic range as a number."""
+        from camctl.response.desired import RANGES
+
+        if text.lower() in RANGES:
+            return RANGES[text.lower()]
+        value = _float(text.removeprefix("1:").replace(",", ""))
+        if math.isnan(value) and text.lower() != "nan":
+            raise unknown_name("dynamic range", text, RANGES)
+        if not value > 1:
+            raise invalid_value(option, text, "the range must be above 1")
+        if math.isinf(value):
+            raise invalid_value(option, text, "the range must be finite")
+        return value
+
+    def suggestions(self) -> Iterable[str]:
+        """Return the names of ranges."""
+        return RANGE_NAMES
+
+
+class Seconds(_ValueType):
+    """A time in seconds, or a fraction such as 1/250; with `auto` also the word auto."""
+
+    name = "seconds"
+
+    def __init__(self, *, auto: bool = False) -> None:
+        self._auto = auto
+        self.expected = "a time in seconds such as 0.004 or 1/250" + (", or auto" if auto else "")
+
+    def parse(self, text: str, option: str) -> float | None:
+        """Return the time in s; None for auto."""
+        if self._auto and text.lower() == "auto":
+            return None
+        numerator, slash, denominator = text.partition("/")
+        value, divisor = _float(numerator), _float(denominator) if slash else 1.0
+        if not (value > 0 and divisor > 0 and 0 < value / divisor < math.inf):
+            raise invalid_value(option, text, f"expected {self.expected}")
+        return value / divisor
+
+    def suggestions(self) -> Iterable[str]:
+        """Return auto where it is allowed."""
+        return ("auto",) if self._auto else ()
+
+
+class KeyValue(_ValueType):
+    """A name and a value with = between them."""
+
+    name = "setting"
+
+    def parse(self, text: str, option: str) -> tuple[str, str]:
+        """Return the name and the value, both as text."""
+        name, equals, value = text.partition("=")
+        if not (equals and name.strip()):
+            raise invalid_value(option, text, "expected NAME=VALUE such as format=y16")
+        return name.strip(), value.strip()
+
+
+class FrameSize(_ValueType):
+    """Width x height in pixels."""
+
+    name = "size"
+
+    def parse(self, text: str, option: str) -> str:
+        """Return the size as WIDTHxHEIGHT."""
+        width, _, height = text.lower().partition("x")
+        if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+            raise invalid_value(option, text, "expected WIDTHxHEIGHT such as 640x480")
+        return f"{int(width)}x{int(height)}"
+
+
+class Settings(_ValueType):
+    """Values that a camera can be set to: a list, MIN:MAX:STEP, or a file with one per line."""
+
+    name = "settings"
+
+    def __init__(self, expected: str, *, unit: Seconds | Number, file: bool = False) -> None:
+        self.expected = expected
+        self._unit = unit
+        self.completes_files = file
+
+    def parse(self, text: str, option: str) -> tuple[float, ...]:
+        """Return the values in the order given; raise `UsageError`, or `DataError` for a file."""
+        if self.completes_files and (Path(text).exists() or not {",", ":"} & set(text)):
+            return self._read(text)
+        parts = text.split(":")
+        if len(parts) == 3:
+            from camctl.exposure.grid_search import stepped
+
+            return tuple(stepped(*(self._value(part.strip(), option) for part in parts)).tolist())
+        values = text.replace(",", " ").split()
+        if len(parts) != 1 or not values:
+            raise invalid_value(option, text, f"expected {self.expected}")
+        return tuple(self._value(value, option) for value in values)
+
+    def _value(self, text: str, option: str) -> float:
+        value = self._unit.parse(text, option)
+        assert value is not None
+        return value
+
+    def _read(self, path: str) -> tuple[float, ...]:
+        try:
+            lines = Path(path).read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "it is not a text file"
+            raise DataError(f"settings file {path} cannot be read: {reason}") from error
+        texts = [(row, line.partition("#")[0].strip()) for row, line in enumerate(lines, 1)]
+        values = tuple(
+            self._value(text, f"line {row} of settings file {path}") for row, text in texts if text
+        )
+        if not values:
+            raise DataError(f"settings file {path} is empty", hint="write one value per line")
+        return values
+
+
+class ListOf(_ValueType):
+    """Several values of one type, separated by commas or blanks."""
+
+    name = "list"
+
+    def __init__(self, item: _ValueType, *, unique: bool = False) -> None:
+        self._item = item
+        self._unique = unique
+
+    def parse(self, text: str, option: str) -> Any:
+        """Return the values as a tuple in the order given, with `unique` each once."""
+        parts = text.replace(",", " ").split() or [text]
+        values = [self._item.parse(part, option) for part in parts]
+        return tuple(dict.fromkeys(values) if self._unique else values)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Complete the last value of the list."""
+        before, comma, last = incomplete.rpartition(",")
+        names = [name for name in self._item.suggestions() if name.startswith(last)]
+        return [CompletionItem(before + comma + name) for name in names]
+
+
+class Ratios(ListOf):
+    """Exposures relative to each other."""
+
+    name = "ratios"
+
+    def __init__(self) -> None:
+        super().__init__(Number("positive numbers such as 1,2,4", above=0))
+
+    def parse(self, text: str, option: str) -> tuple[float, ...]:
+        """Return the exposures, ascending and relative to the smallest."""
+        values = sorted(super().parse(text, option))
+        return tuple(value / values[0] for value in values)

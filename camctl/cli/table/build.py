@@ -1,0 +1,208 @@
+"""`camctl table build`: an exposure table for another camera."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from camctl.cli import options
+from camctl.cli.commands import command
+from camctl.cli.output import print_json, print_text, print_warning, progress_bar
+from camctl.cli.parameter_types import PATH, DynamicRange, ListOf, WholeNumber
+from camctl.cli.response_options import (
+    RESPONSE,
+    RESPONSES,
+    RealCameraOptions,
+    real_camera_options,
+)
+from camctl.errors import CamctlError, StorageError
+
+
+class InterruptedBuildError(CamctlError):
+    """The building of a table was interrupted; finished rows are kept."""
+
+    exit_status = 130
+
+
+@dataclass(frozen=True)
+class TableContent:
+    """The rows to build: all responses, with all ranges, with 1 to `count` exposures."""
+
+    responses: tuple[str, ...]
+    ranges: tuple[float, ...]
+    count: int
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.responses) * len(self.ranges) * self.count
+
+    def work_done(self, rows: int) -> float:
+        """Return the fraction of the solver's work in the first `rows` rows.
+
+        Rows with the most exposures, which take longest, are solved first.
+        """
+        from camctl.exposure.solver import EVALUATIONS, MAX_EVALUATIONS
+
+        each = len(self.responses) * len(self.ranges)
+        if self.count == 1:
+            return rows / each
+        work = [0.0] + [n * EVALUATIONS.get(n, MAX_EVALUATIONS) for n in range(2, self.count + 1)]
+        done = sum(
+            weight * min(max(rows - each * place, 0), each)
+            for place, weight in enumerate(reversed(work))
+        )
+        return done / (sum(work) * each)
+
+
+content_options = options.option_group(
+    TableContent,
+    "content",
+    click.option(
+        "--responses",
+        type=ListOf(RESPONSE, unique=True),
+        default=",".join(RESPONSES),
+        metavar="NAME,...",
+        help="Desired responses.",
+    ),
+    click.option(
+        "--ranges",
+        type=ListOf(DynamicRange(), unique=True),
+        default="low,medium,high",
+        metavar="RANGE,...",
+        help="Dynamic ranges, by name or number.",
+    ),
+    click.option(
+        "-n",
+        "--exposures",
+        "count",
+        type=options.COUNT,
+        default=6,
+        metavar="N",
+        help="Numbers of exposures: 1 up to N.",
+    ),
+)
+
+
+@command(
+    examples=(
+        ("camctl table build --bits 10 -o ten-bit.json", "all menu entries for a 10-bit camera"),
+        (
+            "camctl table build --curve webcam.txt --responses log --ranges 500,5000 -n 3",
+            "six rows for a measured camera",
+        ),
+    ),
+)
+@real_camera_options
+@content_options
+@options.seed
+@click.option(
+    "--workers",
+    type=WholeNumber(least=1, most=256),
+    metavar="N",
+    help="Number of processes; the table is the same with any.  [default: one per processor]",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=PATH,
+    default="exposure-table.json",
+    metavar="FILE",
+    help="File for the table.",
+)
+@options.force
+@options.as_json
+def build(
+    real_camera: RealCameraOptions,
+    content: TableContent,
+    seed: int,
+    workers: int | None,
+    output: Path,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Build an exposure table for a camera.
+
+    Takes seconds per row, most for rows of five exposures and more. Finished rows are kept beside
+    the table: after an interruption, the same command continues.
+    """
+    from camctl.exposure.build import build_table, table_jobs
+
+    if output.exists() and not force:
+        raise StorageError(f"{output} exists", hint="choose another file with -o, or add --force")
+    real = real_camera.response()
+    for note in real.notes:
+        print_warning(note)
+    done = 0
+
+    def count_rows(finished: int, _all: int) -> None:
+        nonlocal done
+        done = finished
+        if bar is not None:
+            bar(content.work_done(finished), "")
+
+    finished_rows = output.with_name(f"{output.name}.parts")
+    counts = range(1, content.count + 1)
+    try:
+        with (
+            progress_bar(f"solving {content.rows} rows") as bar,
+            _processes(min(workers or os.cpu_count() or 1, content.rows)) as executor,
+        ):
+            table = build_table(
+                table_jobs(real, content.responses, content.ranges, counts, seed=seed),
+                executor=executor,
+                state=finished_rows,
+                progress=count_rows,
+            )
+    except KeyboardInterrupt:
+        raise InterruptedBuildError(
+            f"interrupted after {done} of {content.rows} rows",
+            hint=f"the same command continues, with the rows kept in {finished_rows}"
+            if done
+            else "",
+        ) from None
+    table.save(output)
+    if as_json:
+        print_json({"file": output, "entries": [entry.model_dump() for entry in table.entries]})
+    else:
+        print_text(
+            f"wrote {output}: {content.rows} rows for {real.name}\n"
+            f"show it with: camctl table show --table {output}"
+        )
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[Executor | None]:
+    """Yield an executor of `count` processes; None for one, which is this process."""
+    if count == 1:
+        yield None
+        return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    pool = ProcessPoolExecutor(
+        count,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),  # Control-C is handled by this process
+    )
+    try:
+        yield pool
+    except BaseException:
+        # First the pool is told to drop the waiting rows: its thread would otherwise report each of
+        # them as lost with the processes, and fail on those that `build_table` has cancelled.
+        pool.shutdown(wait=False, cancel_futures=True)
+        children = multiprocessing.active_children()
+        for child in children:
+            child.terminate()  # a row may take long, and its result is not needed any more
+        for child in children:
+            child.join()
+        raise
+    pool.shutdown()

@@ -1,0 +1,49 @@
+"""`camctl menu`: what it refuses, and the job that it gives to the menu."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import Run
+
+import menu.app
+from menu.ports import Choice, Job, Summary
+
+SMALL = ("--size", "64x48")
+
+
+def test_menu_needs_a_terminal(run: Run) -> None:
+    ran = run("menu", *SMALL)
+    assert ran.status == 2
+    assert ran.error == ("the terminal panel needs a terminal; run it without pipes or redirection")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--panel", "termnal", "unknown panel 'termnal'; did you mean terminal?"),
+        ("--panel", "terminal:7", "panel 'terminal' takes no address; use --panel terminal"),
+        ("--camera", "smi", "unknown camera 'smi'"),
+        ("--scene", "nix", "unknown scene 'nix'"),
+    ],
+)
+def test_usage_error_of_menu_is_one_line(run: Run, option: str, value: str, message: str) -> None:
+    ran = run("menu", option, value)
+    assert message in ran.error
+    assert ran.status == 2
+
+
+def test_menu_shoots_into_the_given_folder(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def shoot_at_once(panel: object, job: Job) -> Summary:
+        return job.shoot(job.plan(Choice("log", 256.0, 2)), lambda _: None, lambda: False)
+
+    monkeypatch.setattr(menu.app, "run", shoot_at_once)
+    ran = run("menu", *SMALL, "-o", "pictures", "--mains", "50")
+    (folder,) = Path("pictures").iterdir()
+    assert ran.out == f"the last picture is in {folder}\n"
+    report = json.loads((folder / "report.json").read_text())
+    assert report["source"] == {"camera": "sim", "options": {"size": "64x48"}}
+    assert report["request"]["mains_hz"] == 50
+    assert len(report["frames"]) == 2

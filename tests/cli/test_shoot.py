@@ -1,0 +1,324 @@
+"""`camctl shoot` on the simulated camera."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+from command_line import Run
+
+from camctl import backends
+from camctl.camera import Frame
+from camctl.controls import ExposureSetting
+from sim.camera import Faults, SimulatedCamera
+from sim.scenes.scene import load_scene
+from sim.sensors.sensor import load_sensor
+
+SMALL = ("--size", "64x48")
+RESULT = {"sum.tiff", "image.tiff", "radiance.exr", "preview.png", "report.json", "frames"}
+
+
+def shot(run: Run, *arguments: str | Path) -> Any:
+    """Return the JSON output of a capture of small frames."""
+    return run("shoot", *SMALL, *arguments, "--json").json
+
+
+def test_shoot_without_options_takes_a_picture(run: Run) -> None:
+    ran = run("shoot")
+    assert ran.status == 0
+    (folder,) = Path().iterdir()
+    assert folder.name.startswith("capture-20")
+    assert {path.name for path in folder.iterdir()} == RESULT
+    report = json.loads((folder / "report.json").read_text())
+    assert report["plan"]["response"] == "log"
+    assert report["plan"]["dynamic_range"] == 1000
+    assert len(report["frames"]) == 3
+    assert report["camera"]["id"] == "sim"
+    for text in ("log, 1:1,000, in 3 exposures", "effective levels", str(folder), "sum.tiff"):
+        assert text in ran.out
+    assert ran.err == ""
+
+
+def test_json_output_is_the_report(run: Run) -> None:
+    report = shot(run, "-o", "here", "--range", "low", "-n", "2")
+    assert report == json.loads(Path("here/report.json").read_text())
+    assert {"make", "model", "serial", "driver"} <= set(report["camera"])
+    plan = {"response", "dynamic_range", "ratios", "base_s", "xi", "effective_levels"}
+    assert plan <= set(report["plan"])
+    frame = {"file", "requested_s", "applied_s", "exposure", "black", "white"}
+    frame |= {"saturated_fraction", "timestamp_s"}
+    for each in report["frames"]:
+        assert frame <= set(each)
+    assert {"xi", "effective_levels", "levels", "levels_distinct"} <= set(report["achieved"])
+    assert report["timing"]
+    assert report["files"]
+
+
+def test_sum_is_that_of_the_frames_in_the_report(run: Run) -> None:
+    report = shot(run, "-o", "here", "--sensor", "phone", "--ratios", "1,8,64")
+    total = sum(
+        np.minimum(np.load(Path("here", each["file"])), each["white"]).astype(np.int64)
+        for each in report["frames"]
+    )
+    assert np.array_equal(tifffile.imread("here/sum.tiff"), total)
+
+
+def test_options_reach_plan_and_request(run: Run) -> None:
+    report = shot(run, "-o", "a", "--ratios", "4,1,2", "--base", "1/500", "--levels", "300")
+    assert report["plan"]["ratios"] == [1, 2, 4]
+    assert report["plan"]["base_s"] == pytest.approx(1 / 500)
+    assert report["plan"]["levels_wanted"] == 300
+    applied = [each["applied_s"] for each in report["frames"]]
+    assert applied == pytest.approx([0.002, 0.004, 0.008])
+    longer = shot(run, "-o", "b", "--ratios", "1,2", "--base", "0.002", "--compensation", "2")
+    assert longer["plan"]["base_s"] == pytest.approx(0.008)
+    flicker = shot(run, "-o", "c", "--ratios", "1,2", "--mains", "50")
+    assert flicker["request"]["mains_hz"] == 50
+    assert shot(run, "-o", "d", "--aperture")["request"]["use_aperture"] is True
+    assert shot(run, "-o", "e", "--meter")["request"]["spend_shutter"] is True
+
+
+def test_any_gamma_is_the_desired_response(run: Run) -> None:
+    arguments = ("--sensor", "ideal-4", "-n", "2")
+    report = shot(run, *arguments, "--gamma", "0.45", "-o", "a")
+    assert report["request"]["response"] == report["plan"]["response"] == "gamma"
+    assert report["request"]["gamma"] == 0.45
+    usual = shot(run, *arguments, "--response", "gamma", "-o", "b")
+    assert usual["request"]["gamma"] is None
+    assert report["plan"]["ratios"] != usual["plan"]["ratios"]
+    found = run("solve", "--bits", "4", "--gamma", "0.45", "-n", "2", "--json").json
+    assert report["plan"]["ratios"] == pytest.approx(found["exposures"])
+    text = run("shoot", *SMALL, *arguments, "--gamma", "0.45", "-o", "c").out
+    assert "desired            gamma 0.45, 1:1,000, in 2 exposures\n" in text
+
+
+def test_desired_response_comes_from_a_file(run: Run) -> None:
+    rows = [(0.01, 0.0), (0.1, 0.7), (1.0, 1.0)]
+    Path("desired.txt").write_text("\n".join(f"{E} {u}" for E, u in rows))
+    arguments = ("--sensor", "ideal-4", "-n", "2")
+    report = shot(run, *arguments, "--desired", "desired.txt", "-o", "a")
+    assert report["request"]["response"] == "curve"
+    assert report["request"]["desired_curve"] == [list(row) for row in rows]
+    assert report["plan"]["dynamic_range"] == pytest.approx(100)
+    found = run(*("solve", "--bits", "4", "--desired", "desired.txt", "-n", "2", "--json")).json
+    assert report["plan"]["ratios"] == pytest.approx(found["exposures"])
+    again = json.loads(Path("a/report.json").read_text())
+    Path("a/report.json").write_text(json.dumps({**again, "status": "incomplete"}))
+    Path("a/frames/frame-02.npy").unlink()
+    assert run("shoot", "--resume", "a", "--json").json["plan"] == report["plan"]
+
+
+@pytest.mark.parametrize(
+    ("line", "message", "status"),
+    [
+        ("--desired missing.txt", "cannot read curve missing.txt: No such file", 1),
+        ("--desired flat.txt", "invalid desired response 'flat.txt': u must not decrease and", 1),
+        ("--desired flat.txt --range low", "--desired cannot be combined with --range; the", 2),
+        ("--desired flat.txt --response auto", "--desired cannot be combined with --response", 2),
+        ("--gamma 0.45 --response auto", "--gamma cannot be combined with --response auto", 2),
+        ("--gamma 0", "invalid value for --gamma: 0; expected an exponent from 0.01 to 100", 2),
+        ("--gamma 200", "invalid gamma 200: expected 0.01 to 100", 2),
+    ],
+)
+def test_invalid_desired_response_is_one_line(
+    run: Run, line: str, message: str, status: int
+) -> None:
+    Path("flat.txt").write_text("0.1 1\n1 1\n")
+    ran = run("shoot", *SMALL, *line.split())
+    assert message in ran.error
+    assert ran.status == status
+    assert [path.name for path in Path().iterdir()] == ["flat.txt"]
+
+
+def test_seed_determines_the_noise(run: Run) -> None:
+    arguments = ("--ratios", "1,2", "--base", "0.01")
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        shot(run, *arguments, "--seed", seed, "-o", name)
+    sums = [tifffile.imread(f"{name}/sum.tiff") for name in "abc"]
+    assert np.array_equal(sums[0], sums[1])
+    assert not np.array_equal(sums[0], sums[2])
+
+
+def test_warnings_go_to_standard_error(run: Run) -> None:
+    ran = run("shoot", *SMALL, "--base", "1/500", "--ratios", "1,2", "--mains", "50", "--json")
+    assert ran.json["warnings"]
+    for warning in ran.json["warnings"]:
+        assert f"camctl: warning: {warning}\n" in ran.err
+
+
+def test_two_captures_in_one_second_get_two_folders(run: Run) -> None:
+    for _ in range(2):
+        assert run("shoot", *SMALL, "--ratios", "1", "--base", "0.01").status == 0
+    assert len(list(Path().iterdir())) == 2
+
+
+def test_earlier_capture_is_replaced_only_with_force(run: Run) -> None:
+    shot(run, "-o", "here", "--seed", "1")
+    before = Path("here/sum.tiff").read_bytes()
+    ran = run("shoot", *SMALL, "-o", "here", "--seed", "2")
+    assert ran.status == 1
+    assert "here is not empty" in ran.error
+    assert "--force" in ran.error
+    assert Path("here/sum.tiff").read_bytes() == before
+    shot(run, "-o", "here", "--seed", "2", "--force")
+    assert Path("here/sum.tiff").read_bytes() != before
+
+
+def test_folder_with_other_files_is_never_replaced(run: Run) -> None:
+    Path("here").mkdir()
+    Path("here/letter.txt").write_text("dear")
+    ran = run("shoot", *SMALL, "-o", "here", "--force")
+    assert ran.status == 1
+    assert "here is not empty" in ran.error
+    assert Path("here/letter.txt").read_text() == "dear"
+
+
+class FaultyBackend:
+    """The simulated camera, with faults the first time it is opened."""
+
+    faults: Faults | None = None
+
+    def open(self, address: str, options: Mapping[str, str]) -> SimulatedCamera:
+        faults, FaultyBackend.faults = FaultyBackend.faults, None
+        scene = load_scene("tile-floor", (48, 64))
+        seed = int(options.get("seed", "0"))
+        return SimulatedCamera(scene, load_sensor("standard"), seed=seed, faults=faults)
+
+
+def test_resume_completes_a_broken_capture(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backends, "load", lambda *_: FaultyBackend)
+    FaultyBackend.faults = Faults(unplug_after=1)
+    broken = run("shoot", "--seed", "4", "-o", "here")
+    assert broken.status == 1
+    assert "camctl shoot --resume here" in broken.error
+    kept = json.loads(Path("here/report.json").read_text())
+    assert kept["source"] == {"camera": "sim", "options": {"seed": "4"}}
+    assert kept["status"] == "incomplete"
+    ran = run("shoot", "--resume", "here", "--json")
+    assert ran.json["status"] == "complete"
+    assert all(ran.json["frames"])
+    assert ran.json["plan"] == kept["plan"]
+
+
+def test_interrupted_capture_can_be_resumed_once(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    shoot = SimulatedCamera.shoot
+
+    def shoot_one_frame(
+        self: SimulatedCamera, settings: Sequence[ExposureSetting]
+    ) -> Generator[Frame, None, None]:
+        frames = shoot(self, settings)
+        yield next(frames)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SimulatedCamera, "shoot", shoot_one_frame)
+        ran = run("shoot", *SMALL, "-o", "here")
+    assert ran.status == 130
+    assert "camctl shoot --resume here" in ran.error
+    assert run("shoot", "--resume", "here").status == 0
+    again = run("shoot", "--resume", "here")
+    assert again.status == 1
+    assert again.error == (
+        "the capture in here is complete: all 3 frames were shot; "
+        "take another picture with camctl shoot"
+    )
+
+
+def test_complete_capture_is_reported_without_its_camera(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shot(run, "-o", "here")
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("the camera must not be opened")
+
+    monkeypatch.setattr(backends, "open_camera", refuse)
+    assert "the capture in here is complete" in run("shoot", "--resume", "here").error
+
+
+def test_resume_needs_the_camera_in_the_report(run: Run) -> None:
+    shot(run, "-o", "here")
+    report = json.loads(Path("here/report.json").read_text())
+    report |= {"status": "incomplete", "source": {}}
+    Path("here/report.json").write_text(json.dumps(report))
+    ran = run("shoot", "--resume", "here")
+    assert ran.error.startswith("here/report.json does not name the camera to open; ")
+    assert ran.status == 1
+
+
+def test_camera_options_are_kept_for_resuming(run: Run) -> None:
+    arguments = ("-O", "scene=room", "-O", "sensor=phone", "--ratios", "1,8,64")
+    report = shot(run, *arguments, "-o", "here")
+    options = {"scene": "room", "sensor": "phone", "size": "64x48"}
+    assert report["source"] == {"camera": "sim", "options": options}
+    assert report["layout"] == "rggb"
+    Path("here/frames/frame-02.npy").unlink()
+    report = json.loads(Path("here/report.json").read_text())
+    Path("here/report.json").write_text(json.dumps({**report, "status": "incomplete"}))
+    again = run("shoot", "--resume", "here", "--json").json
+    assert again["layout"] == "rggb"
+    assert all(again["frames"])
+
+
+def test_scene_name_is_kept_even_if_a_file_has_that_name(run: Run) -> None:
+    Path("room").write_text("no scene")
+    assert shot(run, "--scene", "room", "-o", "here")["source"]["options"]["scene"] == "room"
+
+
+def test_varying_control_delay_is_reported_once(run: Run) -> None:
+    ran = run("shoot", *SMALL, "--sensor", "consumer", "-o", "here", "--json")
+    (note,) = [warning for warning in ran.json["warnings"] if "settles" in warning]
+    assert "not constant" in note
+    assert ran.err.count(note) == 1
+    assert "settles" not in run("shoot", *SMALL, "-o", "steady").err
+
+
+def test_report_has_the_full_path_of_a_scene_file(run: Run) -> None:
+    np.save("map.npy", np.geomspace(1, 100, 48 * 64).reshape(48, 64))
+    report = run("shoot", "--scene", "map.npy", "-o", "here", "--json").json
+    assert report["source"]["options"]["scene"] == str(Path("map.npy").resolve())
+
+
+HDR = np.ones((4, 4), dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("line", "message", "status"),
+    [
+        ("--camera smi", "unknown camera 'smi'; did you mean sim?", 2),
+        ("--camera sim:7", "no camera sim:7", 1),
+        ("--scene tile-flor", "unknown scene 'tile-flor'; did you mean tile-floor", 2),
+        ("--scene missing.hdr", "missing.hdr", 1),
+        ("--scene nan.npy", "scene nan.npy: 1 of 16 pixels is NaN", 1),
+        ("--scene negative.npy", "1 of 16 pixels is negative", 1),
+        ("--scene dark.npy", "scene dark.npy: all pixels are 0; a scene needs some light", 1),
+        ("--sensor fone", "unknown sensor 'fone'; did you mean phone", 2),
+        ("--sensor bad.json", "bad.json: not JSON", 1),
+        ("--base 100", "beyond the camera's", 1),
+        ("--base 10 --ratios 1,1000", "is beyond the camera's controls", 1),
+        ("--resume missing", "missing holds no capture: report.json is missing", 1),
+        ("--resume damaged", "report.json is damaged", 1),
+        ("-o dark.npy/x", "cannot write", 1),
+    ],
+)
+def test_impossible_capture_is_one_line_and_leaves_nothing(
+    run: Run, line: str, message: str, status: int
+) -> None:
+    for name, value in (("nan", np.nan), ("negative", -1.0)):
+        light = HDR.copy()
+        light[1, 2] = value
+        np.save(f"{name}.npy", light)
+    np.save("dark.npy", 0 * HDR)
+    Path("bad.json").write_text("{")
+    Path("damaged").mkdir()
+    Path("damaged/report.json").write_text('{"status": "complete"}')
+    before = {path.name for path in Path().iterdir()}
+    ran = run("shoot", *line.split())
+    assert message in ran.error
+    assert ran.status == status
+    assert {path.name for path in Path().iterdir()} == before
