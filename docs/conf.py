@@ -1,6 +1,12 @@
 """Sphinx configuration: Markdown pages, and the API reference from the docstrings."""
 
+import re
 from importlib.metadata import version as installed_version
+
+from docutils.nodes import Element, TextElement
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
 
 project = "camctl"
 copyright = "the camctl authors"
@@ -11,7 +17,6 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
-    "sphinxcontrib.mermaid",
 ]
 exclude_patterns = ["_build"]
 html_theme = "furo"
@@ -27,4 +32,19 @@ napoleon_use_ivar = True
 
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 3
-myst_fence_as_directive = ["mermaid"]
+
+
+def resolve_public_name(
+    app: Sphinx, env: BuildEnvironment, node: pending_xref, text: TextElement
+) -> Element | None:
+    """Link camctl.camera.Frame, as a type hint names it, to its public name camctl.Frame."""
+    target = re.sub(r"^camctl\.[a-z_.]+\.(?=[A-Za-z]\w*)", "camctl.", node.get("reftarget", ""))
+    if node.get("refdomain") != "py" or target.split(".")[1:2] == []:
+        return None
+    domain = env.get_domain("py")
+    return domain.resolve_xref(env, node["refdoc"], app.builder, "obj", target, node, text)
+
+
+def setup(app: Sphinx) -> None:
+    """Register the link resolver."""
+    app.connect("missing-reference", resolve_public_name)
