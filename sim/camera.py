@@ -58,7 +58,7 @@ class SimulatedCamera(Closing):
             out: averages over a bracket of interleaved exposures show far less than a level, and
             a tolerance of more than 0.05 would spoil them.
         repeat_noise: every frame draws the noise of frame 0 as if the camera had been opened just
-            then, so that it depends on its exposure alone, as in `sim.devices.scenery`
+            then, so that it depends on its exposure alone, as in `sim.devices.common`
 
     Raises:
         UsageError: a seed or a tolerance out of range

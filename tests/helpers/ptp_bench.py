@@ -5,9 +5,9 @@ from contextlib import contextmanager
 from camctl.controls import ExposureSetting
 from drivers.ptp.backend import PtpBackend
 from drivers.ptp.camera import PtpCamera
+from sim.devices.common import VirtualSensor
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera
 from sim.devices.ptp.config import PtpConfig
-from sim.devices.scenery import Exposer
 from sim.devices.usb.backend import VirtualBackend
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
@@ -17,7 +17,7 @@ SILENCE_S = 0.5
 
 
 def exposer(scene="ramp", sensor="ideal-8"):
-    return Exposer(load_scene(scene, SHAPE), load_sensor(sensor), seed=1, repeat_noise=True)
+    return VirtualSensor(load_scene(scene, SHAPE), load_sensor(sensor), seed=1, repeat_noise=True)
 
 
 def virtual(sensor="ideal-8", scene="ramp", **config):

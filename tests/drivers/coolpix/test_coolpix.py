@@ -30,9 +30,9 @@ from drivers.coolpix.camera import CoolpixCamera
 from drivers.coolpix.discovery import ask
 from drivers.coolpix.settings import CANDIDATES_US
 from drivers.coolpix.sierra.packets import Action, Register
-from sim.devices.sierra.camera import Refused
+from sim.devices.sierra.camera import RefusedError
+from sim.devices.sierra.config import SHUTTER_US
 from sim.devices.sierra.device import make
-from sim.devices.sierra.registers import SHUTTER_US
 
 SEEN = {"scene": "ramp", "sensor": "standard", "seed": 3, "size": "32x24", "repeat_noise": True}
 SETTINGS = [ExposureSetting(time_s) for time_s in (0.002, 0.008)]
@@ -112,7 +112,7 @@ class TestPictures:
         with opened(device) as camera:
             frames = shoot(camera)
         for frame, setting in zip(frames, SETTINGS, strict=True):
-            exposed = device.body.exposer.expose(setting.time_s)
+            exposed = device.body.sensor.expose(setting.time_s)
             assert np.array_equal(frame.pixels[..., 0], exposed)
             assert frame.original.suffix == ".tif"
             assert frame.original.data in [picture.data for picture in device.camera.pictures]
@@ -150,7 +150,7 @@ class TestPictures:
             notes = "\n".join(camera.controls.notes)
         assert (plain.applied.f_number, small.applied.f_number) == (None, 7.0)
         assert np.array_equal(plain.pixels, again.pixels)
-        light = device.body.exposer.expose(0.008 * (2.5 / 7.0) ** 2)
+        light = device.body.sensor.expose(0.008 * (2.5 / 7.0) ** 2)
         assert np.array_equal(small.pixels[..., 0], light)
         assert "assumed" in notes
         assert "its aperture is fixed at f/2.5" in notes
@@ -241,7 +241,7 @@ class TestFaults:
             second = next(frames)
             frames.close()
         assert [f.applied.time_s for f in (first, second)] == [0.002, 0.008]
-        assert np.array_equal(second.pixels[..., 0], device.body.exposer.expose(0.008))
+        assert np.array_equal(second.pixels[..., 0], device.body.sensor.expose(0.008))
         assert len(device.camera.pictures) == 3
 
     def test_a_download_cut_short_is_asked_for_again(self, device):
@@ -249,7 +249,7 @@ class TestFaults:
             camera.controls  # noqa: B018
             once(camera, "read", Register.PICTURE_DATA, lambda: device.do("truncate", count=1))
             (frame,) = shoot(camera, SETTINGS[:1])
-        assert np.array_equal(frame.pixels[..., 0], device.body.exposer.expose(0.002))
+        assert np.array_equal(frame.pixels[..., 0], device.body.sensor.expose(0.002))
         assert len(device.camera.pictures) == 2
 
     def test_a_refused_speed_is_only_slow(self, device):
@@ -321,7 +321,7 @@ class TestFaults:
             camera.controls  # noqa: B018
             release = device.body.release
             device.body.release = lambda exposure, done: release(
-                type(exposure)(0.004, exposure.gain, exposure.light, exposure.kinds), done
+                type(exposure)(0.004, exposure.gain, exposure.light, exposure.formats), done
             )
             with pytest.raises(CameraProtocolError, match=r"exposed for 0\.004 s, not for 0\.008"):
                 shoot(camera, SETTINGS[1:])
@@ -338,7 +338,7 @@ class TestFaults:
 
 
 def refuse():
-    raise Refused
+    raise RefusedError
 
 
 class TestBrokenLines:
@@ -408,7 +408,7 @@ class TestBrokenLines:
                 device.camera._quality = 0x13
                 device.camera._set_shutter(0)
                 device.camera._aperture = 3
-                device.camera._current = 0
+                device.camera._selected = 0
 
         with self.open(device) as camera:
             camera.controls  # noqa: B018
@@ -417,7 +417,7 @@ class TestBrokenLines:
             frames = shoot(camera)
         assert [frame.applied.time_s for frame in frames] == [0.002, 0.008]
         for frame, setting in zip(frames, SETTINGS, strict=True):
-            exposed = device.body.exposer.expose(setting.time_s)
+            exposed = device.body.sensor.expose(setting.time_s)
             assert np.array_equal(frame.pixels[..., 0], exposed)
         assert len(device.camera.pictures) == taken + 2
 
@@ -472,7 +472,7 @@ class TestUrls:
         with served(device.line.path) as url, CoolpixCamera(url, **linear) as camera:
             (frame,) = shoot(camera, SETTINGS[:1])
             assert "at 19200 baud" in camera.controls.notes[0]
-        assert np.array_equal(frame.pixels[..., 0], device.body.exposer.expose(0.002))
+        assert np.array_equal(frame.pixels[..., 0], device.body.sensor.expose(0.002))
 
     def test_a_line_that_is_listened_in_on(self, device, capsys):
         url = f"spy://{device.line.path}"

@@ -11,13 +11,13 @@ from camctl.errors import CameraProtocolError
 from drivers.common.exif import exposure_time_s
 from drivers.coolpix.pictures import OnCard, download, follows, wait_for_picture
 from drivers.coolpix.sierra.packets import RefusedCommandError, Register
-from sim.devices.still_files import Exposed, encode
+from sim.devices.still_files import RawImage, encode
 
 GREY = np.arange(64, dtype=np.uint8).reshape(8, 8)
 
 
 def file_of(kind, time_s):
-    return encode(kind, Exposed(GREY, Layout.MONO, 8, 0, 255, time_s))
+    return encode(kind, RawImage(GREY, Layout.MONO, 8, 0, 255, time_s))
 
 
 class TestExposureTime:
