@@ -51,6 +51,7 @@ def test_gphoto2_identifies_the_camera(
     assert "Error" not in output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [19200, 115200])
 def test_gphoto2_takes_a_picture_with_the_exposure_it_set(
     camera: sierra.SierraDevice, preload: Path, tmp_path: Path, speed: int
@@ -65,6 +66,7 @@ def test_gphoto2_takes_a_picture_with_the_exposure_it_set(
     assert camera.do("state")["pictures"] == 0  # gphoto2 deletes what it has downloaded
 
 
+@pytest.mark.slow
 def test_gphoto2_takes_a_jpeg(camera: sierra.SierraDevice, preload: Path, tmp_path: Path) -> None:
     data = gphoto2_client.shoot_coolpix(tmp_path, camera.line.path, preload=preload)
     assert data[:2] == b"\xff\xd8"
