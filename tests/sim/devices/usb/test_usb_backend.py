@@ -236,9 +236,7 @@ def test_a_reset_discards_what_was_sent(device: Echo, host: Any) -> None:
 
 
 def test_control_commands_of_every_device(device: Echo) -> None:
-    with pytest.raises(
-        UsageError, match="command 'xyzzy'; known: plug, state, unplug"
-    ):
+    with pytest.raises(UsageError, match="command 'xyzzy'; known: plug, state, unplug"):
         device.do("xyzzy")
     assert device.do("state") == {}
 
