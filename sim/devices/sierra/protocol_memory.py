@@ -128,11 +128,6 @@ class Serial(serial.SerialBase):  # type: ignore[misc]  # pyserial has no types
         self._connected().received(bytes(data))
         return len(data)
 
-    def reset_input_buffer(self) -> None:
-        """Discard the bytes that have arrived and have not been read."""
-        with self._lock:
-            self._buffer.clear()
-
     def arrive(self, data: bytes) -> None:
         """Receive bytes from the camera."""
         with self._lock:
