@@ -31,8 +31,8 @@ _PACKET_SIZE = 16  # of an isochronous packet's description
 
 
 @dataclass(eq=False)
-class _Connection:
-    """A connection between a device and the kernel.
+class UsbIpConnection:
+    """A connection between a device and the kernel: the device's side of USB/IP.
 
     Attributes:
         device: the device
@@ -40,6 +40,9 @@ class _Connection:
         channel: this end of the socket pair
         reads: waiting reads by sequence number
         unanswered: sequence numbers of control requests without a reply
+        last_submitted: sequence number of the last transfer; they increase
+        early_unlinks: unlink requests that came before their transfer: their own sequence number by
+            that of the transfer
     """
 
     device: UsbDevice
@@ -47,6 +50,8 @@ class _Connection:
     channel: socket.socket
     reads: dict[int, Read] = field(default_factory=dict)
     unanswered: set[int] = field(default_factory=set)
+    last_submitted: int = 0
+    early_unlinks: dict[int, int] = field(default_factory=dict)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def send_result(self, number: int, status: int, length: int, data: bytes = b"") -> None:
@@ -88,7 +93,11 @@ class _Connection:
         data = self._receive(length) if not is_in and length > 0 else b""
         if packets > 0:
             self._receive(_PACKET_SIZE * packets)
-        if endpoint == 0:
+        self.last_submitted = number
+        if number in self.early_unlinks:
+            self.send_result(number, errno.ECONNRESET, 0)
+            self.send_unlinked(self.early_unlinks.pop(number), 0)
+        elif endpoint == 0:
             self._control(number, struct.unpack_from("<BBHHH", head, 40), data)
         elif is_in:
             self._read(number, endpoint, length)
@@ -117,6 +126,12 @@ class _Connection:
 
     def _unlink(self, number: int, cancelled: int) -> None:
         """Cancel a transfer; the bytes it has are sent first, as by a real controller."""
+        if cancelled > self.last_submitted:
+            # The kernel's sender takes new transfers and unlink requests from two queues, so the
+            # request may be the first.  A reply to it now would end the transfer for the kernel,
+            # which then drops a device that sends the transfer's result.
+            self.early_unlinks[cancelled] = number
+            return
         if cancelled in self.unanswered:
             self.unanswered.discard(cancelled)
             self.send_unlinked(number, errno.ECONNRESET)
@@ -141,7 +156,7 @@ class VhciPort:
     """A port of the kernel's virtual controller: the one that is free when a device is attached."""
 
     def __init__(self) -> None:
-        self._connection: _Connection | None = None
+        self._connection: UsbIpConnection | None = None
         self._thread: threading.Thread | None = None
 
     def attach(self, device: UsbDevice) -> None:
@@ -168,9 +183,9 @@ class VhciPort:
             thread.join(timeout=_DETACH_S)
 
 
-def _plug_in(device: UsbDevice, port: int) -> tuple[_Connection, threading.Thread]:
+def _plug_in(device: UsbDevice, port: int) -> tuple[UsbIpConnection, threading.Thread]:
     ours, of_kernel = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
-    connection = _Connection(device, port, ours)
+    connection = UsbIpConnection(device, port, ours)
     device.connect()
     thread = threading.Thread(target=connection.serve, name=f"vhci-{port}", daemon=True)
     thread.start()
