@@ -1,3 +1,127 @@
-"""camctl: a camera controller that knows which exposures to combine."""
+"""camctl: a camera controller that knows which exposures to combine.
+
+Everything in `camctl.__all__` is public.  ``import camctl`` itself is cheap: the module that
+defines a name, and numpy with it, is imported when the name is first used.
+
+>>> import camctl
+>>> with camctl.open_camera("sim", scene="tile-floor", size="64x48") as camera:
+...     report = camctl.capture(camera, camctl.CaptureRequest(ratios=(1, 4, 16)))
+>>> report.radiance().shape
+(48, 64)
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from camctl.backends import BackendListing as BackendListing
+    from camctl.backends import BackendOptions as BackendOptions
+    from camctl.backends import CameraBackend as CameraBackend
+    from camctl.backends import FrameShape as FrameShape
+    from camctl.backends import list_backends as list_backends
+    from camctl.backends import list_cameras as list_cameras
+    from camctl.backends import open_camera as open_camera
+    from camctl.camera import Camera as Camera
+    from camctl.camera import CameraBase as CameraBase
+    from camctl.camera import CameraInfo as CameraInfo
+    from camctl.camera import Frame as Frame
+    from camctl.camera import FrameStream as FrameStream
+    from camctl.camera import OriginalFile as OriginalFile
+    from camctl.camera import PreviewingCamera as PreviewingCamera
+    from camctl.camera import StreamingCamera as StreamingCamera
+    from camctl.captures.frame_store import read_report as read_report
+    from camctl.captures.plan import plan_capture as plan_capture
+    from camctl.captures.report import Achieved as Achieved
+    from camctl.captures.report import CaptureReport as CaptureReport
+    from camctl.captures.report import FrameRecord as FrameRecord
+    from camctl.captures.report import Irradiance as Irradiance
+    from camctl.captures.report import RatioCheck as RatioCheck
+    from camctl.captures.request import CapturePlan as CapturePlan
+    from camctl.captures.request import CaptureRequest as CaptureRequest
+    from camctl.captures.request import Metering as Metering
+    from camctl.captures.sequencer import Progress as Progress
+    from camctl.captures.sequencer import capture as capture
+    from camctl.captures.sequencer import resume as resume
+    from camctl.clock import Clock as Clock
+    from camctl.clock import RealClock as RealClock
+    from camctl.clock import VirtualClock as VirtualClock
+    from camctl.controls import Choices as Choices
+    from camctl.controls import ExposureControls as ExposureControls
+    from camctl.controls import ExposureSetting as ExposureSetting
+    from camctl.controls import Layout as Layout
+    from camctl.controls import Steps as Steps
+    from camctl.errors import CamctlError as CamctlError
+    from camctl.errors import CameraBusyError as CameraBusyError
+    from camctl.errors import CameraDisconnectedError as CameraDisconnectedError
+    from camctl.errors import CameraError as CameraError
+    from camctl.errors import CameraNotFoundError as CameraNotFoundError
+    from camctl.errors import CameraProtocolError as CameraProtocolError
+    from camctl.errors import CameraTimeoutError as CameraTimeoutError
+    from camctl.errors import CaptureError as CaptureError
+    from camctl.errors import DataError as DataError
+    from camctl.errors import InterruptedCaptureError as InterruptedCaptureError
+    from camctl.errors import RefusedSettingError as RefusedSettingError
+    from camctl.errors import StorageError as StorageError
+    from camctl.errors import UsageError as UsageError
+    from camctl.exposure.objective import Evaluation as Evaluation
+    from camctl.exposure.objective import Objective as Objective
+    from camctl.exposure.objective import evaluate as evaluate
+    from camctl.exposure.solver import SearchOptions as SearchOptions
+    from camctl.exposure.solver import Solution as Solution
+    from camctl.exposure.solver import solve as solve
+    from camctl.exposure.table import ExposureTable as ExposureTable
+    from camctl.response.camera import CameraResponse as CameraResponse
+    from camctl.response.camera import linear_response as linear_response
+    from camctl.response.camera import standard_response as standard_response
+    from camctl.response.desired import DesiredResponse as DesiredResponse
+    from camctl.response.desired import desired_response as desired_response
+    from camctl.response.desired import tabulated_desired as tabulated_desired
+    from camctl.response.measured import measured_response as measured_response
+
+#: Where each public name is defined: the names of one module of camctl in a line.
+_NAMES = {
+    "backends": (
+        "BackendListing BackendOptions CameraBackend FrameShape list_backends list_cameras "
+        "open_camera"
+    ),
+    "camera": (
+        "Camera CameraBase CameraInfo Frame FrameStream OriginalFile PreviewingCamera "
+        "StreamingCamera"
+    ),
+    "captures.frame_store": "read_report",
+    "captures.plan": "plan_capture",
+    "captures.report": "Achieved CaptureReport FrameRecord Irradiance RatioCheck",
+    "captures.request": "CapturePlan CaptureRequest Metering",
+    "captures.sequencer": "Progress capture resume",
+    "clock": "Clock RealClock VirtualClock",
+    "controls": "Choices ExposureControls ExposureSetting Layout Steps",
+    "errors": (
+        "CamctlError CameraBusyError CameraDisconnectedError CameraError CameraNotFoundError "
+        "CameraProtocolError CameraTimeoutError CaptureError DataError InterruptedCaptureError "
+        "RefusedSettingError StorageError UsageError"
+    ),
+    "exposure.objective": "Evaluation Objective evaluate",
+    "exposure.solver": "SearchOptions Solution solve",
+    "exposure.table": "ExposureTable",
+    "response.camera": "CameraResponse linear_response standard_response",
+    "response.desired": "DesiredResponse desired_response tabulated_desired",
+    "response.measured": "measured_response",
+}
+_MODULES = {name: f"camctl.{module}" for module, names in _NAMES.items() for name in names.split()}
+
+__all__ = ["__version__", *_MODULES]
+
+if not TYPE_CHECKING:  # a type checker would take every name for one that exists
+
+    def __getattr__(name: str) -> object:
+        """Import the module that defines a public name, and return what it names (PEP 562)."""
+        if name not in _MODULES:
+            raise AttributeError(f"module 'camctl' has no attribute '{name}'")
+        value = globals()[name] = getattr(import_module(_MODULES[name]), name)
+        return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,16 +1,20 @@
-"""Cameras and panels are found through entry points, the built-in ones like anybody else's.
+"""Camera backends and panels, found through entry points; the built-in ones are found like others.
 
-A package adds a camera by naming a `CameraBackend` class in the entry-point group ``camctl.cameras``;
-the entry point's name is what stands before the colon of a camera id (``v4l2:/dev/video0``).
-Panels are callables in ``camctl.panels``.
+A package adds a camera by naming a `CameraBackend` class in the entry-point group
+``camctl.cameras``.  The name of the entry point is the part of a camera id before the colon
+(``v4l2:/dev/video0``).  Panels are callables in the group ``camctl.panels``.
 """
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Annotated, Any, Protocol, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
@@ -20,6 +24,9 @@ from camctl.errors import CamctlError, UsageError, unknown_name
 
 CAMERAS = "camctl.cameras"
 PANELS = "camctl.panels"
+
+#: Modules of the standard library that exist on Linux (and other POSIX systems) only.
+_POSIX_MODULES = frozenset({"curses", "fcntl", "grp", "pwd", "resource", "termios", "tty"})
 
 
 def _parse_size(value: object) -> object:
@@ -32,7 +39,7 @@ def _parse_size(value: object) -> object:
 
 
 FrameShape = Annotated[tuple[int, int], BeforeValidator(_parse_size)]
-"""(rows, columns) of a frame; a person writes WIDTHxHEIGHT."""
+"""(rows, columns) of a frame; as a string, WIDTHxHEIGHT."""
 
 
 class BackendOptions(BaseModel):
@@ -68,69 +75,159 @@ class BackendOptions(BaseModel):
 class CameraBackend(Protocol):
     """One way to reach cameras: a bus, a protocol, or a simulation.
 
-    A road may have an attribute `about`, one line that says which cameras it leads to.
+    A backend may have an attribute `about`, one line that says which cameras it reaches.
     """
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras that can be opened now, within a second.
 
-        `probe` allows speaking to devices that may be no cameras, such as whatever hangs on a
-        serial port; without it they are left alone.
+        `probe` allows sending data to devices that may be no cameras, such as whatever is connected
+        to a serial port; without it nothing is sent to them.
         """
         ...
 
-    def open(self, address: str, options: Mapping[str, str]) -> Camera:
-        """Open the camera at `address`, what follows the colon of its id ("" if nothing does).
+    def open(self, address: str, options: Mapping[str, Any]) -> Camera:
+        """Return the camera at `address`, opened.
 
-        `options` holds what the user said beside the id, by option name; a road raises `UsageError`
-        for one that it cannot use, so that nothing is ignored silently.
+        `address` is the part of the camera id after the colon, "" without a colon.  `options` are
+        what the user gave beside the id, by name; `BackendOptions.parse` validates them.
+
+        Raises:
+            UsageError: an option that the backend does not have, or an invalid value
+            CameraNotFoundError, CameraBusyError: the camera cannot be opened
         """
         ...
 
 
-def _found(group: str) -> dict[str, EntryPoint]:
+def _entry_points(group: str) -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=group)}
 
 
 def load(group: str, kind: str, name: str) -> Any:
-    """Return what the entry point `name` of `group` names; `kind` is the word for it in errors."""
-    found = _found(group)
+    """Return the object that the entry point `name` of `group` names.
+
+    `kind` is what error messages call it, such as "camera".
+
+    Raises:
+        UsageError: no such entry point, or it cannot be imported
+    """
+    found = _entry_points(group)
     if name not in found:
         raise unknown_name(kind, name, found)
     try:
         return found[name].load()
     except (ImportError, AttributeError) as error:
-        raise UsageError(
-            f"{kind} '{name}' cannot be loaded: {error}", hint="install what it needs"
-        ) from error
+        raise _load_error(kind, found[name], error) from error
 
 
-def open_camera(camera_id: str, options: Mapping[str, str] | None = None) -> Camera:
-    """Open a camera by its id: the name of its road, and an address after a colon."""
-    road_name, _, address = camera_id.partition(":")
-    road: CameraBackend = load(CAMERAS, "camera", road_name)()
-    return road.open(address, options or {})
+def _load_error(kind: str, point: EntryPoint, error: Exception) -> UsageError:
+    """Return the error for an entry point that cannot be loaded, with the probable reason."""
+    missing = error.name if isinstance(error, ImportError) else None
+    package = point.module.partition(".")[0]
+    in_package = missing is None or missing.partition(".")[0] == package
+    if in_package and (shadowing := _shadowing_path(package)) is not None:
+        owner = f" of {point.dist.name}" if point.dist is not None else ""
+        return UsageError(
+            f"{kind} '{point.name}' cannot be loaded: {shadowing} shadows the package "
+            f"{package}{owner}",
+            hint="run from another folder or rename it",
+        )
+    if missing in _POSIX_MODULES:
+        return UsageError(
+            f"{kind} '{point.name}' needs Linux: this Python has no module {missing}",
+            hint=f"choose another {kind}",
+        )
+    return UsageError(
+        f"{kind} '{point.name}' cannot be loaded: {error}",
+        hint="install the packages that it needs",
+    )
+
+
+def _shadowing_path(package: str) -> str | None:
+    """Return the first of several modules called `package` on the path; None where there is one.
+
+    In the working directory it is written "./NAME".
+    """
+    found: list[Path] = []
+    for entry in sys.path:
+        spec = PathFinder.find_spec(package, [entry])
+        if spec is None or spec.origin is None:
+            continue  # a folder without __init__.py hides no package
+        file = Path(spec.origin).resolve()
+        found.append(file.parent if file.name == "__init__.py" else file)
+    if len(set(found)) < 2:
+        return None
+    working = Path.cwd().resolve()
+    return f"./{found[0].name}" if found[0].parent == working else str(found[0])
+
+
+def open_camera(
+    camera_id: str, options: Mapping[str, Any] | None = None, /, **more_options: Any
+) -> Camera:
+    """Open a camera and return it; it is a context manager that closes the camera.
+
+    Args:
+        camera_id: name of the backend, and an address after a colon: "sim", "v4l2:/dev/video0"
+        options: options of the backend; their values may be of any type that the backend's options
+            model accepts, strings in any case.  None leaves an option at its default.
+        more_options: more of them, as keyword arguments
+
+    Raises:
+        UsageError: an unknown backend or option, or an invalid value
+        CameraError: the camera cannot be opened
+
+    >>> with open_camera("sim", scene="uniform", size="64x48") as camera:
+    ...     camera.controls.shape
+    (48, 64)
+    """
+    name, _, address = camera_id.partition(":")
+    backend: CameraBackend = load(CAMERAS, "camera", name)()
+    given = {**(options or {}), **more_options}
+    return backend.open(
+        address,
+        {
+            option: os.fspath(value) if isinstance(value, os.PathLike) else value
+            for option, value in given.items()
+            if value is not None
+        },
+    )
 
 
 @dataclass(frozen=True)
-class Look:
-    """What one road found: `problem` is one line where it could not look, else empty."""
+class BackendListing:
+    """One backend and the cameras it has found.
 
-    road: str
+    Attributes:
+        name: the part of a camera id before the colon
+        about: one line that says which cameras it reaches
+        cameras: the cameras that can be opened now
+        problem: one line that says why it could not look for cameras, else empty
+    """
+
+    name: str
     about: str
     cameras: tuple[CameraInfo, ...] = ()
     problem: str = ""
 
 
-def look_for_cameras(*, probe: bool = False) -> list[Look]:
-    """Return what each road finds; `probe`: see `CameraBackend.discover`."""
-    looks = []
-    for name in sorted(_found(CAMERAS)):
+def list_backends(*, probe: bool = False) -> list[BackendListing]:
+    """Return all backends with the cameras they find; `probe`: see `CameraBackend.discover`."""
+    listings = []
+    for name in sorted(_entry_points(CAMERAS)):
         about = ""
         try:
-            kind = load(CAMERAS, "camera", name)
-            about = getattr(kind, "about", "")
-            looks.append(Look(name, about, tuple(kind().discover(probe=probe))))
+            backend = load(CAMERAS, "camera", name)
+            about = getattr(backend, "about", "")
+            cameras = tuple(backend().discover(probe=probe))
+            listings.append(BackendListing(name, about, cameras))
         except CamctlError as error:
-            looks.append(Look(name, about, problem=str(error)))
-    return looks
+            listings.append(BackendListing(name, about, problem=str(error)))
+    return listings
+
+
+def list_cameras(*, probe: bool = False) -> list[CameraInfo]:
+    """Return the cameras that can be opened now; `probe`: see `CameraBackend.discover`.
+
+    A backend that cannot look for cameras is left out; `list_backends` says why.
+    """
+    return [camera for listing in list_backends(probe=probe) for camera in listing.cameras]

@@ -1,8 +1,8 @@
-"""The exposure-setting interface: all that the controller knows of a camera.
+"""The camera interface: everything that the controller knows of a camera.
 
-A camera says what it can set (`ExposureControls`), takes a whole list of settings at once
-(`Camera.shoot`) and hands over frames that say which exposure they really had (`Frame`).  Values
-are SI: seconds, linear gain, f-number; true times, never the labels on a dial.
+A camera has controls (`ExposureControls`), takes a whole list of settings at once (`Camera.shoot`)
+and yields frames that carry the exposure they really had (`Frame`).  Values are in SI units:
+seconds, linear gain, f-number; true times, never the labels on a dial.
 """
 
 from __future__ import annotations
@@ -47,7 +47,15 @@ Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """Who a camera is; `id` is what finds it again on the command line."""
+    """Identity of a camera.
+
+    Attributes:
+        id: opens the camera: `camctl.open_camera`, ``--camera`` on the command line
+        make: maker, "" where unknown
+        model: model
+        serial: serial number, "" where unknown
+        driver: name of the backend
+    """
 
     id: str
     make: str
@@ -58,7 +66,12 @@ class CameraInfo:
 
 @dataclass(frozen=True)
 class OriginalFile:
-    """The file that a still camera made of a frame, byte for byte."""
+    """The file that a still camera made of a frame, byte for byte.
+
+    Attributes:
+        suffix: suffix of its name, with the dot
+        data: its content
+    """
 
     suffix: str
     data: bytes
@@ -66,18 +79,18 @@ class OriginalFile:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One exposure as it came.
+    """One frame as the camera returned it.
 
     Attributes:
         pixels: (rows, columns) or, for RGB, (rows, columns, 3); uint8 up to 8 bits, else uint16
-        requested: the setting that was asked for
+        requested: the setting given to `shoot`
         applied: the setting read back from the camera
         timestamp_s: when the exposure ended, on the camera's clock, s
         index: position of the setting in the list that `shoot` was given
         black: brightness without light in this frame, DN
         white: brightness from which samples of this frame are saturated, DN
-        original: the camera's own file where there is one
-        details: what else the camera says of the frame; goes into the capture's report as JSON
+        original: the camera's own file, where it made one
+        details: what else the camera reports of the frame; kept as JSON in the capture's report
     """
 
     pixels: Pixels
@@ -92,43 +105,43 @@ class Frame:
 
 
 class FrameStream(Iterator[Frame], Protocol):
-    """Frames as they come; any generator of frames is one."""
+    """Frames in the order of their settings; any generator of frames is one."""
 
     def close(self) -> None:
-        """Cancel what is left."""
+        """Cancel the remaining exposures."""
         ...
 
 
 @runtime_checkable
 class Camera(Protocol):
-    """What every camera, real or simulated, stands behind.
+    """What every camera, real or simulated, implements.
 
-    A camera is a context manager; leaving it closes the device.  `camctl.testing.CameraConformance`
-    checks all that is promised here.
+    A camera is a context manager that closes it at the end.  `camctl.testing.CameraConformance`
+    checks this contract.
     """
 
     @property
     def info(self) -> CameraInfo:
-        """Who it is."""
+        """The identity of the camera."""
         ...
 
     @property
     def controls(self) -> ExposureControls:
-        """What it can set."""
+        """What can be set, and the format of the frames."""
         ...
 
     @property
     def clock(self) -> Clock:
-        """The clock of its timestamps."""
+        """The clock of the timestamps."""
         ...
 
     def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
-        """Take the settings in their order and yield one frame for each.
+        """Shoot the settings in their order; return an iterator with one frame for each.
 
         The whole list is checked before the first frame: a setting that cannot be met within
         `ExposureControls.tolerance` raises `RefusedSettingError` from this call, and nothing is
-        shot.  A frame is yielded only if the camera can say which exposure it had; it is then the
-        caller's to keep.  Closing the iterator cancels what is left.  With a constant control delay
+        shot.  A frame is yielded only if its exposure is known; its pixels are not overwritten
+        later.  Closing the iterator cancels the remaining exposures.  With a constant control delay
         of d frames, n settings take n + d frames.
 
         Raises:
@@ -138,11 +151,11 @@ class Camera(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the device; a second call does nothing."""
+        """Disconnect from the camera; a second call does nothing."""
         ...
 
     def __enter__(self) -> Self:
-        """Return the camera itself."""
+        """Open the camera where it is not open, and return it."""
         ...
 
     def __exit__(
@@ -157,7 +170,7 @@ class Camera(Protocol):
 
 @runtime_checkable
 class PreviewingCamera(Camera, Protocol):
-    """A camera that can look without spending a shutter actuation."""
+    """A camera that can take a frame without a shutter actuation."""
 
     def preview(self, setting: ExposureSetting) -> Frame:
         """Return one frame at `setting`, for metering; raises as `shoot` does."""
@@ -166,34 +179,34 @@ class PreviewingCamera(Camera, Protocol):
 
 @runtime_checkable
 class StreamingCamera(Camera, Protocol):
-    """A camera whose frames keep coming, so that the delay of its controls can be measured."""
+    """A camera that streams frames, so that its control delay can be measured."""
 
     @property
     def mode(self) -> str:
-        """What a delay belongs to: pixel format, size and frame rate in one word."""
+        """Pixel format, size and frame rate in one word; each mode has its own control delay."""
         ...
 
     def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> Sequence[Frame]:
-        """Settle at `before`, set `after`, and return the next `frames` frames as they come.
+        """Settle at `before`, set `after`, and return the next `frames` frames of the stream.
 
         Frame 0 is the first whose exposure had not begun when `after` was set; with a control delay
-        of d frames, frame d is the first that has it.  Which exposure each frame had is what the
-        caller wants to find out: `requested` and `applied` are those of `after`, and `index` counts
-        from 0.  Raises as `shoot` does.
+        of d frames, frame d is the first that has it.  The caller measures which exposure each
+        frame had: `requested` and `applied` are `after` in all of them, and `index` counts from 0.
+        Raises as `shoot` does.
         """
         ...
 
 
 class CameraBase(ABC):
-    """What every camera driver repeats: open and close, one sequence at a time, settings checked.
+    """Base of camera drivers: open and close, one sequence at a time, settings checked.
 
-    A driver gives `_open`, which sets `_info` and `_controls`, `_frames` and `_close`.  The
-    constructor does no I/O; the camera opens with `open` or at the start of its ``with`` block.
-    A driver that learns its controls late overrides the property `controls`.
+    A driver implements `_open`, which sets `_info` and `_controls`, `_frames` and `_close`.  The
+    constructor does no I/O; the camera opens with `open` or at the start of its ``with`` block.  A
+    driver whose controls are known only later overrides the property `controls`.
 
     Args:
-        name: what error messages call the camera, such as its device path
-        clock: the clock of its timestamps and of everything it waits for
+        name: name of the camera in error messages, such as its device path
+        clock: the clock of the timestamps and of everything that the driver waits for
     """
 
     _info: CameraInfo | None = None
@@ -244,13 +257,13 @@ class CameraBase(ABC):
         return self
 
     def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
-        """Take the settings in their order; see `Camera.shoot`."""
-        wanted = tuple(settings)
+        """Shoot the settings in their order; see `Camera.shoot`."""
+        requested = tuple(settings)
         self._check_ready()
         controls = self.controls
-        for setting in wanted:
+        for setting in requested:
             controls.check(setting)
-        return self._shoot(wanted)
+        return self._shoot(requested)
 
     def close(self) -> None:
         """Disconnect from the device; a second call does nothing."""

@@ -1,4 +1,4 @@
-"""Time as a port: real for a person, virtual for a test that must be exact and at once."""
+"""Clocks: real time for cameras, virtual time for tests that are exact and take no time."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Seconds since an arbitrary zero, never going back."""
+    """A monotonic clock: seconds since an arbitrary zero."""
 
     def now(self) -> float:
         """Return the time, s."""
         ...
 
     def sleep_until(self, deadline_s: float) -> None:
-        """Return once `now()` has reached `deadline_s`; at once if it already has."""
+        """Return when `now()` has reached `deadline_s`, immediately if it already has."""
         ...
 
 
@@ -27,12 +27,18 @@ class RealClock:
 
     def sleep_until(self, deadline_s: float) -> None:
         """Sleep until the monotonic clock shows `deadline_s`."""
-        while (left := deadline_s - time.monotonic()) > 0:
-            time.sleep(left)
+        while (remaining_s := deadline_s - time.monotonic()) > 0:
+            time.sleep(remaining_s)
 
 
 class VirtualClock:
-    """A clock that moves only when somebody sleeps on it, exactly to where they asked."""
+    """A clock that advances only by `sleep_until`, exactly to its deadline, without waiting.
+
+    >>> clock = VirtualClock()
+    >>> clock.sleep_until(3600.0)
+    >>> clock.now()
+    3600.0
+    """
 
     def __init__(self, start_s: float = 0.0) -> None:
         self._now_s = start_s

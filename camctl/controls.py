@@ -1,13 +1,14 @@
-"""The exposure-setting interface: all that the controller knows of a camera.
+"""Exposure settings, and the description of what a camera can set.
 
-A camera says what it can set (`ExposureControls`), takes a whole list of settings at once
-(`Camera.shoot`) and hands over frames that say which exposure they really had (`Frame`).  Values
-are SI: seconds, linear gain, f-number; true times, never the labels on a dial.
+A camera describes its controls in `ExposureControls` and accepts lists of `ExposureSetting`.
+Values are in SI units: shutter time in seconds, linear gain, f-number.  Times are true times, not
+the rounded labels of a dial (1/30 on a dial of third stops is 1/32 s).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
@@ -19,7 +20,7 @@ from camctl.response.camera import CameraResponse, linear_response
 
 
 class Layout(StrEnum):
-    """How colour lies in a frame."""
+    """Pixel layout of a frame: monochrome, RGB, or the first four letters of a CFA pattern."""
 
     MONO = "mono"
     RGB = "rgb"
@@ -30,13 +31,19 @@ class Layout(StrEnum):
 
     @property
     def is_mosaic(self) -> bool:
-        """True where each pixel has one colour of a 2 x 2 Bayer pattern, named row by row."""
+        """Whether each pixel has one colour of a 2 x 2 Bayer pattern, named row by row."""
         return self not in (Layout.MONO, Layout.RGB)
 
 
 @dataclass(frozen=True)
 class ExposureSetting:
-    """One exposure: shutter time in s, linear gain, f-number (None: the lens is not ours)."""
+    """Settings of one exposure.
+
+    Attributes:
+        time_s: shutter time, s
+        gain: linear gain
+        f_number: f-number; None where the aperture is not controlled
+    """
 
     time_s: float
     gain: float = 1.0
@@ -44,19 +51,30 @@ class ExposureSetting:
 
     @property
     def exposure(self) -> float:
-        """Everything that scales the light, in arbitrary but constant units: time x gain / N^2."""
+        """Exposure, which is time x gain / f-number^2, in arbitrary but constant units."""
         return self.time_s * self.gain / (self.f_number or 1.0) ** 2
+
+
+def _ratio_distance(value: float) -> Callable[[float], float]:
+    return lambda choice: abs(math.log(choice / value))
 
 
 @dataclass(frozen=True)
 class Choices:
-    """A control with a list of settings, ascending."""
+    """A control with a list of settings.
+
+    Attributes:
+        values: the settings, different, ascending, > 0
+
+    Raises:
+        ValueError: `values` is empty or not ascending
+    """
 
     values: tuple[float, ...]
 
     def __post_init__(self) -> None:
         if not self.values or list(self.values) != sorted(set(self.values)):
-            raise ValueError("choices must be ascending, different, and at least one")
+            raise ValueError(f"invalid choices {self.values}: expected different ascending values")
 
     @property
     def minimum(self) -> float:
@@ -69,12 +87,16 @@ class Choices:
         return self.values[-1]
 
     def nearest(self, value: float) -> float:
-        """Return the setting nearest to `value` as a ratio."""
-        return min(self.values, key=lambda choice: abs(math.log(choice / value)))
+        """Return the setting nearest to `value` (> 0) as a ratio."""
+        return min(self.values, key=_ratio_distance(value))
 
     def near(self, value: float, count: int) -> tuple[float, ...]:
-        """Return up to `count` settings around `value`, ascending."""
-        ranked = sorted(self.values, key=lambda choice: abs(choice - value))
+        """Return up to `count` settings nearest to `value` (> 0) as ratios, ascending.
+
+        >>> Choices((1.0, 3.0)).near(1.9, 1)
+        (3.0,)
+        """
+        ranked = sorted(self.values, key=_ratio_distance(value))
         return tuple(sorted(ranked[:count]))
 
     def between(self, low: float, high: float, count: int) -> tuple[float, ...]:
@@ -84,7 +106,16 @@ class Choices:
 
 @dataclass(frozen=True)
 class Steps:
-    """A control that goes from `minimum` to `maximum` in equal steps (`step` = 0: continuous)."""
+    """A control that goes from `minimum` to `maximum` in equal steps.
+
+    Attributes:
+        minimum: smallest setting, > 0
+        maximum: largest setting
+        step: distance between neighbouring settings; 0: continuous
+
+    Raises:
+        ValueError: the values do not meet 0 < minimum <= maximum and step >= 0
+    """
 
     minimum: float
     maximum: float
@@ -92,7 +123,10 @@ class Steps:
 
     def __post_init__(self) -> None:
         if not (0 < self.minimum <= self.maximum < math.inf and 0 <= self.step < math.inf):
-            raise ValueError("a range needs 0 < minimum <= maximum and step >= 0")
+            raise ValueError(
+                f"invalid range {self.minimum:g} to {self.maximum:g} in steps of {self.step:g}: "
+                "expected 0 < minimum <= maximum and step >= 0"
+            )
 
     @property
     def _last(self) -> int:
@@ -108,7 +142,7 @@ class Steps:
         return self._at(round((value - self.minimum) / self.step))
 
     def near(self, value: float, count: int) -> tuple[float, ...]:
-        """Return up to `count` settings around `value`, ascending."""
+        """Return up to `count` settings nearest to `value`, ascending; one where continuous."""
         if self.step == 0:
             return (self.nearest(value),)
         first = round((value - self.minimum) / self.step - (count - 1) / 2)
@@ -132,27 +166,31 @@ Control: TypeAlias = Choices | Steps
 
 @dataclass(frozen=True)
 class ExposureControls:
-    """What a camera can set, and what its frames are made of.
+    """What a camera can set, and the properties of its frames.
 
     Attributes:
         time_s: shutter times, s
-        gain: linear gains; `Choices((1.0,))` where there is none
-        f_number: f-numbers, or None where the aperture is not ours to set
+        gain: linear gains; `Choices((1.0,))` where gain cannot be set
+        f_number: f-numbers; None where the aperture cannot be set
         shape: (rows, columns) of a frame
-        layout: how colour lies in it
-        bits: bits a sample
-        black: brightness without light, DN
-        white: brightness from which a sample says no more than "saturated", DN
-        phase: the quantiser's phase: 0 floor, 1/2 rounding, a fraction of the black level between
-        response: the measured response as levels between black and white; None: linear
-        delay_frames: frames from setting an exposure to the frame that has it; None where that is
-            not constant, so that the stream settles for each exposure
-        frame_interval_s: least time from frame to frame, s
-        sensitivity: full scales (white - black + 1) that one second at gain 1 (and f/1 where there
-            is an aperture) gives for each unit of the scene's irradiance; None where that is
+        layout: pixel layout of a frame
+        bits: bit depth of a sample, 1 to 16
+        black: black level: brightness without light, DN
+        white: white level: brightness from which a sample counts as saturated, DN
+        phase: phase of the quantiser in levels: 0 truncates, 1/2 rounds; a black level that is not
+            a whole number gives values between
+        response: the measured response, as levels between black and white; None: linear
+        delay_frames: frames from setting an exposure to the first frame that has it; None where
+            this delay is not constant, so that the driver waits until each setting takes effect
+        frame_interval_s: shortest time between two frames, s
+        sensitivity: full scales (white - black + 1) that one second at gain 1 (and f/1 where the
+            aperture can be set) gives for each unit of the scene's irradiance; None where this is
             unknown, and irradiance is then relative
-        tolerance: relative error up to which a setting counts as met
-        notes: what a person should know of its pictures, one line each
+        tolerance: largest relative error of a setting that counts as exact
+        notes: remarks about its pictures for people, one line each
+
+    Raises:
+        ValueError: the bit depth, black level and white level do not fit together
     """
 
     time_s: Control
@@ -173,26 +211,36 @@ class ExposureControls:
 
     def __post_init__(self) -> None:
         if not (1 <= self.bits <= 16 and 0 <= self.black < self.white < 2**self.bits):
-            raise ValueError("a camera needs 1 to 16 bits and 0 <= black < white < 2^bits")
+            raise ValueError(
+                f"invalid frames of {self.bits} bit with black {self.black} and white "
+                f"{self.white}: expected 1 to 16 bit and 0 <= black < white < 2^bits"
+            )
 
     @property
     def levels(self) -> CameraResponse:
-        """The camera's response as levels: what the exposure table is looked up by."""
+        """The camera's response as levels, by which exposures are looked up."""
         if self.response is not None:
             return self.response
         return linear_response(self.bits, phase=self.phase, levels=self.white - self.black)
 
     def check(self, setting: ExposureSetting) -> None:
-        """Raise `RefusedSettingError` unless the camera can do `setting` within its tolerance."""
+        """Check that the camera can set `setting` within its tolerance.
+
+        Raises:
+            UsageError: a value is not positive and finite, or its control does not exist
+            RefusedSettingError: the camera cannot set a value; carries the nearest one that it can
+        """
         for name in ("time_s", "gain", "f_number"):
-            wanted: float | None = getattr(setting, name)
+            requested: float | None = getattr(setting, name)
             control: Control | None = getattr(self, name)
-            if wanted is None:
+            if requested is None:
                 continue
-            if not (math.isfinite(wanted) and wanted > 0):
-                raise UsageError(f"{name} of {wanted} is not a positive number")
+            if not (math.isfinite(requested) and requested > 0):
+                raise UsageError(f"invalid {name} {requested}: expected a positive, finite number")
             if control is None:
-                raise UsageError(f"this camera cannot set {name}", hint="leave it out")
-            nearest = control.nearest(wanted)
-            if abs(nearest - wanted) > self.tolerance * wanted:
-                raise RefusedSettingError(name, wanted, nearest)
+                raise UsageError(
+                    f"this camera cannot set {name}", hint=f"leave {name} out of the setting"
+                )
+            nearest = control.nearest(requested)
+            if abs(nearest - requested) > self.tolerance * requested:
+                raise RefusedSettingError(name, requested, nearest)

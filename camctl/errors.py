@@ -1,22 +1,22 @@
-"""Everything that camctl raises on purpose: one tree.
+"""The errors of camctl: one tree, and each message is one line.
 
 ::
 
-    CamctlError                     it could not be done                        exit status 1
-    ├── UsageError                  the words of the request are off            exit status 2
-    ├── DataError                   a file says something that cannot be used
+    CamctlError                     the task could not be done                    exit status 1
+    ├── UsageError                  the request is invalid                        exit status 2
+    ├── DataError                   a file or table has invalid content
     ├── StorageError                a result could not be written (disk full, no permission)
     ├── CaptureError                a capture could not be planned or completed
-    │   └── InterruptedCaptureError somebody stopped it; what was shot is kept  exit status 130
-    └── CameraError                 something between us and the camera
+    │   └── InterruptedCaptureError the user stopped it; its frames are kept      exit status 130
+    └── CameraError                 the camera, or the connection to it, failed
         ├── CameraNotFoundError     no such camera
-        ├── CameraBusyError         another process holds it, or it is still working
-        ├── CameraDisconnectedError it went away in the middle
-        ├── CameraTimeoutError      it has been silent for too long
-        ├── RefusedSettingError     it cannot do that setting; carries the nearest one it can
-        └── CameraProtocolError     it answered nonsense
+        ├── CameraBusyError         another process uses it, or it is still working
+        ├── CameraDisconnectedError it was disconnected while in use, or is closed
+        ├── CameraTimeoutError      it sent nothing for too long
+        ├── RefusedSettingError     it cannot do a setting; has the nearest one that it can do
+        └── CameraProtocolError     it sent an invalid response
 
-Every message is one line that says what went wrong and where, and ends with what to do next.
+A message says what went wrong and where, and then what to do: ``error.what`` and ``error.hint``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,13 @@ from collections.abc import Iterable
 
 
 class CamctlError(Exception):
-    """Base of the tree.  ``str(error)`` is one line: what, where, what to do."""
+    """Base of all errors of camctl; ``str(error)`` is one line.
+
+    Attributes:
+        what: what went wrong, and where
+        hint: what to do; may be empty
+        exit_status: exit status of a command that ends with the error
+    """
 
     exit_status = 1
 
@@ -37,13 +43,13 @@ class CamctlError(Exception):
 
 
 class UsageError(CamctlError):
-    """The request itself makes no sense: an unknown name, a ratio of -1, a range below 1."""
+    """The request is invalid: an unknown name, a ratio of -1, a dynamic range below 1."""
 
     exit_status = 2
 
 
 class DataError(CamctlError):
-    """A file or table from outside holds something that cannot be used."""
+    """A file or table has invalid content."""
 
 
 class StorageError(CamctlError):
@@ -55,29 +61,29 @@ class CaptureError(CamctlError):
 
 
 class InterruptedCaptureError(CaptureError):
-    """A person stopped the capture; what was shot is kept."""
+    """The user stopped the capture; frames that were shot into a folder are kept."""
 
     exit_status = 130
 
 
 class CameraError(CamctlError):
-    """Something between the controller and the camera."""
+    """The camera, or the connection to it, failed."""
 
 
 class CameraNotFoundError(CameraError):
-    """No camera answers to that name."""
+    """No camera has that id."""
 
 
 class CameraBusyError(CameraError):
-    """The camera is held by another process or has not finished its last task."""
+    """Another process uses the camera, or it has not finished its last task."""
 
 
 class CameraDisconnectedError(CameraError):
-    """The camera went away while it was in use."""
+    """The camera was disconnected while in use, or it is closed."""
 
 
 class CameraTimeoutError(CameraError):
-    """The camera has been silent for longer than its time-out."""
+    """The camera sent nothing for longer than its time-out."""
 
 
 class RefusedSettingError(CameraError):
@@ -100,12 +106,14 @@ class RefusedSettingError(CameraError):
 
 
 class CameraProtocolError(CameraError):
-    """The camera answered something that its protocol does not allow."""
+    """The camera sent a response that its protocol does not allow."""
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
-    """The error for an unknown `name`, with the near ones or, failing that, all of them."""
+    """Return the error for an unknown `name`; its hint has similar names, else all known ones."""
     choices = sorted(known)
-    near = difflib.get_close_matches(name.lower(), choices, n=3, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(choices)}"
+    similar = difflib.get_close_matches(name.lower(), choices, n=3, cutoff=0.5)
+    hint = f"known: {', '.join(choices)}" if choices else "there are none"
+    if similar:
+        hint = f"did you mean {' or '.join(similar)}?"
     return UsageError(f"unknown {kind} '{name}'", hint=hint)

@@ -1,13 +1,12 @@
-"""What is known of one camera, kept from day to day and found again by its serial number.
+"""Camera profiles: measurements of one camera that are kept between sessions.
 
 A profile is one JSON file in $CAMCTL_PROFILES, or else in ``profiles`` of the user's data folder.
 It belongs to a driver, make, model and serial number, and not to an id: a camera keeps its profile
-at another socket.  Cameras of one model without serial numbers share one.
+on another USB port.  Cameras of one model without serial numbers share a profile.
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
@@ -24,21 +23,23 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from camctl.camera import CameraInfo
 from camctl.controls import Layout
 from camctl.errors import DataError, StorageError, UsageError, unknown_name
-from camctl.files import storage_error, write_bytes
+from camctl.files import exclusive_lock, storage_error, write_bytes
 
 _SUFFIX = ".json"
+#: Characters of a profile's name before its hash; file names have 255 at most.
 _LONGEST_STEM = 80
-_ELSEWHERE = "see to the disk, or name another folder in $CAMCTL_PROFILES"
+_STORAGE_HINT = "check the disk, or set $CAMCTL_PROFILES to another folder"
 
 
 class DelayRecord(BaseModel):
-    """How late a camera's exposure controls are, measured in one mode.
+    """The measured control delay of a camera in one mode.
 
     Attributes:
-        frames: the delay in frames, as `camctl.camera.StreamingCamera.step` counts; None where it
-            is not constant
-        smallest, largest: of all trials, frames
-        trials: how often it was measured
+        frames: the delay in frames, counted as in `camctl.camera.StreamingCamera.step`; None where
+            it is not constant
+        smallest: the smallest delay of all trials, frames
+        largest: the largest delay of all trials, frames
+        trials: number of measurements
         measured_at: date and time, ISO 8601
     """
 
@@ -59,7 +60,16 @@ class DelayRecord(BaseModel):
 
 
 class StillRecord(BaseModel):
-    """What the files of a still camera are in one format; brightnesses in DN."""
+    """Pixel format of the files that a still camera makes in one format.
+
+    Attributes:
+        rows: of a frame
+        columns: of a frame
+        layout: pixel layout
+        bits: per sample
+        black: brightness without light, DN
+        white: brightness from which samples are saturated, DN
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -73,12 +83,21 @@ class StillRecord(BaseModel):
     @model_validator(mode="after")
     def _agree(self) -> Self:
         if not self.black < self.white < 2**self.bits:
-            raise ValueError("black, white and bits contradict each other")
+            raise ValueError("expected black < white < 2^bits")
         return self
 
 
 class Profile(BaseModel):
-    """What is known of one camera: control delays by mode, the make-up of its files by format."""
+    """Measurements of one camera.
+
+    Attributes:
+        driver: driver of the camera, as in `camctl.camera.CameraInfo`
+        make: maker of the camera
+        model: model of the camera
+        serial: serial number of the camera
+        delays: control delays by mode (see `camctl.camera.StreamingCamera.mode`)
+        stills: pixel formats of its files by file format
+    """
 
     model_config = ConfigDict(extra="forbid")
 
@@ -91,11 +110,11 @@ class Profile(BaseModel):
 
     @property
     def name(self) -> str:
-        """The name of its file without suffix: readable, and another for every other camera."""
-        who = (self.driver, self.make, self.model, self.serial)
-        spelt = unicodedata.normalize("NFKD", "-".join(who)).encode("ascii", "ignore").decode()
-        stem = re.sub(r"[^a-z0-9]+", "-", spelt.lower()).strip("-")[:_LONGEST_STEM].rstrip("-")
-        return f"{stem}-{hashlib.sha256(json.dumps(who).encode()).hexdigest()[:8]}"
+        """The name of its file without suffix: readable, and unique for each camera."""
+        identity = (self.driver, self.make, self.model, self.serial)
+        text = unicodedata.normalize("NFKD", "-".join(identity)).encode("ascii", "ignore").decode()
+        stem = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:_LONGEST_STEM].rstrip("-")
+        return f"{stem}-{hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:8]}"
 
 
 def profile_directory() -> Path:
@@ -105,11 +124,10 @@ def profile_directory() -> Path:
 
 
 def load_profile(info: CameraInfo) -> Profile:
-    """Return what is known of a camera; an empty profile where nothing is.
+    """Return the profile of a camera; an empty one where there is none.
 
     Raises:
         DataError: its file is damaged, cannot be read, or belongs to another camera
-
     """
     empty = _empty(info)
     path = _path(empty.name)
@@ -122,39 +140,37 @@ def load_profile(info: CameraInfo) -> Profile:
 
 
 def save_profile(profile: Profile) -> Path:
-    """Write a profile, whole or not at all, in place of the earlier one; return its file.
+    """Write a profile, atomically, in place of the earlier one; return its file.
 
-    What reads, changes and saves a profile does so in `change_profile`, or loses what another
-    process has learnt meanwhile.
+    To read, change and save a profile use `change_profile`: without its lock, changes that another
+    process makes at the same time would be lost.
 
     Raises:
         StorageError: it could not be written
-
     """
     path = _path(profile.name)
-    with _told_where(path):
+    with _storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_bytes(path, profile.model_dump_json(indent=2).encode() + b"\n")
     return path
 
 
 def change_profile(info: CameraInfo, change: Callable[[Profile], None]) -> Path:
-    """Let `change` alter the profile of a camera while no other process does; return its file.
+    """Call `change` with the profile of a camera, and save it; return its file.
+
+    A lock keeps other processes and threads from changing profiles meanwhile.
 
     Raises:
-        DataError: the profile that is there cannot be used
+        DataError: the earlier profile cannot be used
         StorageError: the new one could not be written
-
     """
     folder = profile_directory()
-    with _told_where(folder):
+    with _storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / ".lock").open("wb")
-    with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        profile = load_profile(info)
-        change(profile)
-        return save_profile(profile)
+        with exclusive_lock(folder / ".lock"):
+            profile = load_profile(info)
+            change(profile)
+            return save_profile(profile)
 
 
 def list_profiles() -> list[Profile]:
@@ -162,7 +178,6 @@ def list_profiles() -> list[Profile]:
 
     Raises:
         DataError: one is damaged or cannot be read
-
     """
     folder = profile_directory()
     try:
@@ -181,22 +196,22 @@ def remove_profile(name: str) -> Path:
     Raises:
         UsageError: there is none
         StorageError: it cannot be removed
-
     """
     known = {path.stem: path for path in profile_directory().glob(f"[!.]*{_SUFFIX}")}
     if name not in known:
         if not known:
             raise UsageError(
-                f"no profile '{name}', and no other", hint="camctl calibrate makes them"
+                f"unknown profile '{name}': there are no profiles",
+                hint="make one with camctl calibrate",
             )
         raise unknown_name("profile", name, known)
-    with _told_where(known[name]):
+    with _storage_errors(known[name]):
         known[name].unlink(missing_ok=True)
     return known[name]
 
 
 def _empty(info: CameraInfo) -> Profile:
-    # A device may answer anything; a lone surrogate is no text that could be written.
+    # A device may send any text; a lone surrogate in it cannot be written to a file.
     driver, make, model, serial = (
         text.encode("utf-8", "replace").decode()
         for text in (info.driver, info.make, info.model, info.serial)
@@ -213,7 +228,7 @@ def _repair(path: Path) -> str:
 
 
 def _read(path: Path) -> Profile | None:
-    """Return the profile in a file, None where there is no file."""
+    """Return the profile in a file; None where there is no file."""
     try:
         return Profile.model_validate_json(path.read_bytes())
     except FileNotFoundError:
@@ -231,16 +246,16 @@ def _read(path: Path) -> Profile | None:
 def _unreadable(path: Path, error: OSError) -> DataError:
     return DataError(
         f"cannot read {path}: {error.strerror or error}",
-        hint="make it readable, or name another folder in $CAMCTL_PROFILES",
+        hint="make it readable, or set $CAMCTL_PROFILES to another folder",
     )
 
 
 @contextmanager
-def _told_where(path: Path) -> Iterator[None]:
-    """Turn what cannot be written into one line that names the way out."""
+def _storage_errors(path: Path) -> Iterator[None]:
+    """Raise `StorageError` with a hint about the folder of the profiles, in place of OSError."""
     try:
         yield
     except StorageError as error:
-        raise StorageError(error.what, hint=_ELSEWHERE) from error
+        raise StorageError(error.what, hint=_STORAGE_HINT) from error
     except OSError as error:
-        raise StorageError(storage_error(path, error).what, hint=_ELSEWHERE) from error
+        raise StorageError(storage_error(path, error).what, hint=_STORAGE_HINT) from error

@@ -1,7 +1,7 @@
 """Draw the pictures of the built-in scenes: ``python docs/draw_scenes.py``.
 
-Each is one frame of the sensor `complete` (of the stars: `ccd`) at 1024 x 768 with every effect on,
-made smaller and shown with the curve of a screen (sRGB).
+Each is one frame of the sensor `complete` (`ccd` for the stars) at 1024 x 768 with every effect,
+reduced in size and converted to sRGB.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim.render import simulate_frame
+from sim.render import Renderer
 from sim.scenes.scene import load_scene
+from sim.scenes.view import View
 from sim.sensors.sensor import load_sensor
 
 TIMES_S = {
@@ -37,10 +38,10 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     for name, time_s in TIMES_S.items():
         sensor = load_sensor(SENSORS.get(name, "complete"))
-        frame = simulate_frame(
-            load_scene(name, (768, 1024)), sensor, time_s, start_s=STARTS_S.get(name, 0.0)
-        )
-        light = (frame.pixels.astype(np.float32) - frame.black) / (frame.white - frame.black)
+        renderer = Renderer(View.of(load_scene(name, (768, 1024)), sensor), sensor)
+        shot = renderer.shot(time_s, 1.0, 0, start_s=STARTS_S.get(name, 0.0))
+        pixels = renderer.expose(shot, renderer.plan(shot))
+        light = (pixels.astype(np.float32) - sensor.black) / (sensor.white - sensor.black)
         small = np.clip(cv2.resize(light, (240, 180), interpolation=cv2.INTER_AREA), 0, 1)
         shown = np.where(small < 0.0031308, 12.92 * small, 1.055 * small ** (1 / 2.4) - 0.055)
         picture = np.round(shown * 255).astype(np.uint8)

@@ -1,8 +1,9 @@
-"""Print the paper's table of exposures beside the solver's: the table of docs/exposures.md.
+"""Print the paper's table of exposures beside the exposures that camctl finds.
 
     python docs/print_exposures.py
 
-8-bit linear camera, G = n * 255 wanted levels, dynamic range 2^(8 + n - 1).  Takes about a minute.
+This is the table of docs/exposures.md: an 8-bit linear camera, G = n * 255 desired levels, dynamic
+range 2^(8 + n - 1).  Takes about 15 s.
 """
 
 from __future__ import annotations
@@ -11,39 +12,38 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.lower_bound import certify
-from camctl.exposure.objective import xi
+from camctl.exposure.objective import evaluate
 from camctl.exposure.solver import solve
 from camctl.response.camera import linear_response
 from camctl.response.desired import DesiredResponse
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "exposure"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 from cells import CELLS
 
 CAMERA = linear_response(8)
 
 
-def worth(exposures: Sequence[float], desired: DesiredResponse, wanted: float) -> str:
+def quality(exposures: Sequence[float], desired: DesiredResponse) -> str:
     """Return xi and effective levels as two columns."""
-    camera = EffectiveCamera.of(CAMERA, exposures)
-    return f"{xi(camera, desired, wanted):.2f} | {effective_levels(camera, desired):.0f}"
+    found = evaluate(CAMERA, exposures, desired)
+    return f"{found.xi:.2f} | {found.effective_levels:.0f}"
 
 
 def main() -> None:
-    """Print the rows; the first exposure, 1, is left out of each set."""
-    print("| response | n | printed | xi | eff. | found | xi | eff. | no set is below | CPU s |")
+    """Print the rows; the first exposure of each set, 1, is left out."""
+    print("| response | n | printed | xi | eff. | found | xi | eff. | lower bound | CPU s |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for cell in CELLS:
-        desired, wanted, n = cell.desired, cell.levels_wanted, cell.n
+        desired, n = cell.desired, cell.n
         found = solve(CAMERA, desired, n)
-        bound = certify(CAMERA, desired, n).lower_bound if n == 2 else 0.0
+        bound = f"{certify(CAMERA, desired, n).lower_bound:.2f}" if n == 2 else ""
         printed_set = ", ".join(f"{e:g}" for e in cell.printed[1:])
         found_set = ", ".join(f"{e:.6g}" for e in found.exposures[1:])
         print(
-            f"| {cell.response} | {n} | {printed_set} | {worth(cell.printed, desired, wanted)} "
-            f"| {found_set} | {worth(found.exposures, desired, wanted)} "
-            f"| {f'{bound:.2f}' if bound else ''} | {found.seconds:.1f} |",
+            f"| {cell.response} | {n} | {printed_set} | {quality(cell.printed, desired)} "
+            f"| {found_set} | {quality(found.exposures, desired)} "
+            f"| {bound} | {found.seconds:.1f} |",
             flush=True,
         )
 

@@ -7,7 +7,7 @@ import queue
 import threading
 from collections.abc import Callable
 
-from camctl.capture.sequencer import Progress
+from camctl.captures.sequencer import Progress
 from camctl.errors import CamctlError, InterruptedCaptureError, UsageError
 from menu.machine import step
 from menu.messages import (

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from camctl.camera import Camera
-from camctl.capture.plan import plan_capture
-from camctl.capture.request import CapturePlan, CaptureRequest
-from camctl.capture.sequencer import Progress, capture
+from camctl.captures.plan import plan_capture
+from camctl.captures.request import CapturePlan, CaptureRequest
+from camctl.captures.sequencer import Progress, capture
 from camctl.errors import CaptureError
 from camctl.exposure.tradeoff import predict
 from camctl.response.desired import desired_response

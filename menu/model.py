@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, StrEnum, auto
 
-from camctl.capture.request import CapturePlan
-from camctl.capture.sequencer import Progress
+from camctl.captures.request import CapturePlan
+from camctl.captures.sequencer import Progress
 from menu.ports import Choice, Cost, Summary
 
 

@@ -8,8 +8,8 @@ from enum import Enum, auto
 from types import TracebackType
 from typing import Protocol, Self
 
-from camctl.capture.request import CapturePlan
-from camctl.capture.sequencer import Progress
+from camctl.captures.request import CapturePlan
+from camctl.captures.sequencer import Progress
 
 __all__ = ["CapturePlan", "Choice", "Cost", "Job", "Progress", "Summary"]
 

@@ -10,7 +10,7 @@ import textwrap
 import unicodedata
 from dataclasses import dataclass, replace
 
-from camctl.capture.request import CapturePlan
+from camctl.captures.request import CapturePlan
 from camctl.controls import ExposureSetting
 from menu.machine import STATES, Kind
 from menu.model import RANGES, RESPONSES, Model, State

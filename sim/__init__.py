@@ -1,1 +1,1 @@
-"""Simulated cameras: scenes, sensors, and a camera that looks at them."""
+"""Simulation: scenes, sensors and their effects, a simulated camera, and virtual devices."""

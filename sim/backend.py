@@ -1,90 +1,82 @@
-"""The road to the simulated camera, for the entry point `camctl.cameras`."""
+"""The backend of the simulated camera, for the entry point `camctl.cameras`."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Annotated, Any, Literal
 
+from pydantic import BeforeValidator, Field
+
+from camctl.backends import BackendOptions, FrameShape
 from camctl.camera import CameraInfo
 from camctl.clock import Clock, RealClock, VirtualClock
-from camctl.errors import CameraNotFoundError, UsageError, unknown_name
-from sim.camera import SimulatedCamera
-from sim.effects.budget import check_tolerance
+from camctl.errors import CameraNotFoundError, unknown_name
+from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import DEFAULT_SCENE, load_scene
 from sim.sensors.sensor import DEFAULT_SENSOR, load_sensor
 
-_CLOCKS: Mapping[str, type[VirtualClock] | type[RealClock]] = {
-    "virtual": VirtualClock,
-    "real": RealClock,
-}
-_OPTIONS = ("scene", "seed", "sensor", "size", "time", "tolerance")
+
+def _check_faults(value: object) -> object:
+    """Raise `UsageError` for an unknown fault, which pydantic would ignore."""
+    if isinstance(value, Mapping):
+        known = [field.name for field in fields(Faults)]
+        for name in value:
+            if name not in known:
+                raise unknown_name("fault", str(name), known)
+    return value
+
+
+class SimulatedOptions(BackendOptions):
+    """Options of the simulated camera.
+
+    Attributes:
+        scene: a built-in scene, a scene file, or a radiance map
+        sensor: a built-in sensor or a sensor file
+        seed: of all noise
+        size: of a frame; None: the scene's own, or else the sensor's
+        time: whether the camera waits in real time, or on a clock of its own and thus not at all
+        tolerance: see `tolerance_dn` of `SimulatedCamera`, DN
+        faults: of the hardware, for tests: `Faults`, or a dict of its fields
+    """
+
+    scene: str = DEFAULT_SCENE
+    sensor: str = DEFAULT_SENSOR
+    seed: int = Field(default=0, ge=0, lt=2**64)
+    size: FrameShape | None = None
+    time: Literal["virtual", "real"] = "virtual"
+    tolerance: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    faults: Annotated[Faults, BeforeValidator(_check_faults)] = Faults()
 
 
 class SimulatedBackend:
-    """Opens ``sim``.
+    """Opens ``sim``; see `SimulatedOptions`."""
 
-    Options: scene, sensor, seed, size (WIDTHxHEIGHT), time (virtual or real), tolerance (DN).
-    """
-
-    about = "a simulated sensor before a scene: nothing to connect"
+    about = "a simulated sensor in front of a scene: nothing to connect"
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
-        """Return the one simulated camera: it is always there."""
+        """Return the one simulated camera, which always exists."""
         return (CameraInfo("sim", "camctl", f"simulated {DEFAULT_SENSOR}", DEFAULT_SENSOR, "sim"),)
 
-    def open(self, address: str, options: Mapping[str, str]) -> SimulatedCamera:
-        """Return a simulated camera.
+    def open(self, address: str, options: Mapping[str, Any]) -> SimulatedCamera:
+        """Return an open simulated camera.
 
         Raises:
-            CameraNotFoundError: there is something behind the colon
-            UsageError: an unknown option, scene, sensor or clock, or a bad seed or size
+            CameraNotFoundError: there is an address after the colon
+            UsageError: an unknown option, scene or sensor, or an invalid value
             DataError: a scene or sensor file that cannot be used
         """
         if address:
-            raise CameraNotFoundError(f"no camera sim:{address}", hint="its id is sim")
-        for option in options:
-            if option not in _OPTIONS:
-                raise unknown_name("option of the simulated camera", option, _OPTIONS)
-        sensor = load_sensor(options.get("sensor", DEFAULT_SENSOR))
-        name = options.get("scene", DEFAULT_SCENE)
-        shape = parse_size(options["size"]) if "size" in options else None
-        scene = load_scene(name, shape, usual=sensor.shape)
+            raise CameraNotFoundError(f"no camera sim:{address} exists", hint="its id is sim")
+        chosen = SimulatedOptions.parse(options)
+        sensor = load_sensor(chosen.sensor)
+        scene = load_scene(chosen.scene, chosen.size, usual=sensor.shape)
+        clock: Clock = RealClock() if chosen.time == "real" else VirtualClock()
         return SimulatedCamera(
             scene,
             sensor,
-            clock=_clock(options.get("time", "virtual")),
-            seed=_seed(options),
-            tolerance_dn=_tolerance(options.get("tolerance", "0")),
+            clock=clock,
+            seed=chosen.seed,
+            faults=chosen.faults,
+            tolerance_dn=chosen.tolerance,
         )
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Return (rows, columns) of "WIDTHxHEIGHT".
-
-    Raises:
-        UsageError: it is not two whole numbers above 0 with an x between
-    """
-    match = re.fullmatch(r"\s*([1-9]\d{0,8})\s*[xX×]\s*([1-9]\d{0,8})\s*", text)
-    if match is None:
-        raise UsageError(f"a size of '{text}'", hint="write WIDTHxHEIGHT, such as 640x480")
-    return int(match[2]), int(match[1])
-
-
-def _clock(name: str) -> Clock:
-    if name not in _CLOCKS:
-        raise unknown_name("kind of time", name, _CLOCKS)
-    return _CLOCKS[name]()
-
-
-def _seed(options: Mapping[str, str]) -> int:
-    text = options.get("seed", "0")
-    if not re.fullmatch(r"\d{1,19}", text.strip()):
-        raise UsageError(f"a seed of '{text}'", hint="seeds are whole numbers, 0 or more")
-    return int(text)
-
-
-def _tolerance(text: str) -> float:
-    try:
-        return check_tolerance(float(text))
-    except ValueError:
-        raise UsageError(f"a tolerance of '{text}'", hint="give 0 DN or more") from None

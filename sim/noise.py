@@ -1,8 +1,8 @@
-"""Noise that is fast and reproducible: one seed gives one frame, whatever the threads.
+"""Fast and reproducible noise: one seed gives one frame, whatever the number of threads.
 
-A frame's samples are cut into tiles of fixed size.  Each tile of each effect draws its bits from
-a generator of its own (SFC64), seeded with (seed, frame, effect, tile) by numpy's `SeedSequence`,
-which is made for independent streams: none depends on who ran before.
+A frame is divided into tiles of a fixed number of samples.  Each tile of each effect has its own
+generator of random bits (SFC64), seeded with (seed, frame, effect, tile) by numpy's `SeedSequence`,
+so that no stream depends on another.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 TILE = 1 << 18
-"""Samples that draw their bits together; part of what a seed means.
+"""Samples in a tile; the frame of a seed depends on it.
 
-Few enough for the caches, and enough for threads to run side by side, which wait for each other at
-every step (measured: 1.7 times one thread's speed on two, 1.25 times with tiles of 1 << 16)."""
+Small enough for the caches, and large enough for two threads, which wait for each other at every
+step (measured: 1.7 times the speed of one thread, 1.25 times with tiles of 1 << 16)."""
 
 _TABLE_BITS = 16
-_ALL_BITS = 2**64 - 1
+_LARGEST_WORD = 2**64 - 1
 
 
 class Stream(IntEnum):
-    """Effects with a stream of random bits each; the numbers are part of what a seed means."""
+    """Streams of random bits, one for each random effect; a seed's frames depend on the numbers."""
 
     PHOTON = 1
     READ = 2
@@ -38,14 +38,14 @@ class Stream(IntEnum):
 
 
 PATTERN = 0
-"""The frame number of what is the same in every frame: the pattern of a sensor follows its seed."""
+"""Frame number for fixed patterns, which are the same in every frame of a seed."""
 
 
 @lru_cache(maxsize=1)
 def normal_quantiles() -> NDArray[np.float32]:
-    """Return (65536,) float32: the standard normal at the middles of 65,536 equal probabilities.
+    """Return (65536,) float32: standard normal quantiles at the middles of equal probabilities.
 
-    Mean 0 and variance 1 to float32 accuracy, symmetric; the largest is `largest_noise()`.
+    Mean 0 and variance 1 to float32 accuracy, symmetric; none is above `largest_noise`.
     """
     half = 1 << (_TABLE_BITS - 1)
     inverse = NormalDist().inv_cdf
@@ -58,33 +58,33 @@ def normal_quantiles() -> NDArray[np.float32]:
 
 @lru_cache(maxsize=16)
 def scaled_quantiles(sigma: float) -> NDArray[np.float32]:
-    """Return `normal_quantiles` times `sigma`: a look-up, in place of a product for each sample."""
+    """Return `normal_quantiles` times `sigma`, which saves a product for each sample."""
     table = normal_quantiles() * np.float32(sigma)
     table.setflags(write=False)
     return table
 
 
 def largest_noise() -> float:
-    """Return the largest |z| that the table holds, about 4.325: the noise is bounded."""
+    """Return an upper bound of |z| in `normal_quantiles`, about 4.325."""
     return NormalDist().inv_cdf(1 - 0.5 / 2**_TABLE_BITS) * 1.0001
 
 
 def tile_bits(seed: int, frame: int, stream: Stream, tile: int, count: int) -> NDArray[np.uint16]:
     """Return `count` uniform 16-bit numbers of one tile of one effect in one frame."""
-    stem = np.random.SeedSequence(seed, spawn_key=(frame, int(stream), tile))
-    generator = np.random.Generator(np.random.SFC64(stem))
-    # The whole range of 64 bits is the generator's raw words; drawn so, other threads run on.
-    words = generator.integers(0, _ALL_BITS, (count + 3) // 4, dtype=np.uint64, endpoint=True)
+    key = np.random.SeedSequence(seed, spawn_key=(frame, int(stream), tile))
+    generator = np.random.Generator(np.random.SFC64(key))
+    # The full range gives the generator's raw words; `integers` releases the lock of Python.
+    words = generator.integers(0, _LARGEST_WORD, (count + 3) // 4, dtype=np.uint64, endpoint=True)
     return words.astype("<u8", copy=False).view("<u2")[:count]
 
 
 def line_noise(seed: int, frame: int, stream: Stream, count: int) -> NDArray[np.float32]:
-    """Return `count` standard normal numbers, one a row or column."""
+    """Return `count` standard normal numbers, one for each row or column."""
     return normal_quantiles()[tile_bits(seed, frame, stream, 0, count)]
 
 
 class TileNoise:
-    """Working memory of one thread for the noise of tiles of up to `TILE` samples."""
+    """Draws the noise of tiles of up to `TILE` samples, with the working memory of one thread."""
 
     def __init__(self) -> None:
         self._index = np.empty(TILE, dtype=np.intp)
@@ -102,27 +102,27 @@ class TileNoise:
         tile: int,
         table: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """Return `count` normal numbers, in memory that the next call uses again.
+        """Return `count` normal numbers from `table`, standard normal ones by default.
 
-        They are standard normal, or what `table` says: see `scaled_quantiles`.
+        The next call overwrites them.
         """
         index, z = self._index[:count], self._z[:count]
         np.copyto(index, tile_bits(seed, frame, stream, tile, count))
-        # Bits of 16 are always inside the table: wrap is the mode that checks least.
+        # 16 bits never lie outside of the table, and wrap is the fastest mode.
         (self._table if table is None else table).take(index, out=z, mode="wrap")
         return z
 
     def add_photon_noise(
         self, electrons: NDArray[np.float32], seed: int, frame: int, tile: int
     ) -> None:
-        """Replace means (electrons, >= 0) by draws, in place.
+        """Replace means (electrons, >= 0) by random numbers, in place.
 
-        A Poisson number of mean m as ``m + s z + a (z^2 - 1)``, z standard normal: a Gaussian with
-        the skew term of the Cornish-Fisher expansion.  ``a = m / (6 m + 0.2)`` and
+        A Poisson number of mean m is approximated by ``m + s z + a (z^2 - 1)``, z standard normal:
+        a Gaussian with the skew term of the Cornish-Fisher expansion.  ``a = m / (6 m + 0.2)`` and
         ``s^2 = m - 2 a^2`` make mean and variance exact for every m and the third moment m
-        asymptotically; the 0.2 lets the skew fade where m is far below one electron (any value
-        from 1/6 up keeps s real; 0.2 lies nearest to Poisson).  Followed by read noise of 1 e- or
-        more the result is within 0.009 e- (Wasserstein-1) of Poisson plus Gaussian.
+        asymptotically; the 0.2 reduces the skew where m is far below one electron (any value from
+        1/6 up keeps s real; 0.2 is nearest to Poisson).  With read noise of 1 e- or more added, the
+        result is within 0.009 e- (Wasserstein-1) of Poisson plus Gaussian.
         """
         count = electrons.size
         z = self.normal(count, seed, frame, Stream.PHOTON, tile)

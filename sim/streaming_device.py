@@ -1,13 +1,13 @@
-"""A streaming camera as hardware: slots, a late control register, and a short queue of buffers.
+"""The hardware of a streaming camera: slots, a late control register, and a short queue of frames.
 
-The device knows no list of exposures and answers no question about which exposure a frame had:
-that is the driver's work (`sim.camera`).  Like a V4L2 camera it
+The device has no list of exposures and does not report which exposure a frame had: to know that is
+the task of the driver (`sim.camera`).  Like a V4L2 camera it
 
-- streams one frame slot after another, each as long as the frame interval or, where that is
-  longer, as the exposure; exposures end with their slot;
-- takes a setting at any time, clamps it silently to what it can do, and obeys `delay_frames`
+- streams one frame slot after another, each as long as the frame interval or the exposure,
+  whichever is longer; exposures end with their slot;
+- accepts a setting at any time, clamps it silently to its limits, and applies it `delay_frames`
   slots later, counted from the first slot that has not begun;
-- keeps the newest `QUEUE` finished frames for a consumer that is late and drops older ones.
+- keeps the newest `QUEUE` finished frames for a late consumer and drops older ones.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from camctl.controls import ExposureSetting
 from camctl.errors import CameraDisconnectedError
 from sim.sensors.sensor import Sensor
 
+#: Finished frames that wait for the consumer at most: the default number of V4L2 buffers in OpenCV.
 QUEUE = 4
 
 
@@ -44,12 +45,12 @@ class Buffer:
 
 @dataclass(frozen=True)
 class Slot:
-    """What a frame was exposed with.
+    """The exposure of a frame.
 
     Attributes:
         sequence: number of the slot since the stream began
         time_s, gain: its exposure
-        start_s: when the exposure began, since the stream did
+        start_s: when the exposure began, from the begin of the stream
         previous_s: exposure time of the slot before
     """
 
@@ -61,13 +62,16 @@ class Slot:
 
 
 class SimulatedDevice:
-    """The hardware that a simulated sensor sits in.
+    """The hardware around a simulated sensor.
 
     Args:
-        sensor: times, gains, delay and frame interval
-        render: what a `Slot` was exposed with, to pixels
-        clock: the time that the stream runs in
-        seed: of the jitter of the control delay
+        sensor: its times, gains, delay and frame interval
+        render: returns the pixels of an exposure
+        clock: of the stream
+        seed: of the variation of the control delay
+
+    Attributes:
+        lost: number of frames that were dropped
     """
 
     def __init__(
@@ -85,7 +89,7 @@ class SimulatedDevice:
         power_on = sensor.times.nearest(min(sensor.frame_interval_s, sensor.time_maximum_s) / 2)
         self._setting = ExposureSetting(power_on, 1.0)
         self._pending: deque[tuple[int, ExposureSetting]] = deque()
-        self._running = 0  # the slot that is exposing now, or begins at this instant
+        self._running = 0  # the slot that is being exposed, or begins at this instant
         self._start_s = clock.now()
         self._began_s = self._start_s
         self._before = self._setting
@@ -96,7 +100,7 @@ class SimulatedDevice:
 
     @property
     def upcoming(self) -> int:
-        """Sequence number of the first slot that has not begun (a frame-start event tells it)."""
+        """Sequence number of the first slot that has not begun, as of frame-start events."""
         self._advance()
         return self._running + (self._clock.now() > self._start_s)
 
@@ -107,15 +111,16 @@ class SimulatedDevice:
             self._sensor.times.nearest(setting.time_s), self._sensor.gains.nearest(setting.gain)
         )
         jitter = int(self._jitter.integers(0, self._sensor.delay_jitter_frames, endpoint=True))
-        lands = upcoming + self._sensor.delay_frames + jitter
-        # Writes land in their order: of several that are due the last one stays.
-        self._pending.append((lands, applied))
+        first = upcoming + self._sensor.delay_frames + jitter
+        # Settings are applied in the order of their writes: of several that are due the last wins.
+        self._pending.append((first, applied))
         return upcoming, applied
 
     def dequeue(self, silence_s: float) -> Buffer | None:
         """Return the oldest finished frame, or wait for the next.
 
-        None once nothing has come for `silence_s` beyond the time that the next frame takes.
+        Returns:
+            None if no frame arrives within `silence_s` beyond the time that the next frame takes.
         """
         self._advance()
         if not self._finished:
@@ -128,7 +133,7 @@ class SimulatedDevice:
         return self._finished.popleft()
 
     def read_out(self, buffer: Buffer, *, light: float = 1.0) -> Pixels:
-        """Return the pixels of a frame; `light` is a fault: they had so many times the exposure."""
+        """Return the pixels of a frame; the fault `light` multiplies its exposure."""
         self._check_plug()
         setting = buffer._exposed
         start_s = buffer.timestamp_s - setting.time_s - self._began_s
@@ -147,13 +152,13 @@ class SimulatedDevice:
         self._plugged = False
 
     def freeze(self) -> None:
-        """Stop handing over frames, without a word."""
+        """Stop delivering frames, without an error."""
         self._advance()
         self._finished.clear()
         self._frozen = True
 
     def thaw(self) -> None:
-        """Stream again after `freeze`."""
+        """Resume the stream after `freeze`."""
         self._frozen = False
         self._start_s = max(self._start_s, self._clock.now())
 
@@ -164,13 +169,13 @@ class SimulatedDevice:
             )
 
     def _slot_s(self) -> float:
-        """Length of the running slot, whose setting is latched here."""
+        """Return the length of the running slot, after applying the settings that are due."""
         while self._pending and self._pending[0][0] <= self._running:
             self._setting = self._pending.popleft()[1]
         return max(self._sensor.frame_interval_s, self._setting.time_s)
 
     def _advance(self) -> None:
-        """Bring the stream up to the clock."""
+        """Advance the stream to the current time."""
         self._check_plug()
         now = self._clock.now()
         while not self._frozen:

@@ -1,22 +1,25 @@
-"""Files appear whole or not at all, and a full disk is said in one line."""
+"""Files are complete or missing, and a full disk is an error of one line."""
+
+from __future__ import annotations
 
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from camctl.errors import StorageError
-from camctl.files import whole, write_array, write_bytes
+from camctl.files import atomic_file, write_array, write_bytes
 
 
-def test_a_file_that_fails_leaves_what_was_there(tmp_path):
+def test_failed_write_keeps_the_earlier_file(tmp_path: Path) -> None:
     path = tmp_path / "a.bin"
     path.write_bytes(b"old")
 
-    def fail():
-        with whole(path) as part:
+    def fail() -> None:
+        with atomic_file(path) as part:
             part.write_bytes(b"half of the ne")
             raise RuntimeError
 
@@ -26,19 +29,21 @@ def test_a_file_that_fails_leaves_what_was_there(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_arrays_are_read_back_by_numpy(tmp_path):
+def test_written_arrays_are_read_by_numpy(tmp_path: Path) -> None:
     array = np.arange(12, dtype=np.uint16).reshape(3, 4)[:, ::2]
     write_array(tmp_path / "a.npy", array)
     assert np.array_equal(np.load(tmp_path / "a.npy"), array)
 
 
-def test_a_folder_that_is_a_file_is_named(tmp_path):
+def test_file_in_place_of_a_folder_is_an_error_that_names_it(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(StorageError, match=r"cannot write .*file/a: a part of the path is a file"):
         write_bytes(tmp_path / "file" / "a", b"x")
 
 
-def test_a_file_that_cannot_grow_is_said_in_one_line_and_leaves_nothing(tmp_path):
+def test_array_that_does_not_fit_is_an_error_of_one_line_and_leaves_no_file(
+    tmp_path: Path,
+) -> None:
     # A limit on file size fails exactly where a full disk does: in the middle of a write.
     script = f"""
         import resource, signal
@@ -62,20 +67,20 @@ def test_a_file_that_cannot_grow_is_said_in_one_line_and_leaves_nothing(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("limit", "failing", "there"),
+    ("limit", "failing", "complete"),
     [
         (10_000, "frames/frame-01.npy", {"frames", "report.json"}),
         (30_000, "sum.tiff", {"frames", "report.json"}),
         (50_000, "radiance.exr", {"frames", "report.json", "sum.tiff"}),
     ],
 )
-def test_a_result_that_does_not_fit_is_not_there_and_the_frames_are(
-    tmp_path, limit, failing, there
-):
+def test_picture_file_that_does_not_fit_is_missing_and_the_frames_are_kept(
+    tmp_path: Path, limit: int, failing: str, complete: set[str]
+) -> None:
     script = f"""
         import resource, signal
         from pathlib import Path
-        from camctl.capture import CaptureRequest, capture
+        from camctl import CaptureRequest, capture
         from camctl.errors import StorageError
         from sim.camera import SimulatedCamera
         from sim.scenes.scene import load_scene
@@ -94,5 +99,5 @@ def test_a_result_that_does_not_fit_is_not_there_and_the_frames_are(
     )
     assert done.stdout.startswith(f"cannot write {tmp_path}/out/{failing}: ")
     assert done.stdout.count("\n") == 1
-    assert {path.name for path in (tmp_path / "out").iterdir()} == there
+    assert {path.name for path in (tmp_path / "out").iterdir()} == complete
     assert not list((tmp_path / "out").rglob(".*"))

@@ -1,4 +1,4 @@
-"""Profiles: kept whole, found again by serial number, never mixed up or half lost."""
+"""Profiles: written atomically, found by serial number, safe against concurrent changes."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def of(**changes: str) -> CameraInfo:
+def other_camera(**changes: str) -> CameraInfo:
     known = {"id": "x", "make": "Make", "model": "Webcam 3000", "serial": "A1B2", "driver": "v4l2"}
     return CameraInfo(**{**known, **changes})
 
 
-def test_nothing_known_is_an_empty_profile_and_writes_nothing(folder: Path) -> None:
+def test_profile_of_a_new_camera_is_empty_and_writes_no_file(folder: Path) -> None:
     profile = load_profile(THE_CAMERA)
     assert (profile.driver, profile.make, profile.model, profile.serial) == (
         "v4l2",
@@ -57,31 +57,31 @@ def test_nothing_known_is_an_empty_profile_and_writes_nothing(folder: Path) -> N
     assert not folder.exists()
 
 
-def test_what_was_saved_is_found_again_at_another_socket(folder: Path) -> None:
+def test_saved_profile_is_found_on_another_port(folder: Path) -> None:
     profile = load_profile(THE_CAMERA)
     profile.delays["YUYV-640x480-30"] = DELAY
     profile.stills["raw"] = STILL
     path = save_profile(profile)
     assert path.parent == folder
-    assert load_profile(of(id="v4l2:/dev/video7")) == profile
+    assert load_profile(other_camera(id="v4l2:/dev/video7")) == profile
 
 
-def test_every_other_camera_has_another_profile() -> None:
+def test_each_camera_has_its_own_profile() -> None:
     change_profile(THE_CAMERA, lambda profile: profile.delays.update(mode=DELAY))
     for other in (
-        of(serial="A1B3"),
-        of(serial=""),
-        of(serial="a1b2"),
-        of(make="Makes"),
-        of(model="Webcam 3000-A1B2", serial=""),
-        of(driver="ptp"),
+        other_camera(serial="A1B3"),
+        other_camera(serial=""),
+        other_camera(serial="a1b2"),
+        other_camera(make="Makes"),
+        other_camera(model="Webcam 3000-A1B2", serial=""),
+        other_camera(driver="ptp"),
     ):
         assert load_profile(other).delays == {}
 
 
 def test_cameras_of_a_model_without_serial_numbers_share_a_profile() -> None:
-    change_profile(of(serial=""), lambda profile: profile.delays.update(mode=DELAY))
-    assert load_profile(of(serial="", id="y")).delays == {"mode": DELAY}
+    change_profile(other_camera(serial=""), lambda profile: profile.delays.update(mode=DELAY))
+    assert load_profile(other_camera(serial="", id="y")).delays == {"mode": DELAY}
 
 
 @given(
@@ -94,7 +94,7 @@ def test_cameras_of_a_model_without_serial_numbers_share_a_profile() -> None:
         driver=st.sampled_from(["v4l2", "ptp"]),
     )
 )
-def test_odd_characters_stay_in_the_folder(camera: CameraInfo) -> None:
+def test_any_identity_gives_a_file_name_in_the_folder(camera: CameraInfo) -> None:
     path = change_profile(camera, lambda profile: profile.delays.update({camera.make: DELAY}))
     assert path.parent == profile_directory()
     assert path.name.isascii()
@@ -103,7 +103,7 @@ def test_odd_characters_stay_in_the_folder(camera: CameraInfo) -> None:
     path.unlink()
 
 
-def test_a_write_that_fails_leaves_the_old_profile(
+def test_failed_write_keeps_the_earlier_profile(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     change_profile(THE_CAMERA, lambda profile: profile.delays.update(mode=DELAY))
@@ -129,7 +129,7 @@ def test_a_write_that_fails_leaves_the_old_profile(
         b'{"driver": "v4l2", "make": "", "model": "", "serial": "", "extra": 1}',
     ],
 )
-def test_a_damaged_file_is_one_line_that_says_how_to_go_on(content: bytes) -> None:
+def test_damaged_file_is_an_error_that_names_the_command_to_remove_it(content: bytes) -> None:
     path = change_profile(THE_CAMERA, lambda profile: None)
     path.write_bytes(content)
     for read in (lambda: load_profile(THE_CAMERA), list_profiles):
@@ -142,22 +142,22 @@ def test_a_damaged_file_is_one_line_that_says_how_to_go_on(content: bytes) -> No
 
 
 @given(st.binary(max_size=200))
-def test_no_content_raises_anything_but_a_data_error(content: bytes) -> None:
-    path = change_profile(of(serial="fuzzed"), lambda profile: None)
+def test_any_file_content_is_a_data_error(content: bytes) -> None:
+    path = change_profile(other_camera(serial="fuzzed"), lambda profile: None)
     path.write_bytes(content)
     try:
         with pytest.raises(DataError):
-            load_profile(of(serial="fuzzed"))
+            load_profile(other_camera(serial="fuzzed"))
     finally:
         path.unlink()
 
 
-def test_a_profile_of_another_camera_is_not_believed() -> None:
+def test_profile_of_another_camera_is_refused() -> None:
     path = change_profile(THE_CAMERA, lambda profile: profile.delays.update(mode=DELAY))
-    other = path.parent / f"{load_profile(of(serial='B')).name}.json"
+    other = path.parent / f"{load_profile(other_camera(serial='B')).name}.json"
     path.rename(other)
-    with pytest.raises(DataError, match="another camera"):
-        load_profile(of(serial="B"))
+    with pytest.raises(DataError, match="is the profile of another camera"):
+        load_profile(other_camera(serial="B"))
 
 
 @pytest.mark.parametrize(
@@ -171,33 +171,33 @@ def test_a_profile_of_another_camera_is_not_believed() -> None:
         {"trials": 0},
     ],
 )
-def test_a_delay_that_contradicts_itself_is_refused(changes: dict[str, int | None]) -> None:
+def test_contradicting_fields_of_a_delay_are_refused(changes: dict[str, int | None]) -> None:
     with pytest.raises(ValidationError):
         DelayRecord.model_validate({**DELAY.model_dump(), **changes})
 
 
-def test_a_delay_that_is_not_constant_has_no_frames() -> None:
+def test_delay_that_is_not_constant_has_no_number_of_frames() -> None:
     varied = {**DELAY.model_dump(), "frames": None, "smallest": 1, "largest": 3}
     assert DelayRecord.model_validate(varied).frames is None
 
 
 @pytest.mark.parametrize("changes", [{"black": 16300}, {"white": 1 << 14}, {"rows": 0}])
-def test_a_still_that_contradicts_itself_is_refused(changes: dict[str, int]) -> None:
+def test_contradicting_fields_of_a_still_format_are_refused(changes: dict[str, int]) -> None:
     with pytest.raises(ValidationError):
         StillRecord.model_validate({**STILL.model_dump(), **changes})
 
 
-def test_writers_at_one_time_lose_nothing_of_each_other() -> None:
+def test_concurrent_changes_are_all_kept() -> None:
     problems: list[BaseException] = []
 
-    def learn(mode: str) -> None:
+    def add_delay(mode: str) -> None:
         try:
             change_profile(THE_CAMERA, lambda profile: profile.delays.update({mode: DELAY}))
         except BaseException as error:
             problems.append(error)
 
     modes = [f"mode-{number}" for number in range(12)]
-    threads = [threading.Thread(target=learn, args=(mode,)) for mode in modes]
+    threads = [threading.Thread(target=add_delay, args=(mode,)) for mode in modes]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -206,10 +206,12 @@ def test_writers_at_one_time_lose_nothing_of_each_other() -> None:
     assert sorted(load_profile(THE_CAMERA).delays) == sorted(modes)
 
 
-def test_list_and_remove() -> None:
+def test_profiles_are_listed_and_removed() -> None:
     assert list_profiles() == []
     for serial in ("1", "2"):
-        change_profile(of(serial=serial), lambda profile: profile.delays.update(mode=DELAY))
+        change_profile(
+            other_camera(serial=serial), lambda profile: profile.delays.update(mode=DELAY)
+        )
     first, second = list_profiles()
     assert {first.serial, second.serial} == {"1", "2"}
     assert not remove_profile(first.name).exists()
@@ -217,12 +219,15 @@ def test_list_and_remove() -> None:
     with pytest.raises(UsageError, match="did you mean"):
         remove_profile(second.name[:-1])
     remove_profile(second.name)
-    with pytest.raises(UsageError, match="no other"):
+    with pytest.raises(
+        UsageError,
+        match=r"unknown profile .*: there are no profiles; make one with camctl calibrate",
+    ):
         remove_profile(second.name)
 
 
 @pytest.mark.parametrize("name", ["..", "../secret", "", "*"])
-def test_no_name_removes_anything_else(folder: Path, name: str) -> None:
+def test_remove_touches_only_profiles(folder: Path, name: str) -> None:
     path = change_profile(THE_CAMERA, lambda profile: None)
     secret = folder.parent / "secret.json"
     secret.write_text("{}")
@@ -232,7 +237,7 @@ def test_no_name_removes_anything_else(folder: Path, name: str) -> None:
     assert path.exists()
 
 
-def test_a_folder_that_is_a_file_says_so(folder: Path) -> None:
+def test_file_in_place_of_the_folder_is_an_error(folder: Path) -> None:
     folder.write_text("no folder")
     for use in (
         lambda: load_profile(THE_CAMERA),
@@ -244,7 +249,7 @@ def test_a_folder_that_is_a_file_says_so(folder: Path) -> None:
             use()
 
 
-def test_no_permission_says_so(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_permission_is_an_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = change_profile(THE_CAMERA, lambda profile: None)
     if os.geteuid() != 0:
         path.chmod(0)
@@ -258,7 +263,7 @@ def test_no_permission_says_so(folder: Path, monkeypatch: pytest.MonkeyPatch) ->
         load_profile(THE_CAMERA)
 
 
-def test_without_the_variable_it_is_the_users_data_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_profiles_are_in_the_users_data_folder_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CAMCTL_PROFILES")
     monkeypatch.setenv("XDG_DATA_HOME", "/somewhere")
     assert profile_directory() == Path("/somewhere/camctl/profiles")

@@ -1,4 +1,4 @@
-"""Measuring what a camera does not say of itself."""
+"""Measuring properties that a camera does not report."""
 
 from camctl.calibration.delay import measure_delay
 

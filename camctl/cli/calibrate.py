@@ -72,7 +72,7 @@ def delay(
         words, scene=scene, sensor=sensor, size=size, seed=seed, real_time=real_time
     )
     with open_camera(camera_id, beside) as camera, progress_bar("stepping the exposure") as tick:
-        record = measure_delay(camera, trials=trials, progress=share_only(tick), tell=warn)
+        record = measure_delay(camera, trials=trials, progress=share_only(tick), warn=warn)
         assert isinstance(camera, StreamingCamera)  # or there was nothing to measure
         info, mode = camera.info, camera.mode
 

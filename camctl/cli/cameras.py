@@ -46,12 +46,12 @@ def cameras(probe: bool, udev_rules: bool, as_json: bool) -> None:
 
         say(UDEV_RULES.rstrip("\n"))
         return
-    from camctl.backends import look_for_cameras
+    from camctl.backends import list_backends
 
-    looks = look_for_cameras(probe=probe)
+    looks = list_backends(probe=probe)
     for look in looks:
         if look.problem:
-            warn(f"{look.road}: {look.problem}")
+            warn(f"{look.name}: {look.problem}")
     heads = ("id", "make", "model", "serial", "driver")
     found = [camera for look in looks for camera in look.cameras]
     rows = [[str(getattr(camera, name)) for name in heads] for camera in found]
@@ -61,7 +61,7 @@ def cameras(probe: bool, udev_rules: bool, as_json: bool) -> None:
     say(table(heads, rows) if rows else "no camera found")
     roads = [
         (
-            look.road,
+            look.name,
             "cannot look" if look.problem else str(len(look.cameras) or "none"),
             look.about,
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from camctl.cli.output import duration, fields, number, range_name, table
 
 if TYPE_CHECKING:
-    from camctl.capture.report import CaptureReport
+    from camctl.captures.report import CaptureReport
 
 
 def percent(share: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -252,35 +253,31 @@ def evaluate(
     effective levels are better; a longer open shutter is the price.  What is left when things are
     not as planned stands below.
     """
-    from camctl.exposure.effective import EffectiveCamera, effective_levels
+    from camctl.exposure.effective import EffectiveCamera
     from camctl.exposure.objective import Objective
+    from camctl.exposure.objective import evaluate as evaluate_exposures
 
     real = real_response(bits, phase, curve, coefficients)
     for note in real.notes:
         warn(note)
     desired = options.desired(response, dynamic_range, exponent)
     dynamic_range = desired.dynamic_range  # a file brings its own
-    camera = EffectiveCamera.of(real, ratios)
-    wanted = float(camera.levels_total) if levels_wanted is None else levels_wanted
-    goal = Objective(wanted, p, options.noise_term(noise, noise_weight, noise_kind), jitter)
-    xi = goal.score(real, ratios, desired)
-    accuracy = effective_levels(camera, desired)
+    noise_term = options.noise_term(noise, noise_weight, noise_kind)
+    found = evaluate_exposures(
+        real, ratios, desired, objective=Objective(levels_wanted, p, noise_term, jitter)
+    )
     noisy = None
     if electrons is not None or read_noise is not None:
+        camera = EffectiveCamera.of(real, ratios)
         noisy = _with_noise(camera, desired, electrons, read_noise or 0.0)
     left = None
-    if camera.levels_total <= QUICK_LEVELS if sensitivity is None else sensitivity:
+    if found.levels <= QUICK_LEVELS if sensitivity is None else sensitivity:
         from camctl.exposure.robustness import sensitivity as judge
 
-        left = judge(real, desired, ratios, levels_wanted=wanted)
+        left = judge(real, desired, ratios, levels_wanted=found.levels_wanted)
     if as_json:
         facts: dict[str, Any] = {
-            "xi": xi,
-            "levels_wanted": wanted,
-            "levels": camera.levels_total,
-            "levels_distinct": camera.levels_distinct,
-            "effective_levels": accuracy,
-            "total_exposure": sum(ratios),
+            **asdict(found),
             "exposures": ratios,
             "response": desired.name,
             "dynamic_range": dynamic_range,
@@ -297,20 +294,20 @@ def evaluate(
             facts["sensitivity"] = sensitivity_facts(left)
         say_json(facts)
         return
-    lost = camera.levels_total - camera.levels_distinct
+    lost = found.levels - found.levels_distinct
     plain = p == 1 and noise is None and jitter == 0
     rows = [
         ("wanted", desired_name(desired.name, dynamic_range, len(ratios))),
         ("camera", real.name),
         ("exposures", "  ".join(number(ratio) for ratio in ratios)),
-        objective_line(xi, wanted, plain=plain),
-        ("effective levels", number(accuracy, 4)),
+        objective_line(found.xi, found.levels_wanted, plain=plain),
+        ("effective levels", number(found.effective_levels, 4)),
         (
             "levels",
-            f"{camera.levels_distinct} different"
+            f"{found.levels_distinct} different"
             + (f", {lost} lost because levels coincide" if lost else ""),
         ),
-        ("shutter open", f"{number(sum(ratios))} x the shortest exposure"),
+        ("shutter open", f"{number(found.total_exposure)} x the shortest exposure"),
     ]
     if noisy is not None:
         equal = f", {len(ratios)} equal exposures {number(noisy[1], 4)}" if len(ratios) > 1 else ""

@@ -60,7 +60,7 @@ def menu(
     what it costs: how long the shutter is open, and how many effective levels that buys.
     """
     from camctl.backends import PANELS, load, open_camera
-    from camctl.capture.request import CaptureRequest
+    from camctl.captures.request import CaptureRequest
     from menu.app import run
     from menu.camera_job import CameraJob
 

@@ -12,7 +12,7 @@ from camctl.cli.parameters import Name, NameOrFile, Number, Range, Size, Whole, 
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
-    from camctl.exposure.objective import NoiseTerm
+    from camctl.exposure.noise import NoiseTerm
     from camctl.response.desired import DesiredResponse
 
 RESPONSES = ("linear", "gamma", "log")
@@ -161,12 +161,12 @@ def desired(response: str, dynamic_range: float, exponent: float | None) -> Desi
         return desired_response(response, dynamic_range)
     if response != "gamma":
         raise UsageError(f"--gamma goes without --response {response}", hint="say --response gamma")
-    return desired_response(response, dynamic_range, q=exponent)
+    return desired_response(response, dynamic_range, gamma=exponent)
 
 
 def noise_term(sigma: float | None, weight: float, kind: str) -> NoiseTerm | None:
     """Return the noise term that `objective`'s options describe."""
-    from camctl.exposure.objective import NoiseTerm
+    from camctl.exposure.noise import NoiseTerm
 
     return None if sigma is None else NoiseTerm(sigma, weight, kind)
 

@@ -99,7 +99,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], *, right: Iterabl
 
 
 if TYPE_CHECKING:
-    from camctl.capture.sequencer import Progress as CaptureProgress
+    from camctl.captures.sequencer import Progress as CaptureProgress
 
 Tick: TypeAlias = Callable[[float, str], None]
 """Takes the share that is done, 0 to 1, and what is being done now."""
@@ -144,9 +144,9 @@ def capture_progress() -> Iterator[Callable[[CaptureProgress], None] | None]:
 
 def share_of_time(done: int, each: int, count: int) -> float:
     """Return the share of the work in the first `done` rows: `each` rows a number, most first."""
-    from camctl.exposure.solver import EFFORT, MOST_EFFORT
+    from camctl.exposure.solver import EVALUATIONS, MAX_EVALUATIONS
 
-    work = [0.0] + [n * EFFORT.get(n, MOST_EFFORT) for n in range(2, count + 1)]
+    work = [0.0] + [n * EVALUATIONS.get(n, MAX_EVALUATIONS) for n in range(2, count + 1)]
     spent = sum(
         weight * min(max(done - each * place, 0), each)
         for place, weight in enumerate(reversed(work))

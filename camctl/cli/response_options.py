@@ -99,7 +99,7 @@ def _is_response_model(path: Path) -> bool:
 def _modelled(
     path: Path, bits: int, phase: float, coefficients: tuple[float, ...] | None
 ) -> CameraResponse:
-    from camctl.response.emor import read_response_model
+    from camctl.response.measured import read_response_model
 
     if coefficients is None:
         raise DataError(

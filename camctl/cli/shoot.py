@@ -15,8 +15,8 @@ from camctl.cli.output import capture_progress, say, say_json, warn
 from camctl.errors import DataError, UsageError
 
 if TYPE_CHECKING:
-    from camctl.capture.report import CaptureReport
-    from camctl.capture.request import CaptureRequest
+    from camctl.captures.report import CaptureReport
+    from camctl.captures.request import CaptureRequest
 
 MOST_WITHIN_TOLERANCE = 6
 WITH_RESUME = frozenset({"resume_directory", "as_json"})
@@ -172,7 +172,7 @@ def shoot(
             count = len(ratios)
         elif tolerance is not None and "count" not in named:
             count = MOST_WITHIN_TOLERANCE
-        from camctl.capture.request import CaptureRequest
+        from camctl.captures.request import CaptureRequest
 
         request = CaptureRequest(
             response=response,
@@ -216,18 +216,22 @@ def _shoot(
     force: bool,
 ) -> CaptureReport:
     from camctl.backends import open_camera
-    from camctl.capture.sequencer import capture
+    from camctl.captures.frame_store import FolderStore
+    from camctl.captures.plan import plan_capture
+    from camctl.captures.sequencer import capture
     from camctl.exposure.table import ExposureTable
 
     with open_camera(camera_id, beside) as camera, capture_progress() as progress:
-        table = None
+        plan = None
         if table_file is not None:
+            FolderStore.check_free(directory, overwrite=force)
             table = ExposureTable.load(table_file, camera.controls.levels)
+            plan = plan_capture(camera, request, table=table)
         return capture(
             camera,
             request,
             directory,
-            table=table,
+            plan=plan,
             source=source_of(camera_id, beside),
             progress=progress,
             overwrite=force,
@@ -236,10 +240,10 @@ def _shoot(
 
 def _resume(directory: Path) -> CaptureReport:
     from camctl.backends import open_camera
-    from camctl.capture.report import read_report
-    from camctl.capture.sequencer import resume
+    from camctl.captures.frame_store import read_capture
+    from camctl.captures.sequencer import resume
 
-    source = read_report(directory).source
+    source = read_capture(directory).source
     camera_id, beside = source.get("camera"), source.get("options")
     if not isinstance(camera_id, str) or not isinstance(beside, dict):
         raise DataError(

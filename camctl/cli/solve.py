@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import click
 
 from camctl.cli import options
@@ -125,10 +127,11 @@ def solve(
         if option in named and named & without:
             extra = ", ".join(options.spelling(context, name) for name in sorted(named & without))
             raise UsageError(f"--{option} goes without {extra}")
-    from camctl.exposure.grid_search import solve_settings
-    from camctl.exposure.objective import Objective
-    from camctl.exposure.solver import describe, fewest
+    from camctl.exposure.grid_search import SettingsGrid, solve_settings
+    from camctl.exposure.objective import ExposureProblem, Objective
+    from camctl.exposure.solver import SearchOptions, Solution
     from camctl.exposure.solver import solve as search
+    from camctl.exposure.tradeoff import fewest_exposures
 
     real = real_response(bits, phase, curve, coefficients)
     for note in real.notes:
@@ -139,37 +142,38 @@ def solve(
         proof = prove(
             real, desired, count, levels_wanted=levels_wanted, seed=seed, limit_s=time_limit
         )
-        wanted = count * real.M if levels_wanted is None else levels_wanted
-        found = describe(
-            real,
-            desired,
+        found = Solution.of(
+            ExposureProblem(real, desired, count, Objective(levels_wanted)),
             proof.exposures,
-            Objective(wanted),
             seconds=proof.seconds,
             evaluations=proof.evaluations,
         )
         tell(found, real.name, desired.name, dynamic_range, seed, as_json=as_json, proof=proof)
         return
+    limit = math.inf if total_limit is None else total_limit
     with progress_bar("searching") as tick:
         progress = share_only(tick)
         if tolerance is not None and levels_wanted is not None:
             most = count if "count" in named else 16
-            found = fewest(
-                real, desired, tolerance, levels_wanted, seed=seed, most=most, progress=progress
+            found = fewest_exposures(
+                real,
+                desired,
+                tolerance,
+                levels_wanted,
+                max_count=most,
+                seed=seed,
+                progress=progress,
             )
         else:
+            noise_term = options.noise_term(noise, noise_weight, noise_kind)
             found = search(
                 real,
                 desired,
                 count,
-                levels_wanted=levels_wanted,
-                seed=seed,
-                time_limit_s=time_limit,
+                objective=Objective(levels_wanted, p, noise_term, jitter),
+                total_limit=limit if settings is None else math.inf,
+                search=SearchOptions(seed, time_limit_s=time_limit),
                 progress=progress,
-                p=p,
-                noise=options.noise_term(noise, noise_weight, noise_kind),
-                jitter=jitter,
-                total_limit=None if settings is not None else total_limit,
             )
         possible = None
         if settings is not None:
@@ -177,12 +181,9 @@ def solve(
                 real,
                 desired,
                 count,
-                settings,
-                gains=gains or (1.0,),
-                total_limit=total_limit,
-                levels_wanted=levels_wanted,
-                p=p,
-                seed=seed,
+                SettingsGrid(settings, gains or (1.0,), total_limit=limit),
+                objective=Objective(levels_wanted, p),
+                search=SearchOptions(seed),
             )
     tell(
         found,

@@ -55,7 +55,7 @@ def prove(
         most = max(1, int(limit_s * pace))
     with progress_bar("proving" if n <= 2 else "bounding") as tick, _passing(tick, most / pace):
         return certify(
-            real, desired, n, levels_wanted=levels_wanted, most_evaluations=most, seed=seed
+            real, desired, n, levels_wanted=levels_wanted, max_evaluations=most, seed=seed
         )
 
 
@@ -63,10 +63,10 @@ def _sets_a_second(real: CameraResponse, desired: DesiredResponse, n: int) -> fl
     """Return how many sets of n exposures this machine scores in a second."""
     import numpy as np
 
-    from camctl.exposure.batch import BatchScore
-    from camctl.exposure.objective import Objective
+    from camctl.exposure.candidates import BatchScore
+    from camctl.exposure.objective import ExposureProblem
 
-    score = BatchScore(real, desired, Objective(n * real.M), n, exact=True)
+    score = BatchScore(ExposureProblem(real, desired, n), exact=True)
     spread = np.linspace(0.0, math.log(desired.dynamic_range), _PACE_SETS)
     sets = np.exp(spread[:, np.newaxis] * np.linspace(0.0, 1.0, n))
     score(sets[:1])

@@ -112,8 +112,7 @@ def show(
     Each row belongs to one camera's levels, one response, one range and one number of exposures.
     With --bits, --phase or --curve the table must be of that camera.
     """
-    from camctl.exposure.lookup import default_table
-    from camctl.exposure.table import ExposureTable
+    from camctl.exposure.table import ExposureTable, default_table
 
     found = default_table() if path is None else ExposureTable.load(path)
     real = None
@@ -280,7 +279,7 @@ def build(
     Takes seconds a row, most of them for five exposures and more.  Finished rows are kept beside
     the table, so that the same command goes on where an interrupted one stopped.
     """
-    from camctl.exposure.build import build_table
+    from camctl.exposure.build import build_table, table_jobs
 
     if output.exists() and not force:
         raise StorageError(f"{output} exists", hint="choose another name with -o, or say --force")
@@ -304,11 +303,7 @@ def build(
             executor_of(min(workers or os.cpu_count() or 1, rows)) as executor,
         ):
             made = build_table(
-                real,
-                responses,
-                ranges,
-                range(1, count + 1),
-                seed=seed,
+                table_jobs(real, responses, ranges, range(1, count + 1), seed=seed),
                 executor=executor,
                 state=parts,
                 progress=count_rows,

@@ -1,1 +1,1 @@
-"""Which exposures to combine: pure mathematics that knows no camera."""
+"""Which exposures to combine: mathematics on responses, independent of any camera."""

@@ -1,33 +1,58 @@
-"""Building exposure tables: many independent searches, on any executor, resumable.
+"""Rows of exposure tables: solved on demand and cached, or for a whole table on any executor.
 
-Each row's random numbers follow from the row alone (camera, wish, seed), so that a table is the
-same bit for bit whatever the executor, the number of workers and the order they finish in.  Between
-kinds of processor numpy's float32 logarithms may differ in the last bit, and a search then ends
-elsewhere with the same worth; workers of one build should be alike.
+The random numbers of a row follow from the row alone (camera, desired response, n, G, seed), so
+that a table is the same bit for bit whatever the executor, the number of workers and the order in
+which they finish.  Between kinds of processors the float32 logarithms of numpy may differ in the
+last bit; a search then ends elsewhere with the same quality.  The workers of one build should
+therefore be of one kind.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from camctl.errors import UsageError
-from camctl.exposure.solver import check_count, solve
-from camctl.exposure.table import ExposureTable, TableEntry, read_entry, write_text
+from platformdirs import user_cache_dir
+
+from camctl.errors import StorageError, UsageError
+from camctl.exposure.effective import check_count
+from camctl.exposure.objective import Objective
+from camctl.exposure.solver import Progress, SearchOptions, solve
+from camctl.exposure.table import (
+    ExposureTable,
+    TableEntry,
+    default_table,
+    read_entry,
+    write_text,
+)
 from camctl.response.camera import CameraResponse
 from camctl.response.desired import RANGES, RESPONSES, DesiredResponse, desired_response
 
 COUNTS: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+"""Numbers of exposures of a table, by default."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One row to solve; it can be pickled, so that it may be solved anywhere."""
+    """One row to solve.  It can be pickled and sent to another process.
 
-    real: CameraResponse
+    Attributes:
+        response: the response of the real camera
+        desired: the desired response
+        n: number of exposures, 1 to 16
+        levels_wanted: G, the number of levels of the desired camera; None: n * M
+        seed: seed of the random numbers
+
+    Raises:
+        UsageError: n is out of range
+    """
+
+    response: CameraResponse
     desired: DesiredResponse
     n: int
     levels_wanted: float | None = None
@@ -38,35 +63,36 @@ class Job:
 
     @property
     def name(self) -> str:
-        """What tells this row from any other, as a file name of 33 characters."""
-        wish = (
+        """Name of 33 characters that identifies this row, used as a file name."""
+        rest = (
             f"{self.desired.key}|{self.desired.dynamic_range!r}|{self.n}"
             f"|{self.levels_wanted!r}|{self.seed}"
         )
-        return f"{self.real.fingerprint}-{hashlib.sha256(wish.encode()).hexdigest()[:16]}"
+        return f"{self.response.fingerprint}-{hashlib.sha256(rest.encode()).hexdigest()[:16]}"
 
-    def is_answered_by(self, entry: TableEntry) -> bool:
-        """Return whether `entry` is this row."""
-        return entry.is_for(self.real, self.desired, self.n, self.levels_wanted)
+    def matches(self, entry: TableEntry) -> bool:
+        """Return whether `entry` is this row, whatever its seed."""
+        return entry.matches(self.response, self.desired, self.n, self.levels_wanted)
 
 
-def solve_job(job: Job, progress: Callable[[float], None] | None = None) -> TableEntry:
+def solve_job(job: Job, progress: Progress | None = None) -> TableEntry:
     """Solve one row; the random numbers follow from `Job.name`."""
-    seed = int.from_bytes(hashlib.sha256(job.name.encode()).digest()[:8], "little")
     found = solve(
-        job.real,
+        job.response,
         job.desired,
         job.n,
-        levels_wanted=job.levels_wanted,
-        seed=seed,
+        objective=Objective(job.levels_wanted),
+        search=SearchOptions(
+            seed=int.from_bytes(hashlib.sha256(job.name.encode()).digest()[:8], "little")
+        ),
         progress=progress,
     )
     return TableEntry(
         response=job.desired.key,
         dynamic_range=job.desired.dynamic_range,
         n=job.n,
-        camera=job.real.fingerprint,
-        camera_name=job.real.name,
+        camera=job.response.fingerprint,
+        camera_name=job.response.name,
         levels_wanted=found.levels_wanted,
         exposures=found.exposures,
         xi=found.xi,
@@ -75,95 +101,156 @@ def solve_job(job: Job, progress: Callable[[float], None] | None = None) -> Tabl
     )
 
 
-def build_table(
-    real: CameraResponse | Sequence[CameraResponse],
+def cache_folder() -> Path:
+    """Return the folder of solved rows: $CAMCTL_CACHE/exposure, else in the user's cache folder."""
+    if chosen := os.environ.get("CAMCTL_CACHE"):
+        return Path(chosen) / "exposure"
+    return Path(user_cache_dir("camctl")) / "exposure"
+
+
+def look_up(
+    response: CameraResponse,
+    desired: DesiredResponse,
+    n: int,
+    *,
+    levels_wanted: float | None = None,
+    progress: Progress | None = None,
+) -> TableEntry:
+    """Return the exposures for a camera: from the default table, from the cache, or solved now.
+
+    Solved rows are kept in `cache_folder()`.  If that cannot be written, the row is solved again
+    the next time.
+
+    Args:
+        response: the response of the real camera
+        desired: the desired response
+        n: number of exposures, 1 to 16
+        levels_wanted: G, the number of levels of the desired camera; None: n * M
+        progress: called with the completed share, 0 to 1, while solving
+
+    Raises:
+        UsageError: n or G is out of range
+        DataError: the row in the cache is damaged; names the file to delete
+    """
+    found = default_table().find(response, desired, n, levels_wanted)
+    if found is not None:
+        return found
+    job = Job(response, desired, n, levels_wanted=levels_wanted)
+    path = cache_folder() / f"{job.name}.json"
+    if path.exists():
+        return read_entry(path, job.matches)
+    entry = solve_job(job, progress)
+    with suppress(StorageError):
+        write_text(path, entry.model_dump_json() + "\n")
+    return entry
+
+
+def table_jobs(
+    cameras: CameraResponse | Sequence[CameraResponse],
     responses: Iterable[str | DesiredResponse] = RESPONSES,
     ranges: Iterable[str | float] = tuple(RANGES),
     counts: Iterable[int] = COUNTS,
     *,
     seed: int = 0,
+) -> tuple[Job, ...]:
+    """Return the rows of a table: every combination of the arguments.
+
+    Args:
+        cameras: one or several camera responses
+        responses: names of desired responses, which are combined with every range, or
+            `DesiredResponse` objects, which have a range already
+        ranges: names in `RANGES`, or numbers above 1
+        counts: numbers of exposures
+        seed: seed of the random numbers
+
+    Raises:
+        UsageError: an unknown name, or a range or count out of range
+    """
+    if isinstance(cameras, CameraResponse):
+        cameras = [cameras]
+    spans, numbers = list(ranges), list(counts)
+    desired: list[DesiredResponse] = []
+    for response in responses:
+        if isinstance(response, DesiredResponse):
+            desired.append(response)
+        else:
+            desired.extend(desired_response(response, span) for span in spans)
+    return tuple(
+        Job(camera, each, n, seed=seed) for camera in cameras for each in desired for n in numbers
+    )
+
+
+def build_table(
+    jobs: Sequence[Job],
+    *,
     executor: Executor | None = None,
     state: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ExposureTable:
-    """Return the table of one camera or several, solved row by row.
+    """Return the table of rows, solved one by one.
 
     Args:
-        real: the camera or cameras
-        responses: names of `RESPONSES`, combined with every range, or `DesiredResponse` objects,
-            which bring their own range
-        ranges: names of `RANGES` or numbers above 1
-        counts: numbers of exposures
-        seed: same seed, same table, bit for bit, whatever the executor
-        executor: any `concurrent.futures.Executor`, local, Dask's, MPI's; None solves here
-        state: folder in which finished rows are kept, so that an interrupted build goes on where it
-            stopped; it is emptied of them when the table is complete
-        progress: called with (rows done, rows in all)
+        jobs: the rows, see `table_jobs`
+        executor: any `concurrent.futures.Executor` (local processes, Dask, MPI); None: this process
+        state: folder in which solved rows are kept, so that an interrupted build can be continued;
+            they are deleted when the table is complete
+        progress: called with the number of solved rows and of all rows
 
     Raises:
-        UsageError: for names, ranges or counts that cannot be, or nothing to build
-        DataError: for a damaged row in `state`; names the file to delete
-        StorageError: if `state` cannot be written
+        UsageError: there are no rows
+        DataError: a row in `state` is damaged; names the file to delete
+        StorageError: `state` cannot be written
     """
-    cameras = [real] if isinstance(real, CameraResponse) else list(real)
-    spans, numbers = list(ranges), list(counts)
-    wishes: list[DesiredResponse] = []
-    for response in responses:
-        if isinstance(response, DesiredResponse):
-            wishes.append(response)
-        else:
-            wishes.extend(desired_response(response, span) for span in spans)
-    jobs = [
-        Job(camera, wish, n, seed=seed) for camera in cameras for wish in wishes for n in numbers
-    ]
     if not jobs:
-        raise UsageError("nothing to build", hint="name a camera, a response, a range and a count")
+        raise UsageError(
+            "the exposure table has no rows",
+            hint="name at least one camera, response, range and number of exposures",
+        )
     folder = None if state is None else Path(state)
     done: dict[str, TableEntry] = {}
 
-    def keep(job: Job, entry: TableEntry, *, fresh: bool) -> None:
+    def keep(job: Job, entry: TableEntry) -> None:
         done[job.name] = entry
-        if fresh and folder is not None:
-            write_text(folder / f"{job.name}.json", entry.model_dump_json() + "\n")
         if progress is not None:
             progress(len(done), len(jobs))
 
+    def save(job: Job, entry: TableEntry) -> None:
+        if folder is not None:
+            write_text(folder / f"{job.name}.json", entry.model_dump_json() + "\n")
+        keep(job, entry)
+
     waiting: list[Job] = []
     for job in jobs:
-        kept = None if folder is None else folder / f"{job.name}.json"
-        if kept is not None and kept.exists():
-            keep(job, read_entry(kept, job.is_answered_by), fresh=False)
+        saved = None if folder is None else folder / f"{job.name}.json"
+        if saved is not None and saved.exists():
+            keep(job, read_entry(saved, job.matches))
         else:
             waiting.append(job)
-    waiting.sort(key=lambda job: -job.n * job.real.M)  # the longest first: none is left for last
+    waiting.sort(key=lambda job: -job.n * job.response.M)  # the longest first
     if executor is None:
         for job in waiting:
-            keep(job, solve_job(job), fresh=True)
+            save(job, solve_job(job))
     else:
-        _solve_all(executor, waiting, lambda job, entry: keep(job, entry, fresh=True))
+        _solve_all(executor, waiting, save)
     if folder is not None:
-        _clear(folder, jobs)
+        for job in jobs:
+            (folder / f"{job.name}.json").unlink(missing_ok=True)
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
     return ExposureTable(done[job.name] for job in jobs)
 
 
 def _solve_all(
-    executor: Executor, jobs: Sequence[Job], keep: Callable[[Job, TableEntry], None]
+    executor: Executor, jobs: Sequence[Job], save: Callable[[Job, TableEntry], None]
 ) -> None:
     futures: dict[Future[TableEntry], Job] = {executor.submit(solve_job, job): job for job in jobs}
     pending = set(futures)
     try:
         while pending:
             finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-            # rows that are done are kept before a failed one ends the build
+            # Solved rows are saved before a failed one ends the build.
             for future in sorted(finished, key=lambda future: future.exception() is not None):
-                keep(futures[future], future.result())
+                save(futures[future], future.result())
     finally:
         for future in pending:
             future.cancel()
-
-
-def _clear(folder: Path, jobs: Iterable[Job]) -> None:
-    for job in jobs:
-        (folder / f"{job.name}.json").unlink(missing_ok=True)
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()

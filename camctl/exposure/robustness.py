@@ -1,4 +1,4 @@
-"""How much of a set survives exposures that come out wrong, noise, and another quantiser."""
+"""Robustness of a set of exposures to exposure errors, noise, and the phase of the quantiser."""
 
 from __future__ import annotations
 
@@ -14,20 +14,27 @@ from camctl.response.camera import CameraResponse
 from camctl.response.desired import DesiredResponse
 
 EXPOSURE_ERRORS: tuple[float, ...] = (1e-4, 1e-3, 1e-2)
+"""Relative standard deviations of the exposures."""
+
 NOISES: tuple[float, ...] = (0.1, 0.5, 2.0)
+"""Standard deviations of the noise of a frame, in brightness levels."""
+
 PHASES = 16
+"""Phases of the quantiser, evenly spaced over one level."""
+
 DRAWS = 16
+"""Random draws for each exposure error."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """What a disturbance does to one set.
+    """Quality of a set of exposures under one kind of disturbance.
 
     Attributes:
-        xi: mean of the objective
-        xi_worst: the greatest met
-        effective_levels: mean
-        effective_levels_worst: the least met
+        xi: mean objective
+        xi_worst: largest objective
+        effective_levels: mean number of effective levels
+        effective_levels_worst: smallest number of effective levels
     """
 
     xi: float
@@ -38,15 +45,15 @@ class Spread:
 
 @dataclass(frozen=True)
 class Robustness:
-    """The worth of a set undisturbed, and under each disturbance.
+    """Quality of a set of exposures without and with each disturbance.
 
     Attributes:
-        xi: undisturbed
-        effective_levels: undisturbed
-        exposure_errors: relative standard deviation of the exposures -> what is left
-        noise: noise of each frame in brightness levels -> effective levels with it
-        noise_of_equal: the same for as many equal exposures: what the ratios are worth in noise
-        phase: over `PHASES` even shifts of the quantiser in [0, 1) of a level
+        xi: objective without disturbance
+        effective_levels: effective levels without disturbance
+        exposure_errors: quality by relative standard deviation of the exposures
+        noise: effective levels by noise of each frame, in brightness levels
+        noise_of_equal: the same for as many equal exposures: shows whether the ratios gain anything
+        phase: quality over `PHASES` shifts of the quantiser in [0, 1) of a level
     """
 
     xi: float
@@ -58,9 +65,9 @@ class Robustness:
 
 
 def shifted(response: CameraResponse, shift: float) -> CameraResponse:
-    """Return the camera with each level lowered by `shift` (0 to 1) of the gap below it."""
+    """Return the response with each level lowered by `shift` (0 to 1) of the gap below it."""
     below = np.concatenate([[0.0], response.levels[:-1]])
-    if response.M > 1:  # level 0 lies one gap below level 1, where a black level would be
+    if response.M > 1:  # level 0 is taken to lie as far below level 1 as level 2 lies above it
         below[0] = 2 * response.levels[0] - response.levels[1]
     levels = np.maximum(response.levels - shift * (response.levels - below), 0.0)
     return CameraResponse(levels, f"{response.name}, shifted by {shift:g}")
@@ -79,19 +86,26 @@ def sensitivity(
     exposures: Sequence[float],
     *,
     levels_wanted: float | None = None,
-    exposure_errors: Sequence[float] = EXPOSURE_ERRORS,
-    noises: Sequence[float] = NOISES,
 ) -> Robustness:
-    """Return how much xi and effective levels of a set lose when things are not as planned.
+    """Return how disturbances change xi and the effective levels of a set of exposures.
 
-    Exposure errors are Gaussian in ln e, `DRAWS` fixed draws in opposite pairs; the first exposure
-    is the unit and stays.  Takes about a second for six exposures of 8 bits.
+    Exposure errors are Gaussian in ln e: `DRAWS` fixed draws in opposite pairs; the first exposure
+    is the unit and has no error.  Takes about 1 s for six exposures of 8 bits.
+
+    Args:
+        response: the response of the real camera
+        desired: the desired response
+        exposures: relative exposures, ascending from 1
+        levels_wanted: G, the number of levels of the desired camera; None: n * M
+
+    Raises:
+        UsageError: an exposure or the number of levels is out of range
     """
     values = np.array(check_exposures(exposures))
     n = values.size
     G = n * response.M if levels_wanted is None else levels_wanted
 
-    def worth(camera: EffectiveCamera) -> tuple[float, float]:
+    def quality(camera: EffectiveCamera) -> tuple[float, float]:
         return xi(camera, desired, G), effective_levels(camera, desired)
 
     half = np.random.default_rng(8).standard_normal((DRAWS // 2, 16))[:, :n]
@@ -99,30 +113,30 @@ def sensitivity(
     draws[:, 0] = 0.0
     camera = EffectiveCamera.of(response, values.tolist())
     equal = EffectiveCamera.of(response, [float(values[0])] * n)
-    plain = worth(camera)
+    undisturbed = quality(camera)
     return Robustness(
-        xi=plain[0],
-        effective_levels=plain[1],
+        xi=undisturbed[0],
+        effective_levels=undisturbed[1],
         exposure_errors={
             error: _spread(
                 [
-                    worth(EffectiveCamera.of(response, (values * np.exp(error * draw)).tolist()))
+                    quality(EffectiveCamera.of(response, (values * np.exp(error * draw)).tolist()))
                     for draw in draws
                 ]
             )
-            for error in exposure_errors
+            for error in EXPOSURE_ERRORS
         },
         noise={
             sigma: noisy_effective_levels(camera, desired, read_noise_levels=sigma)
-            for sigma in noises
+            for sigma in NOISES
         },
         noise_of_equal={
             sigma: noisy_effective_levels(equal, desired, read_noise_levels=sigma)
-            for sigma in noises
+            for sigma in NOISES
         },
         phase=_spread(
             [
-                worth(EffectiveCamera.of(shifted(response, step / PHASES), values.tolist()))
+                quality(EffectiveCamera.of(shifted(response, step / PHASES), values.tolist()))
                 for step in range(PHASES)
             ]
         ),

@@ -1,65 +1,104 @@
-"""The best exposures by search: many starts, moves of every scale, successive halving.
+"""Search for the best exposures: many starts, moves of every scale, successive halving.
 
-The objective is continuous but kinked wherever two levels cross, tens of thousands of times along
-each exposure, and has many good minima that differ in how the exposures group.  What finds the best
-ones: a large batch of starts, each improved by the best of many random moves at every scale from
-1e-5 to 2 in ln e, the worse half given up again and again, and an exact finish in float64.
+The objective is continuous, has a kink wherever two levels cross (tens of thousands of times along
+each exposure), and has many good minima that differ in how the exposures form groups.  The search
+starts from a large batch of random sets, improves each by the best of many random moves at every
+scale from 1e-5 to 2 in ln e, discards the worse half again and again, and ends with the exact
+objective in float64.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from time import monotonic, process_time
 
 import numpy as np
 
 from camctl.errors import UsageError
-from camctl.exposure.batch import FINEST_FLOAT32, BatchScore
-from camctl.exposure.effective import MAX_EXPOSURES, EffectiveCamera, effective_levels
-from camctl.exposure.moves import Moves
-from camctl.exposure.objective import NoiseTerm, Objective
+from camctl.exposure.candidates import MAX_FLOAT32_LEVELS, BatchScore, RandomSets
+from camctl.exposure.effective import MAX_EXPOSURES
+from camctl.exposure.objective import ExposureProblem, Objective, evaluate
 from camctl.response.camera import CameraResponse, FloatArray
 from camctl.response.desired import DesiredResponse
 
 Progress = Callable[[float], None]
 
 STARTS = 64
+"""Sets that are improved at first; they are the best of 8 times as many."""
+
 MOVES = 32
-MOST_MOVES = 256
-SHARE_OF_ROUNDS = (0.07, 0.07, 0.11, 0.15, 0.22, 0.38)
-EFFORT = {2: 10_000, 3: 25_000, 4: 100_000, 5: 160_000, 6: 330_000}
-MOST_EFFORT = 400_000
-MOST_LEVELS = 2.5e9
-"""Levels sorted in one search, at most: what many-bit cameras are held to (about 15 s)."""
+"""Moves tried for each set in a step; they double when the sets are halved."""
 
-MOST_FLOAT64_LEVELS = 1e9
+MAX_MOVES = 256
 
-MOST_FINISH_LEVELS = 5e8
-FINISH_PASSES = 100
+STAGE_SHARES = (0.07, 0.07, 0.11, 0.15, 0.22, 0.38)
+"""Share of the evaluations in each stage; after each the worse half of the sets is discarded."""
 
-QUICK = 0.1
-HOPELESS = 1.25
-"""A quick search this far above a tolerance ends the matter: the full one gains a few per cent."""
+EVALUATIONS = {2: 10_000, 3: 25_000, 4: 100_000, 5: 160_000, 6: 330_000}
+"""Evaluations of a search for n exposures: enough for 0.5 % of the best known objective."""
 
-COARSE = 255
-FINE = 1023
-"""Cameras of more levels than this start from the solution for `COARSE` of their levels."""
+MAX_EVALUATIONS = 400_000
+"""Evaluations for more than 6 exposures."""
+
+MAX_SORTED_LEVELS = 2.5e9
+"""Levels sorted in one search, at most (about 15 s): bounds the search for cameras of many bits."""
+
+MAX_SORTED_LEVELS_FLOAT64 = 1e9
+"""The same for cameras that are scored in float64."""
+
+MAX_FINAL_LEVELS = 5e8
+"""Levels sorted by the exact objective at the end, at most."""
+
+FINAL_PASSES = 100
+"""Passes over all exposures at the end, at most; a quarter of it for non-integer p."""
+
+COARSE_LEVELS = 255
+"""Levels of the coarse camera whose solution a search for a finer camera starts from."""
+
+MAX_DIRECT_LEVELS = 1023
+"""Cameras of more levels start from the solution for `COARSE_LEVELS` of their levels."""
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """How long to search, and with which random numbers.
+
+    Attributes:
+        seed: seed of the random numbers, >= 0; the same seed gives the same result, bit for bit,
+            unless `time_limit_s` ends the search
+        effort: factor on the number of sets evaluated, > 0
+        time_limit_s: wall time after which the best set so far is returned, s; None: no limit
+
+    Raises:
+        UsageError: a value is out of range
+    """
+
+    seed: int = 0
+    effort: float = 1.0
+    time_limit_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise UsageError(f"invalid seed {self.seed}: expected a whole number >= 0")
+        for name, value in (("search effort", self.effort), ("time limit", self.time_limit_s)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise UsageError(f"invalid {name} {value:g}: expected a positive number")
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Exposures found, and what they are worth.
+    """Exposures found, and their quality.
 
     Attributes:
         exposures: relative, ascending from 1
-        xi: the objective, noise and jitter included where they were asked for
-        levels_wanted: G
+        xi: the objective, including noise and jitter if requested
+        levels_wanted: G, the number of levels of the desired camera
         effective_levels: L of the effective camera, without noise
-        total_exposure: sum of the exposures: shutter time in units of the shortest
-        seconds: CPU time that the search took
-        evaluations: candidates scored
+        total_exposure: sum of the exposures: total exposure time in units of the shortest
+        seconds: CPU time of the search, s
+        evaluations: sets of exposures scored
     """
 
     exposures: tuple[float, ...]
@@ -70,169 +109,28 @@ class Solution:
     seconds: float
     evaluations: int
 
-
-def check_count(n: int) -> None:
-    """Raise `UsageError` unless n lies in 1..16."""
-    if not 1 <= n <= MAX_EXPOSURES:
-        raise UsageError(f"{n} exposures", hint=f"ask for 1 to {MAX_EXPOSURES}")
-
-
-def describe(
-    response: CameraResponse,
-    desired: DesiredResponse,
-    exposures: tuple[float, ...],
-    goal: Objective,
-    *,
-    seconds: float = 0.0,
-    evaluations: int = 1,
-) -> Solution:
-    """Return what a given set of exposures, ascending from 1, is worth."""
-    camera = EffectiveCamera.of(response, exposures)
-    return Solution(
-        exposures=camera.exposures,
-        xi=goal.score(response, exposures, desired),
-        levels_wanted=goal.levels_wanted,
-        effective_levels=effective_levels(camera, desired),
-        total_exposure=math.fsum(camera.exposures),
-        seconds=seconds,
-        evaluations=evaluations,
-    )
-
-
-class _Search:
-    """One search; `solve` says what the arguments mean."""
-
-    def __init__(
-        self,
-        response: CameraResponse,
-        desired: DesiredResponse,
-        n: int,
-        goal: Objective,
+    @classmethod
+    def of(
+        cls,
+        problem: ExposureProblem,
+        exposures: tuple[float, ...],
         *,
-        seed: int,
-        effort: float,
-        limit: float,
-        deadline: float,
-        progress: Progress | None,
-    ) -> None:
-        self.score = BatchScore(response, desired, goal, n)
-        self.response, self.desired, self.goal = response, desired, goal
-        self.limit, self.deadline, self.progress = limit, deadline, progress
-        ladder = response.levels
-        darkest = max(desired.e_min, float(ladder[ladder > 0][0]) / MAX_EXPOSURES)
-        self.moves = Moves(np.random.default_rng(seed), n, response.M, -math.log(darkest))
-        most = MOST_LEVELS if response.M <= FINEST_FLOAT32 else MOST_FLOAT64_LEVELS
-        most /= n * response.M * len(goal.draws(n))
-        budget = effort * min(EFFORT.get(n, MOST_EFFORT), most)
-        self.budget = max(budget, 20.0 * STARTS)
-        passes = FINISH_PASSES if goal.p == round(goal.p) else FINISH_PASSES // 4
-        most_steps = MOST_FINISH_LEVELS / (n * response.M * len(goal.draws(n)))
-        self.finishing = int(min(2 * n * passes, max(20.0, most_steps)))
-
-    def run(self, known: FloatArray | None = None) -> tuple[float, ...]:
-        """Return the best exposures; `known` (K, n) logarithms are starts beside random ones."""
-        starts = self._affordable(self.moves.starts(8 * STARTS))
-        if known is not None:
-            starts[: len(known)] = self._affordable(self.moves.inside(known))
-        scores = self.score(np.exp(starts))
-        sets, scores = _best(starts, scores, STARTS)
-        moves = MOVES
-        spent = self.score.evaluations
-        for share in SHARE_OF_ROUNDS:
-            spent += int(share * self.budget)
-            while self.score.evaluations < spent and time.monotonic() < self.deadline:
-                sets, scores = self._improve(sets, scores, moves)
-                if self.progress is not None:
-                    self.progress(min(self.score.evaluations / self.budget, 0.99))
-            sets, scores = _best(sets, scores, max(2, len(sets) // 2))
-            moves = min(2 * moves, MOST_MOVES)
-        return min((self._finish(row) for row in sets), key=lambda found: found[1])[0]
-
-    def _improve(
-        self, sets: FloatArray, scores: FloatArray, count: int
-    ) -> tuple[FloatArray, FloatArray]:
-        changed = self._affordable(self.moves.around(sets, count))
-        found = self.score(np.exp(changed.reshape(-1, self.score.n))).reshape(len(sets), count)
-        row = np.arange(len(sets))
-        best = found.argmin(axis=1)
-        better = found[row, best] < scores
-        sets = np.where(better[:, np.newaxis], changed[row, best], sets)
-        return sets, np.where(better, found[row, best], scores)
-
-    def _affordable(self, sets: FloatArray) -> FloatArray:
-        """Return the sets, those that sum to more than the limit drawn in towards 1."""
-        if math.isinf(self.limit):
-            return sets
-        high = np.ones((*sets.shape[:-1], 1))
-        low = np.zeros_like(high)
-        over = np.exp(sets).sum(axis=-1, keepdims=True) > self.limit
-        for _ in range(40):
-            middle = (low + high) / 2
-            dear = np.exp(sets * middle).sum(axis=-1, keepdims=True) > self.limit
-            high, low = np.where(dear, middle, high), np.where(dear, low, middle)
-        return np.where(over, sets * low, sets)
-
-    def _finish(self, logs: FloatArray) -> tuple[tuple[float, ...], float]:
-        """Coordinate steps of 1e-4 down to 1e-8 in ln e with the exact objective."""
-        here, value = logs.copy(), self._exact(logs)
-        last = self.score.evaluations + self.finishing
-        step = 1e-4
-        while step > 1e-8 and self.score.evaluations < last:
-            improved = False
-            for index in range(1, len(here)):
-                for sign in (1, -1):
-                    if time.monotonic() > self.deadline:
-                        return tuple(np.exp(here).tolist()), value
-                    trial = here.copy()
-                    trial[index] += sign * step
-                    trial = self._affordable(self.moves.inside(trial))
-                    score = self._exact(trial)
-                    if score < value:
-                        here, value, improved = trial, score, True
-            if not improved:
-                step /= 4
-        return tuple(np.exp(here).tolist()), value
-
-    def _exact(self, logs: FloatArray) -> float:
-        self.score.evaluations += 1
-        return self.goal.score(self.response, np.exp(logs).tolist(), self.desired)
-
-
-def _best(sets: FloatArray, scores: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    order = np.argsort(scores, kind="stable")[:count]
-    return sets[order], scores[order]
-
-
-def _from_coarse(
-    response: CameraResponse,
-    desired: DesiredResponse,
-    n: int,
-    goal: Objective,
-    *,
-    seed: int,
-    limit: float,
-    effort: float,
-) -> FloatArray:
-    """Return (2, n) starts from the solution for a camera with `COARSE` of the levels.
-
-    One as it is, one with the small ratios, which interleave levels, shrunk as the levels are.
-    """
-    kept = np.arange(1, COARSE + 1) * (response.M + 1) // (COARSE + 1) - 1
-    coarse = CameraResponse(response.levels[kept], f"{response.name}, {COARSE} of its levels")
-    found = solve(
-        coarse,
-        desired,
-        n,
-        levels_wanted=goal.levels_wanted * COARSE / response.M,
-        seed=seed,
-        p=goal.p,
-        total_limit=None if math.isinf(limit) else limit,
-        effort=effort,
-    )
-    logs = np.log(found.exposures)
-    steps = np.diff(logs, prepend=0.0)
-    shrunk = np.where(steps < 4 / COARSE, steps * COARSE / response.M, steps)
-    return np.array([logs, np.cumsum(shrunk)])
+        seconds: float = 0.0,
+        evaluations: int = 1,
+    ) -> Solution:
+        """Return the solution that consists of `exposures`, ascending from 1."""
+        quality = evaluate(
+            problem.response, exposures, problem.desired, objective=problem.objective
+        )
+        return Solution(
+            exposures=exposures,
+            xi=quality.xi,
+            levels_wanted=quality.levels_wanted,
+            effective_levels=quality.effective_levels,
+            total_exposure=quality.total_exposure,
+            seconds=seconds,
+            evaluations=evaluations,
+        )
 
 
 def solve(
@@ -240,99 +138,180 @@ def solve(
     desired: DesiredResponse,
     n: int,
     *,
-    levels_wanted: float | None = None,
-    seed: int = 0,
-    time_limit_s: float | None = None,
+    objective: Objective | None = None,
+    total_limit: float = math.inf,
+    search: SearchOptions | None = None,
     progress: Progress | None = None,
-    p: float = 1.0,
-    noise: NoiseTerm | None = None,
-    jitter: float = 0.0,
-    total_limit: float | None = None,
-    effort: float = 1.0,
 ) -> Solution:
-    """Return the best n exposures found for a real camera to emulate a desired one.
+    """Return the best n exposures found for a camera to approximate a desired response.
 
     Args:
-        response: the real camera
-        desired: the wanted response and dynamic range
+        response: the response of the real camera
+        desired: the desired response
         n: number of exposures, 1 to 16
-        levels_wanted: G; n * M where not given, as many levels as the frames hold
-        seed: same seed, same result, bit for bit (unless `time_limit_s` cuts the search short)
-        time_limit_s: wall time after which the best so far is returned, s
-        progress: called with the share done, 0 to 1
-        p: norm of the objective
-        noise: adds c V to the objective
-        jitter: averages the objective over exposures off by this relative standard deviation
-        total_limit: the exposures may sum to this at most (shutter time in units of the shortest)
-        effort: scales the number of candidates
+        objective: the quantity to minimise; None: missing levels of n * M
+        total_limit: largest sum of the exposures, in units of the shortest; infinite: no limit
+        search: how long to search, and with which random numbers
+        progress: called with the completed share, 0 to 1
 
     Raises:
-        UsageError: for n, G, p or a limit that cannot be
+        UsageError: n is out of range, or the limit is below n
+
+    >>> from camctl.response.camera import linear_response
+    >>> from camctl.response.desired import desired_response
+    >>> found = solve(linear_response(8), desired_response("log", 1000.0), 2)
+    >>> [round(e, 1) for e in found.exposures]
+    [1.0, 32.4]
     """
-    check_count(n)
-    goal = Objective(n * response.M if levels_wanted is None else levels_wanted, p, noise, jitter)
-    limit = math.inf if total_limit is None else total_limit
-    if not limit >= n:
+    problem = ExposureProblem(response, desired, n, objective or Objective())
+    options = search or SearchOptions()
+    if not total_limit >= n:
         raise UsageError(
-            f"{n} exposures cannot last only {limit:g} times the shortest",
-            hint=f"the least is {n}: raise the limit or ask for fewer exposures",
+            f"invalid limit {total_limit:g} of the total exposure: {n} exposures have at least {n} "
+            "times the shortest",
+            hint="raise the limit, or request fewer exposures",
         )
-    started = time.process_time()
-    if n == 1 or limit == n:
-        found = describe(response, desired, (1.0,) * n, goal)
+    started = process_time()
+    if n == 1 or total_limit == n:
+        found = Solution.of(problem, (1.0,) * n)
     else:
-        search = _Search(
-            response,
-            desired,
-            n,
-            goal,
-            seed=seed,
-            effort=effort,
-            limit=limit,
-            deadline=math.inf if time_limit_s is None else time.monotonic() + time_limit_s,
-            progress=progress,
-        )
+        running = _Search(problem, options, total_limit, progress)
         known = None
-        if response.M > FINE and goal.noise is None:
-            known = _from_coarse(response, desired, n, goal, seed=seed, limit=limit, effort=effort)
-        exposures = search.run(known)
-        found = describe(response, desired, exposures, goal, evaluations=search.score.evaluations)
+        if response.M > MAX_DIRECT_LEVELS and problem.objective.noise is None:
+            known = _coarse_starts(problem, options, total_limit)
+        exposures = running.run(known)
+        found = Solution.of(problem, exposures, evaluations=running.score.evaluations)
     if progress is not None:
         progress(1.0)
-    return replace(found, seconds=time.process_time() - started)
+    return replace(found, seconds=process_time() - started)
 
 
-def fewest(
-    response: CameraResponse,
-    desired: DesiredResponse,
-    tolerance: float,
-    levels_wanted: float,
-    *,
-    seed: int = 0,
-    most: int = MAX_EXPOSURES,
-    progress: Progress | None = None,
-) -> Solution:
-    """Return the solution with the fewest exposures whose xi is at most `tolerance`.
+def _coarse_starts(
+    problem: ExposureProblem, search: SearchOptions, total_limit: float
+) -> FloatArray:
+    """Return (2, n) starts, as logarithms, from the solution for `COARSE_LEVELS` of the levels.
 
-    The paper's section 3.2: one exposure more until the objective falls below the tolerance.
-    `levels_wanted` must be explicit, since the default n * M grows with n.
-
-    Raises:
-        UsageError: where `most` exposures do not reach it; says what they do reach
+    One start is that solution; in the other the small ratios, which interleave levels, are reduced
+    as the gaps are.  The coarse search may take half of the time limit.
     """
-    if not (math.isfinite(tolerance) and tolerance >= 0):
-        raise UsageError(f"tolerance {tolerance:g}", hint="give xi to reach, a number >= 0")
-    best = math.inf
-    for n in range(1, most + 1):
-        solution = solve(response, desired, n, levels_wanted=levels_wanted, seed=seed, effort=QUICK)
-        if tolerance < solution.xi < HOPELESS * tolerance or n == most:
-            solution = solve(response, desired, n, levels_wanted=levels_wanted, seed=seed)
-        if progress is not None:
-            progress(n / most)
-        if solution.xi <= tolerance:
-            return solution
-        best = min(best, solution.xi)
-    raise UsageError(
-        f"{most} exposures do not bring xi down to {tolerance:g}",
-        hint=f"they reach {best:.4g}: allow that much, or want fewer levels than {levels_wanted:g}",
+    response = problem.response
+    kept = np.arange(1, COARSE_LEVELS + 1) * (response.M + 1) // (COARSE_LEVELS + 1) - 1
+    coarse = CameraResponse(response.levels[kept], f"{response.name}, {COARSE_LEVELS} levels of it")
+    levels_wanted = problem.levels_wanted * COARSE_LEVELS / response.M
+    limit_s = None if search.time_limit_s is None else search.time_limit_s / 2
+    found = solve(
+        coarse,
+        problem.desired,
+        problem.n,
+        objective=Objective(levels_wanted, problem.objective.p),
+        total_limit=total_limit,
+        search=replace(search, time_limit_s=limit_s),
     )
+    logs = np.log(found.exposures)
+    steps = np.diff(logs, prepend=0.0)
+    reduced = np.where(steps < 4 / COARSE_LEVELS, steps * COARSE_LEVELS / response.M, steps)
+    return np.array([logs, np.cumsum(reduced)])
+
+
+class _Search:
+    """One search, with the arguments of `solve`; sets are natural logarithms of the exposures."""
+
+    def __init__(
+        self,
+        problem: ExposureProblem,
+        search: SearchOptions,
+        limit: float,
+        progress: Progress | None,
+    ) -> None:
+        self.problem, self.limit, self.progress = problem, limit, progress
+        self.score = BatchScore(problem)
+        self.deadline = monotonic() + (search.time_limit_s or math.inf)
+        n, M, levels = problem.n, problem.response.M, problem.response.levels
+        darkest = max(problem.desired.e_min, float(levels[levels > 0][0]) / MAX_EXPOSURES)
+        self.moves = RandomSets(np.random.default_rng(search.seed), n, M, -math.log(darkest))
+        sorted_at_once = n * M * len(problem.jitter_factors())
+        max_sorted = MAX_SORTED_LEVELS if M <= MAX_FLOAT32_LEVELS else MAX_SORTED_LEVELS_FLOAT64
+        budget = search.effort * min(
+            EVALUATIONS.get(n, MAX_EVALUATIONS), max_sorted / sorted_at_once
+        )
+        self.budget = max(budget, 20.0 * STARTS)
+        p = problem.objective.p
+        passes = FINAL_PASSES if p == round(p) else FINAL_PASSES // 4
+        self.final_evaluations = int(
+            min(2 * n * passes, max(20.0, MAX_FINAL_LEVELS / sorted_at_once))
+        )
+
+    def run(self, known: FloatArray | None = None) -> tuple[float, ...]:
+        """Return the best exposures found; `known` (K, n) replaces some of the random starts."""
+        starts = self._within_limit(self.moves.starts(8 * STARTS))
+        if known is not None:
+            starts[: len(known)] = self._within_limit(self.moves.normalised(known))
+        scores = self.score(np.exp(starts))
+        sets, scores = _best(starts, scores, STARTS)
+        moves = MOVES
+        end = self.score.evaluations
+        for share in STAGE_SHARES:
+            end += int(share * self.budget)
+            while self.score.evaluations < end and monotonic() < self.deadline:
+                sets, scores = self._improve(sets, scores, moves)
+                if self.progress is not None:
+                    self.progress(min(self.score.evaluations / self.budget, 0.99))
+            sets, scores = _best(sets, scores, max(2, len(sets) // 2))
+            moves = min(2 * moves, MAX_MOVES)
+        return min((self._finish(row) for row in sets), key=lambda found: found[1])[0]
+
+    def _improve(
+        self, sets: FloatArray, scores: FloatArray, count: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Replace each set by the best of `count` changed copies if that is better."""
+        changed = self._within_limit(self.moves.around(sets, count))
+        n = self.problem.n
+        found = self.score(np.exp(changed.reshape(-1, n))).reshape(len(sets), count)
+        row = np.arange(len(sets))
+        best = found.argmin(axis=1)
+        better = found[row, best] < scores
+        sets = np.where(better[:, np.newaxis], changed[row, best], sets)
+        return sets, np.where(better, found[row, best], scores)
+
+    def _within_limit(self, sets: FloatArray) -> FloatArray:
+        """Return the sets; those whose sum exceeds the limit are scaled towards 1."""
+        if math.isinf(self.limit):
+            return sets
+        high = np.ones((*sets.shape[:-1], 1))
+        low = np.zeros_like(high)
+        over = np.exp(sets).sum(axis=-1, keepdims=True) > self.limit
+        for _ in range(40):
+            middle = (low + high) / 2
+            too_long = np.exp(sets * middle).sum(axis=-1, keepdims=True) > self.limit
+            high, low = np.where(too_long, middle, high), np.where(too_long, low, middle)
+        return np.where(over, sets * low, sets)
+
+    def _finish(self, logs: FloatArray) -> tuple[tuple[float, ...], float]:
+        """Coordinate steps of 1e-4 down to 1e-8 in ln e with the exact objective."""
+        current, value = logs.copy(), self._exact(logs)
+        last = self.score.evaluations + self.final_evaluations
+        step = 1e-4
+        while step > 1e-8 and self.score.evaluations < last:
+            improved = False
+            for index in range(1, len(current)):
+                for sign in (1, -1):
+                    if monotonic() > self.deadline:
+                        return tuple(np.exp(current).tolist()), value
+                    trial = current.copy()
+                    trial[index] += sign * step
+                    trial = self._within_limit(self.moves.normalised(trial))
+                    score = self._exact(trial)
+                    if score < value:
+                        current, value, improved = trial, score, True
+            if not improved:
+                step /= 4
+        return tuple(np.exp(current).tolist()), value
+
+    def _exact(self, logs: FloatArray) -> float:
+        self.score.evaluations += 1
+        return self.problem.score(np.exp(logs).tolist())
+
+
+def _best(sets: FloatArray, scores: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    order = np.argsort(scores, kind="stable")[:count]
+    return sets[order], scores[order]

@@ -1,13 +1,15 @@
-"""Rows of exposures, and tables of them on disk.
+"""Tables of exposures: their rows, their file format, and the table that is part of camctl.
 
-A row belongs to one camera's levels: its key holds their fingerprint, so that a camera of 10 bits,
-with a black level or with a rounding converter is never served the row of an 8-bit one.
+A row belongs to the levels of one camera and contains their fingerprint, so that a camera of 10
+bits, with a black level or with a rounding quantiser never gets the row of an 8-bit camera.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,7 +20,7 @@ from camctl.files import storage_error, write_bytes
 from camctl.response.camera import CameraResponse
 from camctl.response.desired import DesiredResponse
 
-_REBUILD = "build it again with 'camctl table build'"
+_REBUILD = "build the table again with 'camctl table build'"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -31,12 +33,12 @@ class TableEntry(BaseModel):
         dynamic_range: its DR
         n: number of exposures
         camera: `CameraResponse.fingerprint`
-        camera_name: what a person calls that camera
-        levels_wanted: G
+        camera_name: name of that camera, shown to people
+        levels_wanted: G, the number of levels of the desired camera
         exposures: relative, ascending from 1
-        xi: the objective, p = 1
-        effective_levels: L
-        total_exposure: sum of the exposures: shutter time in units of the shortest
+        xi: the objective with p = 1: missing levels
+        effective_levels: L, without noise
+        total_exposure: sum of the exposures: total exposure time in units of the shortest
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -53,30 +55,30 @@ class TableEntry(BaseModel):
     total_exposure: Positive
 
     @model_validator(mode="after")
-    def _whole(self) -> TableEntry:
+    def _consistent(self) -> TableEntry:
         if len(self.exposures) != self.n:
-            raise ValueError(f"{len(self.exposures)} exposures where n is {self.n}")
+            raise ValueError(f"it has {len(self.exposures)} exposures, but n is {self.n}")
         if self.exposures[0] != 1 or list(self.exposures) != sorted(self.exposures):
-            raise ValueError("exposures must ascend from 1")
+            raise ValueError("the exposures do not ascend from 1")
         if not math.isclose(sum(self.exposures), self.total_exposure, rel_tol=1e-9):
             raise ValueError("total_exposure is not the sum of the exposures")
         return self
 
-    def is_for(
+    def matches(
         self,
-        real: CameraResponse,
+        response: CameraResponse,
         desired: DesiredResponse,
         n: int,
         levels_wanted: float | None = None,
     ) -> bool:
-        """Return whether this row answers that question; without `levels_wanted` G is n * M."""
-        wanted = n * real.M if levels_wanted is None else levels_wanted
+        """Return whether this row is for that camera, desired response, n and G (None: n * M)."""
+        G = n * response.M if levels_wanted is None else levels_wanted
         return (
             self.n == n
-            and self.camera == real.fingerprint
+            and self.camera == response.fingerprint
             and self.response == desired.key
             and math.isclose(self.dynamic_range, desired.dynamic_range, rel_tol=1e-12)
-            and self.levels_wanted == wanted
+            and self.levels_wanted == G
         )
 
 
@@ -89,7 +91,7 @@ class _TableFile(BaseModel):
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, and the folders above it; it appears whole or not at all.
+    """Write a text file and create its folders; the file appears complete or not at all.
 
     Raises:
         StorageError: it could not be written
@@ -101,84 +103,111 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def _problem(error: ValidationError) -> str:
+def _first_problem(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in first["loc"])
     return f"{where}: {first['msg']}" if where else str(first["msg"])
 
 
 class ExposureTable:
-    """Rows of exposures, found by camera, response, range and number."""
+    """Rows of exposures, found by camera, desired response and number of exposures."""
 
     def __init__(self, entries: Iterable[TableEntry] = ()) -> None:
         self.entries: tuple[TableEntry, ...] = tuple(entries)
 
     @classmethod
-    def load(cls, path: str | Path, real: CameraResponse | None = None) -> ExposureTable:
-        """Read a table; with `real`, one that must hold rows for that camera.
+    def load(cls, path: str | Path, response: CameraResponse | None = None) -> ExposureTable:
+        """Return the table in a file, which must hold rows for `response` if that is given.
 
         Raises:
-            DataError: for a file that is missing, damaged, or of another camera
+            DataError: the file is missing, damaged, or holds no row for that camera
         """
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")
         except OSError as error:
-            raise DataError(f"exposure table {path}: {error.strerror or error}") from error
+            raise DataError(
+                f"cannot read exposure table {path}: {error.strerror or error}"
+            ) from error
         except UnicodeDecodeError as error:
             raise DataError(
-                f"exposure table {path} is damaged: not a text file", hint=_REBUILD
+                f"exposure table {path} is damaged: it is not a text file", hint=_REBUILD
             ) from error
         table = cls.parse(text, f"exposure table {path}", _REBUILD)
-        if real is not None and all(e.camera != real.fingerprint for e in table.entries):
+        if response is not None and all(e.camera != response.fingerprint for e in table.entries):
             others = sorted({entry.camera_name for entry in table.entries}) or ["no camera"]
             raise DataError(
-                f"exposure table {path} is of another camera ({', '.join(others[:3])}), "
-                f"not of {real.name}",
+                f"exposure table {path} is for another camera ({', '.join(others[:3])}), "
+                f"not for {response.name}",
                 hint=_REBUILD,
             )
         return table
 
     @classmethod
     def parse(cls, text: str, where: str, hint: str) -> ExposureTable:
-        """Return a table from its JSON; `DataError` names `where` and ends with `hint`."""
+        """Return a table from its JSON text.
+
+        Raises:
+            DataError: the text is damaged; the message starts with `where` and ends with `hint`
+        """
         try:
             return cls(_TableFile.model_validate_json(text).entries)
         except ValidationError as error:
-            raise DataError(f"{where} is damaged: {_problem(error)}", hint=hint) from error
+            raise DataError(f"{where} is damaged: {_first_problem(error)}", hint=hint) from error
 
     def save(self, path: str | Path) -> None:
-        """Write the table; it appears whole or not at all.  Raises `StorageError`."""
+        """Write the table; the file appears complete or not at all.
+
+        Raises:
+            StorageError: it could not be written
+        """
         rows = ",\n  ".join(entry.model_dump_json() for entry in self.entries)
         head = '"format": "camctl exposure table",\n "version": 1,\n "entries": [\n  '
         write_text(Path(path), "{" + head + rows + "\n]}\n")
 
     def find(
         self,
-        real: CameraResponse,
+        response: CameraResponse,
         desired: DesiredResponse,
         n: int,
         levels_wanted: float | None = None,
     ) -> TableEntry | None:
-        """Return the row for a camera, or None."""
+        """Return the row for that camera, desired response, n and G (None: n * M), or None."""
         for entry in self.entries:
-            if entry.is_for(real, desired, n, levels_wanted):
+            if entry.matches(response, desired, n, levels_wanted):
                 return entry
         return None
 
 
-def read_entry(path: Path, fits: Callable[[TableEntry], bool]) -> TableEntry:
-    """Read a file of one row that must fit; raises `DataError` that says to delete it."""
+@cache
+def default_table() -> ExposureTable:
+    """Return the table that is part of camctl: 8-bit linear, three responses and ranges, n <= 6."""
+    file = resources.files("camctl.exposure") / "default_table.json"
+    return ExposureTable.parse(
+        file.read_text(encoding="utf-8"), "the exposure table of camctl", "install camctl again"
+    )
+
+
+def read_entry(path: Path, matches: Callable[[TableEntry], bool]) -> TableEntry:
+    """Return the row in a file of one row, for which `matches` must be true.
+
+    Raises:
+        DataError: the file cannot be read, is damaged, or holds another row; names the file
+    """
     try:
         entry = TableEntry.model_validate_json(path.read_bytes())
     except OSError as error:
-        raise DataError(f"cached exposures {path}: {error.strerror or error}") from error
+        raise DataError(
+            f"cannot read cached exposures {path}: {error.strerror or error}"
+        ) from error
     except ValidationError as error:
         raise DataError(
-            f"cached exposures {path} are damaged: {_problem(error)}", hint="delete that file"
+            f"cached exposures {path} are damaged: {_first_problem(error)}",
+            hint="delete that file",
         ) from error
-    if not fits(entry):
+    if not matches(entry):
         raise DataError(
-            f"cached exposures {path} are of another camera or wish", hint="delete that file"
+            f"cached exposures {path} are for another camera or desired response",
+            hint="delete that file",
         )
     return entry

@@ -1,25 +1,36 @@
-"""What each number of exposures would give and cost, before anything is shot."""
+"""Number of exposures against accuracy, before any picture is taken."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from camctl.exposure.lookup import look_up
+from camctl.errors import UsageError
+from camctl.exposure.build import look_up
+from camctl.exposure.effective import MAX_EXPOSURES
+from camctl.exposure.objective import Objective
+from camctl.exposure.solver import Progress, SearchOptions, Solution, solve
 from camctl.response.camera import CameraResponse
 from camctl.response.desired import DesiredResponse
 
+QUICK_EFFORT = 0.1
+"""Effort of the first search for each number of exposures: within a few per cent of the best."""
+
+QUICK_MARGIN = 1.25
+"""A quick search with more than this many times the tolerance is not repeated with full effort."""
+
 
 @dataclass(frozen=True)
-class Choice:
-    """One point of accuracy against time.
+class TradeoffPoint:
+    """Cost and quality of one number of exposures.
 
     Attributes:
         n: number of exposures
         exposures: relative, ascending from 1
-        total_exposure: their sum: shutter time in units of the shortest
-        xi: wanted levels that are missing, of n * M
-        effective_levels: L, how many equal steps would be as accurate
+        total_exposure: their sum: total exposure time in units of the shortest
+        xi: desired levels that are missing, of n * M
+        effective_levels: L, the number of equal steps of the same accuracy, without noise
     """
 
     n: int
@@ -30,23 +41,66 @@ class Choice:
 
 
 def predict(
-    real: CameraResponse,
+    response: CameraResponse,
     desired: DesiredResponse,
     counts: Iterable[int] = range(1, 7),
-    *,
-    progress: Callable[[float], None] | None = None,
-) -> tuple[Choice, ...]:
-    """Return a row for each number of exposures, from the table or solved and cached.
+) -> tuple[TradeoffPoint, ...]:
+    """Return a point for each number of exposures, looked up or solved and cached.
 
-    `progress` is called with the share done, 0 to 1.  Raises what `look_up` raises.
+    Raises what `look_up` raises.
     """
-    numbers = list(counts)
-    rows: list[Choice] = []
-    for n in numbers:
-        entry = look_up(real, desired, n)
-        rows.append(
-            Choice(n, entry.exposures, entry.total_exposure, entry.xi, entry.effective_levels)
+    entries = [look_up(response, desired, n) for n in counts]
+    return tuple(
+        TradeoffPoint(
+            entry.n, entry.exposures, entry.total_exposure, entry.xi, entry.effective_levels
         )
+        for entry in entries
+    )
+
+
+def fewest_exposures(
+    response: CameraResponse,
+    desired: DesiredResponse,
+    tolerance: float,
+    levels_wanted: float,
+    *,
+    max_count: int = MAX_EXPOSURES,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Solution:
+    """Return the solution with the fewest exposures that leaves at most `tolerance` levels missing.
+
+    Grossberg and Nayar, section 3.2: one exposure is added until the objective is small enough.
+
+    Args:
+        response: the response of the real camera
+        desired: the desired response
+        tolerance: largest xi, >= 0
+        levels_wanted: G; it must be given, since the default n * M grows with n
+        max_count: number of exposures, at most
+        seed: seed of the random numbers
+        progress: called with the completed share, 0 to 1
+
+    Raises:
+        UsageError: the tolerance is negative, or `max_count` exposures do not reach it; states the
+            xi that they reach
+    """
+    if not (math.isfinite(tolerance) and tolerance >= 0):
+        raise UsageError(f"invalid tolerance {tolerance:g}: expected a number of levels >= 0")
+    objective = Objective(levels_wanted)
+    quick, full = SearchOptions(seed, QUICK_EFFORT), SearchOptions(seed)
+    best = math.inf
+    for n in range(1, max_count + 1):
+        found = solve(response, desired, n, objective=objective, search=quick)
+        if tolerance < found.xi < QUICK_MARGIN * tolerance or n == max_count:
+            found = solve(response, desired, n, objective=objective, search=full)
         if progress is not None:
-            progress(len(rows) / len(numbers))
-    return tuple(rows)
+            progress(n / max_count)
+        if found.xi <= tolerance:
+            return found
+        best = min(best, found.xi)
+    raise UsageError(
+        f"no set of up to {max_count} exposures reduces xi to {tolerance:g}",
+        hint=f"the best one has {best:.4g}: allow that many missing levels, or request fewer "
+        f"levels than {levels_wanted:g}",
+    )

@@ -1,1 +1,1 @@
-"""Camera responses and desired responses."""
+"""Responses of real cameras, and the desired responses that a camera is to approximate."""

@@ -1,4 +1,8 @@
-"""Real cameras as their measured irradiance levels."""
+"""The response of a real camera as a list of irradiance levels, and standard responses.
+
+A camera's brightness (a digital number with black subtracted) is a monotone staircase of the
+irradiance E.  The staircase is stored as the irradiances of its M steps, E_1 <= ... <= E_M.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +24,16 @@ MAX_BITS = 16
 
 @dataclass(frozen=True, eq=False)
 class CameraResponse:
-    """A real camera: brightness is how many of its levels are <= the irradiance.
+    """The response of a real camera: brightness is the number of levels <= the irradiance.
 
     Attributes:
-        levels: (M,) float64, not decreasing, irradiance E_1..E_M; E = 1 is where level M + 1 lies
-        name: what a person calls it
-        notes: what had to be repaired in a measured curve, one line each
+        levels: (M,) float64, not decreasing, irradiance E_1..E_M; E = 1 is where level M + 1 would
+            lie
+        name: name shown to people
+        notes: repairs made to a measured curve, one line each
+
+    Raises:
+        DataError: the levels are not a non-empty, finite, ascending list of numbers >= 0
     """
 
     levels: FloatArray
@@ -35,24 +43,28 @@ class CameraResponse:
     def __post_init__(self) -> None:
         levels = np.array(self.levels, dtype=np.float64)
         if levels.ndim != 1 or levels.size == 0:
-            raise DataError(f"{self.name}: a camera needs a list of one or more levels")
+            raise DataError(
+                f"invalid response '{self.name}': expected a list of one or more levels"
+            )
         if not np.all(np.isfinite(levels)):
-            raise DataError(f"{self.name}: a level is not a finite number")
+            raise DataError(f"invalid response '{self.name}': a level is not a finite number")
         if np.any(np.diff(levels) < 0) or levels[0] < 0 or levels[-1] <= 0:
-            raise DataError(f"{self.name}: levels must be >= 0 and must not decrease")
+            raise DataError(
+                f"invalid response '{self.name}': levels must be >= 0 and must not decrease"
+            )
         levels.setflags(write=False)
         object.__setattr__(self, "levels", levels)
 
     @property
-    def M(self) -> int:  # noqa: N802 - the field's letter
-        """Number of levels: white minus black."""
+    def M(self) -> int:  # noqa: N802 - the letter used in the literature
+        """Number of levels, which is white level minus black level."""
         return int(self.levels.size)
 
     @property
     def gaps(self) -> tuple[FloatArray, FloatArray]:
-        """(low, high), each (M + 1,): the irradiance that brightness 0..M stands for.
+        """Both ends (low, high) of the irradiance of brightness 0..M, each (M + 1,) float64.
 
-        Brightness M is saturated and has no upper end: it gets E_M for both.
+        Brightness M is saturated and has no upper end: both are E_M.
         """
         return (
             np.concatenate(([0.0], self.levels)),
@@ -61,14 +73,15 @@ class CameraResponse:
 
     @cached_property
     def fingerprint(self) -> str:
-        """First 16 hex digits of the sha256 of the levels as little-endian float64."""
+        """First 16 hex digits of the SHA-256 of the levels as little-endian float64."""
         return hashlib.sha256(self.levels.astype("<f8").tobytes()).hexdigest()[:16]
 
     def slope(self, E: ArrayLike) -> FloatArray:
-        """Return the local slope of brightness, levels per unit of irradiance, in E's shape.
+        """Return the slope of brightness in levels per unit of irradiance, in the shape of E.
 
-        It is one level per gap (m levels where m coincide); below the first level that of the gap
-        above it.  Saturation is the caller's to know.
+        The slope is one level per gap (m levels where m coincide).  Below the first level it is the
+        slope of the first gap, above the last level that of the last one: the caller must handle
+        saturation.
         """
         distinct, counts = np.unique(self.levels, return_counts=True)
         if distinct.size == 1:
@@ -79,23 +92,29 @@ class CameraResponse:
 
 
 def check_quantiser(bits: int, phase: float, levels: int | None) -> int:
-    """Return the number of levels M of a quantiser; raise `UsageError` if it cannot be."""
+    """Return the number of levels M of a quantiser.
+
+    Raises:
+        UsageError: the bit depth, phase or number of levels is out of range
+    """
     if not 1 <= bits <= MAX_BITS:
-        raise UsageError(f"{bits} bits", hint=f"a camera has 1 to {MAX_BITS}")
+        raise UsageError(f"invalid bit depth {bits}: expected 1 to {MAX_BITS}")
     if not (math.isfinite(phase) and 0 <= phase < 1):
         raise UsageError(
-            f"quantiser phase {phase}", hint="it lies in [0, 1): 0 is floor, 0.5 is rounding"
+            f"invalid quantiser phase {phase}: expected at least 0 and less than 1",
+            hint="0 truncates, 0.5 rounds",
         )
     count = 2**bits - 1 if levels is None else levels
     if not 1 <= count <= 2**MAX_BITS - 1:
         raise UsageError(
-            f"a camera of {count} levels", hint=f"levels (white - black) lie in 1..{2**16 - 1}"
+            f"invalid number of levels {count}: expected 1 to {2**MAX_BITS - 1}",
+            hint="it is the white level minus the black level",
         )
     return count
 
 
 def quantiser_name(kind: str, bits: int, phase: float, count: int) -> str:
-    """Return how a person calls a response behind a quantiser."""
+    """Return the name of a quantised response, such as "linear 8 bit, 239 levels, phase 0.5"."""
     size = f"{bits} bit" if count == 2**bits - 1 else f"{bits} bit, {count} levels"
     return f"{kind} {size}" + (f", phase {phase:g}" if phase else "")
 
@@ -103,28 +122,34 @@ def quantiser_name(kind: str, bits: int, phase: float, count: int) -> str:
 def linear_response(
     bits: int = 8, *, phase: float = 0.0, levels: int | None = None
 ) -> CameraResponse:
-    """Return a linear camera: E_k = (k - phase) / (M + 1), k = 1..M.
+    """Return the response of a linear camera: E_k = (k - phase) / (M + 1), k = 1..M.
 
-    `levels` is M = white - black where there is a black level; without it M = 2^bits - 1.
+    Args:
+        bits: bit depth, 1 to 16
+        phase: phase of the quantiser, in [0, 1): 0 truncates, 0.5 rounds
+        levels: M, the white level minus the black level; None: 2^bits - 1
+
+    Raises:
+        UsageError: a value is out of range
 
     >>> linear_response(2).levels.tolist()
     [0.25, 0.5, 0.75]
     """
     count = check_quantiser(bits, phase, levels)
-    ladder = (np.arange(1, count + 1, dtype=np.float64) - phase) / (count + 1)
-    return CameraResponse(ladder, quantiser_name("linear", bits, phase, count))
+    irradiance = (np.arange(1, count + 1, dtype=np.float64) - phase) / (count + 1)
+    return CameraResponse(irradiance, quantiser_name("linear", bits, phase, count))
 
 
 STANDARDS: tuple[str, ...] = ("linear", "srgb", "rec709", "power")
 
 
 def srgb_to_linear(B: FloatArray) -> FloatArray:
-    """Return irradiance for sRGB brightness, both 0..1 (IEC 61966-2-1)."""
+    """Return the irradiance for sRGB brightness, both 0..1 (IEC 61966-2-1)."""
     return np.where(B <= 0.04045, B / 12.92, ((B + 0.055) / 1.055) ** 2.4)
 
 
 def rec709_to_linear(B: FloatArray) -> FloatArray:
-    """Return irradiance for Rec.709 brightness, both 0..1 (ITU-R BT.709, inverse camera curve)."""
+    """Return the irradiance for Rec.709 brightness, both 0..1 (ITU-R BT.709, inverse OETF)."""
     return np.where(B < 0.081, B / 4.5, ((B + 0.099) / 1.099) ** (1 / 0.45))
 
 
@@ -136,9 +161,17 @@ def standard_response(
     levels: int | None = None,
     gamma: float = 2.2,
 ) -> CameraResponse:
-    """Return the camera with a standard's response: E_k = B^-1((k - phase) / (M + 1)).
+    """Return the response of a camera that follows a standard: E_k = B^-1((k - phase) / (M + 1)).
 
-    `name` is one of `STANDARDS`; "power" is B = E^(1/gamma).  Raises `UsageError`.
+    Args:
+        name: one of `STANDARDS`; "power" is B = E^(1/gamma)
+        bits: bit depth, 1 to 16
+        phase: phase of the quantiser, in [0, 1): 0 truncates, 0.5 rounds
+        levels: M, the white level minus the black level; None: 2^bits - 1
+        gamma: exponent of "power", 0.05 to 20; the other responses ignore it
+
+    Raises:
+        UsageError: an unknown name, or a value out of range
 
     >>> standard_response("power", 2, gamma=2.0).levels.tolist()
     [0.0625, 0.25, 0.5625]
@@ -149,41 +182,43 @@ def standard_response(
     B = (np.arange(1, count + 1, dtype=np.float64) - phase) / (count + 1)
     label = name
     if name == "srgb":
-        ladder = srgb_to_linear(B)
+        irradiance = srgb_to_linear(B)
     elif name == "rec709":
-        ladder = rec709_to_linear(B)
+        irradiance = rec709_to_linear(B)
     elif name == "power":
         if not (math.isfinite(gamma) and 0.05 <= gamma <= 20):
-            raise UsageError(f"power 1/{gamma:g}", hint="gamma lies between 0.05 and 20")
-        ladder = B**gamma
+            raise UsageError(f"invalid gamma {gamma:g} of a power response: expected 0.05 to 20")
+        irradiance = B**gamma
         label = f"power 1/{gamma:g}"
     else:
         raise unknown_name("camera response", name, STANDARDS)
-    return CameraResponse(ladder, quantiser_name(label, bits, phase, count))
+    return CameraResponse(irradiance, quantiser_name(label, bits, phase, count))
 
 
-#: What stands after -O response=.
+#: Values of the driver option "response".
 RESPONSES = (*STANDARDS[:-1], "power:GAMMA")
 
 
-def named_response(word: str, bits: int, levels: int) -> CameraResponse | None:
-    """Return the response that a word names; None: linear.
+def named_response(text: str, bits: int, levels: int) -> CameraResponse | None:
+    """Return the response that the value of a driver option names, None for linear.
 
     Args:
-        word: a name in `STANDARDS`, or power:GAMMA; power alone is power:2.2
-        bits: a sample
-        levels: white minus black
+        text: a name in `STANDARDS`, or power:GAMMA; power alone is power:2.2
+        bits: bit depth
+        levels: white level minus black level
 
     Raises:
-        UsageError: it is none of these, or an impossible gamma
+        UsageError: an unknown name, or a gamma that is not a number or is out of range
     """
-    name, _, gamma = word.partition(":")
+    name, _, gamma = text.partition(":")
     if name not in STANDARDS or (gamma and name != "power"):
-        raise unknown_name("camera response", word, RESPONSES)
+        raise unknown_name("camera response", text, RESPONSES)
     if name == "linear":
         return None
     try:
         exponent = float(gamma) if gamma else 2.2
     except ValueError:
-        raise UsageError(f"a response of '{word}'", hint="write it like power:2.2") from None
+        raise UsageError(
+            f"invalid response '{text}': '{gamma}' is not a number", hint="for example power:2.2"
+        ) from None
     return standard_response(name, bits, levels=levels, gamma=exponent)

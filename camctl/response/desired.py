@@ -1,7 +1,8 @@
-"""Desired cameras: u from 0 at E_min = 1/DR to 1 at E = 1, as closed forms or monotone tables.
+"""Desired responses: u(E) rises from 0 at e_min = 1/DR to 1 at E = 1.
 
-The wanted response is g = G u, with G the wanted number of levels.  All methods take arrays of
-irradiance (float64, any shape, within [e_min, 1]) and return arrays of the same shape.
+DR is the dynamic range.  A desired response is a closed form (linear, gamma, constant contrast) or
+a monotone table.  A desired camera with G levels has the response g = G u.  All methods take arrays
+of irradiance (float64, any shape, within [e_min, 1]) and return arrays of the same shape.
 """
 
 from __future__ import annotations
@@ -21,38 +22,39 @@ RESPONSES: tuple[str, ...] = ("linear", "gamma", "log")
 
 
 class DesiredResponse(ABC):
-    """What every desired response can tell.
+    """Interface of every desired response.
 
     Attributes:
-        name: what a person calls it, e.g. "log"
+        name: short name, for example "log"
         dynamic_range: DR, > 1; infinite means e_min = 0
         e_min: 1 / DR
-        bend: -1 where the slope falls with E, +1 where it rises, 0 where it is constant between
+        curvature: sign of the second derivative of u: -1, +1, or 0 where u is straight between
             neighbouring `knots`
         knots: (K,) float64 strictly inside (e_min, 1), where the slope of a table changes
+
+    Raises:
+        UsageError: the dynamic range is not above 1
     """
 
     name: str
-    bend: int = 0
+    curvature: int = 0
     knots: FloatArray = np.empty(0)
 
     def __init__(self, dynamic_range: float) -> None:
         if math.isnan(dynamic_range) or dynamic_range <= 1:
-            raise UsageError(
-                f"dynamic range {dynamic_range:g}", hint="brightest over darkest must be above 1"
-            )
+            raise UsageError(f"invalid dynamic range {dynamic_range:g}: expected a number above 1")
         self.dynamic_range = float(dynamic_range)
         self.e_min = 1.0 / self.dynamic_range
 
     @property
     def key(self) -> str:
-        """What tells this response from any other of the same dynamic range."""
+        """Text that identifies this response among all of the same dynamic range."""
         return self.name
 
     @property
     @abstractmethod
     def description(self) -> str:
-        """One line for people."""
+        """Name and range in one line, for messages."""
 
     @abstractmethod
     def u(self, E: ArrayLike) -> FloatArray:
@@ -64,15 +66,19 @@ class DesiredResponse(ABC):
 
     @abstractmethod
     def rise(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Return u(b) - u(a) to full relative accuracy however near a and b >= a are."""
+        """Return u(b) - u(a), b >= a, to full relative accuracy even where a and b nearly agree."""
 
     @abstractmethod
     def slope(self, E: FloatArray) -> FloatArray:
-        """Return du/dE; on a knot of a table, the slope on the right."""
+        """Return du/dE; at a knot of a table, the slope to the right of it."""
 
-    def where_slope(self, slope: FloatArray) -> FloatArray:
-        """Return E with du/dE = slope (> 0); only where `bend` is not 0."""
-        raise NotImplementedError(f"{self.name} has no single place for a slope")
+    def inverse_slope(self, slope: FloatArray) -> FloatArray:
+        """Return E with du/dE = slope (> 0).
+
+        Raises:
+            NotImplementedError: `curvature` is 0, so that E is not unique
+        """
+        raise NotImplementedError(f"the slope of {self.name} does not determine the irradiance")
 
     def _clamp(self, E: ArrayLike) -> FloatArray:
         return np.clip(np.asarray(E, dtype=np.float64), self.e_min, 1.0)
@@ -85,7 +91,7 @@ class LinearDesired(DesiredResponse):
 
     @property
     def description(self) -> str:
-        """One line for people."""
+        """Name and range in one line, for messages."""
         return f"linear, range 1:{self.dynamic_range:g}"
 
     def u(self, E: ArrayLike) -> FloatArray:
@@ -106,21 +112,26 @@ class LinearDesired(DesiredResponse):
 
 
 class GammaDesired(DesiredResponse):
-    """u = (E^q - e_min^q) / (1 - e_min^q), q > 0 and not 1."""
+    """u = (E^gamma - e_min^gamma) / (1 - e_min^gamma).
 
-    def __init__(self, dynamic_range: float, q: float = 0.5) -> None:
+    Args:
+        dynamic_range: DR, > 1
+        gamma: the exponent, 0.01 to 100
+    """
+
+    def __init__(self, dynamic_range: float, gamma: float = 0.5) -> None:
         super().__init__(dynamic_range)
-        if not (math.isfinite(q) and 0.01 <= q <= 100):
-            raise UsageError(f"gamma exponent {q:g}", hint="q lies between 0.01 and 100")
-        self.q = q
-        self.name = "gamma" if q == 0.5 else f"gamma {q:.12g}"
-        self.bend = -1 if q < 1 else int(q > 1)
-        self._span = -math.expm1(-q * math.log(self.dynamic_range))
+        if not (math.isfinite(gamma) and 0.01 <= gamma <= 100):
+            raise UsageError(f"invalid gamma {gamma:g}: expected 0.01 to 100")
+        self.gamma = gamma
+        self.name = "gamma" if gamma == 0.5 else f"gamma {gamma:.12g}"
+        self.curvature = -1 if gamma < 1 else int(gamma > 1)
+        self._span = -math.expm1(-gamma * math.log(self.dynamic_range))
 
     @property
     def description(self) -> str:
-        """One line for people."""
-        return f"gamma {self.q:g}, range 1:{self.dynamic_range:g}"
+        """Name and range in one line, for messages."""
+        return f"gamma {self.gamma:g}, range 1:{self.dynamic_range:g}"
 
     def u(self, E: ArrayLike) -> FloatArray:
         """Return u at E, clamped."""
@@ -129,46 +140,51 @@ class GammaDesired(DesiredResponse):
 
     def inverse(self, u: ArrayLike) -> FloatArray:
         """Return E with u(E) = u."""
-        power = self.e_min**self.q + np.asarray(u, dtype=np.float64) * self._span
-        return np.asarray(np.clip(power ** (1 / self.q), self.e_min, 1.0))
+        power = self.e_min**self.gamma + np.asarray(u, dtype=np.float64) * self._span
+        return np.asarray(np.clip(power ** (1 / self.gamma), self.e_min, 1.0))
 
     def rise(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Return u(b) - u(a); the square root without subtraction, other powers by expm1."""
-        if self.q == 0.5:
+        """Return u(b) - u(a): (b - a) / (sqrt a + sqrt b) for the square root, else by expm1."""
+        if self.gamma == 0.5:
             root = np.sqrt(a) + np.sqrt(b)
             return (b - a) / np.where(root > 0, root, 1.0) / self._span
         positive = np.where(a > 0, a, 1.0)
-        near = positive**self.q * np.expm1(self.q * np.log1p((b - a) / positive))
-        return np.where(a > 0, near, b**self.q) / self._span
+        near = positive**self.gamma * np.expm1(self.gamma * np.log1p((b - a) / positive))
+        return np.where(a > 0, near, b**self.gamma) / self._span
 
     def slope(self, E: FloatArray) -> FloatArray:
-        """Return du/dE, infinite at E = 0 where q < 1."""
-        at_zero = np.inf if self.q < 1 else 0.0
+        """Return du/dE, infinite at E = 0 if gamma < 1."""
+        at_zero = np.inf if self.gamma < 1 else 0.0
         positive = np.where(E > 0, E, 1.0)
-        return np.where(E > 0, self.q * positive ** (self.q - 1) / self._span, at_zero)
+        return np.where(E > 0, self.gamma * positive ** (self.gamma - 1) / self._span, at_zero)
 
-    def where_slope(self, slope: FloatArray) -> FloatArray:
+    def inverse_slope(self, slope: FloatArray) -> FloatArray:
         """Return E with du/dE = slope."""
-        return np.asarray((slope * (self._span / self.q)) ** (1 / (self.q - 1)))
+        return np.asarray((slope * (self._span / self.gamma)) ** (1 / (self.gamma - 1)))
 
 
 class LogDesired(DesiredResponse):
-    """Constant contrast: u = ln(E / e_min) / ln(1 / e_min)."""
+    """Constant contrast: u = ln(E / e_min) / ln(1 / e_min).
+
+    Args:
+        dynamic_range: DR, > 1 and finite
+    """
 
     name = "log"
-    bend = -1
+    curvature = -1
 
     def __init__(self, dynamic_range: float) -> None:
         super().__init__(dynamic_range)
         if math.isinf(dynamic_range):
             raise UsageError(
-                "constant contrast down to no light at all", hint="give a finite range"
+                "constant contrast has no value at zero irradiance",
+                hint="choose a finite dynamic range",
             )
         self._span = math.log(self.dynamic_range)
 
     @property
     def description(self) -> str:
-        """One line for people."""
+        """Name and range in one line, for messages."""
         return f"constant contrast, range 1:{self.dynamic_range:g}"
 
     def u(self, E: ArrayLike) -> FloatArray:
@@ -188,25 +204,32 @@ class LogDesired(DesiredResponse):
         """Return du/dE."""
         return 1 / (E * self._span)
 
-    def where_slope(self, slope: FloatArray) -> FloatArray:
+    def inverse_slope(self, slope: FloatArray) -> FloatArray:
         """Return E with du/dE = slope."""
         return 1 / (slope * self._span)
 
 
 class TabulatedDesired(DesiredResponse):
-    """A monotone table, linear between its points."""
+    """A monotone table, linear between its points; see `tabulated_desired`."""
 
     def __init__(self, irradiance: ArrayLike, u: ArrayLike, name: str) -> None:
         E = np.array(irradiance, dtype=np.float64)
         values = np.array(u, dtype=np.float64)
         if E.ndim != 1 or E.shape != values.shape or E.size < 2:
-            raise DataError(f"{name}: a desired response needs two or more pairs (irradiance, u)")
+            raise DataError(
+                f"invalid desired response '{name}': expected two or more pairs (irradiance, u)"
+            )
         if not (np.all(np.isfinite(E)) and np.all(np.isfinite(values))):
-            raise DataError(f"{name}: a number of the desired response is not finite")
+            raise DataError(f"invalid desired response '{name}': a number is not finite")
         if np.any(np.diff(E) <= 0) or E[0] <= 0:
-            raise DataError(f"{name}: irradiance must be positive and increase from row to row")
+            raise DataError(
+                f"invalid desired response '{name}': irradiance must be positive and increase "
+                "from row to row"
+            )
         if np.any(np.diff(values) < 0) or values[-1] <= values[0]:
-            raise DataError(f"{name}: u must not decrease and must rise somewhere")
+            raise DataError(
+                f"invalid desired response '{name}': u must not decrease and must not be constant"
+            )
         super().__init__(float(E[-1] / E[0]))
         self.name = name
         self._E = E / E[-1]
@@ -217,13 +240,13 @@ class TabulatedDesired(DesiredResponse):
 
     @property
     def key(self) -> str:
-        """The name and a hash of the table."""
+        """The name, and the start of a hash of the table."""
         data = np.concatenate([self._E, self._u]).astype("<f8").tobytes()
         return f"{self.name}#{hashlib.sha256(data).hexdigest()[:16]}"
 
     @property
     def description(self) -> str:
-        """One line for people."""
+        """Name and range in one line, for messages."""
         return f"{self.name}, {self._E.size} points, range 1:{self.dynamic_range:g}"
 
     def u(self, E: ArrayLike) -> FloatArray:
@@ -232,20 +255,20 @@ class TabulatedDesired(DesiredResponse):
 
     def inverse(self, u: ArrayLike) -> FloatArray:
         """Return E with u(E) = u; on a flat run, its left end."""
-        wanted = np.clip(np.asarray(u, dtype=np.float64), 0.0, 1.0)
-        right = np.maximum(np.searchsorted(self._u, wanted, side="left"), 1)
+        target = np.clip(np.asarray(u, dtype=np.float64), 0.0, 1.0)
+        right = np.maximum(np.searchsorted(self._u, target, side="left"), 1)
         left = right - 1
         height = self._u[right] - self._u[left]
-        share = (wanted - self._u[left]) / np.where(height > 0, height, 1.0)
+        share = (target - self._u[left]) / np.where(height > 0, height, 1.0)
         return np.asarray(self._E[left] + share * (self._E[right] - self._E[left]))
 
     def rise(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Return u(b) - u(a); exact to rounding within one piece of the table."""
+        """Return u(b) - u(a), by the slope where a and b lie between the same points."""
         same = self._piece(a) == self._piece_below(b)
         return np.where(same, self.slope(a) * (b - a), self.u(b) - self.u(a))
 
     def slope(self, E: FloatArray) -> FloatArray:
-        """Return du/dE, on a knot that of the right side."""
+        """Return du/dE; at a knot, the slope to the right of it."""
         return np.asarray(self._slopes[self._piece(E)])
 
     def _piece(self, E: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
@@ -257,34 +280,60 @@ class TabulatedDesired(DesiredResponse):
         return np.clip(np.searchsorted(self._E, E, side="left") - 1, 0, last)
 
 
-def desired_response(name: str, dynamic_range: float | str, *, q: float = 0.5) -> DesiredResponse:
-    """Return the desired response that a menu names.
+def desired_response(
+    name: str, dynamic_range: float | str, *, gamma: float | None = None
+) -> DesiredResponse:
+    """Return the desired response of that name.
 
-    `name` is one of `RESPONSES`; `dynamic_range` a number above 1 or one of `RANGES`; `q` is the
-    exponent of gamma.  Raises `UsageError`.
+    Args:
+        name: "linear", "gamma" or "log" (constant contrast)
+        dynamic_range: brightest over darkest irradiance: a number above 1, or a name in `RANGES`
+        gamma: exponent of "gamma", 0.01 to 100; None: 0.5
+
+    Raises:
+        UsageError: an unknown name, a value out of range, or gamma for another response
 
     >>> desired_response("log", 100.0).u(0.1).item()
     0.5
+    >>> desired_response("gamma", 1000.0, gamma=0.45).name
+    'gamma 0.45'
     """
     if isinstance(dynamic_range, str):
         if dynamic_range not in RANGES:
             raise unknown_name("dynamic range", dynamic_range, RANGES)
         dynamic_range = RANGES[dynamic_range]
+    if name not in RESPONSES:
+        raise unknown_name("response", name, RESPONSES)
     if name == "gamma":
-        return LinearDesired(dynamic_range) if q == 1 else GammaDesired(dynamic_range, q)
-    if name == "linear":
-        return LinearDesired(dynamic_range)
-    if name == "log":
-        return LogDesired(dynamic_range)
-    raise unknown_name("response", name, RESPONSES)
+        exponent = 0.5 if gamma is None else gamma
+        return (
+            LinearDesired(dynamic_range) if exponent == 1 else GammaDesired(dynamic_range, exponent)
+        )
+    if gamma is not None:
+        raise UsageError(
+            f"gamma {gamma:g} does not apply to the response '{name}'",
+            hint="choose the response 'gamma', or leave gamma out",
+        )
+    return LinearDesired(dynamic_range) if name == "linear" else LogDesired(dynamic_range)
 
 
 def tabulated_desired(
     irradiance: ArrayLike, u: ArrayLike, *, name: str = "table"
 ) -> DesiredResponse:
-    """Return a desired response from a monotone table of two or more rows.
+    """Return a desired response given by points, linear between them.
 
-    Irradiance (> 0, increasing) is scaled so that its last row is E = 1, u so that it runs from 0
-    to 1.  Raises `DataError`.
+    The last irradiance over the first is the dynamic range.  Irradiance is scaled so that the last
+    is E = 1, and u so that it goes from 0 to 1.
+
+    Args:
+        irradiance: (K,) increasing, > 0, K >= 2
+        u: (K,) not decreasing, not constant: the desired brightness at each irradiance, any unit
+        name: name shown to people
+
+    Raises:
+        DataError: the points do not meet these conditions
+
+    >>> tabulated_desired([0.01, 0.1, 1.0], [0, 3, 4]).u([0.01, 0.1, 1.0]).tolist()
+    [0.0, 0.75, 1.0]
     """
     return TabulatedDesired(irradiance, u, name)

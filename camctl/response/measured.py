@@ -1,24 +1,34 @@
-"""Measured response curves turned into levels, every repair said aloud."""
+"""Measured response curves: conversion to levels with every repair reported, and text files.
+
+Besides single curves there is the empirical model of response of Grossberg and Nayar ("What is the
+Space of Camera Response Functions?", CVPR 2003): a mean curve plus weighted components.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from camctl.errors import DataError
+from camctl.errors import DataError, UsageError
 from camctl.response.camera import CameraResponse, FloatArray, check_quantiser, quantiser_name
 from camctl.response.desired import DesiredResponse, tabulated_desired
 
-LARGEST_REPAIR = 0.05
-"""A curve whose isotonic fit moves a point by more than this share of full scale is refused."""
+MAX_REPAIR = 0.05
+"""Largest change that the isotonic fit may make to a point, as a share of the curve's range.
+
+Noise in a measured curve is far below it; columns in the wrong order are far above it.
+"""
 
 
 def isotonic(values: FloatArray) -> FloatArray:
     """Return the non-decreasing sequence nearest to `values` (N,) in least squares.
 
-    Pool adjacent violators: neighbours that fall are replaced by their mean until none falls.
+    Pool adjacent violators: decreasing neighbours are replaced by their mean until none decreases.
     """
     means: list[float] = []
     sizes: list[int] = []
@@ -34,7 +44,7 @@ def isotonic(values: FloatArray) -> FloatArray:
 
 
 def _repaired(E: FloatArray, B: FloatArray, name: str) -> tuple[FloatArray, FloatArray, list[str]]:
-    """Return the curve sorted, non-decreasing and from 0 to 1, and what was done to it."""
+    """Return the curve sorted, non-decreasing and from 0 to 1, and a note for each change."""
     notes: list[str] = []
     if np.any(np.diff(E) < 0):
         order = np.argsort(E, kind="stable")
@@ -44,20 +54,24 @@ def _repaired(E: FloatArray, B: FloatArray, name: str) -> tuple[FloatArray, Floa
         distinct, where = np.unique(E, return_inverse=True)
         B = np.bincount(where, weights=B) / np.bincount(where)
         E = distinct
-        notes.append(f"{repeated} repeated irradiances: their brightness was averaged")
+        notes.append(f"{repeated} repeated irradiances: the brightness of each was averaged")
     if E.size < 2 or B.max() <= B.min():
-        raise DataError(f"{name}: the curve is constant", hint="brightness must rise with light")
+        raise DataError(
+            f"{name}: the brightness is constant", hint="it must increase with irradiance"
+        )
     fit = isotonic(B)
     moved = float(np.max(np.abs(fit - B)))
-    if moved > LARGEST_REPAIR * float(B.max() - B.min()):
+    if moved > MAX_REPAIR * float(B.max() - B.min()):
         raise DataError(
-            f"{name}: brightness falls with irradiance (a rising fit would move it by {moved:.3g})",
+            f"{name}: brightness decreases with irradiance (a non-decreasing fit changes it by "
+            f"{moved:.3g})",
             hint="check the order of the columns: irradiance first, brightness second",
         )
     if moved > 0:
-        falls = int(np.count_nonzero(np.diff(B) < 0))
+        decreases = int(np.count_nonzero(np.diff(B) < 0))
         notes.append(
-            f"brightness falls at {falls} of {B.size} points: isotonic fit, moved by <= {moved:.2g}"
+            f"brightness decreases at {decreases} of {B.size} points: isotonic fit, which changed "
+            f"it by at most {moved:.2g}"
         )
     B = fit
     if E[0] > 0:
@@ -65,7 +79,7 @@ def _repaired(E: FloatArray, B: FloatArray, name: str) -> tuple[FloatArray, Floa
             notes.append(f"no sample below irradiance {E[0]:.3g}: a line to the origin was added")
         E, B = np.concatenate([[0.0], E]), np.concatenate([[min(0.0, B[0])], B])
     if B[0] != 0:
-        notes.append(f"brightness {B[0]:.3g} without light was taken off")
+        notes.append(f"brightness {B[0]:.3g} without light was subtracted")
         B = B - B[0]
     if B[-1] != 1:
         notes.append(f"largest brightness {B[-1]:.6g} was scaled to 1")
@@ -75,7 +89,7 @@ def _repaired(E: FloatArray, B: FloatArray, name: str) -> tuple[FloatArray, Floa
         notes.append(f"irradiance {saturation:.6g}, where brightness reaches 1, was scaled to 1")
         E = E / saturation
     if (flat := int(np.count_nonzero(np.diff(B) == 0))) > 0:
-        notes.append(f"flat over {flat} of {B.size - 1} steps: light does not change it there")
+        notes.append(f"brightness is constant over {flat} of {B.size - 1} steps")
     return E, B, notes
 
 
@@ -88,92 +102,203 @@ def measured_response(
     levels: int | None = None,
     name: str = "curve",
 ) -> CameraResponse:
-    """Return a measured camera: E_k = B^-1((k - phase) / (M + 1)), k = 1..M.
+    """Return the response of a measured curve: E_k = B^-1((k - phase) / (M + 1)), k = 1..M.
 
-    `irradiance` (>= 0) and `brightness` are (N,) in any unit; the curve is linear between samples.
-    B^-1 is the least irradiance that reaches a brightness, so that flat runs are harmless.  What
-    had to be repaired stands in `CameraResponse.notes`.  Raises `DataError` for what cannot be.
+    The curve is linear between samples.  B^-1 is the smallest irradiance that reaches a brightness,
+    so that it exists on flat runs, too.
+
+    Args:
+        irradiance: (N,) >= 0, N >= 2, any unit
+        brightness: (N,) any unit
+        bits: bit depth, 1 to 16
+        phase: phase of the quantiser, in [0, 1): 0 truncates, 0.5 rounds
+        levels: M, the white level minus the black level; None: 2^bits - 1
+        name: name shown to people
+
+    Returns:
+        the response; its `notes` list the repairs
+
+    Raises:
+        UsageError: bits, phase or levels are out of range
+        DataError: the samples are too few, negative, not finite, constant, or decrease too much
     """
     count = check_quantiser(bits, phase, levels)
     E = np.array(irradiance, dtype=np.float64)
     B = np.array(brightness, dtype=np.float64)
     if E.ndim != 1 or E.shape != B.shape or E.size < 2:
-        raise DataError(f"{name}: a curve needs two or more rows of irradiance and brightness")
+        raise DataError(f"{name}: expected two or more rows of irradiance and brightness")
     bad = np.flatnonzero(~(np.isfinite(E) & np.isfinite(B)))
     if bad.size:
-        raise DataError(f"{name}: row {bad[0] + 1} holds a number that is not finite")
+        raise DataError(f"{name}: row {bad[0] + 1} contains a number that is not finite")
     if E.min() < 0:
         raise DataError(f"{name}: irradiance {E.min():.3g} is negative")
     E, B, notes = _repaired(E, B, name)
     if B.size < count:
-        notes.append(f"{B.size} samples for {count} levels: a line between neighbouring samples")
-    wanted = (np.arange(1, count + 1, dtype=np.float64) - phase) / (count + 1)
-    right = np.searchsorted(B, wanted, side="left")
+        notes.append(f"{B.size} samples for {count} levels: interpolated linearly")
+    target = (np.arange(1, count + 1, dtype=np.float64) - phase) / (count + 1)
+    right = np.searchsorted(B, target, side="left")
     left = right - 1
-    share = (wanted - B[left]) / (B[right] - B[left])
-    ladder = np.maximum.accumulate(E[left] + share * (E[right] - E[left]))
-    return CameraResponse(ladder, quantiser_name(name, bits, phase, count), tuple(notes))
+    share = (target - B[left]) / (B[right] - B[left])
+    crossed = np.maximum.accumulate(E[left] + share * (E[right] - E[left]))
+    return CameraResponse(crossed, quantiser_name(name, bits, phase, count), tuple(notes))
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseModel:
+    """The empirical model of response: curves that are a mean plus weighted components.
+
+    Attributes:
+        irradiance: (S,) float64, 0..1
+        mean: (S,) float64, brightness of the mean response
+        components: (C, S) float64
+    """
+
+    irradiance: FloatArray
+    mean: FloatArray
+    components: FloatArray
+
+    def response(
+        self,
+        weights: Sequence[float] = (),
+        *,
+        bits: int = 8,
+        phase: float = 0.0,
+        name: str = "EMoR",
+    ) -> CameraResponse:
+        """Return the response of the mean plus the first components times `weights`.
+
+        Such a curve need not increase everywhere; its repairs are listed in `notes`.
+
+        Raises:
+            UsageError: more weights than components
+            DataError: the curve cannot be repaired; see `measured_response`
+        """
+        if len(weights) > len(self.components):
+            raise UsageError(
+                f"the response model has {len(self.components)} components, not {len(weights)}",
+                hint=f"give at most {len(self.components)} weights",
+            )
+        curve = self.mean + np.array(weights, dtype=float) @ self.components[: len(weights)]
+        return measured_response(self.irradiance, curve, bits=bits, phase=phase, name=name)
+
+
+def _read_text(path: Path, subject: str) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot read {subject} {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise DataError(f"cannot read {subject} {path}: not a text file") from error
 
 
 def read_columns(path: str | Path, second: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the two columns of a text file: irradiance, and what `second` calls the other.
+    """Return the two columns of a text file, irradiance and the column that `second` names.
 
-    Columns are parted by blanks, tabs, commas or semicolons; ``#`` starts a comment.  Raises
-    `DataError` with the file's name and the line that is wrong.
+    Columns are separated by blanks, tabs, commas or semicolons; ``#`` starts a comment.
+
+    Raises:
+        DataError: the file cannot be read or a line is not two numbers; names file and line
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"curve {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise DataError(
-            f"curve {path}: not a text file", hint="give two columns of text"
-        ) from error
     rows: list[tuple[float, float]] = []
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-        if not words:
+    for number, line in enumerate(_read_text(path, "curve").splitlines(), 1):
+        fields = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        if not fields:
             continue
         where = f"curve {path}, line {number}"
-        if len(words) != 2:
+        if len(fields) != 2:
             raise DataError(
-                f"{where}: {len(words)} column{'s' * (len(words) != 1)}",
+                f"{where}: expected 2 columns, found {len(fields)}",
                 hint=f"each line holds irradiance and {second}",
             )
         try:
-            rows.append((float(words[0]), float(words[1])))
+            rows.append((float(fields[0]), float(fields[1])))
         except ValueError as error:
             raise DataError(
                 f"{where}: '{line.strip()[:40]}' is not two numbers",
                 hint="start a comment with #",
             ) from error
     if not rows:
-        raise DataError(f"curve {path}: no numbers in it")
+        raise DataError(f"curve {path}: the file contains no numbers")
     irradiance, other = zip(*rows, strict=True)
     return irradiance, other
 
 
-def read_curve(
-    path: str | Path, *, bits: int = 8, phase: float = 0.0, levels: int | None = None
-) -> CameraResponse:
-    """Return a measured camera from a text file of two columns; see `read_columns`."""
+def read_curve(path: str | Path, *, bits: int = 8, phase: float = 0.0) -> CameraResponse:
+    """Return a measured response from a text file of two columns, irradiance and brightness.
+
+    Columns are separated by blanks, tabs, commas or semicolons; ``#`` starts a comment.  `bits` and
+    `phase` are those of `measured_response`.
+
+    Raises:
+        UsageError: bits or phase are out of range
+        DataError: the file cannot be read, or its curve cannot be used; names file and line
+    """
+    path = Path(path)
     irradiance, brightness = read_columns(path, "brightness")
     return measured_response(
-        irradiance,
-        brightness,
-        bits=bits,
-        phase=phase,
-        levels=levels,
-        name=f"curve {Path(path).name}",
+        irradiance, brightness, bits=bits, phase=phase, name=f"curve {path.name}"
     )
 
 
 def read_desired(path: str | Path) -> DesiredResponse:
-    """Return a wanted response from a text file of two columns, irradiance and brightness.
+    """Return a desired response from a text file of two columns, irradiance and brightness.
 
-    Its dynamic range is the last irradiance over the first.  See `read_columns` for the file, and
-    `tabulated_desired` for what must hold.
+    The file has the format of `read_curve`; its dynamic range is the last irradiance over the
+    first.
+
+    Raises:
+        DataError: the file cannot be read, or does not meet the conditions of `tabulated_desired`
     """
-    irradiance, brightness = read_columns(path, "wanted brightness")
-    return tabulated_desired(irradiance, brightness, name=Path(path).name)
+    path = Path(path)
+    irradiance, brightness = read_columns(path, "desired brightness")
+    return tabulated_desired(irradiance, brightness, name=path.name)
+
+
+_HEADING = re.compile(r"^\s*(E|f0|h\s*\(\s*(\d+)\s*\))\s*=(.*)$")
+
+
+def read_response_model(path: str | Path) -> ResponseModel:
+    """Return the empirical model of response from its published text file.
+
+    The file contains blocks of numbers under the headings ``E =``, ``f0 =`` (the mean),
+    ``h(1) =``, ``h(2) =`` ...
+
+    Raises:
+        DataError: the file cannot be read or is damaged; names file and line
+    """
+    path = Path(path)
+    blocks: dict[str, list[float]] = {}
+    current: list[float] | None = None
+    for number, line in enumerate(_read_text(path, "response model").splitlines(), 1):
+        rest = line
+        if heading := _HEADING.match(line):
+            key = f"h{heading[2]}" if heading[2] else heading[1]
+            current = blocks.setdefault(key, [])
+            rest = heading[3]
+        try:
+            values = [float(field) for field in rest.split()]
+        except ValueError as error:
+            raise DataError(
+                f"response model {path}, line {number}: '{rest.strip()[:30]}' is not a row of "
+                "numbers"
+            ) from error
+        if values and current is None:
+            raise DataError(
+                f"response model {path}, line {number}: numbers come before the first heading"
+            )
+        if current is not None:
+            current.extend(values)
+    for key in ("E", "f0"):
+        if not blocks.get(key):
+            raise DataError(f"response model {path}: the block '{key} =' is missing")
+    size = len(blocks["E"])
+    names = sorted((k for k in blocks if k.startswith("h")), key=lambda k: int(k[1:]))
+    for key in ("f0", *names):
+        if len(blocks[key]) != size:
+            raise DataError(
+                f"response model {path}: block '{key}' has {len(blocks[key])} numbers, "
+                f"expected {size}"
+            )
+    components = np.array([blocks[key] for key in names]).reshape(len(names), size)
+    return ResponseModel(np.array(blocks["E"]), np.array(blocks["f0"]), components)

@@ -1,13 +1,13 @@
-"""The conformance suite: all that `camctl.camera.Camera` promises, checked on any camera.
+"""The conformance suite: the contract of `camctl.camera.Camera`, checked on any camera.
 
-A driver's own test module subclasses it and says how to open a camera before a steady scene::
+A driver's own test module subclasses it, and opens a camera in front of a steady scene::
 
     class TestMyCamera(CameraConformance):
-        def open_camera(self):
-            return MyCamera("/dev/mine0")
+        def open_camera(self) -> Camera:
+            return MyCamera("/dev/mine0").open()
 
-The scene must be neither black nor white at `middle_s`, the shutter time that the suite starts
-from; override that, too, where the default does not fit.
+The scene must be neither black nor white at `middle_s`, the shutter time that the tests are based
+on; override that, too, where the default does not fit.
 """
 
 from __future__ import annotations
@@ -24,13 +24,16 @@ from camctl.errors import CameraError, RefusedSettingError, UsageError
 
 
 class CameraConformance:
-    """Subclass it, override `open_camera`, and let pytest collect the subclass."""
+    """Subclass it, override `open_camera`, and let pytest collect the subclass.
 
-    #: Relative difference granted to measured ratios of light.
+    Attributes:
+        light_tolerance: largest relative error of measured ratios of light
+    """
+
     light_tolerance = 0.1
 
     def open_camera(self) -> Camera:
-        """Return an open camera before a steady scene."""
+        """Return an open camera in front of a steady scene."""
         raise NotImplementedError
 
     def middle_s(self, camera: Camera) -> float:
@@ -45,7 +48,7 @@ class CameraConformance:
             yield camera
 
     def times(self, camera: Camera, factors: Sequence[float]) -> list[ExposureSetting]:
-        """Return settings the camera has near these multiples of `middle_s`."""
+        """Return settings of the camera near these multiples of `middle_s`."""
         control, gain = camera.controls.time_s, camera.controls.gain.nearest(1.0)
         middle = self.middle_s(camera)
         return [ExposureSetting(control.nearest(middle * factor), gain) for factor in factors]
@@ -63,15 +66,15 @@ class CameraConformance:
         brightness = np.clip(frame.pixels.astype(np.intp) - frame.black, 0, real.M)
         return float(middle[brightness].mean())
 
-    def test_it_says_who_it_is(self, camera: Camera) -> None:
-        """A person finds it again by its id, and knows what it is."""
+    def test_identity_is_complete(self, camera: Camera) -> None:
+        """The id finds the camera again; model and driver say what it is."""
         info = camera.info
         assert info.id
         assert info.model
         assert info.driver
 
-    def test_controls_are_what_frames_are(self, camera: Camera) -> None:
-        """Shape, layout, type, black and white of a frame are as announced."""
+    def test_frames_have_the_format_of_the_controls(self, camera: Camera) -> None:
+        """Shape, pixel layout, type, black and white level of a frame are those of `controls`."""
         controls = camera.controls
         (frame,) = self.shoot(camera, self.times(camera, [1]))
         colours = (3,) if controls.layout is Layout.RGB else ()
@@ -80,8 +83,8 @@ class CameraConformance:
         assert int(frame.pixels.max()) < 2**controls.bits
         assert (frame.black, frame.white) == (controls.black, controls.white)
 
-    def test_one_frame_for_each_setting_in_order(self, camera: Camera) -> None:
-        """Every setting gives one frame, with what was asked for and what was applied."""
+    def test_each_setting_gives_one_frame_in_order(self, camera: Camera) -> None:
+        """Every frame has the requested setting and the applied one."""
         settings = self.times(camera, [1, 2, 0.5, 1])
         frames = self.shoot(camera, settings)
         assert [frame.requested for frame in frames] == settings
@@ -91,27 +94,27 @@ class CameraConformance:
             assert frame.applied.time_s == pytest.approx(frame.requested.time_s, rel=tolerance)
             assert frame.applied.gain == pytest.approx(frame.requested.gain, rel=tolerance)
 
-    def test_timestamps_rise(self, camera: Camera) -> None:
-        """Time goes on from frame to frame."""
+    def test_timestamps_increase(self, camera: Camera) -> None:
+        """Every frame has a later timestamp than the frame before."""
         stamps = [f.timestamp_s for f in self.shoot(camera, self.times(camera, [1, 1, 2]))]
         assert stamps == sorted(set(stamps))
 
-    def test_no_settings_no_frames(self, camera: Camera) -> None:
-        """An empty list is no error."""
+    def test_empty_list_gives_no_frames(self, camera: Camera) -> None:
+        """An empty list of settings is not an error."""
         assert self.shoot(camera, []) == []
 
-    def test_light_follows_the_exposure(self, camera: Camera) -> None:
-        """Frames of different exposures differ as their exposures do: none of them is stale."""
+    def test_light_is_proportional_to_the_exposure(self, camera: Camera) -> None:
+        """Every frame has the exposure that it reports, and not that of an earlier setting."""
         settings = self.times(camera, [1, 0.25, 1, 0.5, 0.25])
         frames = self.shoot(camera, settings)
         light = [self.light(camera, frame) for frame in frames]
-        for frame, seen in zip(frames, light, strict=True):
+        for frame, measured in zip(frames, light, strict=True):
             expected = light[0] * frame.applied.exposure / frames[0].applied.exposure
-            slack = self.light_tolerance * expected + 1.0 / camera.controls.levels.M
-            assert abs(seen - expected) <= slack
+            tolerance = self.light_tolerance * expected + 1.0 / camera.controls.levels.M
+            assert abs(measured - expected) <= tolerance
 
-    def test_a_setting_out_of_reach_is_refused_before_the_first_frame(self, camera: Camera) -> None:
-        """The call itself raises, and names the nearest setting, which works."""
+    def test_setting_out_of_range_is_refused_before_the_first_frame(self, camera: Camera) -> None:
+        """The call of `shoot` raises with the nearest setting, and the camera works on."""
         good = self.times(camera, [1])[0]
         beyond = ExposureSetting(camera.controls.time_s.maximum * 3, good.gain)
         with pytest.raises(RefusedSettingError) as refusal:
@@ -120,8 +123,8 @@ class CameraConformance:
         assert refusal.value.nearest == pytest.approx(camera.controls.time_s.maximum)
         assert len(self.shoot(camera, [good])) == 1
 
-    def test_a_setting_between_steps_is_refused_not_snapped(self, camera: Camera) -> None:
-        """No camera snaps silently."""
+    def test_setting_between_two_steps_is_refused(self, camera: Camera) -> None:
+        """The camera does not round a setting silently to one of its steps."""
         control = camera.controls.time_s
         if isinstance(control, Choices):
             if len(control.values) < 2:
@@ -140,15 +143,13 @@ class CameraConformance:
         assert refusal.value.nearest in (pytest.approx(first), pytest.approx(second))
 
     @pytest.mark.parametrize("time_s", [0.0, -1.0, float("nan"), float("inf")])
-    def test_a_setting_that_makes_no_sense_is_a_usage_error(
-        self, camera: Camera, time_s: float
-    ) -> None:
-        """Zero, negative and not finite are the caller's mistakes."""
+    def test_impossible_shutter_time_is_a_usage_error(self, camera: Camera, time_s: float) -> None:
+        """A shutter time is a positive, finite number."""
         with pytest.raises(UsageError):
             camera.shoot([ExposureSetting(time_s)])
 
-    def test_closing_the_stream_cancels(self, camera: Camera) -> None:
-        """A cancelled sequence leaves a camera that works, and shows no frame of the old list."""
+    def test_closing_the_iterator_cancels(self, camera: Camera) -> None:
+        """After a cancelled sequence the camera works, without frames of the cancelled one."""
         first, second = self.times(camera, [1, 0.25])
         frames = camera.shoot([first, first, first])
         next(frames)
@@ -158,8 +159,8 @@ class CameraConformance:
         ratio = self.light(camera, frame) / self.light(camera, again)
         assert ratio == pytest.approx(1, rel=self.light_tolerance)
 
-    def test_frames_are_the_callers_to_keep(self, camera: Camera) -> None:
-        """A later frame does not overwrite an earlier one."""
+    def test_pixels_are_not_overwritten(self, camera: Camera) -> None:
+        """A later frame does not change the pixels of an earlier one."""
         stream = camera.shoot(self.times(camera, [1, 0.25]))
         with closing(stream) as frames:
             first = next(frames)
@@ -168,7 +169,7 @@ class CameraConformance:
         assert np.array_equal(first.pixels, copy)
 
     def test_constant_delay_costs_n_plus_d_frames(self, camera: Camera) -> None:
-        """The stream does not settle for each exposure where the delay is constant."""
+        """With a constant control delay the stream does not settle for each exposure."""
         controls = camera.controls
         if controls.delay_frames is None:
             pytest.skip("the camera's control delay is not constant")
@@ -176,25 +177,24 @@ class CameraConformance:
         slots_s = [max(controls.frame_interval_s, setting.time_s) for setting in settings]
         before = camera.clock.now()
         stamps_s = [frame.timestamp_s for frame in self.shoot(camera, settings)]
-        # One frame a slot: with one more between them they would be a whole slot further apart.
+        # One frame in each slot: an unused slot between them would add its whole length.
         assert stamps_s[-1] - stamps_s[0] <= sum(slots_s[1:]) + max(slots_s) / 2
-        # The list may come too late for the frame under way, which then has to end, and the next.
+        # The list may arrive too late for the present frame and for the next one.
         slots = len(settings) + controls.delay_frames + 2
         assert stamps_s[-1] - before <= slots * max(slots_s) * 1.02
 
-    def test_preview_shows_the_setting_asked_for(self, camera: Camera) -> None:
-        """Metering must not read a stale frame either."""
+    def test_preview_has_the_requested_exposure(self, camera: Camera) -> None:
+        """A preview, too, is not a frame of an earlier setting."""
         if not isinstance(camera, PreviewingCamera):
             pytest.skip("the camera has no preview")
         long, short = self.times(camera, [1, 0.25])
         bright, dim = (self.light(camera, camera.preview(s)) for s in (long, short))
         expected = bright * short.exposure / long.exposure
-        assert (
-            abs(dim - expected) <= self.light_tolerance * expected + 1.0 / camera.controls.levels.M
-        )
+        tolerance = self.light_tolerance * expected + 1.0 / camera.controls.levels.M
+        assert abs(dim - expected) <= tolerance
 
-    def test_a_closed_camera_says_so(self) -> None:
-        """Closing twice is harmless; using a closed camera is a typed error."""
+    def test_closed_camera_raises_a_camera_error(self) -> None:
+        """A camera may be closed twice; shooting with a closed camera is an error."""
         camera = self.open_camera()
         setting = self.times(camera, [1])
         camera.close()

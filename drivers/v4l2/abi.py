@@ -1,13 +1,15 @@
-"""The V4L2 ioctls that the driver uses, as the kernel lays them out.
+"""The kernel's interface to video devices: the V4L2 ioctls that the driver uses, and their data.
 
-Source of numbers and layouts: linux/videodev2.h and linux/v4l2-controls.h.  The structures hold for
-all 64-bit Linux systems; a test compares their sizes and the ioctl numbers with the kernel's.
+Source of numbers and layouts: linux/videodev2.h and linux/v4l2-controls.h.  The structures are
+those of 64-bit Linux; a test compares their sizes and the ioctl numbers with the kernel's.
 """
 
 from __future__ import annotations
 
 import ctypes
+import os
 from enum import IntEnum, IntFlag
+from typing import Protocol
 
 _U8, _U32, _S32 = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_int32
 
@@ -15,7 +17,7 @@ CAPTURE_BUFFER = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
 
 
 class Capability(ctypes.Structure):
-    """What a node is: struct v4l2_capability."""
+    """Driver, name and capabilities of a node: struct v4l2_capability."""
 
     _fields_ = (
         ("driver", _U8 * 16),
@@ -29,7 +31,7 @@ class Capability(ctypes.Structure):
 
 
 class FormatDescription(ctypes.Structure):
-    """One entry of the list of pixel formats: struct v4l2_fmtdesc."""
+    """An entry of the list of pixel formats: struct v4l2_fmtdesc."""
 
     _fields_ = (
         ("index", _U32),
@@ -42,7 +44,7 @@ class FormatDescription(ctypes.Structure):
 
 
 class Format(ctypes.Structure):
-    """The picture that is set: struct v4l2_format with struct v4l2_pix_format in its union."""
+    """Pixel format and size: struct v4l2_format with struct v4l2_pix_format in its union."""
 
     _fields_ = (
         ("type", _U32),
@@ -64,7 +66,7 @@ class Format(ctypes.Structure):
 
 
 class StreamParameters(ctypes.Structure):
-    """The frame interval that is set: struct v4l2_streamparm with v4l2_captureparm in its union."""
+    """The frame interval: struct v4l2_streamparm with struct v4l2_captureparm in its union."""
 
     _fields_ = (
         ("type", _U32),
@@ -93,7 +95,7 @@ class ControlQuery(ctypes.Structure):
 
 
 class MenuQuery(ctypes.Structure):
-    """One entry of a menu control: struct v4l2_querymenu (packed)."""
+    """An entry of a menu control: struct v4l2_querymenu (packed)."""
 
     _pack_ = 1
     _fields_ = (
@@ -111,10 +113,10 @@ class ControlValue(ctypes.Structure):
 
 
 class SizeQuery(ctypes.Structure):
-    """One entry of the list of sizes: struct v4l2_frmsizeenum.
+    """An entry of the list of sizes: struct v4l2_frmsizeenum.
 
-    The six words are width and height where the type is discrete, else minimum, maximum and step
-    of the width, then of the height.
+    The six words are width and height if the type is discrete, else minimum, maximum and step of
+    the width, then of the height.
     """
 
     _fields_ = (
@@ -127,10 +129,10 @@ class SizeQuery(ctypes.Structure):
 
 
 class IntervalQuery(ctypes.Structure):
-    """One entry of the list of frame intervals: struct v4l2_frmivalenum.
+    """An entry of the list of frame intervals: struct v4l2_frmivalenum.
 
-    The words are fractions of a second, numerator and denominator: one where the type is discrete,
-    else minimum, maximum and step.
+    The words are fractions of a second, numerator and denominator: one fraction if the type is
+    discrete, else minimum, maximum and step.
     """
 
     _fields_ = (
@@ -148,7 +150,7 @@ _READ, _WRITE = 2, 1
 
 
 def _request(direction: int, number: int, structure: type[ctypes.Structure]) -> int:
-    """Return an ioctl's number: direction, size, 'V' and running number (asm-generic/ioctl.h)."""
+    """Return the number of an ioctl: direction, size, 'V', index (asm-generic/ioctl.h)."""
     return direction << 30 | ctypes.sizeof(structure) << 16 | ord("V") << 8 | number
 
 
@@ -184,7 +186,7 @@ class ControlFlag(IntFlag):
 
 
 class ControlType(IntEnum):
-    """Kinds of controls with a 32-bit value."""
+    """Types of controls with a 32-bit value."""
 
     INTEGER = 1
     BOOLEAN = 2
@@ -193,7 +195,7 @@ class ControlType(IntEnum):
 
 
 class Grid(IntEnum):
-    """Kinds of `SizeQuery` and `IntervalQuery`."""
+    """Values of `SizeQuery.type` and `IntervalQuery.type`."""
 
     DISCRETE = 1
     CONTINUOUS = 2
@@ -214,7 +216,7 @@ _USER, _CAMERA = 0x00980900, 0x009A0900
 
 
 class ControlId(IntEnum):
-    """The controls that decide a frame's exposure, and those that would change it by themselves."""
+    """The controls that set the exposure, and those that would change it automatically."""
 
     AUTO_WHITE_BALANCE = _USER + 12
     AUTOGAIN = _USER + 18
@@ -234,11 +236,45 @@ MANUAL_EXPOSURE = 1  # entry of the menu EXPOSURE_AUTO
 
 
 def fourcc(code: str) -> int:
-    """Return a pixel format's number for its four characters."""
+    """Return the number of a pixel format from its four characters."""
     return int.from_bytes(code.encode("ascii"), "little")
 
 
 def text(field: ctypes.Array[ctypes.c_uint8]) -> str:
-    """Return the text in a fixed field: up to the first NUL, if there is one, and printable."""
-    spelt = bytes(field).split(b"\0", 1)[0].decode("utf-8", "replace")
-    return "".join(letter if letter.isprintable() else "?" for letter in spelt).strip()
+    """Return the text of a field up to its first NUL, with "?" for unprintable characters."""
+    decoded = bytes(field).split(b"\0", 1)[0].decode("utf-8", "replace")
+    return "".join(letter if letter.isprintable() else "?" for letter in decoded).strip()
+
+
+class Kernel(Protocol):
+    """The system calls for a node; they raise `OSError` as Linux does."""
+
+    def open(self, path: str) -> int:
+        """Return a descriptor of the node."""
+        ...
+
+    def ioctl(self, descriptor: int, request: Request, argument: ctypes.Structure) -> None:
+        """Let the node read and change `argument`."""
+        ...
+
+    def close(self, descriptor: int) -> None:
+        """Close the descriptor."""
+        ...
+
+
+class Linux:
+    """The running kernel."""
+
+    def open(self, path: str) -> int:
+        """Open the node without blocking."""
+        return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+
+    def ioctl(self, descriptor: int, request: Request, argument: ctypes.Structure) -> None:
+        """Call the node's driver."""
+        import fcntl  # only on POSIX systems; without it, this module can still be imported
+
+        fcntl.ioctl(descriptor, int(request), argument, True)
+
+    def close(self, descriptor: int) -> None:
+        """Close the descriptor."""
+        os.close(descriptor)

@@ -1,65 +1,75 @@
-"""Webcams and machine-vision cameras through Video4Linux: the camera and the road to it.
-
-Frames come through OpenCV (`drivers.v4l2.capture`); controls, formats and names through ioctls on
-a descriptor of our own (`drivers.v4l2.node`); which frame had which exposure is told by
-`drivers.v4l2.stream`.
-"""
+"""The backend of V4L2 cameras, for the entry point `camctl.cameras`."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 from camctl.camera import CameraInfo
-from camctl.errors import (
-    CameraNotFoundError,
-    unknown_name,
-)
-from drivers.v4l2.camera import V4l2Camera
-from drivers.v4l2.controls import parse_gain
-from drivers.v4l2.discovery import DRIVER, find_cameras, node_paths
-from drivers.v4l2.modes import parse_rate, parse_size, parse_whole
-
-OPTIONS = ("bits", "black", "format", "fps", "gain", "range", "response", "size")
+from camctl.errors import CameraError, CameraNotFoundError
+from drivers.v4l2.abi import Kernel
+from drivers.v4l2.camera import V4l2Camera, V4l2Options
+from drivers.v4l2.node import Node
+from drivers.v4l2.system import DRIVER, camera_info, node_paths
 
 
 class V4l2Backend:
-    """Opens ``v4l2:/dev/v4l/by-id/...`` and ``v4l2:/dev/videoN``.
-
-    Options: format, size (WIDTHxHEIGHT), fps, bits, black, gain, range, response; see `V4l2Camera`.
-    """
+    """Opens ``v4l2:/dev/v4l/by-id/...`` and ``v4l2:/dev/videoN``; see `V4l2Options`."""
 
     about = "webcams and machine-vision cameras that Linux shows as /dev/video0 and so on"
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras whose nodes can be opened; no stream is started."""
+        _check_system()
         return find_cameras()
 
-    def open(self, address: str, options: Mapping[str, str]) -> V4l2Camera:
-        """Return the camera at a node; without an address, the only one there is.
+    def open(self, address: str, options: Mapping[str, Any]) -> V4l2Camera:
+        """Return the open camera at a node; without an address, the only one that is connected.
 
         Raises:
-            UsageError: an unknown option, or a value that is none
+            UsageError: an unknown option or an invalid value
             CameraError: see `V4l2Camera`
-
         """
-        for option in options:
-            if option not in OPTIONS:
-                raise unknown_name("option of V4L2 cameras", option, OPTIONS)
-        return V4l2Camera(
-            address or _only_node(),
-            format=options.get("format", "auto").lower(),
-            size=parse_size(options["size"]) if "size" in options else None,
-            fps=parse_rate(options["fps"]) if "fps" in options else None,
-            bits=parse_whole("bits", options["bits"]) if "bits" in options else None,
-            black=parse_whole("black", options["black"]) if "black" in options else None,
-            gain=parse_gain(options["gain"]) if "gain" in options else None,
-            range=options.get("range", "auto").lower(),
-            response=options.get("response", "auto").lower(),
-        )
+        _check_system()
+        chosen = V4l2Options.parse(options)
+        return V4l2Camera(address or _only_node(), chosen).open()
+
+
+def _check_system() -> None:
+    """Raise `CameraError` on another system than Linux."""
+    if sys.platform != "linux" or find_spec("fcntl") is None:
+        raise CameraError("V4L2 cameras need Linux", hint="choose another camera")
+
+
+def find_cameras(root: Path = Path("/"), kernel: Kernel | None = None) -> list[CameraInfo]:
+    """Return the cameras whose nodes can be opened; no stream is started.
+
+    A UVC camera has a node for metadata beside the one for video; only the latter counts.
+
+    Raises:
+        CameraError: there are nodes, and none can be opened
+    """
+    cameras: list[CameraInfo] = []
+    failure: CameraError | None = None
+    for path in node_paths(root):
+        try:
+            with Node(str(path), kernel) as node:
+                found = node.capture_identity()
+                cameras.append(camera_info(str(path), found.driver, found.card, root))
+        except CameraNotFoundError:
+            continue
+        except CameraError as error:
+            failure = error
+    if failure is not None and not cameras:
+        raise failure
+    return cameras
 
 
 def _only_node() -> str:
-    found = [camera.id.partition(":")[2] for camera in find_cameras()] if node_paths() else []
+    found = [camera.id.partition(":")[2] for camera in find_cameras()]
     if len(found) == 1:
         return found[0]
     if not found:

@@ -1,265 +1,255 @@
-"""Webcams and machine-vision cameras through Video4Linux: the camera and the road to it.
+"""Webcams and machine-vision cameras through Video4Linux.
 
-Frames come through OpenCV (`drivers.v4l2.capture`); controls, formats and names through ioctls on
-a descriptor of our own (`drivers.v4l2.node`); which frame had which exposure is told by
-`drivers.v4l2.stream`.
+Frames come through OpenCV (`drivers.v4l2.capture`), controls, formats and names through ioctls on a
+second descriptor (`drivers.v4l2.node`).  `camctl.streaming` assigns exposures to frames by the
+frames' timestamps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Annotated, Literal
 
-from camctl.camera import CameraInfo, Closing, Frame, FrameStream, Pixels
+from pydantic import BeforeValidator, Field, StringConstraints
+
+from camctl.backends import BackendOptions, FrameShape
+from camctl.camera import CameraBase, Frame, Pixels
 from camctl.clock import Clock, RealClock
 from camctl.controls import ExposureControls, ExposureSetting
-from camctl.errors import (
-    CameraBusyError,
-    CameraDisconnectedError,
-    CameraProtocolError,
+from camctl.errors import CameraProtocolError
+from camctl.profile import load_profile
+from camctl.streaming import (
+    ControlDelay,
+    ExposurePipeline,
+    Shot,
+    TimestampedStream,
+    mean_brightness,
 )
-from camctl.profile import DelayRecord, load_profile
-from drivers.v4l2.capture import Capture, Picture, VideoOpener, open_video
-from drivers.v4l2.controls import ExposureControl, GainUnit
-from drivers.v4l2.discovery import describe
-from drivers.v4l2.formats import SpoiltFrameError, choose_format, read_samples
-from drivers.v4l2.modes import choose_interval, choose_size
-from drivers.v4l2.node import Kernel, Node
-from drivers.v4l2.stream import UNKNOWN_DELAY, Shot, Stream
+from drivers.v4l2.abi import Kernel
+from drivers.v4l2.capture import (
+    Capture,
+    StreamMode,
+    VideoOpener,
+    choose_interval,
+    choose_size,
+    open_video,
+)
+from drivers.v4l2.controls import ExposureControl, GainUnit, parse_gain
+from drivers.v4l2.formats import SampleScale, choose_format, sample_scale
+from drivers.v4l2.node import Node
+from drivers.v4l2.packing import DamagedFrameError
+from drivers.v4l2.system import camera_info
+
+_Word = Annotated[str, StringConstraints(strip_whitespace=True, to_lower=True)]
 
 
-class V4l2Camera(Closing):
-    """A V4L2 camera; implements `PreviewingCamera` and `StreamingCamera` of `camctl.camera`.
+def _lower(value: object) -> object:
+    return value.strip().lower() if isinstance(value, str) else value
+
+
+class V4l2Options(BackendOptions):
+    """Options of a V4L2 camera.
+
+    Attributes:
+        format: a name of `drivers.v4l2.formats.FORMATS`, "bayer" for the Bayer format with the most
+            bits, or "auto" for the format of highest fidelity
+        size: of a frame; None: the largest
+        fps: frames a second; None: the fewest that the camera offers, because no exposure is
+            longer than the interval between frames
+        bits: bits that the samples of y16 use; None: all
+        black: brightness without light, DN; None: 0, or 16 of limited luma
+        gain: what the steps of the gain add; None: unknown, so that the gain is held
+        range: of luma; "auto": as V4L2 reports
+        response: one of `camctl.response.camera.RESPONSES`; "auto": linear for raw samples, else
+            sRGB
+    """
+
+    format: _Word = "auto"
+    size: FrameShape | None = None
+    fps: float | None = Field(default=None, gt=0, le=10_000, allow_inf_nan=False)
+    bits: int | None = Field(default=None, ge=9, le=16)
+    black: int | None = Field(default=None, ge=0)
+    gain: Annotated[GainUnit | None, BeforeValidator(parse_gain)] = None
+    range: Annotated[Literal["auto", "full", "limited"], BeforeValidator(_lower)] = "auto"
+    response: _Word = "auto"
+
+
+class V4l2Camera(CameraBase):
+    """A V4L2 camera; a `PreviewingCamera` and a `StreamingCamera` of `camctl.camera`.
+
+    The constructor does no I/O; `open` starts the stream and raises the errors below.
 
     Args:
-        path: its node, best the link in /dev/v4l/by-id
-        format: a name of `drivers.v4l2.formats.FORMATS`, "bayer", or "auto": the most honest
-        size: (width, height), pixels; None: the largest
-        fps: frames a second; None: the fewest that it offers, because no exposure is longer than
-            the interval between frames
-        bits: that the samples of y16 really have, 9 to 16
-        black: brightness without light, DN; None: 0, or 16 of limited luma
-        gain: what the steps of its gain do; None: unknown, so that it is held
-        range: "full" or "limited" luma; "auto": as V4L2 says
-        response: one of `camctl.response.camera.RESPONSES`; "auto": linear where samples are raw,
-            else sRGB
-        clock: the clock of the frames' timestamps
-        kernel, opener: system calls and video, for tests
+        path: of its node, best the link in /dev/v4l/by-id
+        options: see `V4l2Options`
+        clock: the clock of the frames' timestamps; the system's monotonic one by default
+        kernel, opener: system calls and video, replaced in tests
 
     Raises:
-        UsageError: an option that is no option, or that this camera does not have
+        UsageError: an option that this camera does not support
         DataError: its profile is damaged
-        CameraError: it cannot be opened, is no camera, or has no manual exposure
+        CameraError: it cannot be opened, is not a camera, or has no manual exposure
         CameraBusyError, CameraDisconnectedError, CameraTimeoutError, CameraProtocolError
-
     """
+
+    _mode: StreamMode
+    _scale: SampleScale
+    _pipeline: ExposurePipeline[Pixels]
+    _open_resources: ExitStack
 
     def __init__(
         self,
         path: str,
+        options: V4l2Options | None = None,
         *,
-        format: str = "auto",
-        size: tuple[int, int] | None = None,
-        fps: float | None = None,
-        bits: int | None = None,
-        black: int | None = None,
-        gain: GainUnit | None = None,
-        range: str = "auto",
-        response: str = "auto",
         clock: Clock | None = None,
         kernel: Kernel | None = None,
         opener: VideoOpener = open_video,
     ) -> None:
-        self._clock = clock or RealClock()
-        self._is_shooting = False
-        self._capture: Capture | None = None
-        self._node = Node(path, kernel)
-        try:
-            self._info = describe(path, self._node.check_capture())
-            chosen = choose_format(self._node.formats(), format, path)
-            wanted = choose_size(self._node.sizes(chosen.fourcc), size, path)
-            interval_s = choose_interval(self._node.intervals(chosen.fourcc, wanted), fps, path)
-            self._picture = Picture(chosen, wanted, interval_s)
-            self._capture = Capture(self._node, self._picture, self._clock, opener)
-            announced_s = self._node.interval_s() or interval_s
-            self._exposure = ExposureControl(self._node, gain)
-            samples = read_samples(
-                chosen,
-                self._node.picture(),
-                bits=bits,
-                black=black,
-                range_=range,
-                response=response,
-            )
-            self._samples = samples
-            self._stream = Stream(self, self._clock, announced_s, samples.white - samples.black)
-            self._stream.start()
-            seen_s = self._stream.slots.interval_s
-            self._picture = Picture(chosen, wanted, announced_s)
-            self._delay = load_profile(self._info).delays.get(self.mode)
-            self._controls = ExposureControls(
-                time_s=self._exposure.times(min(announced_s, seen_s)),
-                gain=self._exposure.gains,
-                shape=(wanted.height, wanted.width),
-                layout=chosen.layout,
-                bits=samples.bits,
-                black=samples.black,
-                white=samples.white,
-                response=samples.response,
-                delay_frames=None if self._delay is None else self._delay.frames,
-                frame_interval_s=seen_s,
-                notes=(
-                    *samples.notes,
-                    *self._exposure.notes,
-                    *_rate_notes(announced_s, seen_s),
-                    *_delay_notes(self._delay, self._info.id),
-                ),
-            )
-        except BaseException:
-            self.close()
-            raise
-
-    @property
-    def info(self) -> CameraInfo:
-        """Who it is."""
-        return self._info
-
-    @property
-    def controls(self) -> ExposureControls:
-        """What it can set."""
-        return self._controls
-
-    @property
-    def clock(self) -> Clock:
-        """The clock of its timestamps: the system's monotonic one."""
-        return self._clock
+        super().__init__(path, clock or RealClock())
+        self._path = path
+        self._options = options or V4l2Options()
+        self._kernel = kernel
+        self._opener = opener
 
     @property
     def mode(self) -> str:
         """Pixel format, size and frame rate, such as yuyv-640x480-30."""
-        rate = round(1 / self._picture.interval_s, 3)
-        return f"{self._picture.format.name}-{self._picture.size}-{rate:g}"
-
-    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
-        """Take the settings in their order; see `camctl.camera.Camera.shoot`."""
-        wanted = tuple(settings)
-        self._check_ready(wanted)
-        return self._shoot(wanted)
+        self._check_open()
+        return self._mode.name
 
     def preview(self, setting: ExposureSetting) -> Frame:
         """Return one frame at `setting`, for metering; raises as `shoot` does."""
-        self._check_ready((setting,))
-        frames = self._shoot((setting,))
+        frames = self.shoot((setting,))
         try:
             return next(frames)
         finally:
             frames.close()
 
     def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
-        """Return the frames that follow a change; see `camctl.camera.StreamingCamera.step`."""
-        self._check_ready((before, after))
-        shots = self._stream.step(before, after, frames)
-        return [self._frame(shot, after) for shot in shots]
+        """Return the frames after a change of exposure; see `StreamingCamera.step`."""
+        self._check_ready()
+        for setting in (before, after):
+            self.controls.check(setting)
+        return [self._frame(shot, after) for shot in self._pipeline.step(before, after, frames)]
 
-    def close(self) -> None:
-        """Stop the stream and let go of the device; a second call does nothing."""
-        capture, self._capture = self._capture, None
-        if capture is not None:
-            capture.close()
-        self._node.close()
+    def _open(self) -> None:
+        with ExitStack() as resources:
+            node = resources.enter_context(Node(self._path, self._kernel))
+            self._start(node, resources)
+            self._open_resources = resources.pop_all()
 
-    def grab(self) -> float:
-        """Wait for the next frame and return its timestamp, s: for the camera's own stream."""
-        return self._running().grab()
+    def _start(self, node: Node, resources: ExitStack) -> None:
+        """Start the stream of an open node; what has to be closed is added to `resources`."""
+        options, path = self._options, self._path
+        identity = node.capture_identity()
+        info = camera_info(path, identity.driver, identity.card)
+        format_ = choose_format(node.formats(), options.format, path)
+        shape = choose_size(node.sizes(format_.fourcc), options.size, path)
+        interval_s = choose_interval(node.intervals(format_.fourcc, shape), options.fps, path)
+        capture = Capture(node, StreamMode(format_, shape, interval_s), self._clock, self._opener)
+        resources.callback(capture.close)
+        self._mode = StreamMode(format_, shape, node.current_interval_s() or interval_s)
+        exposure = ExposureControl(node, options.gain)
+        self._scale = scale = sample_scale(
+            format_,
+            node.current_format(),
+            bits=options.bits,
+            black=options.black,
+            luma_range=options.range,
+            response=options.response,
+        )
+        source = _Frames(path, capture, exposure, self._mode, scale)
+        stream = TimestampedStream[Pixels](source, self._clock, self._mode.interval_s)
+        stream.start()
+        delay = ControlDelay.from_record(load_profile(info).delays.get(self._mode.name))
+        self._pipeline = ExposurePipeline(
+            stream, delay, lambda pixels: mean_brightness(pixels, scale.white - scale.black)
+        )
+        announced_s, measured_s = self._mode.interval_s, stream.frame_clock.interval_s
+        self._info = info
+        self._controls = ExposureControls(
+            time_s=exposure.times(min(announced_s, measured_s)),
+            gain=exposure.gains,
+            shape=shape,
+            layout=format_.layout,
+            bits=scale.bits,
+            black=scale.black,
+            white=scale.white,
+            response=scale.response,
+            delay_frames=delay.frames,
+            frame_interval_s=measured_s,
+            notes=(
+                *scale.notes,
+                *exposure.notes,
+                *_rate_notes(announced_s, measured_s),
+                *delay.notes(info.id),
+            ),
+        )
 
-    def retrieve(self) -> Pixels | None:
-        """Return the samples of the frame grabbed last, None where they came spoilt.
+    def _close(self) -> None:
+        self._open_resources.close()
 
-        Raises:
-            CameraProtocolError: samples have more bits than they should
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        for shot in self._pipeline.shoot(settings):
+            yield self._frame(shot, settings[shot.index])
+            self._check_open()
 
-        """
-        data = self._running().retrieve()
-        if data is None:
-            return None
-        try:
-            pixels = self._picture.format.samples(data, self._picture.size)
-        except SpoiltFrameError:
-            return None
-        most = int(pixels.max())
-        if most >= 2**self._samples.bits:
-            raise CameraProtocolError(
-                f"{self._node.path} sends {most}, which is no sample of {self._samples.bits} bits",
-                hint="name the bits with -O bits=..., or choose another -O format=...",
-            )
-        return pixels
-
-    def write(self, setting: ExposureSetting) -> ExposureSetting:
-        """Set the exposure and return it as read back: for the camera's own stream."""
-        self._running()
-        return self._exposure.write(setting)
-
-    def _running(self) -> Capture:
-        if self._capture is None:
-            raise CameraDisconnectedError(
-                f"the camera at {self._node.path} is closed", hint="open it again"
-            )
-        return self._capture
-
-    def _check_ready(self, settings: Sequence[ExposureSetting]) -> None:
-        self._running()
-        if self._is_shooting:
-            raise CameraBusyError(
-                f"{self._node.path} is still shooting", hint="finish or close that shot first"
-            )
-        for setting in settings:
-            self._controls.check(setting)
-
-    def _shoot(self, settings: tuple[ExposureSetting, ...]) -> Generator[Frame, None, None]:
-        if self._is_shooting:
-            raise CameraBusyError(
-                f"{self._node.path} is still shooting", hint="finish or close that shot first"
-            )
-        self._is_shooting = True
-        try:
-            if self._delay is not None and self._delay.frames is not None:
-                shots = self._stream.shoot(settings, self._delay.frames)
-            else:
-                largest = UNKNOWN_DELAY if self._delay is None else self._delay.largest
-                shots = self._stream.settle(settings, largest)
-            for shot in shots:
-                yield self._frame(shot, settings[shot.index])
-        finally:
-            self._is_shooting = False
-
-    def _frame(self, shot: Shot, requested: ExposureSetting) -> Frame:
+    def _frame(self, shot: Shot[Pixels], requested: ExposureSetting) -> Frame:
         return Frame(
-            pixels=shot.pixels,
+            pixels=shot.data,
             requested=requested,
             applied=shot.applied,
             timestamp_s=shot.time_s,
             index=shot.index,
-            black=self._samples.black,
-            white=self._samples.white,
+            black=self._scale.black,
+            white=self._scale.white,
         )
 
 
-def _rate_notes(announced_s: float, seen_s: float) -> tuple[str, ...]:
-    if seen_s == announced_s:
+class _Frames:
+    """The stream of an open node: a `camctl.streaming.TimestampedSource` of pixels."""
+
+    def __init__(
+        self,
+        path: str,
+        capture: Capture,
+        exposure: ExposureControl,
+        mode: StreamMode,
+        scale: SampleScale,
+    ) -> None:
+        self._path = path
+        self._capture = capture
+        self._mode = mode
+        self._bits = scale.bits
+        self.write = exposure.write
+        self.grab = capture.grab
+
+    def retrieve(self) -> Pixels | None:
+        """Return the samples of the frame grabbed last; None where it is damaged.
+
+        Raises:
+            CameraProtocolError: a sample has more bits than the format
+        """
+        data = self._capture.retrieve()
+        if data is None:
+            return None
+        try:
+            pixels = self._mode.format.packing.samples(data, self._mode.shape)
+        except DamagedFrameError:
+            return None
+        most = int(pixels.max())
+        if most >= 2**self._bits:
+            raise CameraProtocolError(
+                f"{self._path} sent the sample {most}, which has more than {self._bits} bits",
+                hint="give the number of bits with -O bits=..., or choose another -O format=...",
+            )
+        return pixels
+
+
+def _rate_notes(announced_s: float, measured_s: float) -> tuple[str, ...]:
+    if measured_s == announced_s:
         return ()
-    return (
-        f"the camera announces {1 / announced_s:.3g} frames a second and sends {1 / seen_s:.3g}",
-    )
-
-
-def _delay_notes(delay: DelayRecord | None, camera_id: str) -> tuple[str, ...]:
-    if delay is None:
-        return (
-            "control delay not measured: the stream settles for each exposure; run camctl "
-            f"calibrate delay --camera {camera_id}",
-        )
-    if delay.frames is None:
-        return (
-            f"the control delay is not constant ({delay.smallest} to {delay.largest} frames): "
-            "the stream settles for each exposure",
-        )
-    return ()
+    announced, measured = 1 / announced_s, 1 / measured_s
+    return (f"the camera announces {announced:.3g} frames a second and sends {measured:.3g}",)

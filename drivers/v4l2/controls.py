@@ -1,4 +1,4 @@
-"""What the steps of a camera's gain do, which V4L2 does not tell and a person may know."""
+"""Exposure time and gain of a video node, and the automatic functions that are turned off."""
 
 from __future__ import annotations
 
@@ -16,16 +16,22 @@ from camctl.errors import (
     UsageError,
 )
 from drivers.v4l2.abi import MANUAL_EXPOSURE, ControlId
-from drivers.v4l2.modes import ControlRange
-from drivers.v4l2.node import Node
+from drivers.v4l2.node import ControlRange, Node
 
-_MOST_STEPS = 4096
-_MOST_GAIN = 1e4
+#: The unit of V4L2_CID_EXPOSURE_ABSOLUTE is 100 us.
+TICKS_PER_S = 10_000
+#: Gain steps that are listed at most; registers of real sensors have fewer.
+_MOST_GAIN_STEPS = 4096
+#: Linear gains from here on are not offered: no sensor has them.
+_GAIN_LIMIT = 1e4
+#: Decades of gain up to which 10 ** decades is computed: a float overflows above 308.
+_MOST_DECADES = 300
+_REPLUG = "unplug it, plug it in again and try again"
 
 
 @dataclass(frozen=True)
 class GainUnit:
-    """What one step of a gain register adds.
+    """What one step of a gain control adds.
 
     Attributes:
         is_decibel: `step` is in dB (20 log10 of the linear gain); else it is linear
@@ -38,147 +44,187 @@ class GainUnit:
     def gain(self, steps: int) -> float:
         """Return the linear gain `steps` above the lowest, which is 1."""
         added = self.step * steps
-        return 10 ** min(added / 20, 300) if self.is_decibel else 1 + added
+        return 10 ** min(added / 20, _MOST_DECADES) if self.is_decibel else 1 + added
 
 
-def parse_gain(text: str) -> GainUnit:
-    """Return the unit that "linear:STEP" or "db:STEP" names; raises `UsageError`."""
-    match = re.fullmatch(r"(linear|db):(\d*\.?\d+(?:e-?\d+)?)", text.strip().lower(), re.ASCII)
-    if match is None or not 0 < float(match[2]) <= _MOST_GAIN:
-        raise UsageError(
-            f"a gain of '{text}'",
-            hint="say what one step of the camera's gain adds: linear:0.0625 or db:0.1",
+def parse_gain(value: object) -> object:
+    """Return the `GainUnit` of "linear:STEP" or "db:STEP", and any other object as it is.
+
+    Raises:
+        ValueError: a text that is neither
+    """
+    if not isinstance(value, str):
+        return value
+    match = re.fullmatch(r"(linear|db):(\d*\.?\d+(?:e-?\d+)?)", value.strip().lower(), re.ASCII)
+    if match is None or not 0 < float(match[2]) <= _GAIN_LIMIT:
+        raise ValueError(
+            "give what one step of the camera's gain adds, such as linear:0.0625 or db:0.1"
         )
     return GainUnit(match[1] == "db", float(match[2]))
 
 
-def registers(control: ControlRange, unit: GainUnit) -> dict[float, int]:
-    """Return the linear gains of a camera, ascending, and the register value of each.
-
-    The lowest value is called gain 1.  Values that give absurd gains are left out.
-    """
-    steps = min((control.maximum - control.minimum) // control.step, _MOST_STEPS)
-    gains = [(unit.gain(number), number) for number in range(steps + 1)]
-    return {
-        gain: control.minimum + number * control.step for gain, number in gains if gain < _MOST_GAIN
-    }
-
-
-#: Unit of V4L2_CID_EXPOSURE_ABSOLUTE is 100 us.
-TICKS_PER_S = 10_000
-
-
 @dataclass(frozen=True)
 class Automatic:
-    """Something that a camera changes by itself, its control, and the value that turns it off."""
+    """An automatic function of a camera: its control, and the value that turns it off."""
 
     control: ControlId
     off: int
     name: str
 
 
-#: What is turned off, in this order.  The power-line filter stays: what it does to the shutter
-#: depends on the light, which the user knows and we do not.
+#: Turned off in this order.  The power-line filter is left alone: what it does to the shutter
+#: depends on the lamps, which the user knows and the driver does not.
 AUTOMATICS = (
-    Automatic(ControlId.EXPOSURE_AUTO_PRIORITY, 0, "the changing frame rate"),
+    Automatic(ControlId.EXPOSURE_AUTO_PRIORITY, 0, "the dynamic frame rate"),
     Automatic(ControlId.AUTO_WHITE_BALANCE, 0, "automatic white balance"),
     Automatic(ControlId.AUTO_N_PRESET_WHITE_BALANCE, 0, "automatic white balance"),
     Automatic(ControlId.AUTOGAIN, 0, "automatic gain"),
     Automatic(ControlId.ISO_SENSITIVITY_AUTO, 0, "automatic sensitivity"),
     Automatic(ControlId.AUTOBRIGHTNESS, 0, "automatic brightness"),
     Automatic(ControlId.BACKLIGHT_COMPENSATION, 0, "backlight compensation"),
-    Automatic(ControlId.WIDE_DYNAMIC_RANGE, 0, "the camera's own dynamic range"),
-    Automatic(ControlId.HDR_SENSOR_MODE, 0, "the sensor's own dynamic range"),
+    Automatic(ControlId.WIDE_DYNAMIC_RANGE, 0, "the camera's wide dynamic range"),
+    Automatic(ControlId.HDR_SENSOR_MODE, 0, "the sensor's HDR mode"),
 )
 
 
 class ExposureControl:
-    """The exposure of an open node, made manual.
+    """The exposure of an open node, set to manual.
 
     Args:
-        node: the camera's node, streaming or not
-
-        gain: what the steps of its gain do; None: the gain is held
+        node: of the camera, streaming or not
+        gain: what the steps of its gain add; None: the gain stays at its default
 
     Attributes:
-        notes: what could not be turned off, and what the gain is
+        notes: what could not be turned off, and what is known of the gain
 
     Raises:
         UsageError: `gain` is given, and the camera has none
         CameraError: the camera has no manual exposure
-        CameraProtocolError: a control does not keep what it was set to
-
+        CameraProtocolError: a control does not keep the value that was set
     """
 
     def __init__(self, node: Node, gain: GainUnit | None = None) -> None:
         self._node = node
         self.notes: list[str] = []
-        self._registers: dict[float, int] = {}
-        self._gain_set: int | None = None
-        self._be_manual()
+        self._gain_registers: dict[float, int] = {}
+        self._current_register: int | None = None
+        self._set_manual()
         for automatic in AUTOMATICS:
             self._turn_off(automatic)
         if gain is None:
             self._hold_gain()
         else:
-            self._take_gain(gain)
+            self._use_gain(gain)
 
     @property
     def gains(self) -> Choices:
-        """The linear gains; 1 alone where it is held."""
-        return Choices(tuple(self._registers) or (1.0,))
+        """The linear gains; 1 alone where the gain is held at its default."""
+        return Choices(tuple(self._gain_registers) or (1.0,))
+
+    def times(self, interval_s: float) -> Steps:
+        """Return the exposure times, s, up to the frame interval.
+
+        A longer exposure would lower the frame rate.
+
+        Raises:
+            CameraError: the shortest is longer than the interval
+            CameraProtocolError: there is none above 0
+        """
+        control = self._node.control(ControlId.EXPOSURE_ABSOLUTE)
+        if control is None:
+            raise self._not_manual("lost its control for the exposure time")
+        step = control.step
+        first = control.minimum
+        if first <= 0:
+            first += step * (-first // step + 1)
+        longest = min(control.maximum, math.floor(interval_s * TICKS_PER_S * (1 + 1e-9)))
+        if first > control.maximum:
+            raise CameraProtocolError(
+                f"{self._node.path} offers no exposure above 0 s", hint=_REPLUG
+            )
+        if longest < first:
+            raise CameraError(
+                f"the shortest exposure of {self._node.path}, {first / TICKS_PER_S:g} s, is longer "
+                f"than a frame of {interval_s:g} s",
+                hint="choose a lower frame rate with -O fps=...",
+            )
+        last = first + (longest - first) // step * step
+        return Steps(first / TICKS_PER_S, last / TICKS_PER_S, step / TICKS_PER_S)
 
     def write(self, setting: ExposureSetting) -> ExposureSetting:
         """Set a time of `times` and a gain of `gains`; return both as read back.
 
         Raises:
-            RefusedSettingError: the camera took another one, which is the nearest
-            CameraProtocolError: the camera read back no exposure time at all
-
+            RefusedSettingError: the camera applied another value, which is given as the nearest
+            CameraProtocolError: the camera read back no exposure time
         """
         return ExposureSetting(self._write_time(setting.time_s), self._write_gain(setting.gain))
-
-    def _write_gain(self, wanted: float) -> float:
-        if not self._registers:
-            return 1.0
-        gain = self.gains.nearest(wanted)
-        register = self._registers[gain]
-        if register != self._gain_set:
-            self._gain_set = self._node.set(ControlId.GAIN, register)
-        if self._gain_set != register:
-            applied = self._gain_set
-            nearest = min(self._registers, key=lambda each: abs(self._registers[each] - applied))
-            raise RefusedSettingError("gain", wanted, nearest)
-        return gain
-
-    def _take_gain(self, unit: GainUnit) -> None:
-        gain = self._node.control(ControlId.GAIN)
-        if gain is None or gain.is_read_only:
-            raise UsageError(f"{self._node.path} has no gain that can be set", hint="leave it out")
-        self._registers = registers(gain, unit)
-        self._write_gain(1.0)
-        self.notes.append(
-            f"the gain is what -O gain says of its steps, and 1 at its lowest, {gain.minimum}"
-        )
 
     def _write_time(self, time_s: float) -> float:
         ticks = round(time_s * TICKS_PER_S)
         applied = self._node.set(ControlId.EXPOSURE_ABSOLUTE, ticks)
         if applied <= 0:
             raise CameraProtocolError(
-                f"{self._node.path} says that its exposure takes {applied} x 100 us",
-                hint="unplug it, plug it in again and try again",
+                f"{self._node.path} reports an exposure time of {applied} x 100 us", hint=_REPLUG
             )
         if applied != ticks:
             raise RefusedSettingError("time_s", time_s, applied / TICKS_PER_S)
         return applied / TICKS_PER_S
 
-    def _be_manual(self) -> None:
+    def _write_gain(self, requested: float) -> float:
+        registers = self._gain_registers
+        if not registers:
+            return 1.0
+        gain = self.gains.nearest(requested)
+        register = registers[gain]
+        if register != self._current_register:
+            self._current_register = self._node.set(ControlId.GAIN, register)
+        if self._current_register != register:
+            applied = self._current_register
+            nearest = min(registers, key=lambda each: abs(registers[each] - applied))
+            raise RefusedSettingError("gain", requested, nearest)
+        return gain
+
+    def _use_gain(self, unit: GainUnit) -> None:
+        control = self._node.control(ControlId.GAIN)
+        if control is None or control.is_read_only:
+            raise UsageError(
+                f"{self._node.path} has no gain that can be set", hint="leave out -O gain"
+            )
+        self._gain_registers = _gain_registers(control, unit)
+        self._write_gain(1.0)
+        self.notes.append(
+            f"the steps of the gain are as -O gain states, and its lowest, {control.minimum}, is "
+            "gain 1"
+        )
+
+    def _hold_gain(self) -> None:
+        """Set the gain to its default and leave it there.
+
+        The unit of V4L2_CID_GAIN depends on the vendor: dB, ISO or register values.  The default
+        suits the sensor; below it, some sensors do not reach white.
+        """
+        control = self._node.control(ControlId.GAIN)
+        if control is None or control.is_read_only:
+            return
+        default = control.nearest(control.default)
+        if self._node.set(ControlId.GAIN, default) != default:
+            self.notes.append("the gain cannot be held: frames with one exposure may differ")
+            return
+        steps = (control.maximum - control.minimum) // control.step
+        self.notes.append(
+            f"the gain is held at its default, {default}, called gain 1: what its {steps} steps "
+            "add is not known; give it with -O gain"
+        )
+
+    def _set_manual(self) -> None:
         auto = self._node.control(ControlId.EXPOSURE_AUTO)
         if self._node.control(ControlId.EXPOSURE_ABSOLUTE) is None:
             raise self._not_manual("has no control for the exposure time in seconds")
         if auto is None:
-            self.notes.append("the camera has no switch for automatic exposure: taken as manual")
+            self.notes.append(
+                "the camera has no switch for automatic exposure: it is assumed to be manual"
+            )
             return
         if not self._node.menu_has(ControlId.EXPOSURE_AUTO, MANUAL_EXPOSURE):
             raise self._not_manual("has no manual exposure")
@@ -188,11 +234,11 @@ class ExposureControl:
     def _not_manual(self, why: str) -> CameraError:
         return CameraError(
             f"{self._node.path} {why}, so that no exposure can be set",
-            hint="use a camera whose exposure_time_absolute v4l2-ctl --list-ctrls shows",
+            hint="use a camera for which v4l2-ctl --list-ctrls shows exposure_time_absolute",
         )
 
     def _turn_off(self, automatic: Automatic) -> None:
-        """Turn one automatic off, or note that it cannot be."""
+        """Turn an automatic function off, or note that this is not possible."""
         try:
             control = self._node.control(automatic.control)
             if control is None:
@@ -208,55 +254,16 @@ class ExposureControl:
             is_off = False
         if not is_off:
             self.notes.append(
-                f"{automatic.name} cannot be turned off: frames of one exposure may differ"
+                f"{automatic.name} cannot be turned off: frames with one exposure may differ"
             )
 
-    def _hold_gain(self) -> None:
-        """Set the gain to its default and keep it there.
 
-        The unit of V4L2_CID_GAIN is the vendor's secret: steps may be dB, ISO or register values.
-        Its default is what the camera was made for; below it some sensors no longer reach white.
-        """
-        gain = self._node.control(ControlId.GAIN)
-        if gain is None or gain.is_read_only:
-            return
-        default = gain.nearest(gain.default)
-        if self._node.set(ControlId.GAIN, default) != default:
-            self.notes.append("the gain cannot be held: frames of one exposure may differ")
-            return
-        self.notes.append(
-            f"gain is held at its default, {default}, called 1: what its other "
-            f"{(gain.maximum - gain.minimum) // gain.step} steps do is not known (-O gain says it)"
-        )
-
-    def times(self, interval_s: float) -> Steps:
-        """Return the exposure times, s.
-
-        They end at the frame interval, which no exposure may exceed where frames keep their rate.
-
-        Raises:
-            CameraError: the shortest is longer than a frame
-            CameraProtocolError: there is none
-
-        """
-        control = self._node.control(ControlId.EXPOSURE_ABSOLUTE)
-        if control is None:
-            raise self._not_manual("lost its control for the exposure time")
-        step = control.step
-        first = control.minimum
-        if first <= 0:
-            first += step * (-first // step + 1)
-        longest = min(control.maximum, math.floor(interval_s * TICKS_PER_S * (1 + 1e-9)))
-        if first > control.maximum:
-            raise CameraProtocolError(
-                f"{self._node.path} offers no exposure above 0 s",
-                hint="unplug it, plug it in again and try again",
-            )
-        if longest < first:
-            raise CameraError(
-                f"the shortest exposure of {self._node.path}, {first / TICKS_PER_S:g} s, is longer "
-                f"than a frame of {interval_s:g} s",
-                hint="choose a lower frame rate with -O fps=...",
-            )
-        last = first + (longest - first) // step * step
-        return Steps(first / TICKS_PER_S, last / TICKS_PER_S, step / TICKS_PER_S)
+def _gain_registers(control: ControlRange, unit: GainUnit) -> dict[float, int]:
+    """Return the register value of each linear gain, ascending; the lowest is gain 1."""
+    steps = min((control.maximum - control.minimum) // control.step, _MOST_GAIN_STEPS)
+    gains = [(unit.gain(number), number) for number in range(steps + 1)]
+    return {
+        gain: control.minimum + number * control.step
+        for gain, number in gains
+        if gain < _GAIN_LIMIT
+    }

@@ -1,77 +1,113 @@
-"""A video node, asked through its ioctls on a descriptor of our own.
+"""A video node, queried through ioctls on a file descriptor of the driver's own.
 
-Frames come through OpenCV on another descriptor.  Ours never sets a format: the kernel gives that
-right to one descriptor, and it must be the one that streams.
+Frames come through OpenCV on another descriptor.  This one never sets a format: the kernel grants
+that to one descriptor, which must be the one that streams.
 """
 
 from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import os
 from collections.abc import Callable, Iterator
-from typing import Protocol, Self, TypeVar
+from dataclasses import dataclass
+from typing import Self, TypeAlias, TypeVar
 
 from camctl.errors import CameraError, CameraNotFoundError, CameraProtocolError
 from drivers.v4l2 import abi
-from drivers.v4l2.errors import camera_error
-from drivers.v4l2.modes import ControlRange, Identity, Size, SizeGrid
+from drivers.v4l2.system import camera_error
 
+#: (rows, columns) of a frame.
+Shape: TypeAlias = tuple[int, int]
+
+#: Entries of a list that are read at most, for devices whose lists never end.
 MOST_FORMATS, MOST_SIZES, MOST_INTERVALS = 64, 256, 128
-_INTERRUPTED = 10
+#: Attempts at a system call that signals interrupt.
+_ATTEMPTS = 10
+_REPLUG = "unplug it, plug it in again and try again"
 
-_Structure = TypeVar("_Structure", bound=ctypes.Structure)
-
-
-class Kernel(Protocol):
-    """The system calls of a node; raise `OSError` as Linux does."""
-
-    def open(self, path: str) -> int:
-        """Return a descriptor of the node."""
-        ...
-
-    def ioctl(self, descriptor: int, request: abi.Request, argument: ctypes.Structure) -> None:
-        """Let the node read and change `argument`."""
-        ...
-
-    def close(self, descriptor: int) -> None:
-        """Let go of the descriptor."""
-        ...
+_StructureT = TypeVar("_StructureT", bound=ctypes.Structure)
 
 
-class Linux:
-    """The kernel that we run on."""
+def size_text(shape: Shape) -> str:
+    """Return (rows, columns) as WIDTHxHEIGHT."""
+    return f"{shape[1]}x{shape[0]}"
 
-    def open(self, path: str) -> int:
-        """Open without waiting for anything."""
-        return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
 
-    def ioctl(self, descriptor: int, request: abi.Request, argument: ctypes.Structure) -> None:
-        """Call the node."""
-        fcntl.ioctl(descriptor, int(request), argument, True)
+@dataclass(frozen=True)
+class Identity:
+    """What a node reports of itself: its driver, the name of its card, whether it captures."""
 
-    def close(self, descriptor: int) -> None:
-        """Close it."""
-        os.close(descriptor)
+    driver: str
+    card: str
+    is_capture: bool
+
+
+@dataclass(frozen=True)
+class ControlRange:
+    """The values that a control accepts."""
+
+    name: str
+    minimum: int
+    maximum: int
+    step: int
+    default: int
+    is_read_only: bool
+
+    def nearest(self, value: int) -> int:
+        """Return the accepted value nearest to `value`."""
+        inside = min(max(value, self.minimum), self.maximum)
+        count = round((inside - self.minimum) / self.step)
+        return min(self.minimum + count * self.step, self.maximum)
+
+
+@dataclass(frozen=True)
+class SizeGrid:
+    """The frame sizes of one pixel format: a list, or a grid from the smallest to the largest.
+
+    Attributes:
+        listed: the sizes of a list; of a grid the largest
+        smallest, step: of a grid; `smallest` is None for a list
+    """
+
+    listed: tuple[Shape, ...]
+    smallest: Shape | None = None
+    step: Shape = (1, 1)
+
+    @property
+    def largest(self) -> Shape:
+        """The size with the most pixels; of several the widest."""
+        return max(self.listed, key=lambda shape: (shape[0] * shape[1], shape[1]))
+
+    def has(self, shape: Shape) -> bool:
+        """Return whether the camera offers this size."""
+        if shape in self.listed:
+            return True
+        if self.smallest is None:
+            return False
+        bounds = zip(shape, self.smallest, self.largest, self.step, strict=True)
+        return all(
+            low <= value <= high and (value - low) % step == 0 for value, low, high, step in bounds
+        )
 
 
 class Node:
     """An open video node; a context manager.
 
     Raises:
-        CameraError: as `drivers.v4l2.errors.camera_error` says, here and from every method
-        CameraNotFoundError: what is open captures no video
-
+        CameraError: see `drivers.v4l2.system.camera_error`; so does every method
     """
 
-    def __init__(self, path: str, kernel: Kernel | None = None) -> None:
+    def __init__(self, path: str, kernel: abi.Kernel | None = None) -> None:
         self.path = path
-        self._kernel: Kernel = kernel or Linux()
+        self._kernel: abi.Kernel = kernel or abi.Linux()
         try:
             self._descriptor: int | None = self._kernel.open(path)
-        except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-            raise camera_error(_as_os_error(error), path, "open") from error
+        except OSError as error:
+            raise camera_error(error, path, "open") from error
+        except ValueError as error:  # a NUL in the path
+            missing = OSError(errno.ENOENT, os.strerror(errno.ENOENT))
+            raise camera_error(missing, path, "open") from error
 
     def close(self) -> None:
         """Close the descriptor; a second call does nothing."""
@@ -86,45 +122,41 @@ class Node:
         self.close()
 
     def identity(self) -> Identity:
-        """Return what the node is."""
-        found = self._ask(abi.Request.QUERYCAP, abi.Capability(), "ask")
+        """Return what the node reports of itself."""
+        found = self._query(abi.Request.QUERYCAP, abi.Capability(), "query")
         has_own = found.capabilities & abi.Caps.DEVICE_CAPS
         caps = found.device_caps if has_own else found.capabilities
         needed = abi.Caps.VIDEO_CAPTURE | abi.Caps.STREAMING
         return Identity(
             driver=abi.text(found.driver),
             card=abi.text(found.card),
-            bus=abi.text(found.bus_info),
             is_capture=caps & needed == needed,
         )
 
-    def check_capture(self) -> Identity:
-        """Return what the node is, or raise `CameraNotFoundError` where it captures no video."""
+    def capture_identity(self) -> Identity:
+        """Return what the node reports; raise `CameraNotFoundError` unless it captures video."""
         identity = self.identity()
         if not identity.is_capture:
             raise CameraNotFoundError(
-                f"{self.path} ({identity.card or identity.driver}) captures no video",
+                f"{self.path} ({identity.card or identity.driver}) does not capture video",
                 hint="camctl cameras lists the nodes that do",
             )
         return identity
 
     def formats(self) -> tuple[int, ...]:
         """Return the numbers of the pixel formats offered, `MOST_FORMATS` at most."""
-        return tuple(dict.fromkeys(entry.pixelformat for entry in self._formats()))
-
-    def _formats(self) -> Iterator[abi.FormatDescription]:
-        return self._list(
+        entries = self._list(
             abi.Request.ENUM_FMT,
             lambda index: abi.FormatDescription(index=index, type=abi.CAPTURE_BUFFER),
             MOST_FORMATS,
         )
+        return tuple(dict.fromkeys(entry.pixelformat for entry in entries))
 
     def sizes(self, pixelformat: int) -> SizeGrid:
         """Return the sizes offered in one pixel format.
 
         Raises:
-            CameraProtocolError: there is none, or the grid makes no sense
-
+            CameraProtocolError: there are none, or a contradictory range
         """
         entries = list(
             self._list(
@@ -133,29 +165,27 @@ class Node:
                 MOST_SIZES,
             )
         )
-        grids = [list(entry.words) for entry in entries if entry.type != abi.Grid.DISCRETE]
-        if grids:
-            least_w, most_w, step_w, least_h, most_h, step_h = grids[0]
+        ranges = [list(entry.words) for entry in entries if entry.type != abi.Grid.DISCRETE]
+        if ranges:
+            least_w, most_w, step_w, least_h, most_h, step_h = ranges[0]
             if not (0 < least_w <= most_w and 0 < least_h <= most_h):
-                raise self._nonsense("a range of sizes", grids[0])
-            return SizeGrid(
-                (Size(most_w, most_h),),
-                Size(least_w, least_h),
-                Size(max(step_w, 1), max(step_h, 1)),
-            )
-        listed = {Size(entry.words[0], entry.words[1]): None for entry in entries}
-        usable = tuple(size for size in listed if size.width > 0 and size.height > 0)
+                raise self._invalid("a range of sizes", ranges[0])
+            steps = (max(step_h, 1), max(step_w, 1))
+            return SizeGrid(((most_h, most_w),), (least_h, least_w), steps)
+        listed = {(entry.words[1], entry.words[0]): None for entry in entries}
+        usable = tuple(shape for shape in listed if min(shape) > 0)
         if not usable:
-            raise self._nonsense("a list of sizes", [str(size) for size in listed])
+            raise self._invalid("a list of sizes", [size_text(shape) for shape in listed])
         return SizeGrid(usable)
 
-    def intervals(self, pixelformat: int, size: Size) -> tuple[float, ...]:
+    def intervals(self, pixelformat: int, shape: Shape) -> tuple[float, ...]:
         """Return the frame intervals offered, s, ascending; of a range its two ends."""
+        rows, columns = shape
         found: set[float] = set()
         for entry in self._list(
             abi.Request.ENUM_FRAMEINTERVALS,
             lambda index: abi.IntervalQuery(
-                index=index, pixel_format=pixelformat, width=size.width, height=size.height
+                index=index, pixel_format=pixelformat, width=columns, height=rows
             ),
             MOST_INTERVALS,
         ):
@@ -167,15 +197,15 @@ class Node:
                 fractions -= 1
         return tuple(sorted(found))
 
-    def picture(self) -> abi.Format:
-        """Return the picture that is set."""
-        return self._ask(abi.Request.G_FMT, abi.Format(type=abi.CAPTURE_BUFFER), "ask")
+    def current_format(self) -> abi.Format:
+        """Return the pixel format and size that are set."""
+        return self._query(abi.Request.G_FMT, abi.Format(type=abi.CAPTURE_BUFFER), "query")
 
-    def interval_s(self) -> float | None:
-        """Return the frame interval that is set, s; None where the camera does not say."""
+    def current_interval_s(self) -> float | None:
+        """Return the frame interval that is set, s; None where the camera does not report it."""
         try:
-            found = self._ask(
-                abi.Request.G_PARM, abi.StreamParameters(type=abi.CAPTURE_BUFFER), "ask"
+            found = self._query(
+                abi.Request.G_PARM, abi.StreamParameters(type=abi.CAPTURE_BUFFER), "query"
             )
         except CameraProtocolError:
             return None
@@ -187,27 +217,24 @@ class Node:
         """Return the range of a control; None where the camera does not have it.
 
         Raises:
-            CameraProtocolError: the range makes no sense
-
+            CameraProtocolError: the range is contradictory
         """
         try:
             found = self._call(abi.Request.QUERYCTRL, abi.ControlQuery(id=control))
         except OSError as error:
             if error.errno in (errno.EINVAL, errno.ENOTTY):
                 return None
-            raise camera_error(error, self.path, "ask for a control of") from error
+            raise camera_error(error, self.path, "query a control of") from error
         if found.flags & abi.ControlFlag.DISABLED:
             return None
         name = abi.text(found.name) or f"control {control:#x}"
         is_switch = found.type in (abi.ControlType.BOOLEAN, abi.ControlType.MENU)
         step = 1 if is_switch else found.step
         if found.minimum > found.maximum or step <= 0:
-            said = f"{found.minimum}..{found.maximum} in steps of {found.step}"
-            raise self._nonsense(f"a range of '{name}'", said)
+            reported = f"{found.minimum}..{found.maximum} in steps of {found.step}"
+            raise self._invalid(f"a range of '{name}'", reported)
         return ControlRange(
-            id=control,
             name=name,
-            kind=found.type,
             minimum=found.minimum,
             maximum=found.maximum,
             step=step,
@@ -216,29 +243,28 @@ class Node:
         )
 
     def menu_has(self, control: int, index: int) -> bool:
-        """Say whether a menu control has an entry of that number."""
+        """Return whether a menu control has an entry of that number."""
         try:
             self._call(abi.Request.QUERYMENU, abi.MenuQuery(id=control, index=index))
         except OSError as error:
             if error.errno == errno.EINVAL:
                 return False
-            raise camera_error(error, self.path, "ask for a menu of") from error
+            raise camera_error(error, self.path, "query a menu of") from error
         return True
 
     def get(self, control: int) -> int:
-        """Return a control's value."""
-        found = self._ask(abi.Request.G_CTRL, abi.ControlValue(id=control), "read a control of")
+        """Return the value of a control."""
+        found = self._query(abi.Request.G_CTRL, abi.ControlValue(id=control), "read a control of")
         return int(found.value)
 
     def set(self, control: int, value: int) -> int:
-        """Set a control and return the value read back, which may be another."""
+        """Set a control and return the value read back, which may be another one."""
         try:
             self._call(abi.Request.S_CTRL, abi.ControlValue(id=control, value=value))
         except OSError as error:
             if error.errno in (errno.EACCES, errno.EINVAL, errno.ERANGE):
                 raise CameraProtocolError(
-                    f"{self.path} does not let control {control:#x} be set to {value}",
-                    hint="unplug it, plug it in again and try again",
+                    f"{self.path} refused to set control {control:#x} to {value}", hint=_REPLUG
                 ) from error
             raise camera_error(error, self.path, "set a control of") from error
         return self.get(control)
@@ -246,31 +272,35 @@ class Node:
     def _list(
         self,
         request: abi.Request,
-        entry: Callable[[int], _Structure],
+        entry: Callable[[int], _StructureT],
         most: int,
-    ) -> Iterator[_Structure]:
-        """Yield a list's entries, `most` at most; a list that never ends is cut there."""
+    ) -> Iterator[_StructureT]:
+        """Yield the entries of a list, `most` at most."""
         for index in range(most):
             try:
                 found = self._call(request, entry(index))
             except OSError as error:
                 if error.errno in (errno.EINVAL, errno.ENOTTY):
                     return
-                raise camera_error(error, self.path, "list what is offered by") from error
+                raise camera_error(error, self.path, "list the formats of") from error
             yield found
-            if isinstance(found, abi.SizeQuery | abi.IntervalQuery) and _is_range(found):
+            # A range is the last entry of its list.
+            if (
+                isinstance(found, abi.SizeQuery | abi.IntervalQuery)
+                and found.type != abi.Grid.DISCRETE
+            ):
                 return
 
-    def _ask(self, request: abi.Request, argument: _Structure, doing: str) -> _Structure:
+    def _query(self, request: abi.Request, argument: _StructureT, action: str) -> _StructureT:
         try:
             return self._call(request, argument)
         except OSError as error:
-            raise camera_error(error, self.path, doing) from error
+            raise camera_error(error, self.path, action) from error
 
-    def _call(self, request: abi.Request, argument: _Structure) -> _Structure:
+    def _call(self, request: abi.Request, argument: _StructureT) -> _StructureT:
         if self._descriptor is None:
             raise CameraError(f"{self.path} is closed", hint="open the camera again")
-        for _ in range(_INTERRUPTED):
+        for _ in range(_ATTEMPTS):
             try:
                 self._kernel.ioctl(self._descriptor, request, argument)
             except InterruptedError:
@@ -278,19 +308,7 @@ class Node:
             return argument
         raise OSError(errno.EINTR, os.strerror(errno.EINTR))
 
-    def _nonsense(self, what: str, said: object) -> CameraProtocolError:
+    def _invalid(self, what: str, reported: object) -> CameraProtocolError:
         return CameraProtocolError(
-            f"{self.path} answers nonsense: {what} of {said}",
-            hint="unplug it, plug it in again and try again",
+            f"{self.path} sent an invalid response: {what} of {reported}", hint=_REPLUG
         )
-
-
-def _as_os_error(error: OSError | ValueError) -> OSError:
-    if isinstance(error, OSError):
-        return error
-    return OSError(errno.ENOENT, os.strerror(errno.ENOENT))
-
-
-def _is_range(entry: abi.SizeQuery | abi.IntervalQuery) -> bool:
-    """Say whether an entry stands for all between two, and is then the last of its list."""
-    return bool(entry.type != abi.Grid.DISCRETE)

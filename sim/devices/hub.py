@@ -1,6 +1,6 @@
 """All virtual devices of a configuration in one process, controlled through a socket.
 
-    python -m sim.devices.hub --dir DIRECTORY CONFIG.json
+    python -m sim.devices --dir DIRECTORY CONFIG.json
 
 CONFIG.json holds ``{"devices": [{"name": "cam0", "kind": "uvc", ...}]}``; the other options of a
 device depend on its kind.  USB devices are attached to the kernel's virtual host controller; a
@@ -18,7 +18,6 @@ import json
 import signal
 import socket
 import socketserver
-import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
@@ -175,7 +174,7 @@ def run(directory: Path, config: Path, stop: threading.Event) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a hub until it is interrupted or terminated; return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m sim.devices.hub", description="Run virtual cameras until interrupted."
+        prog="python -m sim.devices", description="Run virtual cameras until interrupted."
     )
     parser.add_argument("--dir", type=Path, required=True, help="folder for the control socket")
     parser.add_argument("config", type=Path, help="JSON file that lists the devices")
@@ -188,7 +187,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CamctlError as error:
         parser.exit(error.exit_status, f"{parser.prog}: {error}\n")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

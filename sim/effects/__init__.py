@@ -1,4 +1,4 @@
-"""The effects of a simulated sensor, each one record; see `sim.effects.record.Effect`."""
+"""The effects of a simulated sensor; each is one record, see `sim.effects.record.Effect`."""
 
 from __future__ import annotations
 
@@ -8,22 +8,26 @@ from camctl.errors import unknown_name
 from sim.effects.charge import CHARGE
 from sim.effects.optics import OPTICS
 from sim.effects.readout import READ_OUT
-from sim.effects.record import Change, Effect, Shot, Stage, Tile
+from sim.effects.record import Effect
 
-__all__ = ["EFFECTS", "Change", "Effect", "Shot", "Stage", "Tile", "check_names", "effect_names"]
+__all__ = ["EFFECTS", "check_names", "effect_names"]
 
 EFFECTS: tuple[Effect, ...] = (*OPTICS, *CHARGE, *READ_OUT)
-"""All effects, in the order of the light's way."""
+"""All effects, in the order in which light goes through them."""
 
 
 def effect_names() -> tuple[str, ...]:
-    """Return the names of all effects."""
+    """Return the names of all effects, in the order of `EFFECTS`."""
     return tuple(effect.name for effect in EFFECTS)
 
 
 def check_names(names: Iterable[str]) -> frozenset[str]:
-    """Return names of effects as a set; raises `UsageError` for an unknown one."""
-    wanted = frozenset(names)
-    for name in sorted(wanted.difference(effect_names())):
+    """Return names of effects as a set.
+
+    Raises:
+        UsageError: one of them is not the name of an effect
+    """
+    requested = frozenset(names)
+    for name in sorted(requested.difference(effect_names())):
         raise unknown_name("effect", name, effect_names())
-    return wanted
+    return requested

@@ -1,8 +1,7 @@
-"""Which effects of a frame to run: those that the tolerance does not allow to leave out."""
+"""Which effects a frame needs: those that the tolerance does not allow to be left out."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -16,20 +15,22 @@ from sim.effects.record import Effect, Shot
 
 @dataclass(frozen=True)
 class Decision:
-    """What was decided of one effect.
+    """Whether a frame has one effect.
 
     Attributes:
-        name: the effect
-        bound_dn: most that leaving it out alone changes in a sample before the ADC, DN; infinite
-            where it is never left out, 0 where there is nothing to leave out
+        name: of the effect
+        bound_dn: bound of the change of any sample before the ADC if this effect alone is left
+            out, DN; infinite if it is never left out, 0 if it is absent
         ran: whether the frame has it
-        why: in words
+        why: the reason, for users
+        is_present: whether scene and sensor have it at all
     """
 
     name: str
     bound_dn: float
     ran: bool
     why: str
+    is_present: bool = True
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,10 @@ class FramePlan:
     """Which effects a frame has.
 
     Attributes:
-        tolerance_dn: that was allowed for this frame
-        joint_bound_dn: most that all that was left out can change together, DN before the ADC;
-            after it at most that many whole levels, rounded up
-        effects: a decision for each effect there is, in the order of the light's way
+        tolerance_dn: tolerance of this frame
+        joint_bound_dn: bound of the change of any sample before the ADC by all effects left out
+            together, DN; after the ADC the change is at most that many levels, rounded up
+        effects: a decision for each effect, in the order of `sim.effects.EFFECTS`
     """
 
     tolerance_dn: float
@@ -48,16 +49,16 @@ class FramePlan:
     effects: tuple[Decision, ...]
 
     def runs(self, name: str) -> bool:
-        """Return whether the frame has that effect."""
+        """Return whether the frame has the effect `name`."""
         return any(one.ran for one in self.effects if one.name == name)
 
     @property
     def left_out(self) -> frozenset[str]:
-        """Effects that sensor and scene have, but not this frame."""
-        return frozenset(e.name for e in self.effects if not e.ran and e.why != ABSENT)
+        """Names of the effects that sensor and scene have, but not this frame."""
+        return frozenset(e.name for e in self.effects if e.is_present and not e.ran)
 
     def as_data(self) -> dict[str, Any]:
-        """Return the plan as JSON has it; a bound without limit is None."""
+        """Return the plan for JSON; an infinite bound is None."""
         effects = [
             {
                 "name": one.name,
@@ -74,28 +75,25 @@ class FramePlan:
         }
 
 
-ABSENT = "scene and sensor have none"
-
-
 def check_tolerance(tolerance_dn: float) -> float:
     """Return a tolerance in DN; raises `UsageError` unless it is finite and not negative."""
     if not (math.isfinite(tolerance_dn) and tolerance_dn >= 0):
-        raise UsageError(f"a tolerance of {tolerance_dn:g} DN", hint="give 0 DN or more")
+        raise UsageError(f"invalid tolerance {tolerance_dn:g} DN", hint="give 0 DN or more")
     return tolerance_dn
 
 
 def plan_frame(
     shot: Shot, tolerance_dn: float, *, left_out: Collection[str] | None = None
 ) -> FramePlan:
-    """Choose what a frame leaves out.
+    """Decide which effects a frame leaves out.
 
     Args:
         shot: the exposure
-        tolerance_dn: most that may change in any sample before the ADC; 0 runs everything
-        left_out: leave out these effects and no others, whatever that changes
+        tolerance_dn: largest allowed change of any sample before the ADC; 0 leaves nothing out
+        left_out: names of the effects to leave out instead, whatever that changes
 
     Raises:
-        UsageError: an unknown effect in `left_out`; a tolerance that is none
+        UsageError: an invalid tolerance; an unknown effect in `left_out`
     """
     check_tolerance(tolerance_dn)
     bounds = Bounds(shot)
@@ -118,10 +116,11 @@ def candidates(bounds: Bounds, tolerance_dn: float) -> tuple[Effect, ...]:
 
 
 def greedy(bounds: Bounds, tolerance_dn: float) -> tuple[str, ...]:
-    """Return a dear set of effects whose joint bound stays under the tolerance.
+    """Return a costly set of effects whose joint bound is within the tolerance.
 
-    Two orders are tried, most time saved for each DN first and most time saved first; an effect
-    that fits beside those already chosen is added.  The dearer of the two sets is taken.
+    Two orders are tried: most time saved for each DN first, and most time saved first.  An effect
+    is added if the joint bound stays within the tolerance; of the two sets the one that saves more
+    time is returned.
     """
     fits = [(e, bounds.single[e.name]) for e in candidates(bounds, tolerance_dn)]
     orders = (
@@ -139,16 +138,6 @@ def greedy(bounds: Bounds, tolerance_dn: float) -> tuple[str, ...]:
     return tuple(effect.name for effect in best)
 
 
-def exhaustive(bounds: Bounds, tolerance_dn: float) -> tuple[str, ...]:
-    """Return the dearest set under the tolerance, by trying every set: what `greedy` may lose."""
-    fits = candidates(bounds, tolerance_dn)
-    sets = itertools.chain.from_iterable(
-        itertools.combinations(fits, count) for count in range(len(fits) + 1)
-    )
-    allowed = (s for s in sets if not s or bounds.joint([e.name for e in s]) <= tolerance_dn)
-    return tuple(effect.name for effect in max(allowed, key=saved))
-
-
 def saved(effects: Sequence[Effect]) -> float:
     """Return the nanoseconds a sample that leaving out these effects saves."""
     return sum(effect.cost for effect in effects)
@@ -159,21 +148,23 @@ def _decision(
 ) -> Decision:
     name = effect.name
     if name not in bounds.changes:
-        return Decision(name, 0.0, False, ABSENT)
+        return Decision(name, 0.0, False, "neither scene nor sensor has it", is_present=False)
     alone = bounds.single[name]
     if name in chosen:
-        together = f", {joint:.2g} DN with all that was left out" if len(chosen) > 1 else ""
+        if alone == 0:
+            return Decision(name, alone, False, "changes nothing in this frame")
+        together = f" alone, {joint:.2g} DN with all others left out" if len(chosen) > 1 else ""
         return Decision(name, alone, False, f"changes at most {alone:.2g} DN{together}")
     change = bounds.changes[name]
     if change.never:
         why = change.never
     elif change.only_below_well and math.isinf(alone):
         well = bounds.shot.sensor.full_well_e
-        why = f"up to {bounds.peak_e:.3g} e- would come to a well of {well:.3g} e-"
+        why = f"charge can reach {bounds.peak_e:.3g} e-, above the full well of {well:.3g} e-"
     elif tolerance_dn == 0:
-        why = "a tolerance of 0 runs everything"
+        why = "at a tolerance of 0 every effect runs"
     elif alone > tolerance_dn:
-        why = f"can change {alone:.3g} DN, more than {tolerance_dn:g} DN"
+        why = f"can change {alone:.3g} DN, more than the tolerance of {tolerance_dn:g} DN"
     else:
-        why = f"can change {alone:.2g} DN, too much beside what was left out"
+        why = f"can change {alone:.2g} DN, too much together with the effects left out"
     return Decision(name, alone, True, why)

@@ -1,58 +1,71 @@
-"""Effects on charge: what the pixels make of light, and what comes without light."""
+"""Effects on charge: what the pixels make of light, and the charge that comes without light."""
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.effects.record import LARGEST, Change, Effect, Light, Shot, Stage, Tile
+from sim.effects.record import (
+    LARGEST_NOISE,
+    Change,
+    Effect,
+    Light,
+    Lines,
+    RowTiming,
+    Shot,
+    Stage,
+    Tile,
+)
 from sim.noise import PATTERN, TILE, Stream
 
-_NO_LIMIT = np.float32(-3e38)
-_LONGEST_TRACK = 6
-_LARGEST_HIT = 20.0  # times the mean charge
+Hits = tuple[NDArray[np.int64], NDArray[np.float32]]
+
+_NO_LOWER_LIMIT = np.float32(-3e38)  # near the end of float32
+_LONGEST_TRACK_PX = 6
+_LARGEST_HIT = 20.0  # times the mean charge: an exponential exceeds it once in 5e8 hits
+_DRAIN_WELLS = 64.0  # full wells beyond which an anti-blooming drain removes charge
+_PLANNED_FRAMES = 8  # frames whose hits are kept from planning to rendering
 
 
 def _prnu(tile: Tile) -> None:
     shot = tile.shot
-    z = tile.noise.normal(tile.electrons.size, shot.seed, PATTERN, Stream.PRNU, tile.index)
+    z = tile.noise.normal(tile.values.size, shot.seed, PATTERN, Stream.PRNU, tile.index)
     np.multiply(z, np.float32(shot.sensor.pixels.prnu), out=z)
     np.add(z, np.float32(1), out=z)
-    np.multiply(tile.electrons, z, out=tile.electrons)
+    np.multiply(tile.values, z, out=tile.values)
 
 
 def _prnu_change(shot: Shot) -> Change:
-    most = shot.sensor.pixels.prnu * LARGEST
+    most = shot.sensor.pixels.prnu * LARGEST_NOISE
     return Change(less=most, more=most)
 
 
 def _lag(tile: Tile) -> None:
-    # The last frame was of the same scene: its charge is this one's, scaled by the exposure time.
+    # The frame before was of the same scene: its charge is this one's, scaled by exposure time.
     shot = tile.shot
-    left = np.multiply(tile.electrons, np.float32(shot.lag_ratio))
-    np.clip(left, _NO_LIMIT, np.float32(shot.sensor.full_well_e), out=left)
-    np.multiply(left, np.float32(shot.sensor.pixels.lag), out=left)
-    np.add(tile.electrons, left, out=tile.electrons)
+    before = np.multiply(tile.values, np.float32(shot.lag_ratio))
+    np.clip(before, _NO_LOWER_LIMIT, np.float32(shot.sensor.full_well_e), out=before)
+    np.multiply(before, np.float32(shot.sensor.pixels.lag), out=before)
+    np.add(tile.values, before, out=tile.values)
 
 
 def _lag_change(shot: Shot) -> Change:
     sensor = shot.sensor
     most = shot.statistics.most * shot.electrons_per_photon_s * shot.lag_ratio
-    most *= 1 + LARGEST * sensor.pixels.prnu
+    most *= 1 + LARGEST_NOISE * sensor.pixels.prnu
     if shot.view.lamps is not None:
-        most *= 1 + shot.view.lamps.left(shot.time_s)
-    return Change(mean_e=sensor.pixels.lag * min(most, sensor.full_well_e))
+        most *= 1 + shot.view.lamps.remaining_depth(shot.time_s)
+    lag = sensor.pixels.lag
+    return Change(mean_e=lag * min(most, sensor.full_well_e), repeats=lag * shot.lag_ratio)
 
 
-def _smear_lines(shot: Shot) -> tuple[None, Light]:
+def _smear_lines(shot: Shot, _: RowTiming) -> Lines:
     light = shot.view.light.reshape(shot.rows, shot.width)
     column = np.mean(light, axis=0, dtype=np.float64)
     per_photon = shot.sensor.quantum_efficiency * shot.sensor.pixels.smear_s
-    return None, np.asarray(column * per_photon, dtype=np.float32)
-
-
-def _smear(tile: Tile) -> None:
-    np.add(tile.electrons, tile.spread(tile.shot.lines["smear"]), out=tile.electrons)
+    return Lines(np.add, columns=np.asarray(column * per_photon, dtype=np.float32))
 
 
 def _smear_change(shot: Shot) -> Change:
@@ -60,98 +73,109 @@ def _smear_change(shot: Shot) -> Change:
     return Change(mean_e=shot.statistics.most * per_photon)
 
 
-def dark_e(shot: Shot) -> float:
+def _dark_e(shot: Shot) -> float:
     """Return the mean dark signal of the exposure, electrons."""
     dark = shot.sensor.dark
-    return dark.current_e_s * dark.warmth * shot.time_s
+    return dark.current_e_s * dark.rate_factor * shot.time_s
 
 
 def _dark(tile: Tile) -> None:
-    np.add(tile.electrons, np.float32(dark_e(tile.shot)), out=tile.electrons)
+    np.add(tile.values, np.float32(_dark_e(tile.shot)), out=tile.values)
 
 
-def hottest_e(shot: Shot) -> float:
-    """Return the most that a hot pixel collects in the exposure, electrons."""
+def _dark_change(shot: Shot) -> Change:
+    signal = _dark_e(shot)
+    return Change(mean_e=signal, least_e=signal)
+
+
+def _hottest_e(shot: Shot) -> float:
+    """Return the largest charge that a hot pixel collects in the exposure, electrons."""
     dark = shot.sensor.dark
-    return dark.hot_rate_e_s * dark.warmth * shot.time_s
+    return dark.hot_rate_e_s * dark.rate_factor * shot.time_s
 
 
 def _hot(tile: Tile) -> None:
     shot = tile.shot
-    stem = np.random.SeedSequence(shot.seed, spawn_key=(PATTERN, int(Stream.HOT), tile.index))
-    random = np.random.Generator(np.random.SFC64(stem))
-    # Of a whole tile always, so that a tile is the same in a frame that ends in it.
+    key = np.random.SeedSequence(shot.seed, spawn_key=(PATTERN, int(Stream.HOT), tile.index))
+    random = np.random.Generator(np.random.SFC64(key))
+    # Always for a whole tile, so that it is the same in a frame that ends within it.
     count = int(TILE * shot.sensor.dark.hot_share + random.random())
     places = (random.random(count) * TILE).astype(np.intp)
-    charge = (random.random(count) * hottest_e(shot)).astype(np.float32)
+    charge = (random.random(count) * _hottest_e(shot)).astype(np.float32)
     places, first = np.unique(places, return_index=True)
-    inside = places < tile.electrons.size
-    tile.electrons[places[inside]] += charge[first][inside]
+    inside = places < tile.values.size
+    tile.values[places[inside]] += charge[first][inside]
 
 
 def _photon_noise(tile: Tile) -> None:
     shot = tile.shot
-    tile.noise.add_photon_noise(tile.electrons, shot.seed, shot.number, tile.index)
+    tile.noise.add_photon_noise(tile.values, shot.seed, shot.number, tile.index)
 
 
-def draw_hits(shot: Shot) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+def cosmic_hits(shot: Shot) -> Hits:
     """Return the samples that cosmic rays hit in this frame, ascending, and their charge.
 
     Hits are a Poisson process over pixels and exposure time.  Each leaves its charge, exponential
-    around the mean, evenly on a straight track of 1 to 6 pixels.
+    around the mean, evenly on a straight track of 1 to 6 pixels.  Not to be written to.
     """
     read_out = shot.sensor.read_out
     pixels = shot.view.light.size // shot.channels
     mean = read_out.cosmic_rate_s * pixels * 1e-6 * shot.time_s
-    stem = np.random.SeedSequence(shot.seed, spawn_key=(shot.number, int(Stream.COSMIC), 0))
-    random = np.random.Generator(np.random.SFC64(stem))
+    shape = (shot.rows, shot.width // shot.channels, shot.channels)
+    return _draw_hits(shot.seed, shot.number, mean, read_out.cosmic_e, shape)
+
+
+@lru_cache(maxsize=_PLANNED_FRAMES)
+def _draw_hits(
+    seed: int, number: int, mean: float, charge_e: float, shape: tuple[int, int, int]
+) -> Hits:
+    """Return `cosmic_hits` of a frame of `shape` (rows, columns, channels) with `mean` hits."""
+    key = np.random.SeedSequence(seed, spawn_key=(number, int(Stream.COSMIC), 0))
+    random = np.random.Generator(np.random.SFC64(key))
     gaps = -np.log(1 - random.random(int(mean + 12 * np.sqrt(mean) + 40)))
     count = int(np.count_nonzero(np.cumsum(gaps) < mean))
-    places = np.zeros(0, dtype=np.int64)
-    charges = np.zeros(0, dtype=np.float32)
     if count == 0:
-        return places, charges
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.float32)
+    height, width, channels = shape
     row, column, turn, length, charge = random.random((5, count))
-    lengths = 1 + (length * _LONGEST_TRACK).astype(np.int64)
-    charge = np.minimum(-np.log(1 - charge), _LARGEST_HIT) * read_out.cosmic_e / lengths
-    step = np.arange(_LONGEST_TRACK)
+    lengths = 1 + (length * _LONGEST_TRACK_PX).astype(np.int64)
+    charge = np.minimum(-np.log(1 - charge), _LARGEST_HIT) * charge_e / lengths
+    step = np.arange(_LONGEST_TRACK_PX)
     angle = 2 * np.pi * turn[:, np.newaxis]
-    rows = (row[:, np.newaxis] * shot.rows + step * np.sin(angle)).astype(np.int64)
-    width = shot.width // shot.channels
+    rows = (row[:, np.newaxis] * height + step * np.sin(angle)).astype(np.int64)
     columns = (column[:, np.newaxis] * width + step * np.cos(angle)).astype(np.int64)
-    on = (step < lengths[:, np.newaxis]) & (rows >= 0) & (rows < shot.rows)
-    on &= (columns >= 0) & (columns < width)
-    samples = (rows * width + columns) * shot.channels
-    samples += np.arange(count)[:, np.newaxis] % shot.channels
-    places, inverse = np.unique(samples[on], return_inverse=True)
+    inside = (step < lengths[:, np.newaxis]) & (rows >= 0) & (rows < height)
+    inside &= (columns >= 0) & (columns < width)
+    samples = (rows * width + columns) * channels
+    samples += np.arange(count)[:, np.newaxis] % channels
+    places, inverse = np.unique(samples[inside], return_inverse=True)
     total = np.zeros(places.size)
-    np.add.at(total, inverse, np.broadcast_to(charge[:, np.newaxis], on.shape)[on])
-    return places, total.astype(np.float32)
+    np.add.at(total, inverse, np.broadcast_to(charge[:, np.newaxis], inside.shape)[inside])
+    charges = total.astype(np.float32)
+    places.flags.writeable = charges.flags.writeable = False
+    return places, charges
 
 
 def _cosmic(tile: Tile) -> None:
-    places, charges = tile.shot.cosmic
-    stop = tile.start + tile.electrons.size
+    places, charges = cosmic_hits(tile.shot)
+    stop = tile.start + tile.values.size
     low, high = np.searchsorted(places, (tile.start, stop))
-    tile.electrons[places[low:high] - tile.start] += charges[low:high]
+    tile.values[places[low:high] - tile.start] += charges[low:high]
 
 
 def _cosmic_change(shot: Shot) -> Change:
-    hits = shot.cosmic[0].size
-    return Change(never=f"{hits} samples were hit") if hits else Change(is_nothing=True)
+    places, charges = cosmic_hits(shot)
+    if not places.size:
+        return Change(is_nothing=True)
+    why = f"not left out: {places.size} samples were hit in this frame"
+    return Change(never=why, hit_e=float(charges.max()))
 
 
-def _well(tile: Tile) -> None:
-    # clip with a lower end that nothing reaches: numpy's minimum takes twice as long.
-    full = np.float32(tile.shot.sensor.full_well_e)
-    np.clip(tile.electrons, _NO_LIMIT, full, out=tile.electrons)
-
-
-def bloom(electrons: Light, shot: Shot) -> None:
+def _bloom(electrons: Light, shot: Shot) -> Light:
     """Let charge beyond the well flow along the columns, in place; (rows, columns[, 3]).
 
-    Half of the share `blooming` goes up and half down, less and less with distance; what meets a
-    full well or the border is drained.  The result is not clipped.
+    Half of the share `blooming` flows up and half down, exponentially less with distance; what
+    meets a full well or the border is lost.  The result is not clipped.
     """
     import cv2
 
@@ -161,13 +185,22 @@ def bloom(electrons: Light, shot: Shot) -> None:
     half = sensor.pixels.blooming / 2 * weights / weights.sum()
     kernel = np.concatenate([half[::-1], [0.0], half]).astype(np.float32)
     beyond = np.maximum(electrons - full, 0)
-    # An anti-blooming drain takes what is more than the wells around could hold.
-    np.minimum(beyond, full * np.float32(64), out=beyond)
+    np.minimum(beyond, full * np.float32(_DRAIN_WELLS), out=beyond)
     flown = cv2.sepFilter2D(
         beyond, -1, np.ones(1, np.float32), kernel, borderType=cv2.BORDER_CONSTANT
     )
     np.minimum(electrons, full, out=electrons)
-    np.add(electrons, flown.reshape(electrons.shape), out=electrons)
+    return np.add(electrons, flown.reshape(electrons.shape), out=electrons)
+
+
+def _blooming_change(shot: Shot) -> Change:
+    return Change(only_below_well=True, spreads=shot.sensor.pixels.blooming)
+
+
+def _well(tile: Tile) -> None:
+    # numpy's clip with a lower limit that nothing reaches takes half the time of its minimum.
+    full = np.float32(tile.shot.sensor.full_well_e)
+    np.clip(tile.values, _NO_LOWER_LIMIT, full, out=tile.values)
 
 
 CHARGE = (
@@ -183,7 +216,7 @@ CHARGE = (
     Effect(
         "lag",
         Stage.MEAN,
-        "a share of the last frame's charge, at most the well's, stays in the pixel",
+        "a share of the charge of the frame before, at most of a full well, stays in the pixel",
         present=lambda shot: shot.sensor.pixels.lag > 0,
         change=_lag_change,
         cost=0.4,
@@ -192,11 +225,10 @@ CHARGE = (
     Effect(
         "smear",
         Stage.MEAN,
-        "while charge moves, each pixel sees its whole column's mean for smear_s seconds",
+        "while charge moves, each pixel sees the mean of its column for smear_s seconds",
         present=lambda shot: shot.sensor.pixels.smear_s > 0,
         change=_smear_change,
         cost=0.6,
-        apply=_smear,
         lines=_smear_lines,
     ),
     Effect(
@@ -204,23 +236,23 @@ CHARGE = (
         Stage.MEAN,
         "electrons a second, doubling every doubling_k kelvin; its noise is part of photon noise",
         present=lambda shot: shot.sensor.dark.current_e_s > 0,
-        change=lambda shot: Change(mean_e=dark_e(shot)),
+        change=_dark_change,
         cost=0.1,
         apply=_dark,
     ),
     Effect(
         "hot pixels",
         Stage.MEAN,
-        "a share of the pixels has a dark rate up to hot_rate_e_s, doubling likewise",
+        "a share of the pixels has a dark rate of up to hot_rate_e_s, doubling likewise",
         present=lambda s: s.sensor.dark.hot_share > 0 and s.sensor.dark.hot_rate_e_s > 0,
-        change=lambda shot: Change(mean_e=hottest_e(shot)),
+        change=lambda shot: Change(mean_e=_hottest_e(shot)),
         cost=0.2,
         apply=_hot,
     ),
     Effect(
         "photon noise",
         Stage.CHARGE,
-        "Poisson, electrons; see `TileNoise.add_photon_noise`",
+        "Poisson, electrons; see `sim.noise.TileNoise.add_photon_noise`",
         present=lambda shot: shot.sensor.photon_noise,
         change=lambda _: Change(is_noise=True),
         cost=2.5,
@@ -238,15 +270,16 @@ CHARGE = (
     Effect(
         "blooming",
         Stage.WELL,
-        "charge beyond the well flows along the column, geometrically less with distance",
+        "charge beyond the well flows along the column, exponentially less with distance",
         present=lambda shot: shot.sensor.pixels.blooming > 0,
-        change=lambda _: Change(only_below_well=True),
+        change=_blooming_change,
         cost=4.5,
+        picture=_bloom,
     ),
     Effect(
         "full well",
         Stage.WELL,
-        "EMVA 1288: saturation capacity, electrons; the charge is cut there",
+        "EMVA 1288: saturation capacity, electrons; the charge is clipped there",
         present=lambda _: True,
         change=lambda _: Change(only_below_well=True),
         cost=0.1,

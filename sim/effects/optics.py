@@ -1,49 +1,59 @@
-"""Effects on the light before it is charge: moving things, lamps, lens, colour, crosstalk."""
+"""Effects on light, before it becomes charge: timing, lens, colour filters, crosstalk, lamps."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from sim.effects.record import Change, Effect, Light, Shot, Stage, Tile
+from sim.effects.record import Change, Effect, Light, Lines, RowTiming, Shot, Stage
 
-_GLARE_SAMPLES = 2.5
-"""Samples a standard deviation of the glare's width: a Gaussian is smooth enough for fewer."""
+_GLARE_SAMPLES_PER_SIGMA = 2.5
+"""Glare is computed at this many samples a standard deviation, enough for a smooth Gaussian."""
 
 
-def _moves(shot: Shot) -> bool:
+def _has_moving_target(shot: Shot) -> bool:
     return shot.view.target is not None and shot.statistics.speed_px_s > 0
 
 
-def _motion(shot: Shot) -> Change:
-    # The middle of the exposure stands for all of it: a quarter of the way off on average.
+def _blur_motion(timing: RowTiming, _: Shot) -> RowTiming:
+    return replace(timing, is_motion_blurred=True)
+
+
+def _motion_change(shot: Shot) -> Change:
+    # Left out, the target is drawn where it is in the middle of the exposure: on average wrong by a
+    # quarter of the distance that it travels.
     s = shot.statistics
     off = min(s.drift * s.speed_px_s * shot.time_s / 4, s.most - s.least)
     return Change(light=off)
 
 
-def _rolls(shot: Shot) -> bool:
-    has_time = shot.view.target is not None or shot.view.lamps is not None
-    return shot.sensor.read_out.row_s > 0 and has_time
+def _has_rolling_shutter(shot: Shot) -> bool:
+    depends_on_time = shot.view.target is not None or shot.view.lamps is not None
+    return shot.sensor.read_out.row_s > 0 and depends_on_time
 
 
-def _rolling(shot: Shot) -> Change:
-    # Every row is taken for the middle one, at most half the picture away.
+def _roll(timing: RowTiming, shot: Shot) -> RowTiming:
+    return replace(timing, starts_s=shot.row_starts_s)
+
+
+def _rolling_change(shot: Shot) -> Change:
+    # Left out, every row has the time of the middle one, which is at most half the picture away.
     s = shot.statistics
     late_s = shot.sensor.read_out.row_s * (s.height // 2)
     light = min(s.drift * s.speed_px_s * late_s, s.most - s.least)
     lamps = shot.view.lamps
     if lamps is None:
         return Change(light=light)
-    swing = lamps.left(shot.time_s)
+    swing = lamps.remaining_depth(shot.time_s)
     change = min(2 * swing, 2 * math.pi * lamps.flicker_hz * late_s * swing)
     share = change / (1 - swing) if swing < 1 else math.inf
     return Change(light=light, less=min(share, 1.0), more=share, within="mains flicker")
 
 
 def gaussian(sigma: float) -> Light:
-    """Return a Gaussian of whole pixels with sum 1, out to 3 sigma."""
+    """Return a Gaussian kernel with sum 1 that reaches 3 sigma to both sides."""
     reach = max(1, math.ceil(3 * sigma))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     return np.asarray(kernel / kernel.sum(), dtype=np.float32)
@@ -58,7 +68,7 @@ def _blur(planes: Light, shot: Shot) -> Light:
     )
 
 
-def _blurred(shot: Shot) -> Change:
+def _blur_change(shot: Shot) -> Change:
     # sum_j k_j E(x + j) - E(x) for a symmetric k is a sum of second differences over j, each at
     # most j^2 times the largest one: half the second moment times that, along and across.
     s = shot.statistics
@@ -69,10 +79,10 @@ def _blurred(shot: Shot) -> Change:
 
 
 def _glare_samples(shot: Shot) -> tuple[tuple[int, int], Light]:
-    """Return the (columns, rows) that glare is computed at, and its kernel there."""
+    """Return the (columns, rows) at which glare is computed, and its kernel at that scale."""
     rows, columns = shot.rows, shot.width // shot.channels
     sigma = shot.sensor.lens.glare_width * max(rows, columns)
-    step = max(1, int(sigma / _GLARE_SAMPLES))
+    step = max(1, int(sigma / _GLARE_SAMPLES_PER_SIGMA))
     return (max(1, columns // step), max(1, rows // step)), gaussian(sigma / step)
 
 
@@ -88,17 +98,17 @@ def _glare(planes: Light, shot: Shot) -> Light:
     return np.asarray(cv2.addWeighted(planes, 1 - lens.glare, wide, lens.glare, 0.0))
 
 
-def _glared(shot: Shot) -> Change:
+def _glare_change(shot: Shot) -> Change:
     s = shot.statistics
     return Change(light=shot.sensor.lens.glare * (s.most - s.least))
 
 
 def _glare_bend(shot: Shot) -> float:
-    """Return how much larger second differences can be after glare, along plus across.
+    """Return by how much glare can enlarge second differences, along rows plus along columns.
 
     A kernel that rises and falls once changes what it smooths from sample to sample by at most its
-    peak times the light's range; drawn out to pixels that slope is flatter by the scale, and a
-    second difference is that of two slopes.
+    peak times the light's range.  Enlarged to pixels, that slope is smaller by the scale, and a
+    second difference is the difference of two slopes.
     """
     s, glare = shot.statistics, shot.sensor.lens.glare
     if glare == 0:
@@ -118,53 +128,40 @@ def _crosstalk(light: Light, shot: Shot) -> Light:
     )
 
 
-def _crossed(shot: Shot) -> Change:
+def _crosstalk_change(shot: Shot) -> Change:
     s, share = shot.statistics, shot.sensor.pixels.crosstalk
-    if s.is_mosaic:  # neighbours of other colours
+    if s.is_mosaic:  # neighbours have other colours
         return Change(light=4 * share * (s.most - s.least))
     bend = s.bend + _glare_bend(shot)
     return Change(light=share * min(bend, 4 * (s.most - s.least)))
 
 
-def _vignette(shot: Shot) -> tuple[Light, Light]:
+def _vignetting_lines(shot: Shot, _: RowTiming) -> Lines:
     rows, pixels = shot.rows, shot.width // shot.channels
     y = np.arange(rows) - (rows - 1) / 2
     x = np.repeat(np.arange(pixels) - (pixels - 1) / 2, shot.channels)
     corner = max(y[-1] ** 2 + x[-1] ** 2, 1.0)
     loss = shot.sensor.lens.vignetting / corner
-    return (1 - loss * y**2).astype(np.float32), (-loss * x**2).astype(np.float32)
+    along, across = (1 - loss * y**2).astype(np.float32), (-loss * x**2).astype(np.float32)
+    return Lines(np.multiply, rows=along, columns=across)
 
 
-def _dim(tile: Tile) -> None:
-    values = tile.spread(tile.shot.lines["vignetting"])
-    np.multiply(tile.electrons, values, out=tile.electrons)
-
-
-def flicker_lines(shot: Shot, *, rolls: bool) -> Light:
-    """Return the lamps' light for each row; without a rolling shutter all have the middle row's."""
-    lamps = shot.view.lamps
-    assert lamps is not None
-    starts = shot.row_starts_s
-    if not rolls:
-        starts = np.full(starts.shape, starts[starts.size // 2])
-    return lamps.factors(starts, shot.time_s)
-
-
-def _flicker(tile: Tile) -> None:
-    values = tile.spread(tile.shot.lines["mains flicker"])
-    np.multiply(tile.electrons, values, out=tile.electrons)
-
-
-def _flickered(shot: Shot) -> Change:
+def _flicker_lines(shot: Shot, timing: RowTiming) -> Lines:
     assert shot.view.lamps is not None
-    swing = shot.view.lamps.left(shot.time_s)
+    return Lines(np.multiply, rows=shot.view.lamps.factors(timing.starts_s, shot.time_s))
+
+
+def _flicker_change(shot: Shot) -> Change:
+    assert shot.view.lamps is not None
+    swing = shot.view.lamps.remaining_depth(shot.time_s)
     return Change(less=swing, more=swing)
 
 
-def roundings(shot: Shot) -> float:
-    """Return how many roundings a sample's light goes through on its way, one after another.
+def rounding_count(shot: Shot) -> float:
+    """Return how many roundings in float32 the light of a sample goes through, one after another.
 
-    A sum of n terms >= 0 is off by at most n units of rounding; glare's share of them is its own.
+    A sum of n terms >= 0 is wrong by at most n units of rounding.  Those of glare count by the
+    share of the light that is glare.
     """
     lens = shot.sensor.lens
     count = 0.0
@@ -185,71 +182,72 @@ OPTICS = (
     Effect(
         "motion blur",
         Stage.SCENE,
-        "mean of the target's places over the exposure, pixels a second; exact along the rows",
-        present=_moves,
-        change=_motion,
+        "mean of the target's positions over the exposure, pixels a second; exact along the rows",
+        present=_has_moving_target,
+        change=_motion_change,
         cost=3.0,
+        timing=_blur_motion,
     ),
     Effect(
         "rolling shutter",
         Stage.SCENE,
-        "each row is exposed row_s seconds after the one above; moves targets, bands flicker",
-        present=_rolls,
-        change=_rolling,
+        "each row is exposed row_s seconds after the row above; acts on targets and on flicker",
+        present=_has_rolling_shutter,
+        change=_rolling_change,
         cost=0.3,
+        timing=_roll,
     ),
     Effect(
         "veiling glare",
         Stage.LENS,
         "ISO 9358: a share of all light is scattered widely; a Gaussian of glare_width",
         present=lambda shot: shot.sensor.lens.glare > 0,
-        change=_glared,
+        change=_glare_change,
         cost=1.5,
         picture=_glare,
     ),
     Effect(
         "point spread",
         Stage.LENS,
-        "a Gaussian of blur_px for the lens's point spread, ISO 12233's blur; pixels",
+        "a Gaussian of blur_px for the point spread of the lens, as blur in ISO 12233; pixels",
         present=lambda shot: shot.sensor.lens.blur_px > 0,
-        change=_blurred,
+        change=_blur_change,
         cost=1.2,
         picture=_blur,
     ),
     Effect(
         "colour mosaic",
         Stage.SAMPLES,
-        "one colour a pixel, each with the spectral response of `spectrum`",
+        "one colour a pixel, each with the spectral response of `Sensor.spectrum`",
         present=lambda shot: shot.view.layout.is_mosaic,
-        change=lambda _: Change(never="it decides what a sample is"),
+        change=lambda _: Change(never="never left out: it determines the colour of each sample"),
         cost=0.0,
     ),
     Effect(
         "crosstalk",
         Stage.SAMPLES,
-        "a share of a pixel's light to each of its four neighbours (diffusion before collection)",
+        "a share of a pixel's light goes to each of its four neighbours (diffusion)",
         present=lambda shot: shot.sensor.pixels.crosstalk > 0,
-        change=_crossed,
+        change=_crosstalk_change,
         cost=0.6,
         picture=_crosstalk,
     ),
     Effect(
         "vignetting",
         Stage.MEAN,
-        "1 - v r^2, r from the middle to 1 in the corners: the first term of cos^4",
+        "1 - v r^2, r from 0 in the middle to 1 in the corners: the first term of cos^4",
         present=lambda shot: shot.sensor.lens.vignetting > 0,
         change=lambda shot: Change(less=shot.sensor.lens.vignetting),
         cost=0.4,
-        apply=_dim,
-        lines=_vignette,
+        lines=_vignetting_lines,
     ),
     Effect(
         "mains flicker",
         Stage.MEAN,
-        "lamps on 50 or 60 Hz mains shine at 100 or 120 Hz: 1 + a cos, averaged over the exposure",
+        "lamps on 50 or 60 Hz mains peak at 100 or 120 Hz: 1 + a cos, averaged over the exposure",
         present=lambda shot: shot.view.lamps is not None,
-        change=_flickered,
+        change=_flicker_change,
         cost=0.3,
-        apply=_flicker,
+        lines=_flicker_lines,
     ),
 )

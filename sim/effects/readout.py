@@ -1,52 +1,51 @@
-"""Effects of reading: noise, patterns, and the ADC."""
+"""Effects of reading: noise, fixed patterns, and the ADC."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from sim.effects.record import LARGEST, Change, Effect, Light, Shot, Stage, Tile
+from sim.effects.record import LARGEST_NOISE, Change, Effect, Lines, RowTiming, Shot, Stage, Tile
 from sim.noise import PATTERN, Stream, line_noise
 
-
-def _read(tile: Tile) -> None:
-    shot = tile.shot
-    sigma = shot.sensor.read_noise_e
-    tile.noise.add_read_noise(tile.electrons, sigma, shot.seed, shot.number, tile.index)
+_SETS_BRIGHTNESS = "never left out: it determines brightness"
 
 
 def _dsnu(tile: Tile) -> None:
     shot = tile.shot
-    z = tile.noise.normal(tile.electrons.size, shot.seed, PATTERN, Stream.DSNU, tile.index)
+    z = tile.noise.normal(tile.values.size, shot.seed, PATTERN, Stream.DSNU, tile.index)
     np.multiply(z, np.float32(shot.sensor.pixels.dsnu_e), out=z)
-    np.add(tile.electrons, z, out=tile.electrons)
+    np.add(tile.values, z, out=tile.values)
 
 
-def _row_lines(shot: Shot) -> tuple[Light, None]:
+def _read_noise(tile: Tile) -> None:
+    shot = tile.shot
+    sigma_e = shot.sensor.read_noise_e
+    tile.noise.add_read_noise(tile.values, sigma_e, shot.seed, shot.number, tile.index)
+
+
+def _row_noise_lines(shot: Shot, _: RowTiming) -> Lines:
     z = line_noise(shot.seed, shot.number, Stream.ROW, shot.rows)
-    return z * np.float32(shot.sensor.read_out.row_noise_e), None
+    return Lines(np.add, rows=z * np.float32(shot.sensor.read_out.row_noise_e))
 
 
-def _row(tile: Tile) -> None:
-    np.add(tile.electrons, tile.spread(tile.shot.lines["row noise"]), out=tile.electrons)
-
-
-def _column_lines(shot: Shot) -> tuple[None, Light]:
+def _column_noise_lines(shot: Shot, _: RowTiming) -> Lines:
     z = line_noise(shot.seed, PATTERN, Stream.COLUMN, shot.width)
-    return None, z * np.float32(shot.sensor.read_out.column_noise_e)
+    return Lines(np.add, columns=z * np.float32(shot.sensor.read_out.column_noise_e))
 
 
-def _column(tile: Tile) -> None:
-    np.add(tile.electrons, tile.spread(tile.shot.lines["column noise"]), out=tile.electrons)
-
-
-def bend_adc(dn: Light, shot: Shot) -> None:
-    """Add the ADC's bow to brightness above black, in place: 4 A u (1 - u), u from 0 to 1."""
-    sensor = shot.sensor
+def _bow_adc(tile: Tile) -> None:
+    """Add the ADC's error 4 A u (1 - u), u brightness above black from 0 to 1."""
+    sensor, dn = tile.shot.sensor, tile.values
     top = np.float32(2**sensor.bits - sensor.black)
     u = np.clip(dn, np.float32(0), top)
     bow = u * (np.float32(1) - u / top)
     np.multiply(bow, np.float32(4 * sensor.read_out.nonlinearity_dn) / top, out=bow)
     np.add(dn, bow, out=dn)
+
+
+def _bow_change(shot: Shot) -> Change:
+    sensor, bow_dn = shot.sensor, shot.sensor.read_out.nonlinearity_dn
+    return Change(dn=bow_dn, slope=4 * bow_dn / (2**sensor.bits - sensor.black))
 
 
 READ_OUT = (
@@ -55,7 +54,7 @@ READ_OUT = (
         Stage.READING,
         "EMVA 1288: offsets differ from pixel to pixel, normal, electrons",
         present=lambda shot: shot.sensor.pixels.dsnu_e > 0,
-        change=lambda shot: Change(read_e=LARGEST * shot.sensor.pixels.dsnu_e),
+        change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.pixels.dsnu_e),
         cost=1.7,
         apply=_dsnu,
     ),
@@ -64,44 +63,43 @@ READ_OUT = (
         Stage.READING,
         "EMVA 1288: temporal dark noise, normal, electrons",
         present=lambda shot: shot.sensor.read_noise_e > 0,
-        change=lambda shot: Change(read_e=LARGEST * shot.sensor.read_noise_e),
+        change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.read_noise_e),
         cost=1.6,
-        apply=_read,
+        apply=_read_noise,
     ),
     Effect(
         "row noise",
         Stage.READING,
-        "EMVA 1288 row-temporal noise: each row's offset, new in every frame, electrons",
+        "EMVA 1288 row-temporal noise: an offset of each row, new in every frame, electrons",
         present=lambda shot: shot.sensor.read_out.row_noise_e > 0,
-        change=lambda shot: Change(read_e=LARGEST * shot.sensor.read_out.row_noise_e),
+        change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.read_out.row_noise_e),
         cost=0.3,
-        apply=_row,
-        lines=_row_lines,
+        lines=_row_noise_lines,
     ),
     Effect(
         "column noise",
         Stage.READING,
-        "EMVA 1288 column DSNU: each column amplifier's offset, always the same, electrons",
+        "EMVA 1288 column DSNU: an offset of each column amplifier, always the same, electrons",
         present=lambda shot: shot.sensor.read_out.column_noise_e > 0,
-        change=lambda shot: Change(read_e=LARGEST * shot.sensor.read_out.column_noise_e),
+        change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.read_out.column_noise_e),
         cost=0.3,
-        apply=_column,
-        lines=_column_lines,
+        lines=_column_noise_lines,
     ),
     Effect(
         "ADC non-linearity",
         Stage.ADC,
         "EMVA 1288 linearity error: a bow of nonlinearity_dn in the middle of the range, DN",
         present=lambda shot: shot.sensor.read_out.nonlinearity_dn > 0,
-        change=lambda shot: Change(dn=shot.sensor.read_out.nonlinearity_dn),
+        change=_bow_change,
         cost=0.8,
+        apply=_bow_adc,
     ),
     Effect(
         "response curve",
         Stage.ADC,
         "the sensor's curve from irradiance to brightness",
         present=lambda shot: shot.sensor.curve != "linear",
-        change=lambda _: Change(never="it decides what brightness means"),
+        change=lambda _: Change(never=_SETS_BRIGHTNESS),
         cost=0.0,
     ),
     Effect(
@@ -109,15 +107,15 @@ READ_OUT = (
         Stage.ADC,
         "brightness without light, DN",
         present=lambda shot: shot.sensor.black > 0,
-        change=lambda _: Change(never="it decides what brightness means"),
+        change=lambda _: Change(never=_SETS_BRIGHTNESS),
         cost=0.0,
     ),
     Effect(
         "quantisation",
         Stage.ADC,
-        "floor after the ADC's phase, clipped to its range",
+        "floor after adding the ADC's phase, clipped to its range",
         present=lambda _: True,
-        change=lambda _: Change(never="a frame is whole numbers"),
+        change=lambda _: Change(never="never left out: pixel values are whole numbers"),
         cost=0.0,
     ),
 )

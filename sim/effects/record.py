@@ -1,16 +1,16 @@
-"""What an effect is: one record with a name, a bound, the work itself, and its cost.
+"""The record that describes an effect, and the exposure that it acts on.
 
-A frame is made in stages.  An effect of the stages `SCENE`, `LENS` and `SAMPLES` changes the whole
-picture of light; one of `MEAN`, `CHARGE` and `READING` changes tiles of electrons in place.
+A frame is made in the stages of `Stage`.  Nothing outside the table `sim.effects.EFFECTS` knows an
+effect by its name: what `sim.render` must do for it is a field of its `Effect`, and what
+`sim.effects.bounds` must know of it is a field of its `Change`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -21,12 +21,18 @@ from sim.scenes.view import Statistics, View
 from sim.sensors.sensor import Sensor
 
 Light: TypeAlias = NDArray[np.float32]
-Lines: TypeAlias = tuple[Light | None, Light | None]
-"""What an effect is to each row of a picture and to each sample of a row; None: nothing."""
+
+LARGEST_NOISE = largest_noise()
 
 
 class Stage(IntEnum):
-    """When in the making of a frame an effect is at work, in the order of the light's way."""
+    """Steps in the making of a frame, in the order in which light goes through them.
+
+    `SCENE` sets when the rows are exposed; `LENS` changes the picture in front of the colour
+    mosaic and `SAMPLES` behind it, in photons a second; `MEAN` changes the mean charge before
+    photon noise, `CHARGE` the charge, `WELL` limits it, and `READING` adds to it, in electrons;
+    `ADC` changes brightness above black, in DN.
+    """
 
     SCENE = 0
     LENS = 1
@@ -40,19 +46,31 @@ class Stage(IntEnum):
 
 @dataclass(frozen=True)
 class Change:
-    """Most that leaving an effect out changes in any sample.
+    """What `sim.effects.bounds` must know of an effect in one exposure.
+
+    The first group limits what leaving the effect out changes in any sample:
 
     Attributes:
-        light: of the light before anything multiplies it, photons a second
-        less, more: the effect multiplies the light by 1 - less to 1 + more
-        within: the effect whose factor that one only varies: it counts while the other stays
-        mean_e: of the mean before photon noise, electrons
-        read_e: of the charge after the well, electrons
-        dn: after the gain, DN
-        never: why the effect is never left out, whatever the scene
-        only_below_well: nothing at all while no sample reaches the well, else without bound
-        is_noise: it is the photon noise itself
-        is_nothing: in this frame it changes no bit
+        light: change of the light before anything multiplies it, photons a second
+        less, more: the effect multiplies the light by a factor from 1 - less to 1 + more
+        within: name of the effect whose factor this one only varies: `less` and `more` count while
+            that effect runs
+        mean_e: change of the mean charge before photon noise, electrons
+        read_e: change of the charge after the well, electrons
+        dn: change after the gain, DN
+        never: why the effect is never left out; empty if it may be
+        only_below_well: no change while no sample reaches the well, else an unlimited one
+        is_noise: the effect is the photon noise
+        is_nothing: leaving the effect out of this frame changes no bit
+
+    The second group is what the effect does to a difference that others make:
+
+    Attributes:
+        repeats: share of the mean charge that the effect adds again
+        least_e: least charge that it adds to the mean of every sample, electrons
+        hit_e: largest charge that it adds to a sample after photon noise, electrons
+        spreads: share by which a difference grows if samples reach the well
+        slope: share by which a difference in DN grows
     """
 
     light: float = 0.0
@@ -66,18 +84,40 @@ class Change:
     only_below_well: bool = False
     is_noise: bool = False
     is_nothing: bool = False
+    repeats: float = 0.0
+    least_e: float = 0.0
+    hit_e: float = 0.0
+    spreads: float = 0.0
+    slope: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class RowTiming:
+    """When the rows of a frame are exposed.
+
+    Attributes:
+        starts_s: (rows,) float64, when the exposure of each row starts, seconds
+        is_motion_blurred: a moving target is averaged over the exposure; otherwise it is drawn
+            where it is in the middle of the exposure
+    """
+
+    starts_s: NDArray[np.float64]
+    is_motion_blurred: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One exposure of one sensor before one scene: all that effects may depend on.
+    """One exposure of one sensor in front of one scene: all that effects depend on.
 
     Attributes:
         view: the scene as the sensor sees it
-        sensor, seed: the sensor, and the noise
-        time_s, gain, number: exposure time, linear gain and number of the frame
-        start_s: when its exposure begins; matters for what moves or flickers
-        previous_s: exposure time of the frame before, for lag; None: the same
+        sensor: the sensor
+        seed: of all noise
+        time_s: exposure time
+        gain: linear gain
+        number: number of the frame; frames of other numbers have other noise
+        start_s: when the exposure of the first row starts; matters for targets and flicker
+        previous_s: exposure time of the frame before, for lag; None if it is the same
     """
 
     view: View
@@ -88,7 +128,11 @@ class Shot:
     number: int
     start_s: float = 0.0
     previous_s: float | None = None
-    lines: dict[str, Lines] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> int:
+        """Rows of the picture."""
+        return self.view.light.shape[0] if self.view.light.ndim > 1 else 1
 
     @property
     def width(self) -> int:
@@ -97,102 +141,115 @@ class Shot:
         return math.prod(shape[1:]) if len(shape) > 1 else shape[0]
 
     @property
-    def rows(self) -> int:
-        """Rows of the picture."""
-        return self.view.light.shape[0] if self.view.light.ndim > 1 else 1
-
-    @property
     def channels(self) -> int:
         """Samples of a pixel."""
         return self.view.light.shape[2] if self.view.light.ndim == 3 else 1
 
     @property
     def electrons_per_photon_s(self) -> float:
-        """Electrons for one photon a second."""
+        """Electrons in this exposure for one photon a second."""
         return self.sensor.quantum_efficiency * self.time_s
 
     @property
     def lag_ratio(self) -> float:
-        """The last frame's exposure time over this one's."""
+        """Exposure time of the frame before over that of this frame."""
         return 1.0 if self.previous_s is None else self.previous_s / self.time_s
 
     @property
     def row_starts_s(self) -> NDArray[np.float64]:
-        """When the exposure of each row begins, with its rolling shutter."""
+        """(rows,) when the exposure of each row starts with the sensor's rolling shutter."""
         return np.arange(self.rows, dtype=np.float64) * self.sensor.read_out.row_s + self.start_s
 
     @property
+    def global_timing(self) -> RowTiming:
+        """Timing without rolling shutter and motion blur: all rows start with the middle one."""
+        starts = self.row_starts_s
+        return RowTiming(np.full(starts.shape, starts[starts.size // 2]))
+
+    @property
     def statistics(self) -> Statistics:
-        """Of the view's light."""
+        """Statistics of the light that the sensor sees."""
         return self.view.statistics
-
-    @cached_property
-    def cosmic(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Samples that cosmic rays hit in this frame, ascending, and their charge."""
-        from sim.effects.charge import draw_hits
-
-        return draw_hits(self)
 
 
 @dataclass(slots=True, eq=False)
 class Tile:
-    """A tile of a frame in the making; `electrons` is changed in place.
+    """Consecutive samples of a frame in the making.
 
-    `start` is its first sample in the frame, `index` its number from 0, `noise` the
-    memory of the thread.
+    Attributes:
+        shot: the exposure
+        values: (samples,) float32, electrons up to `Stage.READING` and DN in `Stage.ADC`; effects
+            change them in place
+        start: number of the first sample in the frame
+        index: number of the tile in the frame
+        noise: generator and working memory of the thread
     """
 
     shot: Shot
-    electrons: Light
+    values: Light
     start: int
     index: int
     noise: TileNoise
 
-    def spread(self, lines: Lines) -> Light:
-        """Return, for each sample of the tile, its row's value plus its column's."""
-        rows, columns = lines
-        width = self.shot.width
-        stop = self.start + self.electrons.size
-        first, last = self.start // width, -(-stop // width)
-        if columns is None:
-            assert rows is not None
-            values = np.repeat(rows[first:last], width)
-        elif rows is None:
-            values = np.broadcast_to(columns, (last - first, width)).reshape(-1)
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """A number for each row plus one for each sample of a row, combined with every sample.
+
+    Attributes:
+        combine: `numpy.add` or `numpy.multiply`
+        rows: (rows,), or None for nothing
+        columns: (width,), or None for nothing; at least one of the two is given
+    """
+
+    combine: np.ufunc
+    rows: Light | None = None
+    columns: Light | None = None
+
+    def apply(self, tile: Tile) -> None:
+        """Combine the numbers of their row and column with the samples of a tile, in place."""
+        width = tile.shot.width
+        stop = tile.start + tile.values.size
+        first, last = tile.start // width, -(-stop // width)
+        if self.columns is None:
+            assert self.rows is not None
+            numbers = np.repeat(self.rows[first:last], width)
+        elif self.rows is None:
+            numbers = np.broadcast_to(self.columns, (last - first, width)).reshape(-1)
         else:
-            values = np.add(rows[first:last, np.newaxis], columns).reshape(-1)
-        return values[self.start - first * width : stop - first * width]
-
-
-def nothing(_: Tile) -> None:
-    """Change nothing: the work of an effect that another part of the renderer does."""
+            numbers = np.add(self.rows[first:last, np.newaxis], self.columns).reshape(-1)
+        here = numbers[tile.start - first * width : stop - first * width]
+        self.combine(tile.values, here, out=tile.values)
 
 
 @dataclass(frozen=True)
 class Effect:
     """One effect.
 
+    `timing`, `picture`, `lines` and `apply` are its work; an effect has one of them, or none if
+    the renderer does its work for every sensor (such as quantisation).
+
     Attributes:
-        name: what a person calls it
-        stage: when it is at work
-        source: where the model comes from, with its units
-        present: whether sensor and scene have it at all
-        change: the bound: most that leaving it out changes
-        cost: nanoseconds a sample, measured on one core; what is dear is left out first
-        apply: the work on a tile, for the stages `MEAN`, `CHARGE` and `READING`
-        lines: what `apply` needs for each row and column, made once a frame
-        picture: the work on the whole picture, for `LENS` and `SAMPLES`
+        name: as users see it
+        stage: when it acts
+        model: the model, where it comes from, and its units
+        present: returns whether sensor and scene have it at all
+        change: returns what leaving it out changes
+        cost: nanoseconds a sample, measured on one core
+        timing: for `Stage.SCENE`, returns the timing as the effect changes it
+        picture: returns the whole picture as the effect changes it, (rows, columns[, 3]): light for
+            `Stage.LENS` and `Stage.SAMPLES`, charge for `Stage.WELL` (in place)
+        lines: returns numbers for rows and columns, computed once a frame and applied to each tile
+        apply: changes a tile in place, from `Stage.MEAN` on
     """
 
     name: str
     stage: Stage
-    source: str
+    model: str
     present: Callable[[Shot], bool]
     change: Callable[[Shot], Change]
     cost: float
-    apply: Callable[[Tile], None] = nothing
-    lines: Callable[[Shot], Lines] | None = None
+    timing: Callable[[RowTiming, Shot], RowTiming] | None = None
     picture: Callable[[Light, Shot], Light] | None = None
-
-
-LARGEST = largest_noise()
+    lines: Callable[[Shot, RowTiming], Lines] | None = None
+    apply: Callable[[Tile], None] | None = None

@@ -1,1 +1,1 @@
-"""What a simulated sensor looks at."""
+"""Scenes for simulated sensors: see `sim.scenes.scene`.  The JSON files are the built-in ones."""

@@ -1,4 +1,4 @@
-"""What changes in a scene while a frame is exposed: lamps on the mains, and a moving target."""
+"""What changes in a scene while a frame is exposed: flickering lamps and a moving target."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ from camctl.errors import DataError
 Light = NDArray[np.float32]
 Window = tuple[NDArray[np.float64], NDArray[np.float64]]
 
-_STANDING_PX = 1e-3  # a target that moves less in an exposure stands still
+_STANDING_PX = 1e-3  # motion during an exposure below which a target is drawn without blur
 
 
 @dataclass(frozen=True)
 class Lamps:
     """Lamps that flicker: light is ``1 + depth cos(2 pi 2 mains t)`` times its mean.
 
-    Lamps on alternating current shine at both half waves: 100 Hz on 50 Hz mains.
+    Lamps on alternating current peak twice a period: 100 times a second on 50 Hz mains.
 
     Attributes:
-        mains_hz: of the mains, 50 or 60
+        mains_hz: frequency of the mains, 50 or 60
         depth: 0 to 1; about 0.1 for a bulb, 0.4 for a sodium lamp, up to 1 for a cheap LED
+
+    Raises:
+        DataError: a frequency or a depth out of range
     """
 
     mains_hz: float
@@ -33,24 +36,24 @@ class Lamps:
     def __post_init__(self) -> None:
         if not (0 < self.mains_hz < 1e6 and 0 <= self.depth <= 1):
             raise DataError(
-                f"lamps at {self.mains_hz:g} Hz with depth {self.depth:g}",
-                hint="mains_hz is 50 or 60, depth is 0 to 1",
+                f"invalid lamps: mains_hz {self.mains_hz:g}, depth {self.depth:g}",
+                hint="expected mains_hz 50 or 60, depth 0 to 1",
             )
 
     @property
     def flicker_hz(self) -> float:
-        """How often a second the light peaks."""
+        """Peaks of the light a second."""
         return 2 * self.mains_hz
 
-    def left(self, time_s: float) -> float:
-        """Return how much of the flicker an exposure of `time_s` does not average out, 0 to 1.
+    def remaining_depth(self, time_s: float) -> float:
+        """Return the depth of the flicker after averaging over an exposure, 0 to 1.
 
         The mean of ``depth cos`` over the exposure is ``depth sinc(f t)`` times a cosine.
         """
         return self.depth * abs(float(np.sinc(self.flicker_hz * time_s)))
 
     def factors(self, starts_s: NDArray[np.float64], time_s: float) -> Light:
-        """Return the light of exposures that start at `starts_s`, 1 on average."""
+        """Return the light in exposures that start at `starts_s`, relative to its mean."""
         middle = 2 * np.pi * np.mod(self.flicker_hz * (starts_s + time_s / 2), 1.0)
         swing = self.depth * np.sinc(self.flicker_hz * time_s)
         return np.asarray(1 + swing * np.cos(middle), dtype=np.float32)
@@ -58,14 +61,14 @@ class Lamps:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A thing that moves along the rows before the scene, and comes in again where it has left.
+    """An object that moves along the rows and comes in again on the other side.
 
     Attributes:
         light: (h, w) or (h, w, 3) irradiance of its surface, in the scene's unit
-        cover: (h, w) from 0 (not there) to 1
-        row: of its first row in the picture
-        column: of its first column at time 0, pixels
-        velocity_px_s: to the right, pixels a second
+        cover: (h, w) from 0 (transparent) to 1 (opaque)
+        row: row of the picture that its first row is on
+        column: position of its first column at time 0, pixels
+        velocity_px_s: pixels a second to the right
     """
 
     light: Light
@@ -76,17 +79,17 @@ class Target:
 
     @cached_property
     def most(self) -> float:
-        """Brightest irradiance."""
+        """Largest irradiance of its surface."""
         return float(self.light.max())
 
     @cached_property
     def slopes(self) -> tuple[float, float]:
-        """Largest change from one column to the next, of light x cover and of cover."""
+        """Largest change from one column to the next: of light x cover, and of cover."""
         cover = self.cover if self.light.ndim == 2 else self.cover[..., np.newaxis]
-        return _steepest(self.light * cover), _steepest(cover)
+        return _largest_step(self.light * cover), _largest_step(cover)
 
     def scaled(self, light: Light) -> Target:
-        """Return the same target with another surface `light`."""
+        """Return the target with the irradiance `light` instead."""
         return Target(light, self.cover, self.row, self.column, self.velocity_px_s)
 
     def draw(
@@ -97,13 +100,14 @@ class Target:
         *,
         is_blurred: bool,
     ) -> None:
-        """Draw it into `planes` (rows, columns[, 3]), in place.
+        """Draw it into a picture, in place.
 
         Args:
-            planes: the scene behind it
-            starts_s: when the exposure of each row of the picture starts
-            time_s: how long it lasts
-            is_blurred: average over the exposure, exactly; else as it is in the middle of it
+            planes: (rows, columns[, 3]), the scene behind it
+            starts_s: (rows,) when the exposure of each row starts
+            time_s: exposure time
+            is_blurred: draw the exact mean over the exposure; otherwise draw it where it is in the
+                middle of the exposure
         """
         rows, columns = planes.shape[:2]
         height, width = self.cover.shape
@@ -124,31 +128,35 @@ class Target:
         here = slice(top - self.row, bottom - self.row)
         x = np.arange(low, high, dtype=np.float64)
         window = (x - first[:, np.newaxis], x - last[:, np.newaxis])
-        cover = _seen(self.cover[here], window)
+        cover = _sampled(self.cover[here], window)
         area = planes[top:bottom, low:high]
         if planes.ndim == 2:
-            lit = _seen(self.light[here] * self.cover[here], window)
+            lit = _sampled(self.light[here] * self.cover[here], window)
             area[...] = lit + (1 - cover) * area
             return
         for channel in range(3):
-            lit = _seen(self.light[here][..., channel] * self.cover[here], window)
+            lit = _sampled(self.light[here][..., channel] * self.cover[here], window)
             area[..., channel] = lit + (1 - cover) * area[..., channel]
 
 
-def _seen(values: Light, window: Window) -> NDArray[np.float64]:
-    """Return the mean of each row between two sets of places, linear between pixels, 0 outside."""
+def _sampled(values: Light, window: Window) -> NDArray[np.float64]:
+    """Return means of each row of `values`, linear between pixels and 0 outside.
+
+    `window` is where each mean starts and ends, both (h, columns), in pixels of `values`.
+    """
     padded = np.pad(values.astype(np.float64), [(0, 0), (1, 2)])
     start, end = (np.clip(places + 1, 0, values.shape[1] + 1) for places in window)
-    # Both windows are as wide everywhere; the clipped ends lie in the padding, which is 0.
+    # All means are over the same length; clipped ends lie in the padding, which is 0.
     travel = window[0] - window[1]
     if np.abs(travel).max() < _STANDING_PX:
-        return _between(padded, (start + end) / 2)
+        return _interpolated(padded, (start + end) / 2)
     below = np.zeros_like(padded)
     np.cumsum((padded[:, 1:] + padded[:, :-1]) / 2, axis=1, out=below[:, 1:])
     return (_integral(padded, below, start) - _integral(padded, below, end)) / travel
 
 
-def _between(padded: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+def _interpolated(padded: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the values of each row at `places`, linear between pixels."""
     cell = places.astype(np.intp)
     part = places - cell
     left, right = (np.take_along_axis(padded, cell + k, axis=1) for k in (0, 1))
@@ -158,6 +166,7 @@ def _between(padded: NDArray[np.float64], places: NDArray[np.float64]) -> NDArra
 def _integral(
     padded: NDArray[np.float64], below: NDArray[np.float64], places: NDArray[np.float64]
 ) -> NDArray[np.float64]:
+    """Return the integral of each row up to `places`; `below` is that up to each pixel."""
     cell = places.astype(np.intp)
     part = places - cell
     left, right = (np.take_along_axis(padded, cell + k, axis=1) for k in (0, 1))
@@ -165,7 +174,7 @@ def _integral(
     return np.asarray(before + part * left + part**2 / 2 * (right - left))
 
 
-def _steepest(values: Light) -> float:
-    """Return the largest change from one column to the next, nothing lying beyond the borders."""
+def _largest_step(values: Light) -> float:
+    """Return the largest change from one column to the next, 0 outside of the borders."""
     sides = [(0, 0), (1, 1), (0, 0)]
     return float(np.abs(np.diff(np.pad(np.atleast_3d(values), sides), axis=1)).max())

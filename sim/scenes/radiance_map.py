@@ -1,4 +1,4 @@
-"""Radiance pictures (.hdr, .pic) in numpy: the RGBE format of Ward's Radiance."""
+"""Reads radiance maps: .hdr and .pic (RGBE, here in numpy), .exr, .tiff and .npy."""
 
 from __future__ import annotations
 
@@ -12,75 +12,111 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError
-from sim.rgbe_repair import repair, was_sent_as_text
+
+Result = TypeVar("Result")
+Shape: TypeAlias = tuple[int, ...]
+Map: TypeAlias = tuple[NDArray[Any], tuple[str, ...]]
+"""A map (RGB order), and notes about what of its file was left out."""
 
 _SIZE = re.compile(rb"([-+])([XY]) +(\d+) +([-+])([XY]) +(\d+)\s*$")
-_HEADER_LINES = 200
-_LINE_BYTES = 4096
-_DAMAGED = "the file is damaged, fetch it again"
+_MOST_HEADER_LINES = 200
+_MOST_LINE_BYTES = 4096
+_FETCH_AGAIN = "the file is damaged, fetch it again"
 
 
 @dataclass(frozen=True)
-class _Header:
+class _FileType:
+    """How files of one type are read: their shape alone, and their pixels."""
+
+    read_shape: Callable[[Path], Shape]
+    read_map: Callable[[Path], Map]
+
+
+def read_shape(path: Path) -> Shape:
+    """Return (rows, columns, ...) of the map in `path` without reading its pixels.
+
+    Raises:
+        DataError: missing, unreadable, or not of the type that its suffix names
+    """
+    return _read(path, _FILE_TYPES[path.suffix.lower()].read_shape)
+
+
+def read_map(path: Path) -> Map:
+    """Return the map in `path` with its own values and data type.
+
+    Raises:
+        DataError: missing, unreadable, or not of the type that its suffix names
+    """
+    return _read(path, _FILE_TYPES[path.suffix.lower()].read_map)
+
+
+def _read(path: Path, read: Callable[[Path], Result]) -> Result:
+    if not path.exists():
+        raise DataError(f"{path}: no such file", hint="give a scene's name or a radiance map")
+    try:
+        return read(path)
+    except DataError:
+        raise
+    except PermissionError as error:
+        raise DataError(f"{path}: no permission to read it") from error
+    # The libraries raise errors of any type for a damaged file.
+    except Exception as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise DataError(
+            f"{path}: cannot be read as {path.suffix} ({reason})", hint=_FETCH_AGAIN
+        ) from error
+
+
+@dataclass(frozen=True)
+class _RgbeHeader:
     pixels_at: int
     rows: int
     columns: int
     is_bottom_up: bool
 
 
-def _header(path: Path) -> _Header:
+def _read_rgbe_header(path: Path) -> _RgbeHeader:
     with path.open("rb") as file:
-        lines = [file.readline(_LINE_BYTES)]
-        # Some writers put lines before the signature; a blank line and the size end the header.
+        # Ward's programs write their command lines into the header, also before the signature.  A
+        # blank line ends the header, and the size follows.
+        lines = [file.readline(_MOST_LINE_BYTES)]
         while lines[-1].strip():
-            if len(lines) > _HEADER_LINES:
-                raise DataError(f"{path}: no end of the Radiance header", hint=_DAMAGED)
-            lines.append(file.readline(_LINE_BYTES))
+            if len(lines) > _MOST_HEADER_LINES:
+                raise DataError(f"{path}: the Radiance header does not end", hint=_FETCH_AGAIN)
+            lines.append(file.readline(_MOST_LINE_BYTES))
         if not any(line.startswith((b"#?RADIANCE", b"#?RGBE")) for line in lines):
             raise DataError(f"{path}: not a Radiance picture", hint="its header lacks #?RADIANCE")
         if any(line.startswith(b"FORMAT=32-bit_rle_xyze") for line in lines):
             raise DataError(f"{path}: colours are XYZ", hint="convert it to RGB with ra_xyze -r")
-        size = _SIZE.match(file.readline(_LINE_BYTES))
+        size = _SIZE.match(file.readline(_MOST_LINE_BYTES))
         if size is None or size[2] != b"Y" or size[5] != b"X" or size[4] != b"+":
-            raise DataError(f"{path}: rows do not run as -Y rows +X columns", hint="flip it first")
-        return _Header(file.tell(), int(size[3]), int(size[6]), size[1] == b"+")
+            raise DataError(
+                f"{path}: invalid Radiance size or orientation",
+                hint="expected -Y rows +X columns: use pflip or protate",
+            )
+        return _RgbeHeader(file.tell(), int(size[3]), int(size[6]), size[1] == b"+")
 
 
-def rgbe_shape(path: Path) -> tuple[int, int, int]:
-    """Return (rows, columns, 3).
-
-    Raises:
-        DataError: not a Radiance picture, or one in XYZ or with columns first
-    """
-    header = _header(path)
+def _rgbe_shape(path: Path) -> Shape:
+    header = _read_rgbe_header(path)
     return header.rows, header.columns, 3
 
 
-def read_rgbe(path: Path) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """Return (rows, columns, 3) float32, linear RGB, and what had to be repaired.
-
-    Raises:
-        DataError: as `rgbe_shape`, or the pixels end too early or are nonsense
-    """
-    header = _header(path)
+def _rgbe(path: Path) -> Map:
+    header = _read_rgbe_header(path)
     data = path.read_bytes()[header.pixels_at :]
-    notes: tuple[str, ...] = ()
-    if was_sent_as_text(data) and (whole := repair(data, header.rows, header.columns)):
-        data = whole
-        notes = (
-            f"{path.name} was damaged by a transfer as text: its bytes 10 and 13 were told apart"
-            " by the run lengths; dark channels can be a few percent of the brightest one off",
-        )
     rgbe = np.empty((header.rows, 4, header.columns), dtype=np.uint8)
     position = 0
     for row in range(header.rows):
         try:
-            position = _read_row(data, position, rgbe[row])
+            position = _read_rgbe_row(data, position, rgbe[row])
         except IndexError as error:
-            raise DataError(f"{path}: ends in row {row} of {header.rows}", hint=_DAMAGED) from error
+            raise DataError(
+                f"{path}: the data ends in row {row} of {header.rows}", hint=_FETCH_AGAIN
+            ) from error
         except ValueError as error:
             raise DataError(
-                f"{path}: row {row} of {header.rows} is nonsense", hint=_DAMAGED
+                f"{path}: row {row} of {header.rows} has invalid run lengths", hint=_FETCH_AGAIN
             ) from error
     if header.is_bottom_up:
         rgbe = rgbe[::-1]
@@ -91,11 +127,16 @@ def read_rgbe(path: Path) -> tuple[NDArray[np.float32], tuple[str, ...]]:
     picture = np.empty((header.rows, header.columns, 3), dtype=np.float32)
     for channel in range(3):
         np.multiply(rgbe[:, channel, :] + np.float32(0.5), scale, out=picture[..., channel])
-    return picture, notes
+    return picture, ()
 
 
-def _read_row(data: bytes, position: int, row: NDArray[np.uint8]) -> int:
-    """Read one scan line into `row` (4, columns); return where the next one starts."""
+def _read_rgbe_row(data: bytes, position: int, row: NDArray[np.uint8]) -> int:
+    """Read one scan line into `row` (4, columns); return where the next one starts.
+
+    Raises:
+        IndexError: the data ends within the scan line
+        ValueError: the run lengths do not fit the scan line
+    """
     columns = int(row.shape[1])
     start = data[position : position + 4]
     if len(start) < 4:
@@ -129,50 +170,6 @@ def _read_row(data: bytes, position: int, row: NDArray[np.uint8]) -> int:
     return position
 
 
-Result = TypeVar("Result")
-Shape: TypeAlias = tuple[int, ...]
-Map: TypeAlias = tuple[NDArray[Any], tuple[str, ...]]
-
-
-@dataclass(frozen=True)
-class _Kind:
-    """How one kind of file is read: its size alone, and its pixels with notes."""
-
-    shape: Callable[[Path], Shape]
-    pixels: Callable[[Path], Map]
-
-
-def read_shape(path: Path) -> Shape:
-    """Return the size of the map in `path` without reading its pixels; raises `DataError`."""
-    return _reading(path, _KINDS[path.suffix.lower()].shape)
-
-
-def read_map(path: Path) -> Map:
-    """Return the map in `path` as it stands there (RGB order), and what had to be repaired.
-
-    Raises:
-        DataError: missing, unreadable, or not what its name says
-    """
-    return _reading(path, _KINDS[path.suffix.lower()].pixels)
-
-
-def _reading(path: Path, read: Callable[[Path], Result]) -> Result:
-    if not path.exists():
-        raise DataError(f"{path}: no such file", hint="give a scene's name or a radiance map")
-    try:
-        return read(path)
-    except DataError:
-        raise
-    except PermissionError as error:
-        raise DataError(f"{path}: no permission to read it") from error
-    # Readers of foreign files raise whatever a damaged one leads them to.
-    except Exception as error:
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise DataError(
-            f"{path}: cannot be read as {path.suffix} ({reason})", hint="is it damaged?"
-        ) from error
-
-
 def _npy_shape(path: Path) -> Shape:
     return tuple(np.load(path, mmap_mode="r", allow_pickle=False).shape)
 
@@ -196,9 +193,9 @@ def _tiff(path: Path) -> Map:
         values = np.asarray(series.asarray())
         axes = series.axes
     if values.ndim == 3 and axes[0] in "SC" and values.shape[0] in (1, 3):
-        values = np.moveaxis(values, 0, -1)  # planes one after another
+        values = np.moveaxis(values, 0, -1)  # stored as separate planes
     if values.ndim == 3 and values.shape[2] == 4:
-        return values[..., :3], ("the fourth channel was taken for opacity and left out",)
+        return values[..., :3], ("the fourth channel was taken as opacity and ignored",)
     return values, ()
 
 
@@ -218,21 +215,22 @@ def _exr(path: Path) -> Map:
     if all(name in channels for name in "RGB"):
         return np.stack([channels[name] for name in "RGB"], axis=-1), ()
     if "Y" in channels:
-        notes = ("only its luminance was read",) if "RY" in channels else ()
+        notes = ("only luminance was read, colour was ignored",) if "RY" in channels else ()
         return np.asarray(channels["Y"]), notes
     if len(channels) == 1:
         return np.asarray(next(iter(channels.values()))), ()
     raise DataError(
-        f"{path}: its channels are {', '.join(sorted(channels))}", hint="R, G and B or Y are needed"
+        f"{path}: no colour or luminance among channels {', '.join(sorted(channels))}",
+        hint="R, G and B, or Y, or a single channel are needed",
     )
 
 
-_KINDS = {
-    ".hdr": _Kind(rgbe_shape, read_rgbe),
-    ".pic": _Kind(rgbe_shape, read_rgbe),
-    ".exr": _Kind(_exr_shape, _exr),
-    ".tif": _Kind(_tiff_shape, _tiff),
-    ".tiff": _Kind(_tiff_shape, _tiff),
-    ".npy": _Kind(_npy_shape, _npy),
+_FILE_TYPES = {
+    ".hdr": _FileType(_rgbe_shape, _rgbe),
+    ".pic": _FileType(_rgbe_shape, _rgbe),
+    ".exr": _FileType(_exr_shape, _exr),
+    ".tif": _FileType(_tiff_shape, _tiff),
+    ".tiff": _FileType(_tiff_shape, _tiff),
+    ".npy": _FileType(_npy_shape, _npy),
 }
-SUFFIXES = tuple(_KINDS)
+SUFFIXES = tuple(_FILE_TYPES)

@@ -1,22 +1,30 @@
-"""What a simulated sensor looks at: an array of irradiance, built in or from a file."""
+"""A scene in front of a simulated sensor: built in, from a scene file, or from a radiance map."""
 
 from __future__ import annotations
 
 import math
 import os
 from dataclasses import dataclass
-from functools import cached_property
-from importlib import resources
 from pathlib import Path
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from camctl.errors import DataError, UsageError, unknown_name
-from sim.scenes.drawings import DRAWINGS
+from sim.data_files import (
+    FileModel,
+    PictureShape,
+    Positive,
+    Share,
+    built_in_files,
+    read_file,
+    read_text,
+)
+from sim.scenes.drawings import DRAWINGS, wheel
 from sim.scenes.motion import Lamps, Target
 from sim.scenes.radiance_map import SUFFIXES, read_map, read_shape
-from sim.scenes.scene_file import SceneFile, open_scene_file, read_scene_file
 
 DEFAULT_SCENE = "tile-floor"
 PHOTONS = "photons per pixel per second"
@@ -24,30 +32,31 @@ RELATIVE = "arbitrary units"
 LUMINANCE = "candela per square metre"
 
 HIGHLIGHT_PHOTONS_S = 1e6
-"""Photons a pixel a second that a relative map's highlight is looked at with, and that the
-brightest diffuse part of a built-in scene has: about 20 ms to fill the standard sensor."""
+"""Photons a pixel a second that the highlight of a radiance map gets, and that the brightest
+diffuse part of most built-in scenes has: they fill the standard sensor in about 20 ms."""
 
-_HIGHLIGHT_SHARE = 0.999
-_DRAWING_BYTES = 112  # a pixel, scene and working arrays together, in the most costly one
-_READING_BYTES = 48
+_HIGHLIGHT_QUANTILE = 0.999  # of a map's positive irradiance
+_DRAWING_BYTES_PER_PIXEL = 112  # scene and working arrays together, for the most costly drawing
+_READING_BYTES_PER_PIXEL = 48
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Irradiance on the sensor plane, one value a pixel and channel.
+    """Irradiance on the sensor plane, one value for each pixel and channel.
 
     Attributes:
-        name: what a person calls it
+        name: of the scene
         irradiance: (rows, columns) or (rows, columns, 3) linear RGB, float32, finite, >= 0
         unit: `PHOTONS` or `LUMINANCE` for an absolute scene, `RELATIVE` for a radiance map
-        photons_per_unit: photons a pixel a second for one unit of irradiance; for `LUMINANCE`
-            times what lens and pixel make of one candela (`Sensor.photons_per_candela`)
-        notes: what had to be repaired in a file, one line each
-        lamps: what lights it, where that flickers
-        target: what moves before it
+        photons_per_unit: photons a pixel a second for one unit of irradiance; if the unit is
+            `LUMINANCE`, `Sensor.photons_per_candela` multiplies it
+        notes: about the file that it was read from, one line each
+        lamps: lamps that flicker, if any
+        target: a moving target, if any
 
     Raises:
-        DataError: NaN, infinite or negative irradiance, wrong dimensions, or nothing in it
+        DataError: irradiance that is NaN, infinite, negative, zero everywhere or empty, or has a
+            wrong shape; an invalid `photons_per_unit`
     """
 
     name: str
@@ -62,7 +71,8 @@ class Scene:
         object.__setattr__(self, "irradiance", _checked(self.name, np.asarray(self.irradiance)))
         if not (math.isfinite(self.photons_per_unit) and self.photons_per_unit > 0):
             raise DataError(
-                f"{self.name}: {self.photons_per_unit} photons for a unit of irradiance"
+                f"scene {self.name}: invalid photons_per_unit {self.photons_per_unit}",
+                hint="expected a finite number above 0",
             )
 
     @property
@@ -75,72 +85,129 @@ class Scene:
         """Whether it has three channels."""
         return self.irradiance.ndim == 3
 
-    @cached_property
-    def dynamic_range(self) -> float:
-        """Largest over smallest positive irradiance."""
-        positive = self.irradiance[self.irradiance > 0]
-        return float(positive.max()) / float(positive.min())
-
 
 def _checked(name: str, values: NDArray[np.generic]) -> NDArray[np.float32]:
+    """Return irradiance as `Scene` has it; raises `DataError`."""
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
     if values.ndim not in (2, 3) or (values.ndim == 3 and values.shape[2] != 3):
-        size = " x ".join(map(str, values.shape)) or "a single number"
         raise DataError(
-            f"scene {name}: its array is {size}",
-            hint="a scene is (rows, columns) or (rows, columns, 3)",
+            f"scene {name}: invalid array shape {values.shape}",
+            hint="expected (rows, columns) or (rows, columns, 3)",
         )
     if values.dtype.kind not in "fiub":
-        raise DataError(f"scene {name}: holds {values.dtype}, not numbers")
+        raise DataError(
+            f"scene {name}: invalid data type {values.dtype}", hint="expected real numbers"
+        )
     if values.size == 0:
-        raise DataError(f"scene {name}: there is nothing in it", hint="it has no pixels")
+        raise DataError(f"scene {name}: the picture has no pixels", hint="check the file")
     with np.errstate(over="ignore"):
         light = np.ascontiguousarray(values, dtype=np.float32)
-    # One pass each over the extremes decides; counting is only for the message.
+    # The extremes decide; bad pixels are only counted for the message.
     least, most = float(light.min()), float(light.max())
     if not (math.isfinite(least) and math.isfinite(most)):
-        bad = ~np.isfinite(light)
-        kinds = "NaN" if np.isnan(light).any() else "infinite"
+        kinds = "NaN or infinite" if np.isnan(light).any() else "infinite or beyond float32"
         raise DataError(
-            f"scene {name}: {_pixels(bad)} {kinds} or beyond float32"
-            if kinds == "infinite"
-            else f"scene {name}: {_pixels(bad)} NaN or infinite",
+            f"scene {name}: {_count(~np.isfinite(light))} {kinds}",
             hint="replace them, for instance with numpy.nan_to_num",
         )
     if least < 0:
         raise DataError(
-            f"scene {name}: {_pixels(light < 0)} negative (down to {least:.3g})",
-            hint="light is never negative: clip the map at 0 or check its black level",
+            f"scene {name}: {_count(light < 0)} negative (down to {least:.3g})",
+            hint="irradiance is never negative: clip the map at 0 or check its black level",
         )
     if most == 0:
-        raise DataError(f"scene {name}: there is nothing in it", hint="all its pixels are 0")
+        raise DataError(f"scene {name}: all pixels are 0", hint="a scene needs some light")
     return light
 
 
-def _pixels(bad: NDArray[np.bool_]) -> str:
+def _count(bad: NDArray[np.bool_]) -> str:
+    """Return "2 of 5 pixels are" for a mask (rows, columns[, 3])."""
     flags = bad.any(axis=2) if bad.ndim == 3 else bad
     count = int(flags.sum())
     return f"{count} of {flags.size} pixels {'is' if count == 1 else 'are'}"
 
 
-def _built_in() -> dict[str, str]:
-    folder = resources.files("sim") / "scenes"
-    return {
-        item.name.removesuffix(".json"): item.read_text(encoding="utf-8")
-        for item in folder.iterdir()
-        if item.name.endswith(".json")
-    }
+class LampsFile(FileModel):
+    """Flickering lamps in a scene file; see `sim.scenes.motion.Lamps`."""
+
+    mains_hz: Annotated[float, Field(gt=0, le=1000)]
+    depth: Share
+
+    def lamps(self) -> Lamps:
+        """Return the lamps."""
+        return Lamps(self.mains_hz, self.depth)
+
+
+class TargetFile(FileModel):
+    """A moving target in a scene file: a wheel of black and white sectors.
+
+    Attributes:
+        size: its diameter, share of the picture's height
+        top, left: its position at time 0, shares of height and width
+        crossing_s: seconds for one width of the picture; negative moves to the left
+        brightness: of its white, in units of the brightest diffuse part of the scene
+    """
+
+    size: Annotated[float, Field(gt=0, le=1)] = 0.4
+    top: Annotated[float, Field(ge=-1, le=1)] = 0.3
+    left: Annotated[float, Field(ge=-1, le=1)] = 0.1
+    crossing_s: Annotated[float, Field(allow_inf_nan=False)] = 2.0
+    brightness: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _check_speed(self) -> Self:
+        if abs(self.crossing_s) < 1e-3:
+            raise ValueError("crossing_s is less than a millisecond")
+        return self
+
+    def target(self, rows: int, columns: int) -> Target:
+        """Return the target for a picture of that size."""
+        light, cover = wheel(max(2, round(self.size * rows)))
+        return Target(
+            light * light.dtype.type(self.brightness),
+            cover,
+            round(self.top * rows),
+            self.left * columns,
+            columns / self.crossing_s,
+        )
+
+
+class SceneFile(FileModel):
+    """A scene file; the built-in scenes are such files.
+
+    Attributes:
+        name: of the scene
+        what: one line about it
+        picture: the name of a drawing, or a radiance map beside this file
+        photons_s: photons a pixel a second of the brightest diffuse part (irradiance 1 of a
+            drawing, the highlight of a map)
+        luminance_cd_m2: the luminance of that part instead; lens and pixel of the sensor determine
+            how many photons that is
+        shape: (rows, columns) that a drawing has unless a size is requested
+        lamps: lamps that flicker, if any
+        target: a moving target, if any
+    """
+
+    name: str
+    what: str = ""
+    picture: str
+    photons_s: Positive | None = None
+    luminance_cd_m2: Positive | None = None
+    shape: PictureShape | None = None
+    lamps: LampsFile | None = None
+    target: TargetFile | None = None
+
+    @model_validator(mode="after")
+    def _check_unit(self) -> Self:
+        if (self.photons_s is None) == (self.luminance_cd_m2 is None):
+            raise ValueError("give either photons_s or luminance_cd_m2")
+        return self
 
 
 def scene_names() -> tuple[str, ...]:
     """Return the names of the built-in scenes."""
-    return tuple(sorted(_built_in()))
-
-
-def is_map(name_or_path: str | Path) -> bool:
-    """Return whether that names a radiance map rather than a scene."""
-    return Path(name_or_path).suffix.lower() in SUFFIXES
+    return tuple(sorted(built_in_files("scenes")))
 
 
 def load_scene(
@@ -151,29 +218,37 @@ def load_scene(
 ) -> Scene:
     """Return a built-in scene, one from a scene file (.json), or a radiance map.
 
-    `shape` is the size (rows, columns) that a drawn scene is drawn at; without it, the file's own
-    size or else `usual`.  What is read from a radiance map has a size of its own.
+    Args:
+        name_or_path: a name in `scene_names`, or a file
+        shape: (rows, columns) of a drawn scene; a radiance map has its own size
+        usual: (rows, columns) of a drawn scene where neither `shape` nor the scene file sets it
 
     Raises:
-        UsageError: no scene of that name; a size is asked of a radiance map
-        DataError: a file that is missing, unreadable, or no light (see `Scene`); too large
+        UsageError: no scene of that name; `shape` is given for a radiance map or is not positive
+        DataError: a file that is missing, unreadable or too large, or has invalid irradiance
     """
     name = str(name_or_path)
     path = Path(name)
-    if is_map(path):
+    if _is_map(path):
         return _from_map(path, shape)
     if path.suffix.lower() == ".json":
-        return _described(open_scene_file(path), path.parent, shape, usual, source=name)
-    built_in = _built_in()
+        file = read_file(SceneFile, path)
+        return _from_file(file, path.parent, shape, usual, source=name)
+    built_in = built_in_files("scenes")
     if name not in built_in:
         if path.suffix and path.exists():
             known = ", ".join((*SUFFIXES, ".json"))
-            raise DataError(f"{path}: not a kind of radiance map", hint=f"known: {known}")
+            raise DataError(f"{path}: unknown file type {path.suffix}", hint=f"known: {known}")
         raise unknown_name("scene", name, built_in)
-    return _described(read_scene_file(built_in[name], source=name), None, shape, usual, source=name)
+    file = read_text(SceneFile, built_in[name], source=name)
+    return _from_file(file, None, shape, usual, source=name)
 
 
-def _described(
+def _is_map(path: str | Path) -> bool:
+    return Path(path).suffix.lower() in SUFFIXES
+
+
+def _from_file(
     file: SceneFile,
     folder: Path | None,
     shape: tuple[int, int] | None,
@@ -181,23 +256,22 @@ def _described(
     *,
     source: str,
 ) -> Scene:
-    """Return the scene of a scene file; maps are looked for in `folder`."""
+    """Return the scene of a scene file whose radiance map, if it has one, lies in `folder`."""
     unit = PHOTONS if file.luminance_cd_m2 is None else LUMINANCE
     brightest = file.photons_s or file.luminance_cd_m2 or 1.0
     notes: tuple[str, ...] = ()
-    if folder is not None and is_map(file.picture):
+    if folder is not None and _is_map(file.picture):
         map_ = _from_map(folder / file.picture, shape)
         light, notes = map_.irradiance, map_.notes
         light = light * np.float32(map_.photons_per_unit / HIGHLIGHT_PHOTONS_S)
     elif file.picture in DRAWINGS:
         rows, columns = shape or file.shape or usual
         if rows < 1 or columns < 1:
-            raise UsageError(f"a scene of {columns}x{rows} pixels", hint="both must be 1 or more")
-        _check_memory(source, (rows, columns), _DRAWING_BYTES)
+            raise UsageError(f"invalid scene size {columns}x{rows}", hint="both must be 1 or more")
+        _check_memory(source, (rows, columns), _DRAWING_BYTES_PER_PIXEL)
         light = DRAWINGS[file.picture](rows, columns)
     else:
-        near = str(unknown_name("picture", file.picture, DRAWINGS))
-        raise DataError(f"{source}: picture: {near}")
+        raise DataError(f"{source}: picture: {unknown_name('drawing', file.picture, DRAWINGS)}")
     light *= np.float32(brightest)
     target = None
     if file.target is not None:
@@ -209,34 +283,33 @@ def _described(
 
 def _from_map(path: Path, shape: tuple[int, int] | None) -> Scene:
     if shape is not None:
-        raise UsageError(f"{path}: a file has a size of its own", hint="leave the size out")
-    _check_memory(str(path), read_shape(path), _READING_BYTES)
+        raise UsageError(f"{path}: a radiance map has its own size", hint="leave the size out")
+    _check_memory(str(path), read_shape(path), _READING_BYTES_PER_PIXEL)
     values, notes = read_map(path)
     light = _checked(str(path), values)
     channel = light if light.ndim == 2 else light.max(axis=2)
-    positive = channel[channel > 0]
-    highlight = float(np.quantile(positive, _HIGHLIGHT_SHARE))
+    highlight = float(np.quantile(channel[channel > 0], _HIGHLIGHT_QUANTILE))
     return Scene(path.name, light, RELATIVE, HIGHLIGHT_PHOTONS_S / highlight, notes)
 
 
-def _check_memory(name: str, shape: tuple[int, ...], bytes_a_pixel: int) -> None:
-    needed = math.prod(shape[:2]) * bytes_a_pixel
-    available = _memory_there()
+def _check_memory(name: str, shape: tuple[int, ...], bytes_per_pixel: int) -> None:
+    needed = math.prod(shape[:2]) * bytes_per_pixel
+    available = _available_bytes()
     if needed > available:
         size = " x ".join(str(n) for n in reversed(shape[:2]))
         raise DataError(
-            f"scene {name}: {size} pixels need about {needed / 2**30:.1f} GiB,"
-            f" {available / 2**30:.1f} GiB are there",
-            hint="ask for a smaller size",
+            f"scene {name}: {size} pixels need about {needed / 2**30:.1f} GiB of memory,"
+            f" but {available / 2**30:.1f} GiB are available",
+            hint="request a smaller size",
         )
 
 
-def _memory_there() -> float:
-    """Return bytes of memory that can be had; infinite where the system does not say."""
+def _available_bytes() -> float:
+    """Return how much memory is available; infinite if the system does not report it."""
     try:
         page = os.sysconf("SC_PAGE_SIZE")
         free, total = os.sysconf("SC_AVPHYS_PAGES"), os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return math.inf
-    # Free pages leave out what the system would give back from its file cache.
+    # Free pages do not count the file cache, which the system would release.
     return float(page * max(free, total // 2))

@@ -1,4 +1,4 @@
-"""The light that a sensor sees of a scene, and the few numbers that say what it can do there."""
+"""The light that a sensor sees of a scene, and the statistics of it that bounds need."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from sim.sensors.sensor import Sensor
 
 Light = NDArray[np.float32]
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)  # ITU-R BT.709
+_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)  # ITU-R BT.709
 _CHANNEL = {"r": 0, "g": 1, "b": 2}
-_BLINDING = np.float32(1e25)  # photons a second: saturates any exposure, overflows none
-_BAND = 256  # rows at a time, so that statistics need little memory
-_ROUNDED = 2.0**-20
+_MOST_PHOTONS_S = np.float32(1e25)  # saturates every exposure, and products stay within float32
+_BAND_ROWS = 256  # taken at a time, so that statistics need little memory
+_ROUNDING_SHARE = 2.0**-20  # more than the rounding of differences and products in float32
 
 
 def sample(planes: Light, layout: Layout) -> Light:
-    """Return what a sensor's samples see of planes: a mosaic takes one colour a pixel."""
+    """Return what the samples of a sensor see of a picture: in a mosaic one colour a pixel."""
     if planes.ndim == 2 or not layout.is_mosaic:
         return planes
     mosaic = np.empty(planes.shape[:2], dtype=np.float32)
@@ -33,52 +33,42 @@ def sample(planes: Light, layout: Layout) -> Light:
     return mosaic
 
 
-def light_on(scene: Scene, layout: Layout, *, sensor: Sensor | None = None) -> Light:
-    """Return photons a second on each sample of a sensor: (rows, columns) or (rows, columns, 3).
-
-    Mono sees luminance (Rec. 709), a mosaic one channel a pixel, RGB all three; a grey scene is the
-    same in each.  `sensor` matters for its spectrum, and for a scene in candela.
-    """
-    light = _in_sensors_colours(scene.irradiance, layout, sensor)
-    light = sample(light, layout)
-    if light.ndim == 2 and layout is Layout.RGB:
-        light = np.repeat(light[..., np.newaxis], 3, axis=2)
-    return _photons(light, photons_per_unit(scene, sensor))
-
-
-def photons_per_unit(scene: Scene, sensor: Sensor | None) -> float:
+def photons_per_unit(scene: Scene, sensor: Sensor) -> float:
     """Return photons a pixel a second for one unit of the scene's irradiance."""
-    if scene.unit == LUMINANCE and sensor is not None:
+    if scene.unit == LUMINANCE:
         return scene.photons_per_unit * sensor.photons_per_candela
     return scene.photons_per_unit
 
 
-def _in_sensors_colours(light: Light, layout: Layout, sensor: Sensor | None) -> Light:
+def _sensor_colours(light: Light, layout: Layout, sensor: Sensor) -> Light:
+    """Return light as the sensor's colours see it: luminance if mono, else by its spectrum."""
     if light.ndim == 2:
         return light
     if layout is Layout.MONO:
-        return np.asarray(light @ _LUMINANCE)
-    if sensor is not None and sensor.spectrum is not None:
+        return np.asarray(light @ _LUMINANCE_WEIGHTS)
+    if sensor.spectrum is not None:
         return np.asarray(light @ np.array(sensor.spectrum, dtype=np.float32).T)
     return light
 
 
-def _photons(light: Light, scale: float) -> Light:
-    if scale > float(_BLINDING):  # a map in units so large that the scale itself is beyond float32
-        return np.minimum(light * np.float64(scale), float(_BLINDING)).astype(np.float32)
+def _photons_s(light: Light, scale: float) -> Light:
+    """Return ``light * scale``, limited to what no float32 overflows with."""
+    if scale > float(_MOST_PHOTONS_S):  # may be beyond float32 itself
+        product = light * np.float64(scale)
+        return np.minimum(product, float(_MOST_PHOTONS_S)).astype(np.float32)
     with np.errstate(over="ignore"):
         photons = np.ascontiguousarray(light * np.float32(scale))
-    return np.minimum(photons, _BLINDING, out=photons)
+    return np.minimum(photons, _MOST_PHOTONS_S, out=photons)
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """What bounds need to know of a scene, in photons a sample a second.
+    """Statistics of a scene's light, in photons a sample a second.
 
     Attributes:
-        least, most: of all the light, a moving target's included
+        least, most: of all light, that of a moving target included
         bend: largest second difference along rows plus that along columns, borders mirrored
-        drift: most that light changes where the target moves by one pixel; 0 without one
+        drift: largest change of light if the target moves by one pixel; 0 without a target
         speed_px_s: of the target
         height: rows of the picture
         is_mosaic: neighbouring samples see different colours
@@ -98,76 +88,84 @@ class View:
     """A scene as one sensor sees it.
 
     Attributes:
-        light: photons a second on each sample, what stands still of the scene
-        layout: of the samples
-        behind: the scene and the sensor; None where there is nothing but `light`
+        light: photons a second on each sample, without a moving target: (rows, columns), or
+            (rows, columns, 3) for the layout RGB
+        layout: pixel layout of the samples
+        source: the scene and the sensor; None if there is nothing but `light`
     """
 
     light: Light
     layout: Layout = Layout.MONO
-    behind: tuple[Scene, Sensor] | None = None
+    source: tuple[Scene, Sensor] | None = None
 
     @classmethod
     def of(cls, scene: Scene, sensor: Sensor) -> View:
-        """Return the view of `sensor` before `scene`."""
+        """Return the view of `sensor` in front of `scene`.
+
+        A mono sensor sees luminance (Rec. 709), a mosaic one channel a pixel, RGB all three; a grey
+        scene is the same in each.
+        """
         layout = sensor.layout_for(scene.is_coloured)
-        return cls(light_on(scene, layout, sensor=sensor), layout, (scene, sensor))
+        light = sample(_sensor_colours(scene.irradiance, layout, sensor), layout)
+        if light.ndim == 2 and layout is Layout.RGB:
+            light = np.repeat(light[..., np.newaxis], 3, axis=2)
+        light = _photons_s(light, photons_per_unit(scene, sensor))
+        return cls(light, layout, (scene, sensor))
 
     @property
     def lamps(self) -> Lamps | None:
-        """The scene's lamps, where they flicker."""
-        return self.behind[0].lamps if self.behind else None
+        """The scene's flickering lamps, if any."""
+        return self.source[0].lamps if self.source else None
 
     def planes(self) -> Light:
-        """Return the light before the colour mosaic: not to be changed."""
-        if self.behind and self.layout.is_mosaic and self.behind[0].is_coloured:
-            scene, sensor = self.behind
-            light = _in_sensors_colours(scene.irradiance, self.layout, sensor)
-            return _photons(light, photons_per_unit(scene, sensor))
+        """Return the light in front of the colour mosaic, (rows, columns[, 3]); do not write."""
+        if self.source and self.layout.is_mosaic and self.source[0].is_coloured:
+            scene, sensor = self.source
+            light = _sensor_colours(scene.irradiance, self.layout, sensor)
+            return _photons_s(light, photons_per_unit(scene, sensor))
         return self.light if self.light.ndim > 1 else self.light[np.newaxis]
 
     @cached_property
     def target(self) -> Target | None:
-        """What moves before the scene, in photons a second."""
-        if self.behind is None or self.behind[0].target is None:
+        """The scene's moving target, if any, in photons a second."""
+        if self.source is None or self.source[0].target is None:
             return None
-        scene, sensor = self.behind
-        target, planes = self.behind[0].target, self.planes()
-        light = _in_sensors_colours(target.light, self.layout, sensor)
+        scene, sensor = self.source
+        target, planes = self.source[0].target, self.planes()
+        light = _sensor_colours(target.light, self.layout, sensor)
         if planes.ndim == 2 and light.ndim == 3:
-            light = np.asarray(light @ _LUMINANCE)
+            light = np.asarray(light @ _LUMINANCE_WEIGHTS)
         if planes.ndim == 3 and light.ndim == 2:
             light = np.repeat(light[..., np.newaxis], 3, axis=2)
-        return target.scaled(_photons(light, photons_per_unit(scene, sensor)))
+        return target.scaled(_photons_s(light, photons_per_unit(scene, sensor)))
 
     @cached_property
     def statistics(self) -> Statistics:
-        """The scene's statistics; one pass over its light, once."""
+        """Statistics of the light, computed once."""
         planes = self.planes()
         least, most = float(planes.min()), float(planes.max())
-        bend = _bend(planes)
+        bend = _largest_bend(planes)
         target = self.target
         drift = speed = 0.0
         if target is not None:
             lit, covered = target.slopes
             drift, speed = lit + covered * most, abs(target.velocity_px_s)
             least, most = min(least, float(target.light.min())), max(most, target.most)
-            # Of a shape that is sheared by its motion nothing better is known.
+            # A target that is sheared by its motion has no smaller limit that is certain.
             bend = 4 * (most - least)
-        rows = planes.shape[0]
+        # Upwards by the rounding of the statistics themselves: they must not be too small.
+        bend = bend * (1 + _ROUNDING_SHARE) + 8 * _ROUNDING_SHARE * most
+        drift *= 1 + _ROUNDING_SHARE
         mosaic = self.layout.is_mosaic and planes.ndim == 3
-        # The numbers themselves are rounded; they must not be too small.
-        bend = bend * (1 + _ROUNDED) + 8 * _ROUNDED * most if bend else 8 * _ROUNDED * most
-        drift *= 1 + _ROUNDED
-        return Statistics(least, most, bend, drift, speed, rows, mosaic)
+        return Statistics(least, most, bend, drift, speed, planes.shape[0], mosaic)
 
 
-def _bend(planes: Light) -> float:
+def _largest_bend(planes: Light) -> float:
     """Return the largest |second difference| along rows plus along columns, borders mirrored."""
     along = across = 0.0
     rows = planes.shape[0]
-    for top in range(0, rows, _BAND):
-        band = planes[max(0, top - 1) : min(rows, top + _BAND + 1)]
+    for top in range(0, rows, _BAND_ROWS):
+        band = planes[max(0, top - 1) : min(rows, top + _BAND_ROWS + 1)]
         slope = np.diff(band, axis=1)
         if slope.size:
             ends = max(_largest(slope[:, 0]), _largest(slope[:, -1]))
@@ -177,12 +175,13 @@ def _bend(planes: Light) -> float:
             across = max(across, _largest(np.diff(slope, axis=0)))
             if top == 0:
                 across = max(across, _largest(slope[0]))
-            if top + _BAND >= rows:
+            if top + _BAND_ROWS >= rows:
                 across = max(across, _largest(slope[-1]))
     return along + across
 
 
 def _largest(values: Light) -> float:
+    """Return the largest absolute value; 0 without values."""
     if values.size == 0:
         return 0.0
     return float(max(values.max(), -values.min()))

@@ -1,1 +1,1 @@
-"""What a simulated sensor is."""
+"""Simulated sensors: see `sim.sensors.sensor`.  The JSON files here are the built-in ones."""

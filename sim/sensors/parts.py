@@ -1,69 +1,27 @@
-"""Parts of a sensor that a plain one does not have: lens, dark signal, pixels, read-out.
+"""Parts of a sensor beside its pixels' charge: lens, dark signal, pixel differences, reading.
 
-Every parameter that is left out, 0 or None means that its effect is absent.
+The effect of a parameter that is left out or 0 is absent.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Annotated, Self
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-_BINS = 1 << 14
+from sim.data_files import FileModel, NotNegative, Positive, Share
 
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """Levels of a non-linear response, found by a bin and then by comparing: exact and fast."""
-
-    levels_below: NDArray[np.uint16]
-    next_level: NDArray[np.float32]
-    most_in_bin: int
-
-    @classmethod
-    def of(cls, levels: NDArray[np.float64]) -> Curve:
-        """Return the curve of `levels`, (M,) irradiances in ascending order."""
-        edges = np.arange(_BINS + 1) / _BINS
-        # float32 levels here and float32 irradiance there: one rounding decides on both sides.
-        rounded = levels.astype(np.float32)
-        below = np.searchsorted(rounded, edges.astype(np.float32), side="right")
-        ahead = np.append(rounded, np.float32(np.inf))
-        return cls(below[:-1].astype(np.uint16), ahead, int(np.diff(below).max()))
-
-    def brightness(self, irradiance: NDArray[np.float32]) -> NDArray[np.uint16]:
-        """Return how many levels are <= each irradiance (clipped to 0..1)."""
-        inside = np.clip(irradiance, 0, np.float32(1))
-        place = np.minimum((inside * np.float32(_BINS)).astype(np.intp), _BINS - 1)
-        count = self.levels_below[place]
-        for _ in range(self.most_in_bin):
-            count += inside >= self.next_level[count]
-        return count
+_MOST_DOUBLINGS = 100.0  # of a dark rate between two temperatures: 2^100 stays finite
 
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, le=1)]
-
-_PHOTONS_PER_LUX_S_UM2 = 4091.0
-"""Photons of 555 nm a second and square micrometre in one lux: 1 lx = 1/683 W/m^2 there, over
-h c / wavelength = 3.579e-19 J, times 1e-12 m^2."""
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Lens(_Part):
-    """What the light goes through before it is a photon in a pixel.
+class Lens(FileModel):
+    """What changes the light in front of the sensor.
 
     Attributes:
         f_number, transmission: illuminance on the sensor is ``pi L T / (4 N^2)`` for luminance L
-        vignetting: share of the light that the far corner loses; falls with the square of the
-            distance from the middle (the first term of cos^4)
+        vignetting: share of the light that the corner farthest from the middle loses; the loss
+            grows with the square of the distance (the first term of cos^4)
         glare: share of the light that is scattered widely, as in ISO 9358's veiling glare index
         glare_width: standard deviation of that scatter, share of the picture's longer side
         blur_px: standard deviation of the point spread, pixels
@@ -77,16 +35,17 @@ class Lens(_Part):
     blur_px: Annotated[float, Field(ge=0, le=8)] = 0.0
 
 
-class Dark(_Part):
+class Dark(FileModel):
     """Charge that comes without light.
 
     Attributes:
         current_e_s: electrons a pixel a second at `reference_c`
         temperature_c: of the sensor, degrees Celsius
-        reference_c: where the rates below were measured
-        doubling_k: the current doubles every so many kelvin (about 8 in silicon)
+        reference_c: temperature at which the rates were measured, degrees Celsius
+        doubling_k: the rates double every so many kelvin (about 8 in silicon)
         hot_share: share of pixels that are hot
-        hot_rate_e_s: largest rate of a hot pixel at `reference_c`; they are spread evenly below
+        hot_rate_e_s: largest rate of a hot pixel at `reference_c`, electrons a second; the rates
+            are spread evenly from 0 to it
     """
 
     current_e_s: NotNegative = 0.0
@@ -97,18 +56,22 @@ class Dark(_Part):
     hot_rate_e_s: NotNegative = 0.0
 
     @property
-    def warmth(self) -> float:
-        """How many times the reference rates the rates at `temperature_c` are."""
+    def rate_factor(self) -> float:
+        """Rates at `temperature_c` over those at `reference_c`."""
         return math.exp2((self.temperature_c - self.reference_c) / self.doubling_k)
 
     @model_validator(mode="after")
-    def _is_finite(self) -> Self:
-        if abs(self.temperature_c - self.reference_c) / self.doubling_k > 100:
-            raise ValueError("dark: temperature_c is more than 100 doublings from reference_c")
+    def _check_doublings(self) -> Self:
+        doublings = abs(self.temperature_c - self.reference_c) / self.doubling_k
+        if doublings > _MOST_DOUBLINGS:
+            raise ValueError(
+                f"temperature_c is {doublings:g} doublings from reference_c: expected at most"
+                f" {_MOST_DOUBLINGS:g}"
+            )
         return self
 
 
-class Pixels(_Part):
+class Pixels(FileModel):
     """Differences between pixels, and what passes from one to another.
 
     Attributes:
@@ -118,8 +81,8 @@ class Pixels(_Part):
         crosstalk: share of a pixel's light that goes to each of its four neighbours
         blooming: share of the charge beyond the well that flows along the column, half each way
         blooming_px: pixels that it reaches
-        smear_s: seconds for which a pixel looks at its whole column's mean while charge is moved
-        lag: share of the last frame's charge that is left in the pixel
+        smear_s: seconds for which a pixel sees the mean of its column while charge is moved
+        lag: share of the charge of the frame before that stays in the pixel
     """
 
     pitch_um: Positive = 3.45
@@ -132,7 +95,7 @@ class Pixels(_Part):
     lag: Annotated[float, Field(ge=0, le=0.5)] = 0.0
 
 
-class ReadOut(_Part):
+class ReadOut(FileModel):
     """What reading adds to a frame, beside the read noise of each pixel.
 
     Attributes:
@@ -150,19 +113,3 @@ class ReadOut(_Part):
     nonlinearity_dn: NotNegative = 0.0
     cosmic_rate_s: NotNegative = 0.0
     cosmic_e: Positive = 1500.0
-
-
-Matrix = tuple[
-    tuple[NotNegative, NotNegative, NotNegative],
-    tuple[NotNegative, NotNegative, NotNegative],
-    tuple[NotNegative, NotNegative, NotNegative],
-]
-
-
-def photons_per_candela(lens: Lens, pixels: Pixels) -> float:
-    """Return photons a pixel a second for a luminance of 1 cd/m^2 (as 555 nm light).
-
-    Illuminance of a distant scene in the picture is ``pi L T / (4 N^2)`` lux.
-    """
-    illuminance = math.pi * lens.transmission / (4 * lens.f_number**2)
-    return illuminance * _PHOTONS_PER_LUX_S_UM2 * pixels.pitch_um**2

@@ -1,4 +1,4 @@
-"""What a simulated sensor is: from light to digital numbers, with the field's own parameters.
+"""A simulated sensor: its parameters, and what a camera with it can do.
 
 In the terms of EMVA 1288: photons become electrons by the quantum efficiency; the well holds
 `full_well_e` of them; reading adds `read_noise_e`; the gain multiplies after the well, so that a
@@ -8,91 +8,120 @@ phase, floors, and clips at ``2^bits - 1``.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from camctl.controls import Choices, Control, ExposureControls, Layout, Steps
-from camctl.errors import CamctlError, DataError, unknown_name
+from camctl.errors import unknown_name
 from camctl.response.camera import CameraResponse, FloatArray
 from camctl.response.measured import measured_response
-from sim.noise import largest_noise
-from sim.sensors.parts import (
-    Dark,
-    Lens,
-    Matrix,
+from sim.data_files import (
+    FileModel,
     NotNegative,
-    Pixels,
+    PictureShape,
     Positive,
-    ReadOut,
-    photons_per_candela,
+    built_in_files,
+    read_file,
+    read_text,
 )
+from sim.noise import largest_noise
+from sim.sensors.parts import Dark, Lens, Pixels, ReadOut
 
 DEFAULT_SENSOR = "standard"
 
-# A well far from the ADC's range is a slip of the pen: most levels would never be seen, or most
-# of the well.
-_WELL_RANGE = (0.25, 4.0)
+_LEAST_WELL, _MOST_WELL = 0.25, 4.0
+"""Full well over the ADC's range.  Outside of these limits most levels would never occur, or most
+of the well could not be used, so that one of the numbers must be wrong."""
 
-_PARTS = (("lens",), ("dark",), ("pixels",), ("read_out",))
+ROUNDING_SHARE = 5e-7
+"""How much lower a full well may read than in exact arithmetic: about 8 roundings in float32."""
+
+_PHOTONS_PER_LUX_S_UM2 = 4091.0
+"""Photons of 555 nm a second and square micrometre in one lux: 1 lx = 1/683 W/m^2 there, over
+h c / wavelength = 3.579e-19 J, times 1e-12 m^2."""
+
+_CURVE_SAMPLES = 4097
+_LOOKUP_BINS = 1 << 14
+
+Weights = tuple[NotNegative, NotNegative, NotNegative]
 
 
-@dataclass(frozen=True)
-class SensorNoise:
-    """What predicts the noise of a frame at gain 1, in brightness levels.
+@dataclass(frozen=True, eq=False)
+class LevelLookup:
+    """Looks up the level of an irradiance by its bin and then by comparing: exact and fast.
 
     Attributes:
-        electrons_per_level: electrons that make one level; infinite without photon noise
-        read_noise_levels: standard deviation of read noise, levels
+        levels_below: (bins,) levels that are <= the start of each bin
+        next_level: (levels + 1,) irradiance of each level; infinite after the last
+        most_in_bin: most levels in one bin
     """
 
-    electrons_per_level: float
-    read_noise_levels: float
+    levels_below: NDArray[np.uint16]
+    next_level: NDArray[np.float32]
+    most_in_bin: int
+
+    @classmethod
+    def of(cls, levels: NDArray[np.float64]) -> LevelLookup:
+        """Return the lookup for `levels`, (M,) irradiances in ascending order."""
+        edges = np.arange(_LOOKUP_BINS + 1) / _LOOKUP_BINS
+        # Levels are rounded to float32 as irradiance is, so that equal ones compare as equal.
+        rounded = levels.astype(np.float32)
+        below = np.searchsorted(rounded, edges.astype(np.float32), side="right")
+        ahead = np.append(rounded, np.float32(np.inf))
+        return cls(below[:-1].astype(np.uint16), ahead, int(np.diff(below).max()))
+
+    def brightness(self, irradiance: NDArray[np.float32]) -> NDArray[np.uint16]:
+        """Return how many levels are <= each irradiance, which is clipped to 0..1."""
+        inside = np.clip(irradiance, 0, np.float32(1))
+        place = np.minimum((inside * np.float32(_LOOKUP_BINS)).astype(np.intp), _LOOKUP_BINS - 1)
+        count = self.levels_below[place]
+        for _ in range(self.most_in_bin):
+            count += inside >= self.next_level[count]
+        return count
 
 
-class Sensor(BaseModel):
-    """One sensor; a JSON file with these fields is one too.
+class Sensor(FileModel):
+    """One sensor; a JSON file with these fields describes one too.
 
     Attributes:
-        name: what a person calls it
+        name: of the sensor
         bits: of the ADC, 4 to 16
-        layout: how colour lies in a frame; None follows the scene: RGB for a coloured one, else
-            mono
-        shape: (rows, columns) that a built-in scene is drawn at unless a size is asked for
+        layout: pixel layout of its frames; None follows the scene: RGB for a coloured one,
+            otherwise mono
+        shape: (rows, columns) that a drawn scene has unless a size is requested
         full_well_e: electrons that a pixel holds
-        electrons_per_dn: K, electrons for one DN at gain 1; left out, the well just fills the ADC
+        electrons_per_dn: K, electrons for one DN at gain 1; left out, the full well just fills the
+            range of the ADC
         photon_noise: False for an ideal sensor
         read_noise_e: standard deviation of reading, electrons
         black: brightness without light, DN
-        phase: of the quantiser: 0 floor, 1/2 rounding
+        phase: of the quantiser: 0 floors, 1/2 rounds
         curve: "linear", "srgb", the exponent of a power curve (brightness = irradiance^exponent),
             or a list of (irradiance, brightness) from (0, 0) to (1, 1)
-        quantum_efficiency: electrons a photon
-        time_minimum_s, time_maximum_s, line_s: shutter times; all are whole numbers of lines
+        quantum_efficiency: electrons for one photon
+        time_minimum_s, time_maximum_s, line_s: exposure times; all are whole numbers of lines
         gain_maximum, gain_step: linear gain from 1 up; step 0 is continuous
         delay_frames: frames from setting an exposure to the frame that has it
-        delay_jitter_frames: up to so many more, at random; 0 for a constant delay
+        delay_jitter_frames: up to so many frames more, at random; 0 for a constant delay
         frame_interval_s: least time from frame to frame
-        spectrum: what the sensor's red, green and blue make of the scene's, three rows; None
-            is each its own
+        spectrum: three rows, the sensor's red, green and blue as weights of the scene's red, green
+            and blue; None if they are the same
         lens, dark, pixels, read_out: see `sim.sensors.parts`; left out, their effects are absent
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     bits: int = Field(ge=4, le=16)
     layout: Layout | None = None
-    shape: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] = (480, 640)
+    shape: PictureShape = (480, 640)
     full_well_e: Positive
-    electrons_per_dn: Positive
+    electrons_per_dn: Positive = Field(default=None, validate_default=True)
     photon_noise: bool = True
     read_noise_e: NotNegative = 0.0
     black: int = Field(default=0, ge=0)
@@ -107,7 +136,7 @@ class Sensor(BaseModel):
     delay_frames: int = Field(default=2, ge=0, le=30)
     delay_jitter_frames: int = Field(default=0, ge=0, le=30)
     frame_interval_s: Positive = 1 / 30
-    spectrum: Matrix | None = None
+    spectrum: tuple[Weights, Weights, Weights] | None = None
     lens: Lens = Lens()
     dark: Dark = Dark()
     pixels: Pixels = Pixels()
@@ -119,7 +148,7 @@ class Sensor(BaseModel):
         if isinstance(data, dict) and data.get("electrons_per_dn") is None:
             bits, black, well = (data.get(key) for key in ("bits", "black", "full_well_e"))
             black = 0 if black is None else black
-            # Anything else is left for the fields themselves to refuse.
+            # Values that are invalid are left for the checks of their own fields.
             if (
                 isinstance(bits, int)
                 and isinstance(black, int)
@@ -131,49 +160,57 @@ class Sensor(BaseModel):
         return data
 
     @model_validator(mode="after")
-    def _agrees_with_itself(self) -> Self:
+    def _check(self) -> Self:
         if self.black >= 2**self.bits - 1:
             raise ValueError(f"a black level of {self.black} leaves no room in {self.bits} bits")
         filled = self.full_well_e / self.adc_range_e
-        if not _WELL_RANGE[0] <= filled <= _WELL_RANGE[1]:
+        if not _LEAST_WELL <= filled <= _MOST_WELL:
             raise ValueError(
                 f"full_well_e {self.full_well_e:g} contradicts electrons_per_dn"
                 f" {self.electrons_per_dn:g} x {2**self.bits - self.black} levels"
-                f" = {self.adc_range_e:g} electrons"
+                f" = {self.adc_range_e:g} electrons: expected {_LEAST_WELL:g} to {_MOST_WELL:g}"
+                " times that"
             )
         if self.white <= self.black:
-            raise ValueError("the noise of reading is as large as the well")
-        if self.curve != "linear" and self.white < 2**self.bits - 1:
-            raise ValueError("a sensor with a curve needs a well beyond the ADC's range")
-        if self.curve != "linear" and self.black:
-            raise ValueError("a sensor with a curve has no black level: leave black at 0")
-        _ = self.response  # a bad curve is refused here and not in the middle of a shot
-        self._parts_agree()
+            raise ValueError("read noise and offsets are as large as the full well")
         if self.time_minimum_s > self.time_maximum_s:
             raise ValueError("time_minimum_s is above time_maximum_s")
         lines = self.time_minimum_s / self.line_s
         if lines < 1 - 1e-9 or abs(lines - round(lines)) > 1e-6 * lines:
             raise ValueError("time_minimum_s must be a whole number of line_s")
+        if self.read_out.nonlinearity_dn > (2**self.bits - self.black) / 8:
+            raise ValueError("read_out.nonlinearity_dn is more than an eighth of the ADC's range")
+        if self.curve != "linear":
+            self._check_curve()
         return self
 
-    def _parts_agree(self) -> None:
-        bow = self.read_out.nonlinearity_dn
-        if bow > (2**self.bits - self.black) / 8:
-            raise ValueError("nonlinearity_dn is more than an eighth of the ADC's range")
-        if self.curve != "linear" and bow:
-            raise ValueError("a sensor with a curve has its nonlinearity in the curve")
+    def _check_curve(self) -> None:
+        if self.white < 2**self.bits - 1:
+            raise ValueError("a sensor with a curve needs a full well beyond the ADC's range")
+        if self.black:
+            raise ValueError("a sensor with a curve has no black level: leave black at 0")
+        if self.read_out.nonlinearity_dn:
+            raise ValueError(
+                "a sensor with a curve has no other non-linearity: leave out"
+                " read_out.nonlinearity_dn"
+            )
+        _ = self.response  # raises for an invalid curve
 
     @property
-    def _uncertainty_e(self) -> float:
-        """Most that reading can add to or take from a full well, electrons."""
+    def _largest_read_noise_e(self) -> float:
+        """Largest error of the charge by reading, electrons."""
         added = self.read_noise_e + self.pixels.dsnu_e
         added += self.read_out.row_noise_e + self.read_out.column_noise_e
         return largest_noise() * added
 
     @property
     def photons_per_candela(self) -> float:
-        """Photons a pixel a second for a luminance of 1 cd/m^2, through its lens."""
-        return photons_per_candela(self.lens, self.pixels)
+        """Photons a pixel a second for a luminance of 1 cd/m^2 (as 555 nm light).
+
+        The illuminance of the sensor by a distant scene is ``pi L T / (4 N^2)`` lux.
+        """
+        illuminance = math.pi * self.lens.transmission / (4 * self.lens.f_number**2)
+        return illuminance * _PHOTONS_PER_LUX_S_UM2 * self.pixels.pitch_um**2
 
     @property
     def adc_range_e(self) -> float:
@@ -184,23 +221,26 @@ class Sensor(BaseModel):
     def white(self) -> int:
         """Brightness from which a sample is saturated, DN, at every gain.
 
-        The top of the ADC, or where the well clips if that lies lower.  A full well still varies
-        by the read noise, which is bounded: white lies so far below that each sample of a full
-        pixel reads at least white, and what it reads beyond white means nothing.
+        The top of the ADC, or less if the well clips first.  The brightness of a full well varies
+        with the noise of reading, which is bounded: white is the highest level that every sample
+        of a full pixel reaches for certain.  Brightness beyond white contains no information.
         """
-        full_e = self.full_well_e - self._uncertainty_e
-        # Half a part in a million lower, against rounding in float32.
-        full = self.black + self.phase + full_e / self.electrons_per_dn * (1 - 5e-7)
+        full_e = self.full_well_e - self._largest_read_noise_e
+        full = self.black + self.phase + full_e / self.electrons_per_dn * (1 - ROUNDING_SHARE)
         return min((1 << self.bits) - 1, math.floor(full))
 
     @property
     def full_scale_e(self) -> float:
-        """Electrons at gain 1 where irradiance E = 1 lies: level white + 1 of a linear sensor."""
+        """Electrons at gain 1 for irradiance E = 1, which is level white + 1 if linear."""
         return self.electrons_per_dn * (self.white - self.black + 1)
 
     @cached_property
     def response(self) -> CameraResponse | None:
-        """The response as levels; None for a linear sensor."""
+        """The response as levels; None for a linear sensor.
+
+        Raises:
+            DataError: the curve is no response
+        """
         if self.curve == "linear":
             return None
         irradiance, brightness = _curve_samples(self.curve)
@@ -211,23 +251,13 @@ class Sensor(BaseModel):
         )
 
     @property
-    def noise(self) -> SensorNoise:
-        """What predicts the noise of its frames at gain 1."""
-        return self.noise_at(1.0)
-
-    def noise_at(self, gain: float) -> SensorNoise:
-        """Return what predicts the noise of its frames at a linear `gain`."""
-        per_dn = self.electrons_per_dn / gain
-        return SensorNoise(per_dn if self.photon_noise else math.inf, self.read_noise_e / per_dn)
-
-    @property
     def times(self) -> Steps:
-        """The shutter times."""
+        """Exposure times."""
         return Steps(self.time_minimum_s, self.time_maximum_s, self.line_s)
 
     @property
     def gains(self) -> Control:
-        """The linear gains."""
+        """Linear gains."""
         if self.gain_maximum == 1:
             return Choices((1.0,))
         return Steps(1.0, self.gain_maximum, self.gain_step)
@@ -244,10 +274,13 @@ class Sensor(BaseModel):
         photons_per_unit: float,
         notes: tuple[str, ...] = (),
     ) -> ExposureControls:
-        """Return what a camera with this sensor says of itself before a scene.
+        """Return the exposure controls of a camera with this sensor in front of a scene.
 
-        `photons_per_unit` is photons a pixel a second for one unit of the scene's irradiance;
-        `notes` are what there is to say of the scene.
+        Args:
+            shape: (rows, columns) of its frames
+            is_coloured: whether the scene has colours
+            photons_per_unit: photons a pixel a second for one unit of the scene's irradiance
+            notes: about the scene, for users
         """
         return ExposureControls(
             time_s=self.times,
@@ -269,66 +302,34 @@ class Sensor(BaseModel):
 def _curve_samples(
     curve: str | float | tuple[tuple[float, float], ...],
 ) -> tuple[FloatArray, FloatArray]:
+    """Return irradiance and brightness of samples of a curve, both from 0 to 1."""
     if isinstance(curve, tuple):
         table = np.array(curve, dtype=np.float64)
         return table[:, 0], table[:, 1]
-    # Even in brightness, so that the steep foot of the curve is sampled as finely as the rest.
-    brightness = np.linspace(0.0, 1.0, 4097)
+    # Evenly spaced in brightness, so that the steep foot of the curve is sampled as finely.
+    brightness = np.linspace(0.0, 1.0, _CURVE_SAMPLES)
     if curve == "srgb":
         toe, power = brightness / 12.92, ((brightness + 0.055) / 1.055) ** 2.4
         return np.where(brightness <= 0.04045, toe, power), brightness
     return brightness ** (1 / float(curve)), brightness
 
 
-def _presets() -> dict[str, str]:
-    folder = resources.files("sim") / "sensors"
-    return {
-        item.name.removesuffix(".json"): item.read_text(encoding="utf-8")
-        for item in folder.iterdir()
-        if item.name.endswith(".json")
-    }
-
-
 def sensor_names() -> tuple[str, ...]:
-    """Return the names of the sensors that come with the program."""
-    return tuple(sorted(_presets()))
+    """Return the names of the built-in sensors."""
+    return tuple(sorted(built_in_files("sensors")))
 
 
 def load_sensor(name_or_path: str | Path) -> Sensor:
-    """Return a sensor by its name or from a JSON file.
+    """Return a built-in sensor by its name, or one from a JSON file.
 
     Raises:
         UsageError: no sensor of that name
-        DataError: the file is missing, is not JSON, or contradicts itself
+        DataError: the file is missing, is not JSON, or describes no sensor
     """
     name = str(name_or_path)
-    path = Path(name)
-    if path.suffix != ".json":
-        presets = _presets()
-        if name not in presets:
-            raise unknown_name("sensor", name, presets)
-        return read_sensor(presets[name], source=f"sensor {name}")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: no such file", hint="give a sensor's name or file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read ({error})", hint="give a JSON file") from error
-    return read_sensor(text, source=str(path))
-
-
-def read_sensor(text: str, *, source: str) -> Sensor:
-    """Return the sensor that the JSON `text` describes; `source` names it in errors (DataError)."""
-    try:
-        return Sensor.model_validate(json.loads(text))
-    except json.JSONDecodeError as error:
-        raise DataError(f"{source}: not JSON, line {error.lineno}: {error.msg}") from error
-    except CamctlError as error:
-        raise DataError(f"{source}: {error}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        # For a union the last part names the branch that was tried: nothing a user wrote.
-        depth = 2 if first["loc"][:1] in _PARTS else 1
-        place = ".".join(str(part) for part in first["loc"][:depth])
-        message = first["msg"].removeprefix("Value error, ")
-        raise DataError(f"{source}: {place + ': ' if place else ''}{message}") from error
+    if Path(name).suffix == ".json":
+        return read_file(Sensor, Path(name))
+    built_in = built_in_files("sensors")
+    if name not in built_in:
+        raise unknown_name("sensor", name, built_in)
+    return read_text(Sensor, built_in[name], source=f"sensor {name}")

@@ -1,10 +1,10 @@
-"""What a whole capture costs: memory, frame slots, and frames lost in real time.
+"""The cost of a whole capture: memory, frame slots, and frames lost in real time.
 
     python tests/bench/bench_capture.py [--megapixels 24]
 
-Memory is the peak of the process while `capture` runs, less what it held when all was imported and
-the camera was open; a camera that makes its frames from a few rows stands in, so that it counts the
-controller and not a simulator.  Each measurement runs in a process of its own.
+Memory is the peak of the process while `capture` runs, less what it had with all modules imported
+and the camera open.  The camera makes its frames from one row of light, so that the memory is that
+of the controller and not of a simulator.  Each measurement runs in a process of its own.
 """
 
 from __future__ import annotations
@@ -14,35 +14,40 @@ import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Generator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from camctl.camera import CameraInfo, Frame
-from camctl.capture.request import CaptureRequest
-from camctl.capture.sequencer import capture
+from camctl.camera import CameraBase, CameraInfo, Frame
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture
 from camctl.clock import RealClock, VirtualClock
 from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
 
 RATIOS = (1.0, 3.98, 16.0, 64.2, 305.4, 1130.0)
 
 
-class RowsCamera:
+class RowsCamera(CameraBase):
     """Frames of any size from one row of light, 8 bits."""
 
     def __init__(self, shape: tuple[int, int], layout: Layout) -> None:
-        self.info = CameraInfo("rows", "bench", "rows", "0", "bench")
-        self.controls = ExposureControls(
+        super().__init__("the bench's camera", VirtualClock())
+        self._info = CameraInfo("rows", "bench", "rows", "0", "bench")
+        self._controls = ExposureControls(
             Steps(1e-5, 10.0, 1e-6), shape, layout, 8, white=250, delay_frames=0
         )
-        self.clock = VirtualClock()
         colours = (3,) if layout is Layout.RGB else ()
         light = np.geomspace(1e3, 1.0, shape[1])
         self._row = np.broadcast_to(light.reshape(-1, *[1] * len(colours)), (shape[1], *colours))
 
-    def shoot(self, settings: Sequence[ExposureSetting]) -> Generator[Frame, None, None]:
-        """Yield a frame for each setting."""
+    def _open(self) -> None:
+        pass
+
+    def _close(self) -> None:
+        pass
+
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         for index, setting in enumerate(settings):
             row = np.clip(self._row * setting.time_s * 250, 0, 255).astype(np.uint8)
             pixels = np.empty((self.controls.shape[0], *row.shape), np.uint8)
@@ -50,19 +55,10 @@ class RowsCamera:
             self.clock.sleep_until(self.clock.now() + setting.time_s)
             yield Frame(pixels, setting, setting, self.clock.now(), index, 0, 250)
 
-    def close(self) -> None:
-        """Nothing to let go of."""
-
-    def __enter__(self) -> RowsCamera:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def memory(layout: Layout, megapixels: float) -> None:
     """Print the peak memory of one capture."""
-    import cv2  # noqa: F401  what a capture imports belongs to the base line
+    import cv2  # noqa: F401  imported here, so that it counts as memory from before the capture
     import Imath  # noqa: F401
     import OpenEXR  # noqa: F401
     import tifffile  # noqa: F401
@@ -84,7 +80,7 @@ def memory(layout: Layout, megapixels: float) -> None:
 
 
 def resident_mb() -> float:
-    """Return what the process holds now, MB."""
+    """Return the resident memory of the process, MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 2**20
 

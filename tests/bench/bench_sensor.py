@@ -1,8 +1,8 @@
-"""Shot noise + read noise + full well + ADC: this simulator, numpy's own generators, Pyxel.
+"""Speed of photon noise, read noise, full well and ADC: camctl, plain numpy, and Pyxel.
 
-Run it by hand: ``python tests/bench/bench_sensor.py [--pyxel PYTHON] [--json]``, where PYTHON is an
-interpreter that has pyxel-sim.  All rows come from one run, taken in turns, so that the ratios hold
-on a machine that does other work beside; medians are printed.
+Run by hand: ``python tests/bench/bench_sensor.py [--pyxel PYTHON] [--json]``, where PYTHON is an
+interpreter that has pyxel-sim.  The methods take turns, so that their ratios are valid on a busy
+machine; medians are printed.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.controls import Layout
-from sim.noise import TILE, TileNoise, normal_quantiles, tile_bits
+from sim.noise import TILE, Stream, TileNoise, normal_quantiles, tile_bits
 from sim.render import Renderer
 from sim.scenes.scene import load_scene
-from sim.scenes.view import light_on
+from sim.scenes.view import View
 from sim.sensors.sensor import Sensor, load_sensor
 
 TIME_S = 0.01
@@ -36,7 +35,7 @@ SIM, FLOOR = "sim, 2 threads", "arithmetic alone, 2 threads"
 
 
 def naive(light: NDArray[np.float32], sensor: Sensor) -> NDArray[np.uint8]:
-    """Return what a straightforward float64 simulation does: Poisson, normal, minimum, floor."""
+    """Return a frame of a plain float64 simulation: Poisson, normal, minimum, floor."""
     random = np.random.default_rng()
     electrons = random.poisson(light * (sensor.quantum_efficiency * TIME_S)).astype(np.float64)
     electrons = np.minimum(electrons, sensor.full_well_e)
@@ -45,24 +44,24 @@ def naive(light: NDArray[np.float32], sensor: Sensor) -> NDArray[np.uint8]:
     return np.asarray(np.clip(dn, 0, 2**sensor.bits - 1).astype(np.uint8))
 
 
-_READY = normal_quantiles()[tile_bits(0, 0, 0, 0, TILE)]  # type: ignore[arg-type]
+_PREPARED = normal_quantiles()[tile_bits(0, 0, Stream.PHOTON, 0, TILE)]
 
 
-def _no_drawing(self: TileNoise, count: int, *_: object) -> NDArray[np.float32]:
-    """Stand in for drawing: the noise lies ready and is only copied."""
-    np.copyto(self._z[:count], _READY[:count])
+def _copy_noise(self: TileNoise, count: int, *_: object) -> NDArray[np.float32]:
+    """Replace `TileNoise.normal` by a copy of prepared noise: no random numbers are generated."""
+    np.copyto(self._z[:count], _PREPARED[:count])
     return self._z[:count]
 
 
 @contextmanager
 def pyxel(python: str | None, shape: tuple[int, int]) -> Iterator[Callable[[], float] | None]:
-    """Yield what takes one frame of Pyxel and returns its seconds."""
+    """Yield a function that renders one frame with Pyxel and returns its seconds."""
     if python is None:
         yield None
         return
     script = Path(__file__).with_name("bench_sensor_pyxel.py")
-    words = [python, str(script), *map(str, shape)]
-    with subprocess.Popen(words, stdin=-1, stdout=-1, text=True, bufsize=1) as process:
+    arguments = [python, str(script), *map(str, shape)]
+    with subprocess.Popen(arguments, stdin=-1, stdout=-1, text=True, bufsize=1) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         ask, answer = process.stdin, process.stdout
@@ -78,8 +77,9 @@ def pyxel(python: str | None, shape: tuple[int, int]) -> Iterator[Callable[[], f
 def measure(shape: tuple[int, int], rounds: int, python: str | None) -> list[dict[str, Any]]:
     """Return a row for each method at one size."""
     sensor = load_sensor("standard")
-    light = light_on(load_scene("ramp", shape), Layout.MONO)
-    renderers = {n: Renderer(light, sensor, threads=n) for n in (1, 2)}
+    view = View.of(load_scene("ramp", shape), sensor)
+    light = view.light
+    renderers = {n: Renderer(view, sensor, threads=n) for n in (1, 2)}
 
     def timed(work: Callable[[], object]) -> float:
         start = time.perf_counter()
@@ -87,7 +87,7 @@ def measure(shape: tuple[int, int], rounds: int, python: str | None) -> list[dic
         return time.perf_counter() - start
 
     def floor(threads: int) -> float:
-        with mock.patch.object(TileNoise, "normal", _no_drawing):
+        with mock.patch.object(TileNoise, "normal", _copy_noise):
             return timed(lambda: renderers[threads].frame(TIME_S, 1.0, 0))
 
     with pyxel(python, shape) as other:
@@ -104,7 +104,7 @@ def measure(shape: tuple[int, int], rounds: int, python: str | None) -> list[dic
         for turn in range(rounds + 1):
             for name, method in methods.items():
                 taken = method()
-                if turn:  # the first turn warms up
+                if turn:  # the first turn fills caches
                     seconds[name].append(taken)
     tracemalloc.start()
     renderers[2].frame(TIME_S, 1.0, 0)
@@ -127,7 +127,7 @@ def measure(shape: tuple[int, int], rounds: int, python: str | None) -> list[dic
 
 
 def main() -> None:
-    """Print Mpixel/s of each method, and its ratios to the others."""
+    """Print Mpixel/s of each method, and their ratios."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--rounds", type=int, default=7)

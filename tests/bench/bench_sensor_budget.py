@@ -1,7 +1,7 @@
-"""What leaving effects out gains: per scene against everything on, and a curve over tolerance.
+"""Time saved by leaving effects out: for each scene, and as a curve over the tolerance.
 
-Run it by hand: ``python tests/bench/bench_sensor_budget.py [--json]``.  Frames with everything on
-and with what the tolerance leaves out are taken in turns; planning is part of both.
+Run by hand: ``python tests/bench/bench_sensor_budget.py [--json]``.  Frames with every effect and
+frames with those that the tolerance requires take turns; planning is part of both.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import json
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ TOLERANCES = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
 def exposures(renderer: Renderer) -> dict[str, Shot]:
-    """Return a shot whose 98th percentile fills 70 % of the well, and one of 1/40 of that."""
+    """Return an exposure whose 98th percentile is 70 % of the full well, and one of 1/40 of it."""
     sensor, light = renderer.shot(1.0, 1.0, 0).sensor, renderer.shot(1.0, 1.0, 0).view.light
     bright = float(np.quantile(light[::3], 0.98)) * sensor.quantum_efficiency
     full = min(0.7 * sensor.full_well_e / bright, sensor.time_maximum_s)
@@ -34,8 +35,8 @@ def exposures(renderer: Renderer) -> dict[str, Shot]:
     return {name: renderer.shot(t, 1.0, 0, previous_s=t) for name, t in times.items()}
 
 
-def in_turns(works: dict[Any, Callable[[], object]], rounds: int) -> dict[Any, float]:
-    """Return the median seconds of each work."""
+def median_seconds(works: dict[Any, Callable[[], object]], rounds: int) -> dict[Any, float]:
+    """Return the median seconds of each function; they take turns."""
     seconds: dict[Any, list[float]] = {key: [] for key in works}
     for turn in range(rounds + 1):
         for key, work in works.items():
@@ -44,6 +45,11 @@ def in_turns(works: dict[Any, Callable[[], object]], rounds: int) -> dict[Any, f
             if turn:
                 seconds[key].append(time.perf_counter() - start)
     return {key: statistics.median(values) for key, values in seconds.items()}
+
+
+def plan_and_expose(renderer: Renderer, shot: Shot, tolerance_dn: float) -> None:
+    """Render a frame that leaves out what the tolerance allows."""
+    renderer.expose(shot, plan_frame(shot, tolerance_dn))
 
 
 def per_scene(shape: tuple[int, int], rounds: int, tolerance_dn: float) -> list[dict[str, Any]]:
@@ -57,19 +63,12 @@ def per_scene(shape: tuple[int, int], rounds: int, tolerance_dn: float) -> list[
         statistics_s = time.perf_counter() - start
         renderer = Renderer(view, sensor, threads=1)
         for exposure, shot in exposures(renderer).items():
-
-            def frame(tolerance: float, shot: Shot = shot, renderer: Renderer = renderer) -> None:
-                renderer.expose(shot, plan_frame(shot, tolerance))
-
-            def plan(shot: Shot = shot) -> None:
-                plan_frame(shot, tolerance_dn)
-
             works: dict[Any, Callable[[], object]] = {
-                "all": lambda f=frame: f(0.0),  # type: ignore[misc]
-                "some": lambda f=frame: f(tolerance_dn),  # type: ignore[misc]
-                "plan": plan,
+                "all": partial(plan_and_expose, renderer, shot, 0.0),
+                "some": partial(plan_and_expose, renderer, shot, tolerance_dn),
+                "plan": partial(plan_frame, shot, tolerance_dn),
             }
-            taken = in_turns(works, rounds)
+            taken = median_seconds(works, rounds)
             chosen = plan_frame(shot, tolerance_dn)
             rows.append(
                 {
@@ -89,17 +88,16 @@ def per_scene(shape: tuple[int, int], rounds: int, tolerance_dn: float) -> list[
 
 
 def curve(shape: tuple[int, int], rounds: int, scene: str) -> list[dict[str, Any]]:
-    """Return a row for each tolerance: milliseconds, bound, and the largest difference measured."""
+    """Return a row for each tolerance: milliseconds, bound, and the measured difference."""
     sensor = load_sensor("complete")
     renderer = Renderer(View.of(load_scene(scene, shape), sensor), sensor, threads=1)
     rows = []
     for exposure, shot in exposures(renderer).items():
         plans = {tolerance: plan_frame(shot, tolerance) for tolerance in TOLERANCES}
         works: dict[Any, Callable[[], object]] = {
-            tolerance: lambda p=plan, s=shot: renderer.expose(s, p)  # type: ignore[misc]
-            for tolerance, plan in plans.items()
+            tolerance: partial(renderer.expose, shot, plan) for tolerance, plan in plans.items()
         }
-        taken = in_turns(works, rounds)
+        taken = median_seconds(works, rounds)
         everything = renderer.brightness(shot, plans[0.0])
         levels = renderer.expose(shot, plans[0.0]).astype(int)
         for tolerance, plan in plans.items():

@@ -1,7 +1,7 @@
-"""One frame after another by Pyxel, for `bench_sensor.py`; runs where pyxel-sim is installed.
+"""Renders frames with Pyxel for `bench_sensor.py`; needs an interpreter with pyxel-sim.
 
-Shot noise, full well, read noise and ADC, each by Pyxel's own model: one line of seconds a frame
-for each line that comes in.
+Photon noise, full well, read noise and ADC, each by Pyxel's own model.  For each line on standard
+input one frame is rendered and its seconds are printed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pyxel.models.readout_electronics import simple_adc, simple_amplifier
 
 
 def main() -> None:
-    """Answer each line on standard input with the seconds that one frame took."""
+    """Render a frame for each line on standard input and print its seconds."""
     rows, columns = int(sys.argv[1]), int(sys.argv[2])
     photons = np.linspace(0.0, 20_000.0, rows * columns).reshape(rows, columns)
     detector = CCD(

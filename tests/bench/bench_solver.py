@@ -2,11 +2,11 @@
 
     python tests/bench/bench_solver.py [--no-scipy] [--largest N] [--times X]
 
-Needs scipy (for the comparison only).  CPU seconds of one core, so that other work on the machine
-disturbs little.  scipy gets the same objective, `camctl.exposure.objective.xi`; with --lend-kernel
-it gets the solver's own float32 batches, whole populations at a time, which leaves the search alone
-to be compared.  "Equal xi" is within 0.05 % of what the search finds; its own time to there is that
-of the least effort that gets there.
+Needs scipy (for the comparison only).  Times are CPU seconds of one core, so that other work on the
+machine disturbs little.  scipy minimises the same objective, `camctl.exposure.objective.xi`; with
+--share-kernel it uses the solver's own float32 batches, whole populations at a time, so that only
+the search strategies are compared.  "Equal xi" is within 0.05 % of what the search finds; its own
+time to that value is that of the smallest effort that reaches it.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.exposure.batch import BatchScore
-from camctl.exposure.build import build_table
+from camctl.exposure.build import build_table, table_jobs
+from camctl.exposure.candidates import BatchScore
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.grid_search import solve_settings
-from camctl.exposure.objective import Objective, xi
-from camctl.exposure.solver import solve
+from camctl.exposure.grid_search import SettingsGrid, solve_settings
+from camctl.exposure.objective import ExposureProblem, xi
+from camctl.exposure.solver import SearchOptions, solve
 from camctl.response.auto import auto_response
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response
@@ -43,53 +43,46 @@ EQUAL = 1.0005
 Floats = NDArray[np.float64]
 
 
-class _Enough(Exception):  # noqa: N818 - ends a run, no error
+class _Finished(Exception):  # noqa: N818 - ends a run, is no error
     pass
 
 
-class Watched:
-    """The objective of a cell, that notes its best and stops at a time or a value."""
+class RecordedObjective:
+    """The objective of a cell, which records its best values and ends at a time or a value."""
 
-    def __init__(self, cell: Cell, limit_s: float, goal: float, lend: bool) -> None:
-        self.cell = cell
-        self.batch = BatchScore(EIGHT_BIT, cell.desired, Objective(cell.levels_wanted), cell.n)
-        self.score = self.batch if lend else self.exact
-        self.limit_s, self.goal = limit_s, goal
+    def __init__(self, cell: Cell, limit_s: float, target: float, share_kernel: bool) -> None:
+        self.problem = ExposureProblem(EIGHT_BIT, cell.desired, cell.n)
+        self.score = BatchScore(self.problem) if share_kernel else self.exact
+        self.limit_s, self.target = limit_s, target
         self.best, self.reached_s = np.inf, np.inf
-        self.marks: list[tuple[float, float]] = []
+        self.history: list[tuple[float, float]] = []
         self.start = time.process_time()
 
     def exact(self, exposures: Floats) -> Floats:
         """Return the exact objective of each row."""
-        cell = self.cell
-        return np.array(
-            [
-                xi(EffectiveCamera.of(EIGHT_BIT, row), cell.desired, cell.levels_wanted)
-                for row in exposures.tolist()
-            ]
-        )
+        return np.array([self.problem.score(row) for row in exposures.tolist()])
 
     def __call__(self, logs: Floats) -> Floats | float:
-        """Take (n - 1,) or, of a population, (n - 1, S) logarithms."""
+        """Return the objective of (n - 1,) or, for a population, (n - 1, S) logarithms."""
         sets = np.atleast_2d(logs.T)
         ones = np.ones((len(sets), 1))
         found = self.score(np.sort(np.concatenate([ones, np.exp(sets)], axis=1), axis=1))
         spent = time.process_time() - self.start
         if found.min() < self.best:
             self.best = float(found.min())
-            self.marks.append((spent, self.best))
-        if self.best <= self.goal and np.isinf(self.reached_s):
+            self.history.append((spent, self.best))
+        if self.best <= self.target and np.isinf(self.reached_s):
             self.reached_s = spent
         if spent > self.limit_s or np.isfinite(self.reached_s):
-            raise _Enough
+            raise _Finished
         return found if logs.ndim == 2 else float(found[0])
 
     def best_at(self, seconds: float) -> float:
-        """Return the best met within so many CPU seconds."""
-        return min((value for spent, value in self.marks if spent <= seconds), default=np.inf)
+        """Return the best value found within so many CPU seconds."""
+        return min((value for spent, value in self.history if spent <= seconds), default=np.inf)
 
 
-def rivals(cell: Cell) -> dict[str, Callable[[Watched], object]]:
+def scipy_optimisers(cell: Cell) -> dict[str, Callable[[RecordedObjective], object]]:
     """Return scipy's global optimisers, set up for a cell."""
     from scipy.optimize import differential_evolution, dual_annealing
 
@@ -103,20 +96,20 @@ def rivals(cell: Cell) -> dict[str, Callable[[Watched], object]]:
     }  # fmt: skip
 
 
-def time_to(cell: Cell, goal: float) -> float:
-    """Return the CPU seconds of the least effort that scores `goal` or less."""
+def time_to_reach(cell: Cell, target: float) -> float:
+    """Return the CPU seconds of the smallest effort that reaches `target`."""
     for effort in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5):
-        found = solve(EIGHT_BIT, cell.desired, cell.n, effort=effort)
-        if found.xi <= goal:
+        found = solve(EIGHT_BIT, cell.desired, cell.n, search=SearchOptions(effort=effort))
+        if found.xi <= target:
             return found.seconds
     return solve(EIGHT_BIT, cell.desired, cell.n).seconds
 
 
-def bench_cells(largest: int, times: float, with_scipy: bool, lend: bool) -> None:
-    """Print each cell; with scipy, its xi at equal time and its time to equal xi."""
+def bench_cells(largest: int, times: float, with_scipy: bool, share_kernel: bool) -> None:
+    """Print each cell; for scipy, its xi at equal time and its time to equal xi."""
     seconds, ratios = [], []
     print("cell          best known        xi   regret   CPU s" + " " * 4 * with_scipy, end="")
-    print("  rival: xi at equal time, times as long to equal xi" if with_scipy else "")
+    print("  scipy: xi at equal time, relative time to equal xi" if with_scipy else "")
     for cell in (cell for cell in CELLS if cell.n <= largest):
         found = solve(EIGHT_BIT, cell.desired, cell.n)
         seconds.append(found.seconds)
@@ -127,26 +120,28 @@ def bench_cells(largest: int, times: float, with_scipy: bool, lend: bool) -> Non
         )
         if with_scipy:
             fastest = np.inf
-            own = time_to(cell, found.xi * EQUAL)
-            for name, run in rivals(cell).items():
-                watched = Watched(cell, times * found.seconds, found.xi * EQUAL, lend)
-                stopped = ""
+            target = found.xi * EQUAL
+            solver_s = time_to_reach(cell, target)
+            for name, run in scipy_optimisers(cell).items():
+                recorded = RecordedObjective(cell, times * found.seconds, target, share_kernel)
+                ending = ""
                 try:
-                    run(watched)
-                    stopped = " (gave up)"
-                except _Enough:
+                    run(recorded)
+                    ending = " (ended by itself)"
+                except _Finished:
                     pass
-                ratio = watched.reached_s / own
-                told = (
-                    f"{ratio:.1f}" if np.isfinite(ratio) else f"> {times * found.seconds / own:.0f}"
-                )
+                ratio = recorded.reached_s / solver_s
+                limit = f"> {times * found.seconds / solver_s:.0f}"
+                relative = f"{ratio:.1f}" if np.isfinite(ratio) else limit
                 fastest = min(fastest, ratio)
-                print(f"   {name}: {watched.best_at(found.seconds):.2f}, {told}{stopped}", end="")
+                at_equal_time = recorded.best_at(found.seconds)
+                print(f"   {name}: {at_equal_time:.2f}, {relative}{ending}", end="")
             ratios.append(fastest)
         print(flush=True)
-    print(f"CPU s: median {statistics.median(seconds):.2f}, most {max(seconds):.2f}")
+    print(f"CPU s: median {statistics.median(seconds):.2f}, maximum {max(seconds):.2f}")
     if ratios:
-        print(f"times as fast as the better rival, median cell: {statistics.median(ratios):.1f}")
+        median = statistics.median(ratios)
+        print(f"relative time of the faster scipy optimiser, median cell: {median:.1f}")
 
 
 def bench_growth() -> None:
@@ -177,35 +172,40 @@ def bench_growth() -> None:
 
 
 def bench_auto() -> None:
-    """Print the time from a metering frame to the exposures, three of a third-stop dial."""
+    """Print the time from a metering frame to three exposures on a grid of third stops."""
     frame = np.random.default_rng(0).lognormal(-3, 1.2, (1200, 1600)).astype(np.float32).clip(0, 1)
     spent = []
     for _ in range(7):
         start = time.perf_counter()
         desired = auto_response(frame, 1000.0)
-        solve_settings(EIGHT_BIT, desired, 3, 2.0 ** (np.arange(-39, 16) / 3))
+        solve_settings(EIGHT_BIT, desired, 3, SettingsGrid(2.0 ** (np.arange(-39, 16) / 3)))
         spent.append(time.perf_counter() - start)
     print(f"\nauto response on 55 shutter times, n = 3: {1e3 * statistics.median(spent):.0f} ms")
 
 
 def bench_table() -> None:
-    """Print the wall time of the whole default table in two processes."""
+    """Print the wall time of the default table in two processes."""
     start = time.perf_counter()
     with ProcessPoolExecutor(2) as executor:
-        build_table(EIGHT_BIT, executor=executor)
+        build_table(table_jobs(EIGHT_BIT), executor=executor)
     print(f"default table, 54 rows, two processes: {time.perf_counter() - start:.0f} s")
 
 
 def main() -> None:
-    """Run all of it."""
+    """Run all benchmarks."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--no-scipy", action="store_true")
-    parser.add_argument("--largest", type=int, default=6, help="cells of up to so many exposures")
-    parser.add_argument("--times", type=float, default=12.0, help="how long rivals may take")
-    parser.add_argument("--lend-kernel", action="store_true", help="scipy gets the fast score")
+    parser.add_argument("--largest", type=int, default=6, help="largest number of exposures")
+    parser.add_argument(
+        "--times",
+        type=float,
+        default=12.0,
+        help="time limit of scipy, in units of the time of the solver",
+    )
+    parser.add_argument("--share-kernel", action="store_true", help="scipy uses the batch score")
     arguments = parser.parse_args()
     with_scipy = not arguments.no_scipy
-    bench_cells(arguments.largest, arguments.times, with_scipy, arguments.lend_kernel)
+    bench_cells(arguments.largest, arguments.times, with_scipy, arguments.share_kernel)
     bench_growth()
     bench_auto()
     bench_table()

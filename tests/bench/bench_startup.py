@@ -1,8 +1,8 @@
-"""How long a person waits for `camctl --help`, against a bare `python -c 'import numpy'`.
+"""Start-up time of `camctl --help` and others, compared with `python -c 'import numpy'`.
 
     python tests/bench/bench_startup.py
 
-Medians of interleaved runs in one go, after one of each that warms the disk.
+Medians of interleaved runs, after one run of each that fills the disk cache.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ import time
 
 RUNS = 15
 LIMIT = 5.0
-"""`--help` may take so many times what importing numpy takes."""
+"""Longest time of `--help`, in units of the time of importing numpy."""
 
 COMMANDS = {
     "import numpy": "import numpy",
+    "import camctl": "import camctl",
     "camctl --help": "from camctl.cli import main; main(['--help'])",
     "camctl shoot --help": "from camctl.cli import main; main(['shoot', '--help'])",
     "camctl cameras": "from camctl.cli import main; main(['cameras'])",

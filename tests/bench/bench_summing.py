@@ -1,4 +1,4 @@
-"""What summing costs: one `accumulate` a frame, against a bare copy of the bytes that it must move.
+"""The cost of summing: one `accumulate` per frame, compared with a copy of as many bytes.
 
     python tests/bench/bench_summing.py [--megapixels 24] [--frames 6] [--rounds 5]
 
@@ -17,8 +17,8 @@ from functools import partial
 import cv2
 import numpy as np
 
-from camctl.capture.accumulator import Accumulator
-from camctl.capture.outputs import Tables
+from camctl.captures.accumulator import Accumulator
+from camctl.captures.pictures import Tables
 from camctl.exposure.effective import EffectiveCamera
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response
@@ -45,7 +45,7 @@ def measure(name: str, shape: tuple[int, ...], count: int, rounds: int) -> None:
     copies, sums = [], []
     for _ in range(rounds):
         total = Accumulator(shape, np.dtype(np.uint8), count, WHITE)
-        total.total.fill(0)  # the pages are there before the first frame comes
+        total.total.fill(0)  # its memory is mapped before the first frame arrives
         for frame in frames:
             copies.append(seconds(lambda: np.copyto(target, source)))
             sums.append(seconds(partial(total.accumulate, frame)))

@@ -1,18 +1,27 @@
-"""The measured control delay is the true one, or the measurement says why there is none."""
+"""The measured control delay is the true one, or an error states why it cannot be measured."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.calibration.delay import FRAMES, MOST_FRAMES, Landing, Spoiled, measure_delay, read_step
+from camctl.calibration.delay import (
+    FIRST_FRAMES,
+    MOST_FRAMES,
+    InvalidStep,
+    StepResponse,
+    find_step,
+    measure_delay,
+)
 from camctl.camera import Frame
-from camctl.controls import Choices, ExposureSetting
+from camctl.controls import Choices, ExposureControls, ExposureSetting
 from camctl.errors import CameraDisconnectedError, CameraProtocolError, CaptureError, UsageError
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import Scene, load_scene
@@ -41,7 +50,7 @@ def camera(
 
 @pytest.mark.parametrize("sensor", ["ideal-4", "ideal-12", "standard", "webcam", "phone", "mobile"])
 @pytest.mark.parametrize("scene", ["tile-floor", "ramp", "ball"])
-def test_a_constant_delay_is_found_with_every_sensor(sensor: str, scene: str) -> None:
+def test_constant_delay_is_measured_with_every_sensor(sensor: str, scene: str) -> None:
     for delay in range(6):
         with camera(delay, sensor=sensor, scene=scene) as under_test:
             record = measure_delay(under_test)
@@ -59,7 +68,7 @@ def test_a_constant_delay_is_found_with_every_sensor(sensor: str, scene: str) ->
     seed=st.integers(0, 1000),
 )
 @settings(max_examples=60)
-def test_what_is_measured_holds(
+def test_measured_delay_is_within_the_true_bounds(
     delay: int, jitter: int, sensor: str, level: float, noise: float, gain: float, seed: int
 ) -> None:
     light = np.geomspace(level, level / 100, 600, dtype=np.float32).reshape(20, 30)
@@ -79,18 +88,18 @@ def test_what_is_measured_holds(
         assert record.frames == delay
 
 
-def test_a_delay_that_varies_is_not_called_constant() -> None:
+def test_varying_delay_is_not_constant() -> None:
     with camera(1, 2) as under_test:
         record = measure_delay(under_test, trials=24)
     assert (record.frames, record.smallest, record.largest) == (None, 1, 3)
 
 
-def test_a_long_delay_is_found_although_few_frames_are_looked_at() -> None:
-    with camera(FRAMES + 5) as under_test:
-        assert measure_delay(under_test, trials=4).frames == FRAMES + 5
+def test_delay_longer_than_the_frames_looked_at_first() -> None:
+    with camera(FIRST_FRAMES + 5) as under_test:
+        assert measure_delay(under_test, trials=4).frames == FIRST_FRAMES + 5
 
 
-def test_the_gain_is_stepped_as_well() -> None:
+def test_delay_of_the_gain_is_measured_too() -> None:
     class LateGain(SimulatedCamera):
         """Its gain takes a frame longer than its shutter time."""
 
@@ -105,10 +114,10 @@ def test_the_gain_is_stepped_as_well() -> None:
     assert (record.frames, record.smallest, record.largest) == (None, 2, 3)
 
 
-def test_a_camera_with_choices_of_times_only() -> None:
+def test_camera_with_a_list_of_times() -> None:
     class Coarse(SimulatedCamera):
         @property
-        def controls(self):  # type: ignore[no-untyped-def]
+        def controls(self) -> ExposureControls:
             times = Choices(tuple(1e-5 * round(1e5 * 2.0 ** (k / 3 - 12)) for k in range(40)))
             return replace(super().controls, time_s=times)
 
@@ -116,74 +125,77 @@ def test_a_camera_with_choices_of_times_only() -> None:
         assert measure_delay(under_test).frames == 3
 
 
-class Tampering(SimulatedCamera):
-    """What comes after a step is changed before anybody sees it."""
+Change = Callable[[list[Frame], int], list[Frame]]
 
-    tamper: Callable[[list[Frame], ExposureSetting, ExposureSetting, int], list[Frame]]
-    calls = 0
+
+class ChangedFrames(SimulatedCamera):
+    """The frames after a step are changed by a function of them and of the number of the step."""
+
+    change: Change
+    steps = 0
 
     def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
         shown = super().step(before, after, frames)
         if before == after:
             return shown
-        self.calls += 1
-        return self.tamper(shown, before, after, self.calls)
+        self.steps += 1
+        return self.change(shown, self.steps)
 
 
-def tampering(tamper: Callable[..., list[Frame]]) -> type[Tampering]:
-    return type("Tampered", (Tampering,), {"tamper": staticmethod(tamper)})
+def changed(change: Change) -> type[ChangedFrames]:
+    return type("Changed", (ChangedFrames,), {"change": staticmethod(change)})
 
 
-def test_a_frame_between_two_exposures_makes_the_delay_not_constant() -> None:
-    def mix(frames: list[Frame], _before: object, _after: object, _call: int) -> list[Frame]:
-        mixed = (frames[1].pixels // 2 + frames[2].pixels // 2).astype(frames[2].pixels.dtype)
+def test_mixed_exposures_make_the_delay_not_constant() -> None:
+    def mix(frames: list[Frame], _step: int) -> list[Frame]:
+        mixed: Any = (frames[1].pixels // 2 + frames[2].pixels // 2).astype(frames[2].pixels.dtype)
         return [*frames[:2], replace(frames[2], pixels=mixed), *frames[3:]]
 
-    told: list[str] = []
-    with camera(2, kind=tampering(mix)) as under_test:
-        record = measure_delay(under_test, tell=told.append)
+    warnings: list[str] = []
+    with camera(2, kind=changed(mix)) as under_test:
+        record = measure_delay(under_test, warn=warnings.append)
     assert (record.frames, record.smallest, record.largest) == (None, 2, 3)
-    assert len(told) == 1
-    assert "mixes exposures" in told[0]
+    assert len(warnings) == 1
+    assert "12 of 12 steps show a frame between the two exposures" in warnings[0]
 
 
-def go_back(frames: list[Frame], _before: object, _after: object, _call: int) -> list[Frame]:
+def return_to_old(frames: list[Frame], _step: int) -> list[Frame]:
     return [*frames[:5], frames[0], *frames[6:]]
 
 
-def test_a_frame_that_goes_back_is_no_measurement() -> None:
+def test_return_to_the_earlier_exposure_is_an_error() -> None:
+    message = r"4 steps were invalid, the last because frame 5 returns to the earlier exposure; "
     with (
-        camera(2, kind=tampering(go_back)) as under_test,
-        pytest.raises(CameraProtocolError, match=r"goes back .*; keep scene and light still"),
+        camera(2, kind=changed(return_to_old)) as under_test,
+        pytest.raises(CameraProtocolError, match=message + "keep scene and light steady"),
     ):
         measure_delay(under_test)
 
 
-def test_one_spoiled_step_is_taken_again_and_said() -> None:
-    def once(frames: list[Frame], before: object, after: object, call: int) -> list[Frame]:
-        return go_back(frames, before, after, call) if call == 3 else frames
+def test_one_invalid_step_is_repeated_with_a_warning() -> None:
+    def once(frames: list[Frame], step: int) -> list[Frame]:
+        return return_to_old(frames, step) if step == 3 else frames
 
-    told: list[str] = []
-    with camera(2, kind=tampering(once)) as under_test:
-        record = measure_delay(under_test, tell=told.append)
+    warnings: list[str] = []
+    with camera(2, kind=changed(once)) as under_test:
+        record = measure_delay(under_test, warn=warnings.append)
     assert record.frames == 2
-    assert len(told) == 1
-    assert "taken again: frame 5 goes back" in told[0]
+    assert warnings == ["a step is repeated: frame 5 returns to the earlier exposure"]
 
 
-def test_a_scene_that_changes_is_said() -> None:
-    def flash(frames: list[Frame], _before: object, _after: object, _call: int) -> list[Frame]:
+def test_changing_scene_is_an_error() -> None:
+    def flash(frames: list[Frame], _step: int) -> list[Frame]:
         white = np.full_like(frames[0].pixels, frames[0].white)
         return [*frames[:-1], replace(frames[-1], pixels=white)]
 
     with (
-        camera(2, kind=tampering(flash)) as under_test,
-        pytest.raises(CameraProtocolError, match="light of neither exposure"),
+        camera(2, kind=changed(flash)) as under_test,
+        pytest.raises(CameraProtocolError, match="has the brightness of neither exposure"),
     ):
         measure_delay(under_test)
 
 
-def test_light_that_flickers_is_said() -> None:
+def test_flickering_light_is_an_error() -> None:
     class Flickering(SimulatedCamera):
         number = 0
 
@@ -192,62 +204,78 @@ def test_light_that_flickers_is_said() -> None:
             for frame in super().step(before, after, frames):
                 self.number += 1
                 factor = 1.0 if self.number % 2 else 0.6
-                pixels = (frame.pixels * factor).astype(frame.pixels.dtype)
+                pixels: Any = (frame.pixels * factor).astype(frame.pixels.dtype)
                 shown.append(replace(frame, pixels=pixels))
             return shown
 
     with (
         camera(2, kind=Flickering) as under_test,
-        pytest.raises(CaptureError, match=r"not steady.*does not flicker"),
+        pytest.raises(
+            CaptureError, match=r"the light is not steady: .*; point .* does not flicker"
+        ),
     ):
         measure_delay(under_test)
 
 
-@pytest.mark.parametrize(("light", "said"), [(1e-6, "too dark.*lens cap"), (1e9, "too bright")])
-def test_black_and_white_are_said(light: float, said: str) -> None:
+@pytest.mark.parametrize(
+    ("light", "message"),
+    [
+        (1e-6, "the scene is too dark: it is black even at .*; take the lens cap off"),
+        (1e9, "the scene is too bright: it is white even at .*; close the aperture"),
+    ],
+)
+def test_black_and_white_scenes_are_errors(light: float, message: str) -> None:
     with (
         camera(scene=Scene("flat", np.full((8, 8), light), photons_per_unit=1e6)) as under_test,
-        pytest.raises(CaptureError, match=said),
+        pytest.raises(CaptureError, match=message),
     ):
         measure_delay(under_test)
 
 
-def test_an_exposure_that_never_shows_up_is_said() -> None:
-    def stuck(frames: list[Frame], before: object, _after: object, _call: int) -> list[Frame]:
+def test_exposure_that_never_takes_effect_is_an_error() -> None:
+    def stuck(frames: list[Frame], _step: int) -> list[Frame]:
         return [replace(frame, pixels=frames[0].pixels) for frame in frames]
 
     with (
-        camera(2, kind=tampering(stuck)) as under_test,
-        pytest.raises(CameraProtocolError, match=f"within {MOST_FRAMES} frames.*automatic"),
+        camera(2, kind=changed(stuck)) as under_test,
+        pytest.raises(
+            CameraProtocolError,
+            match=f"did not take effect within {MOST_FRAMES} frames; turn .* automatic exposure",
+        ),
     ):
         measure_delay(under_test)
 
 
-def test_a_camera_without_stream_needs_none() -> None:
+def test_still_camera_has_no_delay() -> None:
     class Still:
         pass
 
-    with pytest.raises(UsageError, match="no stream; a still camera needs no delay"):
+    with pytest.raises(UsageError, match="this camera does not stream; a still camera has no"):
         measure_delay(Still())  # type: ignore[arg-type]
 
 
-def test_a_camera_with_one_exposure_has_no_step() -> None:
-    one = {"time_minimum_s": 1e-3, "time_maximum_s": 1e-3, "line_s": 1e-3}
-    with camera(**one) as under_test, pytest.raises(UsageError, match="no two exposures"):
+def test_camera_with_a_single_exposure_time() -> None:
+    with (
+        camera(time_minimum_s=1e-3, time_maximum_s=1e-3, line_s=1e-3) as under_test,
+        pytest.raises(UsageError, match="no two exposures far enough apart"),
+    ):
         measure_delay(under_test)
 
 
-def test_faults_of_the_camera_pass_through() -> None:
+def test_errors_of_the_camera_and_of_the_caller() -> None:
     with (
         camera(faults=Faults(unplug_after=20)) as under_test,
         pytest.raises(CameraDisconnectedError),
     ):
         measure_delay(under_test)
-    with camera() as under_test, pytest.raises(UsageError, match="at least 2"):
+    with (
+        camera() as under_test,
+        pytest.raises(UsageError, match="invalid number of trials 1; take at least 2"),
+    ):
         measure_delay(under_test, trials=1)
 
 
-def test_progress_rises_and_the_same_seed_gives_the_same() -> None:
+def test_progress_rises_and_the_seed_determines_the_result() -> None:
     shares: list[float] = []
     with camera(1, 2, seed=5) as under_test:
         first = measure_delay(under_test, progress=shares.append, seed=4)
@@ -265,16 +293,13 @@ def test_progress_rises_and_the_same_seed_gives_the_same() -> None:
     st.sampled_from([(0.2, 0.8), (0.9, 0.1)]),
     st.randoms(use_true_random=False),
 )
-def test_a_step_is_read_where_it_landed(
-    first: int, mixed: int, tail: int, levels: tuple[float, float], random: object
+def test_step_is_found_in_the_brightness(
+    first: int, mixed: int, tail: int, levels: tuple[float, float], random: Random
 ) -> None:
     old, new = levels
     shares = [0.0] * first + [0.5] * mixed + [1.0] * tail
-    light = [
-        old + (share + random.uniform(-0.1, 0.1)) * (new - old)  # type: ignore[attr-defined]
-        for share in shares
-    ]
-    assert read_step(light, old, new) == Landing(first, first + mixed)
-    assert read_step(light[: first + mixed + 1], old, new) is None
-    assert isinstance(read_step([*light, old, new], old, new), Spoiled)
-    assert isinstance(read_step([*light, 2 * new - old], old, new), Spoiled)
+    light = [old + (share + random.uniform(-0.1, 0.1)) * (new - old) for share in shares]
+    assert find_step(light, old, new) == StepResponse(first, first + mixed)
+    assert find_step(light[: first + mixed + 1], old, new) is None
+    assert isinstance(find_step([*light, old, new], old, new), InvalidStep)
+    assert isinstance(find_step([*light, 2 * new - old], old, new), InvalidStep)

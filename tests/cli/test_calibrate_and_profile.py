@@ -141,5 +141,5 @@ def test_a_still_camera_needs_no_delay(run: Run, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(registry, "open_camera", lambda *_: Still())
     ran = run("calibrate", "delay")
-    assert ran.error == "this camera has no stream; a still camera needs no delay"
+    assert ran.error == "this camera does not stream; a still camera has no control delay"
     assert ran.status == 2

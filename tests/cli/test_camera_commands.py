@@ -273,7 +273,7 @@ class Serial:
 
 
 def roads(monkeypatch: pytest.MonkeyPatch, **kinds: type) -> None:
-    monkeypatch.setattr(registry, "_found", lambda _: kinds)
+    monkeypatch.setattr(registry, "_entry_points", lambda _: kinds)
     monkeypatch.setattr(registry, "load", lambda _group, _kind, name: kinds[name])
 
 

@@ -14,10 +14,10 @@ import pytest
 from camctl.cli.evaluate import count, warnings_of
 from camctl.cli.solve_output import USUAL_SETS, certificate_text
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.lookup import default_table
 from camctl.exposure.lower_bound import Certificate
 from camctl.exposure.objective import xi
 from camctl.exposure.robustness import Robustness, Spread
+from camctl.exposure.table import default_table
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response
 
@@ -160,7 +160,7 @@ def test_noise_of_a_sensor_is_counted_in(run: Run) -> None:
     [
         (["--electrons", "0"], "--electrons: 0 is not a number of electrons above 0"),
         (["--read-noise", "-1"], "--read-noise: -1 is not a noise from 0"),
-        (["--read-noise", "65"], "noise of 65 levels; give 0 to 64"),
+        (["--read-noise", "65"], "invalid read noise of 65 levels: expected 0 to 64"),
     ],
 )
 def test_noise_that_cannot_be(run: Run, words: list[str], message: str) -> None:

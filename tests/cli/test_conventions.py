@@ -137,8 +137,8 @@ def test_version(run: Run) -> None:
         (["shoot", "-O", "=y16"], "--camera-option: '=y16' is not NAME=VALUE"),
         (["shoot", "-O", "size=9x9", "-O", "size=8x8"], "option 'size' is said twice; say it once"),
         (["menu", "-O", "size=9x9", "--size", "9x9"], "option 'size' is said twice; say it once"),
-        (["shoot", "-O", "fromat=y16"], "unknown option of the simulated camera 'fromat'; known"),
-        (["shoot", "-O", "scenes=room"], "option of the simulated camera 'scenes'; did you mean"),
+        (["shoot", "-O", "fromat=y16"], "unknown camera option 'fromat'; known"),
+        (["shoot", "-O", "scenes=room"], "unknown camera option 'scenes'; did you mean scene or"),
         (["calibrate", "delay", "--trials", "1"], "--trials: 1 is not a whole number of trials"),
         (["calibrate", "dealy"], "unknown command 'dealy'; did you mean delay?"),
         (["profile", "show"], "missing argument 'NAME'; see camctl profile show --help"),
@@ -174,7 +174,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
 
     import camctl.backends
 
-    monkeypatch.setattr(camctl.backends, "look_for_cameras", fail)
+    monkeypatch.setattr(camctl.backends, "list_backends", fail)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from camctl.cli import options
 from camctl.cli import response_options as realcamera
 from camctl.cli.output import share_of_time
 from camctl.cli.table import InterruptedBuildError
-from camctl.exposure.lookup import default_table
-from camctl.exposure.objective import NOISE_KINDS
+from camctl.exposure.noise import NOISE_KINDS
+from camctl.exposure.table import default_table
 from camctl.response.camera import STANDARDS
 from camctl.response.desired import RANGES, RESPONSES
 
@@ -149,22 +149,37 @@ def test_repairs_of_a_curve_are_said_on_standard_error(run: Run) -> None:
     ("files", "words", "message", "status"),
     [
         ({}, ["solve", "--curve", "nix"], "no curve 'nix'; give a file of two columns", 1),
-        ({"c": "1\n2\n"}, ["solve", "--curve", "c"], "curve c, line 1: 1 column", 1),
+        (
+            {"c": "1\n2\n"},
+            ["solve", "--curve", "c"],
+            "curve c, line 1: expected 2 columns, found 1",
+            1,
+        ),
         ({"c": "a b\n"}, ["solve", "--curve", "c"], "curve c, line 1: 'a b' is not two numb", 1),
-        ({"c": "0 0\n1 nan\n"}, ["solve", "--curve", "c"], "row 2 holds a number that is not", 1),
-        ({"c": "0 1\n1 1\n"}, ["solve", "--curve", "c"], "the curve is constant", 1),
-        ({"c": "0 1\n1 0\n"}, ["solve", "--curve", "c"], "brightness falls with irradiance", 1),
+        (
+            {"c": "0 0\n1 nan\n"},
+            ["solve", "--curve", "c"],
+            "row 2 contains a number that is not finite",
+            1,
+        ),
+        ({"c": "0 1\n1 1\n"}, ["solve", "--curve", "c"], "the brightness is constant", 1),
+        ({"c": "0 1\n1 0\n"}, ["solve", "--curve", "c"], "brightness decreases with irradiance", 1),
         ({}, ["solve", "--settings", "nix"], "settings nix: No such file", 1),
         ({"s": "# none\n"}, ["solve", "--settings", "s"], "settings s: no times in it", 1),
         ({"s": "1\n-2\n"}, ["solve", "--settings", "s"], "settings s, line 2: -2 is not a time", 2),
-        ({"s": "1\n2\n"}, ["solve", "--settings", "s"], "3 different exposures from 2 settings", 2),
+        (
+            {"s": "1\n2\n"},
+            ["solve", "--settings", "s"],
+            "3 different exposures cannot be chosen from 2 settings",
+            2,
+        ),
         (
             {"s": "1\n2\n4\n"},
             ["solve", "--settings", "s", "--total-limit", "5"],
-            "the least is 7",
+            "the smallest sum is 7",
             2,
         ),
-        ({}, ["solve", "--total-limit", "2"], "the least is 3", 2),
+        ({}, ["solve", "--total-limit", "2"], "3 exposures have at least 3 times the shortest", 2),
         ({}, ["solve", "--tolerance", "5"], "--tolerance needs --levels", 2),
         (
             {},
@@ -175,7 +190,7 @@ def test_repairs_of_a_curve_are_said_on_standard_error(run: Run) -> None:
         (
             {},
             ["solve", "--tolerance", "0", "--levels", "200", "-n", "1", "--bits", "4"],
-            "1 exposures do not bring xi down to 0; they reach",
+            "no set of up to 1 exposures reduces xi to 0; the best one has",
             2,
         ),
         ({"t": "{"}, ["table", "show", "--table", "t"], "exposure table t is damaged", 1),
@@ -317,10 +332,10 @@ def test_any_gamma(run: Run) -> None:
     [
         (["--gamma", "0.3"], "--gamma goes without --response log; say --response gamma"),
         (["--response", "gamma", "--gamma", "0"], "--gamma: 0 is not an exponent from 0.01"),
-        (["--response", "gamma", "--gamma", "101"], "gamma exponent 101; q lies between"),
+        (["--response", "gamma", "--gamma", "101"], "invalid gamma 101: expected 0.01 to 100"),
         (
             ["--response", "gamma", "--gamma", "2", "--certificate"],
-            "no bound is known for gamma 2",
+            "no lower bound is known for the desired response gamma 2",
         ),
     ],
 )

@@ -22,7 +22,7 @@ import drivers.coolpix.camera
 from camctl.profile import list_profiles
 from drivers.common.usb import UDEV_RULES
 from drivers.v4l2 import backend as v4l2
-from drivers.v4l2.node import Linux
+from drivers.v4l2.abi import Linux
 from sim.devices.ptp.camera import PtpCamera as VirtualStill
 from sim.devices.sierra.device import SierraDevice, make
 from sim.devices.usb.backend import VirtualBackend
@@ -68,10 +68,10 @@ def test_no_such_camera(run: Run, command: tuple[str, ...], camera: str, said: s
 @pytest.mark.parametrize(
     ("camera", "option", "said"),
     [
-        ("v4l2:/dev/video0", "fromat=y16", "unknown option of V4L2 cameras 'fromat'; did you mean"),
-        ("v4l2:/dev/video0", "size=wide", "a size of 'wide'; write WIDTHxHEIGHT"),
-        ("v4l2:/dev/video0", "fps=fast", "an fps of 'fast'; give a number"),
-        ("v4l2:/dev/video0", "bits=many", "bits of 'many'; give a whole number"),
+        ("v4l2:/dev/video0", "fromat=y16", "unknown camera option 'fromat'; did you mean format?"),
+        ("v4l2:/dev/video0", "size=wide", "invalid camera option size=wide; write WIDTHxHEIGHT"),
+        ("v4l2:/dev/video0", "fps=fast", "option fps=fast; input should be a valid number"),
+        ("v4l2:/dev/video0", "bits=many", "option bits=many; input should be a valid integer"),
         ("ptp:1", "scene=room", "unknown option of a PTP camera 'scene'"),
         ("ptp:1", "bulb=long", "a bulb time of 'long'; give seconds"),
         ("coolpix:/dev/ttyUSB0", "sped=9600", "unknown option of the CoolPix 'sped'; did you mean"),
@@ -136,10 +136,10 @@ def webcam(monkeypatch: pytest.MonkeyPatch) -> Model:
     model = Model()
     real = v4l2.V4l2Camera
 
-    def opened(path: str, **options: Any) -> v4l2.V4l2Camera:
-        return real(path, clock=model.clock, kernel=model, opener=model.video, **options)
+    def on_the_model(path: str, options: v4l2.V4l2Options) -> v4l2.V4l2Camera:
+        return real(path, options, clock=model.clock, kernel=model, opener=model.video)
 
-    monkeypatch.setattr(v4l2, "V4l2Camera", opened)
+    monkeypatch.setattr(v4l2, "V4l2Camera", on_the_model)
     return model
 
 
@@ -207,7 +207,7 @@ def test_a_still_camera_needs_no_delay_and_asks_before_it_meters(
 ) -> None:
     still(files="tiff")
     said = refusal(run, "calibrate", "delay", "--camera", "ptp")
-    assert said == "this camera has no stream; a still camera needs no delay"
+    assert said == "this camera does not stream; a still camera has no control delay"
     assert "--meter" in refusal(run, "shoot", "--camera", "ptp")
 
 

@@ -49,7 +49,7 @@ def test_explain_shows_each_effect_with_its_bound_and_why(run: Run) -> None:
     told = run("simulate", *SMALL, "--scene", "ramp", "--time", "0.001", "--explain").out
     for name in effect_names():
         assert name in told
-    for words in ("at most, DN", "left out", "a frame is whole numbers", "DN of 0.5 allowed"):
+    for words in ("at most, DN", "left out", "pixel values are whole numbers", "DN of 0.5 allowed"):
         assert words in told
 
 

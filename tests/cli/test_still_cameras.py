@@ -23,7 +23,8 @@ class StillRoad:
 
     def open(self, address: str, options: Mapping[str, str]) -> StillCamera:
         kind = {"jpeg": ("srgb", 8, 0), "raw": ("linear", 10, 64)}[options.get("format", "jpeg")]
-        StillRoad.opened = StillCamera(ramp(20.0), response=kind[0], bits=kind[1], black=kind[2])
+        camera = StillCamera(ramp(20.0), response=kind[0], bits=kind[1], black=kind[2])
+        StillRoad.opened = camera.open()
         return StillRoad.opened
 
 

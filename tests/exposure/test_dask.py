@@ -1,4 +1,4 @@
-"""A table built on a real cluster of two worker processes of `dask.distributed`."""
+"""An exposure table built on a cluster of two worker processes of `dask.distributed`."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ import warnings
 
 import pytest
 
-from camctl.exposure.build import build_table
+from camctl.exposure.build import build_table, table_jobs
 from camctl.response.camera import linear_response
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
 
 
 @pytest.mark.slow
-def test_the_same_bits_on_a_cluster_of_two_processes() -> None:
+def test_a_cluster_of_two_processes_builds_the_same_table() -> None:
     cameras = [linear_response(3), linear_response(4)]
-    alone = build_table(cameras, ("linear", "log"), (20.0,), (1, 2, 3))
-    told: list[tuple[int, int]] = []
+    jobs = table_jobs(cameras, ("linear", "log"), (20.0,), (1, 2, 3))
+    expected = build_table(jobs)
+    reported: list[tuple[int, int]] = []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the cluster's own libraries
+        warnings.simplefilter("ignore")  # raised inside the libraries of the cluster
         with (
             distributed.LocalCluster(
                 n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
@@ -26,13 +27,10 @@ def test_the_same_bits_on_a_cluster_of_two_processes() -> None:
             distributed.Client(cluster) as client,
         ):
             assert len(client.scheduler_info()["workers"]) == 2
-            spread = build_table(
-                cameras,
-                ("linear", "log"),
-                (20.0,),
-                (1, 2, 3),
+            built = build_table(
+                jobs,
                 executor=client.get_executor(),
-                progress=lambda done, total: told.append((done, total)),
+                progress=lambda done, total: reported.append((done, total)),
             )
-    assert spread.entries == alone.entries
-    assert told[-1] == (12, 12)
+    assert built.entries == expected.entries
+    assert reported[-1] == (12, 12)

@@ -5,8 +5,7 @@ import pytest
 
 from camctl.errors import UsageError
 from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.noise import noisy_effective_levels, quiet_levels, signal
-from camctl.exposure.objective import xi
+from camctl.exposure.noise import NoiseTerm, noisy_effective_levels, quantiser_input
 from camctl.exposure.robustness import sensitivity, shifted
 from camctl.response.camera import linear_response, standard_response
 from camctl.response.desired import desired_response
@@ -16,15 +15,17 @@ LOG = desired_response("log", 1000.0)
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.5])
-def test_the_signal_is_what_the_quantiser_floors(phase: float) -> None:
+def test_quantiser_input_of_a_linear_camera_is_linear(phase: float) -> None:
     E = np.linspace(0, 0.99, 500)
-    seen = signal(linear_response(8, phase=phase), E)
-    np.testing.assert_allclose(seen, 256 * E + phase, atol=1e-9)
+    found = quantiser_input(linear_response(8, phase=phase), E)
+    np.testing.assert_allclose(found, 256 * E + phase, atol=1e-9)
 
 
 @pytest.mark.parametrize(("sigma", "electrons"), [(0.3, np.inf), (1.5, np.inf), (0.5, 8.0)])
-def test_effective_levels_in_noise_against_drawn_frames(sigma: float, electrons: float) -> None:
-    """A million noisy sums of three frames, read off the middles of their gaps."""
+def test_effective_levels_with_noise_agree_with_simulated_frames(
+    sigma: float, electrons: float
+) -> None:
+    """A million noisy sums of three frames, each converted to the midpoint of its gap."""
     camera = EffectiveCamera.of(EIGHT_BIT, (1, 9.91, 88.38))
     predicted = noisy_effective_levels(
         camera, LOG, read_noise_levels=sigma, electrons_per_level=electrons
@@ -38,13 +39,13 @@ def test_effective_levels_in_noise_against_drawn_frames(sigma: float, electrons:
         frame = np.floor(e * E * 256 + spread * rng.standard_normal(u.size))
         total += np.clip(frame, 0, 255).astype(np.int64)
     heights = LOG.u(np.concatenate([[LOG.e_min], camera.levels, [1.0]]))
-    middles = (heights[1:] + heights[:-1]) / 2
-    drawn = (12 * np.mean((middles[total] - u) ** 2)) ** -0.5
-    assert predicted == pytest.approx(drawn, rel=0.01)
+    midpoints = (heights[1:] + heights[:-1]) / 2
+    simulated = (12 * np.mean((midpoints[total] - u) ** 2)) ** -0.5
+    assert predicted == pytest.approx(simulated, rel=0.01)
 
 
 @pytest.mark.parametrize("exposures", [(1,), (1, 1.003, 2.985), (1, 9.91, 88.38)])
-def test_without_noise_they_are_the_effective_levels(exposures: tuple[float, ...]) -> None:
+def test_zero_noise_gives_the_noise_free_effective_levels(exposures: tuple[float, ...]) -> None:
     camera = EffectiveCamera.of(EIGHT_BIT, exposures)
     for name in ("linear", "gamma", "log"):
         desired = desired_response(name, 300.0)
@@ -52,7 +53,7 @@ def test_without_noise_they_are_the_effective_levels(exposures: tuple[float, ...
         assert noisy == pytest.approx(effective_levels(camera, desired), rel=0.02)
 
 
-def test_half_a_level_of_noise_makes_an_interleave_worthless() -> None:
+def test_interleaved_exposures_gain_nothing_with_half_a_level_of_noise() -> None:
     desired = desired_response("linear", 256.0)
     found = sensitivity(EIGHT_BIT, desired, (1, 1.003))
     assert found.effective_levels > 1.4 * 255
@@ -61,26 +62,26 @@ def test_half_a_level_of_noise_makes_an_interleave_worthless() -> None:
     assert found.noise[2.0] == pytest.approx(found.noise_of_equal[2.0], rel=0.01)
 
 
-def test_one_percent_off_destroys_an_interleave_and_not_a_wide_set() -> None:
+def test_exposure_errors_of_one_percent_destroy_only_interleaved_exposures() -> None:
     linear = desired_response("linear", 256.0)
-    fragile = sensitivity(EIGHT_BIT, linear, (1, 1.00278))
-    sturdy = sensitivity(EIGHT_BIT, LOG, (1, 9.91, 88.38))
-    assert fragile.exposure_errors[1e-2].xi > 1.2 * fragile.xi
-    assert fragile.exposure_errors[1e-4].xi < 1.01 * fragile.xi
-    assert sturdy.exposure_errors[1e-2].xi < 1.05 * sturdy.xi
-    for spread in (*fragile.exposure_errors.values(), fragile.phase):
+    interleaved = sensitivity(EIGHT_BIT, linear, (1, 1.00278))
+    wide = sensitivity(EIGHT_BIT, LOG, (1, 9.91, 88.38))
+    assert interleaved.exposure_errors[1e-2].xi > 1.2 * interleaved.xi
+    assert interleaved.exposure_errors[1e-4].xi < 1.01 * interleaved.xi
+    assert wide.exposure_errors[1e-2].xi < 1.05 * wide.xi
+    for spread in (*interleaved.exposure_errors.values(), interleaved.phase):
         assert spread.xi <= spread.xi_worst
         assert spread.effective_levels >= spread.effective_levels_worst
 
 
-def test_shifting_by_a_phase_is_the_camera_with_that_phase() -> None:
+def test_shifted_levels_are_those_of_a_camera_with_that_phase() -> None:
     np.testing.assert_allclose(
         shifted(EIGHT_BIT, 0.25).levels, linear_response(8, phase=0.25).levels, rtol=1e-12
     )
-    shifted(standard_response("srgb", 8), 0.9)  # a valid camera too
+    shifted(standard_response("srgb", 8), 0.9)  # is a valid response
 
 
-def test_the_phase_spread_holds_floor_and_rounding() -> None:
+def test_phase_spread_includes_truncation_and_rounding() -> None:
     desired = desired_response("gamma", 1000.0)
     found = sensitivity(EIGHT_BIT, desired, (1, 2, 4))
     rounding = EffectiveCamera.of(linear_response(8, phase=0.5), (1, 2, 4))
@@ -89,25 +90,21 @@ def test_the_phase_spread_holds_floor_and_rounding() -> None:
     assert found.phase.effective_levels > found.effective_levels
 
 
-def test_drowned_levels_leave_the_camera() -> None:
-    camera = EffectiveCamera.of(EIGHT_BIT, (1, 9.91, 88.38))
-    all_levels = quiet_levels(camera, LOG, 765, read_noise_levels=0)
-    some = quiet_levels(camera, LOG, 765, read_noise_levels=0.5)
-    none = quiet_levels(camera, LOG, 765, read_noise_levels=60, share=1e-3)
-    assert np.array_equal(all_levels, camera.levels)
-    assert 0 < some.size < camera.levels.size
-    assert xi(some, LOG, 765) > xi(camera, LOG, 765)
-    assert not np.any((none > LOG.e_min) & (none < 1))
-    # the first frame's noise is 0.5 / 256 of irradiance, the wanted step E ln(1000) / 765 at E
-    first_frame = np.arange(1, 256) / 256
-    kept = first_frame[first_frame * np.log(1000) / 765 >= 0.5 / 256]
-    assert np.all(np.isin(kept, some))
-
-
 @pytest.mark.parametrize(
-    ("noise", "electrons"), [(-1.0, 1.0), (float("nan"), 1.0), (1e3, 1.0), (0.5, 0.0)]
+    ("noise", "electrons", "message"),
+    [
+        (-1.0, 1.0, "invalid read noise of -1 levels: expected 0 to 64"),
+        (float("nan"), 1.0, "invalid read noise of nan levels: expected 0 to 64"),
+        (1e3, 1.0, "invalid read noise of 1000 levels: expected 0 to 64"),
+        (0.5, 0.0, "invalid number of electrons per level 0: expected a positive number"),
+    ],
 )
-def test_noise_that_cannot_be(noise: float, electrons: float) -> None:
+def test_invalid_noise_is_refused(noise: float, electrons: float, message: str) -> None:
     camera = EffectiveCamera.of(EIGHT_BIT, (1, 2))
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match=message):
         noisy_effective_levels(camera, LOG, read_noise_levels=noise, electrons_per_level=electrons)
+
+
+def test_unknown_noise_term_suggests_similar_names() -> None:
+    with pytest.raises(UsageError, match="unknown noise term 'papr'; did you mean paper"):
+        NoiseTerm(0.01, kind="papr")

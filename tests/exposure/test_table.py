@@ -10,14 +10,12 @@ import pytest
 
 from camctl.errors import DataError, StorageError, UsageError
 from camctl.exposure import build
-from camctl.exposure import lookup as table
-from camctl.exposure.build import Job, build_table
+from camctl.exposure.build import Job, build_table, cache_folder, look_up, table_jobs
 from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.lookup import cache_folder, default_table, look_up
 from camctl.exposure.objective import xi
-from camctl.exposure.table import ExposureTable, TableEntry
-from camctl.exposure.tradeoff import predict
-from camctl.response.camera import linear_response
+from camctl.exposure.solver import Progress
+from camctl.exposure.table import ExposureTable, TableEntry, default_table
+from camctl.response.camera import CameraResponse, linear_response
 from camctl.response.desired import RANGES, RESPONSES, desired_response, tabulated_desired
 
 EIGHT_BIT = linear_response(8)
@@ -26,15 +24,16 @@ LOG = desired_response("log", "medium")
 
 
 @pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path / "cache"))
 
 
-def small_table(**options: Any) -> ExposureTable:
-    return build_table(THREE_BIT, ("linear", "log"), (20.0,), (1, 2), **options)
+def small_table(*, seed: int = 0, **options: Any) -> ExposureTable:
+    jobs = table_jobs(THREE_BIT, ("linear", "log"), (20.0,), (1, 2), seed=seed)
+    return build_table(jobs, **options)
 
 
-def test_the_shipped_table_is_whole_and_true() -> None:
+def test_default_table_is_complete_and_its_numbers_are_right() -> None:
     assert len(default_table().entries) == 54
     for name in RESPONSES:
         for span in RANGES:
@@ -50,7 +49,7 @@ def test_the_shipped_table_is_whole_and_true() -> None:
                 )
 
 
-def test_shipped_exposures_beat_doubling() -> None:
+def test_exposures_of_the_default_table_are_better_than_doubling() -> None:
     for entry in default_table().entries:
         if entry.n == 1:
             continue
@@ -68,26 +67,28 @@ def test_shipped_exposures_beat_doubling() -> None:
     ],
     ids=lambda camera: camera.name,
 )
-def test_other_cameras_are_never_served_its_rows(other: Any) -> None:
+def test_default_table_has_no_row_for_other_cameras(other: CameraResponse) -> None:
     assert default_table().find(other, LOG, 3) is None
 
 
-def test_other_wishes_are_not_served() -> None:
+def test_default_table_has_no_row_for_other_desired_responses() -> None:
     assert default_table().find(EIGHT_BIT, desired_response("log", 1001.0), 3) is None
-    assert default_table().find(EIGHT_BIT, desired_response("gamma", "medium", q=0.45), 3) is None
+    assert (
+        default_table().find(EIGHT_BIT, desired_response("gamma", "medium", gamma=0.45), 3) is None
+    )
     assert default_table().find(EIGHT_BIT, LOG, 7) is None
     assert default_table().find(EIGHT_BIT, LOG, 3, levels_wanted=700) is None
 
 
-def test_look_up_solves_once_and_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_look_up_solves_a_row_once_and_caches_it(monkeypatch: pytest.MonkeyPatch) -> None:
     solved: list[Job] = []
-    really: Callable[..., TableEntry] = build.solve_job
+    solve_job = build.solve_job
 
-    def counted(job: Job, progress: Callable[[float], None] | None = None) -> TableEntry:
+    def counted(job: Job, progress: Progress | None = None) -> TableEntry:
         solved.append(job)
-        return really(job, progress)
+        return solve_job(job, progress)
 
-    monkeypatch.setattr(table, "solve_job", counted)
+    monkeypatch.setattr(build, "solve_job", counted)
     desired = desired_response("log", 20.0)
     first = look_up(THREE_BIT, desired, 2)
     assert look_up(THREE_BIT, desired, 2) == first
@@ -98,13 +99,13 @@ def test_look_up_solves_once_and_keeps_it(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(solved) == 2
 
 
-def test_look_up_knows_tables_by_what_is_in_them() -> None:
+def test_look_up_distinguishes_tabulated_responses_of_the_same_name() -> None:
     one = tabulated_desired([0.05, 0.3, 1.0], [0, 0.5, 1], name="mine")
     two = tabulated_desired([0.05, 0.3, 1.0], [0, 0.8, 1], name="mine")
     assert look_up(THREE_BIT, one, 2).exposures != look_up(THREE_BIT, two, 2).exposures
 
 
-def test_a_damaged_cached_row_is_named() -> None:
+def test_damaged_cached_row_is_refused_with_its_file_name() -> None:
     desired = desired_response("log", 20.0)
     look_up(THREE_BIT, desired, 2)
     (path,) = cache_folder().iterdir()
@@ -113,16 +114,18 @@ def test_a_damaged_cached_row_is_named() -> None:
         look_up(THREE_BIT, desired, 2)
 
 
-def test_a_cached_row_of_another_wish_is_named() -> None:
+def test_cached_row_of_another_camera_is_refused_with_its_file_name() -> None:
     desired = desired_response("log", 20.0)
     entry = look_up(THREE_BIT, desired, 2)
     (path,) = cache_folder().iterdir()
     path.write_text(entry.model_copy(update={"camera": "0" * 16}).model_dump_json())
-    with pytest.raises(DataError, match="of another camera or wish; delete that file"):
+    with pytest.raises(
+        DataError, match=f"{path.name} are for another camera or desired response; delete that file"
+    ):
         look_up(THREE_BIT, desired, 2)
 
 
-def test_without_a_writable_cache_the_answer_still_comes(
+def test_look_up_works_without_a_writable_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocker = tmp_path / "file"
@@ -131,7 +134,7 @@ def test_without_a_writable_cache_the_answer_still_comes(
     assert look_up(THREE_BIT, desired_response("log", 20.0), 2).n == 2
 
 
-def test_a_table_comes_back_from_disk(tmp_path: Path) -> None:
+def test_saved_table_can_be_loaded(tmp_path: Path) -> None:
     made = small_table()
     made.save(tmp_path / "table.json")
     assert ExposureTable.load(tmp_path / "table.json", THREE_BIT).entries == made.entries
@@ -145,12 +148,21 @@ def test_a_table_comes_back_from_disk(tmp_path: Path) -> None:
         (lambda text: "", "damaged"),
         (lambda text: text.replace('"exposures":[1.0', '"exposures":[-1.0', 1), "damaged"),
         (lambda text: text.replace('"exposures":[1.0', '"exposures":[NaN', 1), "damaged"),
-        (lambda text: text.replace('"n":2', '"n":3', 1), "2 exposures where n is 3"),
+        (lambda text: text.replace('"n":2', '"n":3', 1), "it has 2 exposures, but n is 3"),
         (lambda text: text.replace('"dynamic_range":20.0', '"dynamic_range":1.0', 1), "dynamic"),
         (lambda text: text.replace('"version": 1', '"version": 99'), "version"),
     ],
+    ids=[
+        "truncated",
+        "empty",
+        "negative exposure",
+        "exposure not a number",
+        "wrong number of exposures",
+        "dynamic range 1",
+        "unknown version",
+    ],
 )
-def test_damaged_tables_are_refused_in_one_line(
+def test_damaged_table_is_refused_in_one_line(
     tmp_path: Path, change: Callable[[str], str], problem: str
 ) -> None:
     path = tmp_path / "table.json"
@@ -163,54 +175,56 @@ def test_damaged_tables_are_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_tables_that_are_no_text_or_not_there(tmp_path: Path) -> None:
+def test_missing_and_binary_table_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "table.json"
-    with pytest.raises(DataError, match="No such file"):
+    with pytest.raises(DataError, match=r"cannot read exposure table .*table.json: No such file"):
         ExposureTable.load(path)
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DataError, match="not a text file"):
+    with pytest.raises(DataError, match=r"table.json is damaged: it is not a text file"):
         ExposureTable.load(path)
 
 
-def test_a_table_of_another_camera_is_refused(tmp_path: Path) -> None:
+def test_table_of_another_camera_is_refused(tmp_path: Path) -> None:
     small_table().save(tmp_path / "table.json")
-    with pytest.raises(DataError, match=r"of another camera \(linear 3 bit\), not of linear 8 bit"):
+    with pytest.raises(
+        DataError, match=r"for another camera \(linear 3 bit\), not for linear 8 bit"
+    ):
         ExposureTable.load(tmp_path / "table.json", EIGHT_BIT)
 
 
-def test_a_table_that_cannot_be_written(tmp_path: Path) -> None:
+def test_table_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="a file of that name is in the way"):
         small_table().save(tmp_path / "file" / "table.json")
 
 
-def test_the_same_bits_whatever_the_executor() -> None:
-    alone = small_table().entries
+def test_every_executor_builds_the_same_table() -> None:
+    expected = small_table().entries
     with ThreadPoolExecutor(3) as threads:
-        assert small_table(executor=threads).entries == alone
+        assert small_table(executor=threads).entries == expected
     with ProcessPoolExecutor(2) as processes:
-        assert small_table(executor=processes).entries == alone
-    assert small_table(seed=1).entries != alone
+        assert small_table(executor=processes).entries == expected
+    assert small_table(seed=1).entries != expected
 
 
 class FailingExecutor(Executor):
-    """Solves some rows, then fails as a killed worker would."""
+    """Solves the first rows, then fails like a worker that was killed."""
 
     def __init__(self, good: int) -> None:
-        self.left = good
+        self.remaining = good
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        if self.left > 0:
-            self.left -= 1
+        if self.remaining > 0:
+            self.remaining -= 1
             future.set_result(fn(*args, **kwargs))
-        elif self.left == 0:
-            self.left -= 1
+        elif self.remaining == 0:
+            self.remaining -= 1
             future.set_exception(KeyboardInterrupt())
         return future
 
 
-def test_an_interrupted_build_goes_on_where_it_stopped(
+def test_interrupted_build_continues_with_the_unsolved_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state = tmp_path / "state"
@@ -219,56 +233,45 @@ def test_an_interrupted_build_goes_on_where_it_stopped(
     kept = len(list(state.iterdir()))
     assert kept == 2
     solved: list[Job] = []
-    really = build.solve_job
+    solve_job = build.solve_job
 
     def counted(job: Job) -> TableEntry:
         solved.append(job)
-        return really(job)
+        return solve_job(job)
 
     monkeypatch.setattr(build, "solve_job", counted)
-    told: list[tuple[int, int]] = []
-    resumed = small_table(state=state, progress=lambda done, total: told.append((done, total)))
+    reported: list[tuple[int, int]] = []
+    resumed = small_table(state=state, progress=lambda done, total: reported.append((done, total)))
     assert len(solved) == 4 - kept
-    assert told == [(done, 4) for done in range(1, 5)]
+    assert reported == [(done, 4) for done in range(1, 5)]
     assert not state.exists()
     assert resumed.entries == small_table().entries
 
 
-def test_several_cameras_and_own_responses_in_one_table() -> None:
-    mine = tabulated_desired([0.05, 0.3, 1.0], [0, 0.5, 1], name="mine")
-    made = build_table([THREE_BIT, linear_response(2)], [mine, "linear"], (9.0,), (2,))
+def test_table_of_several_cameras_and_custom_responses() -> None:
+    custom = tabulated_desired([0.05, 0.3, 1.0], [0, 0.5, 1], name="custom")
+    jobs = table_jobs([THREE_BIT, linear_response(2)], [custom, "linear"], (9.0,), (2,))
+    made = build_table(jobs)
     assert [entry.camera_name for entry in made.entries] == ["linear 3 bit"] * 2 + [
         "linear 2 bit"
     ] * 2
-    assert made.find(linear_response(2), mine, 2) is not None
+    assert made.find(linear_response(2), custom, 2) is not None
 
 
-def test_nothing_to_build() -> None:
-    with pytest.raises(UsageError, match="nothing to build"):
-        build_table(THREE_BIT, (), (), ())
+def test_table_without_rows_is_refused() -> None:
+    with pytest.raises(UsageError, match="the exposure table has no rows; name at least one"):
+        build_table(table_jobs(THREE_BIT, (), (), ()))
 
 
-def test_bad_names_and_counts_fail_before_the_first_row() -> None:
+def test_invalid_names_and_counts_are_refused_before_the_first_row() -> None:
     with pytest.raises(UsageError, match="unknown response 'lgo'"):
-        build_table(THREE_BIT, ("lgo",), (9.0,), (2,))
-    with pytest.raises(UsageError, match="1 to 16"):
-        build_table(THREE_BIT, ("log",), (9.0,), (17,))
+        table_jobs(THREE_BIT, ("lgo",), (9.0,), (2,))
+    with pytest.raises(UsageError, match="invalid number of exposures 17: expected 1 to 16"):
+        table_jobs(THREE_BIT, ("log",), (9.0,), (17,))
 
 
-def test_a_saved_table_is_plain_json(tmp_path: Path) -> None:
+def test_saved_table_is_json(tmp_path: Path) -> None:
     small_table().save(tmp_path / "table.json")
     data = json.loads((tmp_path / "table.json").read_text())
     assert data["format"] == "camctl exposure table"
     assert len(data["entries"]) == 4
-
-
-def test_the_trade_off_shows_accuracy_beside_time() -> None:
-    rows = predict(EIGHT_BIT, LOG)
-    assert [row.n for row in rows] == [1, 2, 3, 4, 5, 6]
-    assert rows[0].total_exposure == 1
-    levels = [row.effective_levels for row in rows]
-    assert levels == sorted(levels)
-    entry = default_table().find(EIGHT_BIT, LOG, 3)
-    assert entry is not None
-    assert rows[2].exposures == entry.exposures
-    assert rows[2].total_exposure == pytest.approx(sum(entry.exposures))

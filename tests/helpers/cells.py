@@ -1,6 +1,7 @@
-"""The paper's printed table beside the best sets known: 8-bit linear, G = n * 255, DR = 2^(7 + n).
+"""The exposures printed by Grossberg and Nayar, and the best sets known for the same cells.
 
-Each row: response, printed exposures, xi of them, best known xi, where it is, xi of 1, 2, 4, ...
+Figure 4a of the paper, an 8-bit linear camera with G = n * 255 and DR = 2^(7 + n).  Each cell:
+response, printed exposures, their xi, the best known xi, its exposures, xi of 1, 2, 4, ...
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from camctl.response.desired import DesiredResponse, desired_response
 
 
 class Cell(NamedTuple):
+    """One response and number of exposures of the paper's table."""
+
     response: str
     printed: tuple[float, ...]
     printed_xi: float

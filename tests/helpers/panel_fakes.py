@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
-from camctl.capture.request import CapturePlan
-from camctl.capture.sequencer import Progress
+from camctl.captures.request import CapturePlan
+from camctl.captures.sequencer import Progress
 from camctl.controls import ExposureSetting
 from camctl.errors import InterruptedCaptureError
 from menu.ports import Choice, Cost, Highlight, Key, Summary

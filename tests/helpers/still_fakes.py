@@ -1,17 +1,16 @@
-"""A still camera for tests: a dial of third stops, no preview, its own files, slow downloads."""
+"""A still camera for tests: times in third stops, no preview, its own files, slow downloads."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import CameraInfo, Closing, Frame, FrameStream, OriginalFile
+from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile, Pixels
 from camctl.clock import VirtualClock
 from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout
-from camctl.errors import CameraDisconnectedError
 from camctl.response.camera import standard_response
 
 DOWNLOAD_S = 0.75
@@ -20,11 +19,18 @@ APERTURES = Choices(tuple(2.0 ** (k / 6) for k in range(9, 25)))
 SPEEDS = Choices(tuple(2.0 ** (k / 3) for k in range(13)))
 
 
-class StillCamera(Closing):
-    """Counts its actuations; `response` "srgb" makes 8-bit files, "linear" raw ones of `bits`.
+class StillCamera(CameraBase):
+    """A noise-free still camera that counts its actuations.
 
-    `light` is irradiance, (rows, columns), full scales a second at gain 1 and, with an aperture,
-    f/1.
+    Args:
+        light: irradiance, (rows, columns), full scales a second at gain 1 and, with an aperture,
+            f/1
+        response: "srgb" for 8-bit files, "linear" for raw files of `bits` bits
+        bits: a sample
+        black: black level, DN
+        times: shutter times
+        with_aperture: the aperture can be set
+        with_gain: the gain can be set
     """
 
     def __init__(
@@ -37,13 +43,12 @@ class StillCamera(Closing):
         times: Choices = THIRDS,
         with_aperture: bool = False,
         with_gain: bool = False,
-        serial: str = "77",
     ) -> None:
-        self._light, self._response = light, response
-        self.info = CameraInfo(f"ptp:{serial}", "Make", "Still 5", serial, "ptp")
-        self.clock = VirtualClock()
+        super().__init__("the still camera", VirtualClock())
+        self._light = light
         white = (1 << bits) - 1
-        self.controls = ExposureControls(
+        self._info = CameraInfo("ptp:77", "Make", "Still 5", "77", "ptp")
+        self._controls = ExposureControls(
             time_s=times,
             shape=light.shape,
             layout=Layout.MONO,
@@ -57,17 +62,15 @@ class StillCamera(Closing):
             frame_interval_s=DOWNLOAD_S,
         )
         self.actuations = 0
-        self._is_open = True
 
-    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+    def _open(self) -> None:
+        pass
+
+    def _close(self) -> None:
+        pass
+
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         """Expose and download one after another."""
-        if not self._is_open:
-            raise CameraDisconnectedError("the still camera is closed", hint="open it again")
-        for setting in settings:
-            self.controls.check(setting)
-        return self._frames(tuple(settings))
-
-    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Generator[Frame, None, None]:
         for index, setting in enumerate(settings):
             self.actuations += 1
             self.clock.sleep_until(self.clock.now() + setting.time_s)
@@ -86,16 +89,11 @@ class StillCamera(Closing):
                 original=OriginalFile(".png", data),
             )
 
-    def _expose(self, exposure: float) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    def _expose(self, exposure: float) -> Pixels:
         controls = self.controls
-        levels = controls.levels.levels
-        brightness = np.searchsorted(levels, self._light * exposure, side="right")
-        kind = np.uint8 if controls.bits <= 8 else np.uint16
-        return (brightness + controls.black).astype(kind)
-
-    def close(self) -> None:
-        """Let go of it."""
-        self._is_open = False
+        brightness = np.searchsorted(controls.levels.levels, self._light * exposure, side="right")
+        pixels = (brightness + controls.black).astype(np.uint16)
+        return pixels if controls.bits > 8 else pixels.astype(np.uint8)
 
 
 def ramp(brightest: float = 1.0, span: float = 1000.0) -> NDArray[np.float64]:

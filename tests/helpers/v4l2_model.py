@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from camctl.camera import Pixels
 from camctl.clock import VirtualClock
 from drivers.v4l2 import abi
 from drivers.v4l2.abi import ControlId, ControlType, fourcc
 
 PATH = "/dev/video-of-the-model"
 ROWS, COLUMNS = 6, 8
-#: Light of each pixel; brightness is light x ticks, cut at white.
+#: Light of each pixel; brightness is light x ticks (100 us), up to white.
 LIGHT = np.linspace(0.02, 0.5, ROWS * COLUMNS).reshape(ROWS, COLUMNS)
+_DESCRIPTOR = 7
+_OPENCV_TIMEOUT_S = 10
 
 
-def put(text, field_):
-    """Write text into a fixed field."""
+def put(text: str, field_: Any) -> None:
+    """Write text into a fixed field of a structure."""
     raw = text.encode()[: len(field_)]
     for index, byte in enumerate(raw):
         field_[index] = byte
@@ -29,7 +36,10 @@ def put(text, field_):
 
 @dataclass
 class Register:
-    """A control of the model."""
+    """A control of the model.
+
+    `stuck`: it keeps its value whatever is set; `clamp`: larger values are set to this one.
+    """
 
     name: str
     kind: int
@@ -44,7 +54,7 @@ class Register:
     clamp: int | None = None
 
 
-def registers():
+def registers() -> dict[int, Register]:
     switch, menu, integer = ControlType.BOOLEAN, ControlType.MENU, ControlType.INTEGER
     return {
         ControlId.EXPOSURE_AUTO: Register("Auto Exposure", menu, 0, 3, 1, 3, 3, menu=(1, 3)),
@@ -59,7 +69,20 @@ def registers():
 
 @dataclass
 class Model:
-    """The device, its kernel side (`open`, `ioctl`, `close`) and its OpenCV side (`video`)."""
+    """The device with its kernel side (`open`, `ioctl`, `close`) and its OpenCV side (`video`).
+
+    Attributes:
+        delay: control delay, frames
+        delays: control delay by the number of the write, instead of `delay`
+        interval_s, announced_s: true frame interval, and the one reported if that differs
+        formats, sizes, intervals: offered; sizes as (width, height)
+        lateness_s: from the end of a frame to its arrival
+        write_s: duration of writing a control
+        jitter_s: error of a slot's timestamp, by its number
+        lose, damage: slots whose frames are lost or arrive damaged
+        errors: errno by the request that fails with it
+        first_error: errno with which opening fails
+    """
 
     delay: int = 2
     interval_s: float = 0.1
@@ -69,54 +92,52 @@ class Model:
     intervals: tuple[tuple[int, int], ...] = ((1, 10), (1, 30))
     lateness_s: float = 0.002
     write_s: float = 0.001
-    jitter_s: object = None  # slot -> s
-    delays: object = None  # number of the write -> frames
-    lose: set = field(default_factory=set)
-    spoil: set = field(default_factory=set)
+    jitter_s: Callable[[int], float] | None = None
+    delays: Callable[[int], int] | None = None
+    lose: set[int] = field(default_factory=set)
+    damage: set[int] = field(default_factory=set)
     quantization: int = 1
     bytesperline: int = 0
     caps: int = abi.Caps.VIDEO_CAPTURE | abi.Caps.STREAMING
     opens: bool = True
     first_error: int | None = None
-    errors: dict = field(default_factory=dict)  # request -> errno
+    errors: dict[abi.Request, int] = field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.clock = VirtualClock(1000.0)
         self.controls = registers()
         self.buffers = 4
-        self.waiting = deque()
-        self.slot = 0  # the next to be finished
-        self.slot_end_s = None
-        self.pending = []  # (from which slot, ticks)
+        self.waiting: deque[tuple[int, float, int]] = deque()  # slot, end of exposure, ticks
+        self.slot = 0  # the one being exposed
+        self.slot_end_s: float | None = None
+        self.pending: list[tuple[int, int]] = []  # first slot that has it, ticks
         self.ticks = 157
         self.writes = 0
-        self.written_in = []  # the slot of each write of the exposure
-        self.used = []  # slots handed over by grab
+        self.written_in: list[int] = []  # the slot of each write of the exposure
+        self.used: list[int] = []  # slots that were grabbed
         self.frozen = False
         self.unplugged = False
-        self.picture = None
-        self.rate_s = self.interval_s
+        self.current: tuple[int, int, int] = (0, 0, 0)  # pixel format, width, height
         self.descriptors = 0
-        self.read_out = 0
         self.released = 0
-        self.stamp_s = lambda end_s: end_s
+        self.stamp_s: Callable[[float], float] = lambda end_s: end_s
 
     # The stream.
 
-    def begin(self):
+    def advance(self) -> float:
+        """Bring the device up to the clock; return when the slot being exposed ends, s."""
         if self.slot_end_s is None:
             self.slot_end_s = self.clock.now() + self.interval_s
-
-    def advance(self):
-        """Bring the device up to the clock; frames that find no buffer are lost."""
-        self.begin()
         while self.slot_end_s <= self.clock.now():
             if not self.frozen:
-                self._finish()
+                self.finish()
             self.slot += 1
             self.slot_end_s += self.interval_s
+        return self.slot_end_s
 
-    def _finish(self):
+    def finish(self) -> None:
+        """Finish the slot being exposed; its frame is lost where it finds no buffer."""
+        assert self.slot_end_s is not None
         for first, ticks in list(self.pending):
             if first <= self.slot:
                 self.ticks = ticks
@@ -125,93 +146,88 @@ class Model:
         if len(self.waiting) < self.buffers and self.slot not in self.lose:
             self.waiting.append((self.slot, self.slot_end_s + jitter_s, self.ticks))
 
-    def write_exposure(self, ticks):
+    def write_exposure(self, ticks: int) -> None:
         self.advance()
         delay = self.delays(self.writes) if self.delays else self.delay
         self.writes += 1
         self.written_in.append(self.slot)
-        if self.slot == 0 and self.slot_end_s is None:
-            self.ticks = ticks
-        # Slot `self.slot` is being exposed.
         self.pending.append((self.slot + 1 + delay, ticks))
 
     # OpenCV.
 
-    def video(self, path):
+    def video(self, path: str) -> Video:
         return Video(self)
 
     # The kernel.
 
-    def open(self, path):
+    def open(self, path: str) -> int:
         if self.first_error is not None:
             raise OSError(self.first_error, os.strerror(self.first_error))
         self.descriptors += 1
-        return 7
+        return _DESCRIPTOR
 
-    def close(self, descriptor):
-        assert descriptor == 7
+    def close(self, descriptor: int) -> None:
+        assert descriptor == _DESCRIPTOR
         self.descriptors -= 1
 
-    def ioctl(self, descriptor, request, argument):
+    def ioctl(self, descriptor: int, request: abi.Request, argument: ctypes.Structure) -> None:
         number = errno.ENODEV if self.unplugged else self.errors.get(request)
         if number is not None:
-            raise OSError(number, os.strerror(number))
+            self.fail(number)
         getattr(self, request.name.lower())(argument)
 
-    def no(self, number=errno.EINVAL):
+    def fail(self, number: int = errno.EINVAL) -> None:
         raise OSError(number, os.strerror(number))
 
-    def querycap(self, found):
+    def querycap(self, found: abi.Capability) -> None:
         put("uvcvideo", found.driver)
         put("A webcam: A webcam", found.card)
         put("usb-1", found.bus_info)
         found.capabilities = self.caps | abi.Caps.DEVICE_CAPS
         found.device_caps = self.caps
 
-    def enum_fmt(self, found):
+    def enum_fmt(self, found: abi.FormatDescription) -> None:
         if found.index >= len(self.formats):
-            self.no()
+            self.fail()
         found.pixelformat = fourcc(self.formats[found.index])
 
-    def enum_framesizes(self, found):
+    def enum_framesizes(self, found: abi.SizeQuery) -> None:
         if found.index >= len(self.sizes):
-            self.no()
+            self.fail()
         found.type = abi.Grid.DISCRETE
         found.words[0], found.words[1] = self.sizes[found.index]
 
-    def enum_frameintervals(self, found):
+    def enum_frameintervals(self, found: abi.IntervalQuery) -> None:
         if found.index >= len(self.intervals):
-            self.no()
+            self.fail()
         found.type = abi.Grid.DISCRETE
         found.words[0], found.words[1] = self.intervals[found.index]
 
-    def g_fmt(self, found):
-        code, width, height = self.picture
-        found.width, found.height, found.pixelformat = width, height, code
+    def g_fmt(self, found: abi.Format) -> None:
+        found.pixelformat, found.width, found.height = self.current
         found.bytesperline, found.quantization = self.bytesperline, self.quantization
 
-    def g_parm(self, found):
+    def g_parm(self, found: abi.StreamParameters) -> None:
         announced_s = self.announced_s or self.interval_s
         found.numerator, found.denominator = round(announced_s * 1e6), 1_000_000
 
-    def queryctrl(self, found):
-        control = self.controls.get(found.id)
-        if control is None:
-            self.no()
+    def queryctrl(self, found: abi.ControlQuery) -> None:
+        if found.id not in self.controls:
+            self.fail()
+        control = self.controls[found.id]
         put(control.name, found.name)
         found.type, found.flags = control.kind, control.flags
         found.minimum, found.maximum = control.minimum, control.maximum
         found.step, found.default_value = control.step, control.default
 
-    def querymenu(self, found):
+    def querymenu(self, found: abi.MenuQuery) -> None:
         if found.index not in self.controls[found.id].menu:
-            self.no()
+            self.fail()
 
-    def g_ctrl(self, found):
-        self.read_out += 1
+    def g_ctrl(self, found: abi.ControlValue) -> None:
         found.value = self.controls[found.id].value
 
-    def s_ctrl(self, found):
+    def s_ctrl(self, found: abi.ControlValue) -> None:
         control = self.controls[found.id]
         self.clock.sleep_until(self.clock.now() + self.write_s / 2)
         if not control.stuck:
@@ -226,70 +242,69 @@ class Model:
 class Video:
     """The model's `cv2.VideoCapture`."""
 
-    def __init__(self, model):
+    def __init__(self, model: Model) -> None:
         self.model = model
-        self.set_up = {}
-        self.frame = None
-        self.first = True
+        self.properties: dict[int, float] = {}
+        self.frame = (0, 0.0, 0)
+        self.is_first = True
 
-    def isOpened(self):  # noqa: N802
+    def isOpened(self) -> bool:  # noqa: N802
         return self.model.opens
 
-    def set(self, propId, value):
-        self.set_up[propId] = value
+    def set(self, propId: int, value: float) -> bool:
+        self.properties[propId] = value
         model = self.model
         if propId == cv2.CAP_PROP_BUFFERSIZE:
             model.buffers = int(value)
-        model.picture = (
-            int(self.set_up.get(cv2.CAP_PROP_FOURCC, 0)),
-            int(self.set_up.get(cv2.CAP_PROP_FRAME_WIDTH, 0)),
-            int(self.set_up.get(cv2.CAP_PROP_FRAME_HEIGHT, 0)),
+        model.current = (
+            int(self.properties.get(cv2.CAP_PROP_FOURCC, 0)),
+            int(self.properties.get(cv2.CAP_PROP_FRAME_WIDTH, 0)),
+            int(self.properties.get(cv2.CAP_PROP_FRAME_HEIGHT, 0)),
         )
         return True
 
-    def get(self, propId):
+    def get(self, propId: int) -> float:
         assert propId == cv2.CAP_PROP_POS_MSEC
         return self.model.stamp_s(self.frame[1]) * 1000
 
-    def grab(self):
+    def grab(self) -> bool:
         model = self.model
         model.advance()
         if model.unplugged:
             return False
         while not model.waiting:
             if model.frozen:
-                model.clock.sleep_until(model.clock.now() + 10)
+                model.clock.sleep_until(model.clock.now() + _OPENCV_TIMEOUT_S)
                 return False
-            arrives_s = model.slot_end_s + model.lateness_s
-            model.clock.sleep_until(arrives_s)
+            model.clock.sleep_until(model.advance() + model.lateness_s)
             model.advance()
         self.frame = model.waiting.popleft()
         model.clock.sleep_until(self.frame[1] + model.lateness_s)
-        if self.first:  # OpenCV throws the first frame of a stream away
-            self.first = False
+        if self.is_first:  # OpenCV discards the first frame of a stream
+            self.is_first = False
             return self.grab()
         model.used.append(self.frame[0])
         return True
 
-    def retrieve(self):
+    def retrieve(self) -> tuple[bool, NDArray[Any]]:
         slot, _, ticks = self.frame
-        code = self.model.picture[0]
-        if slot in self.model.spoil:
+        if slot in self.model.damage:
             return True, np.zeros((1, 5), np.uint8)
-        return True, as_opencv(code, ticks)
+        return True, as_opencv(self.model.current[0], ticks)
 
-    def release(self):
+    def release(self) -> None:
         self.model.released += 1
 
 
-def brightness(ticks, bits=8):
-    """Return the samples of a frame that was exposed for so many 100 us."""
+def brightness(ticks: int, bits: int = 8) -> NDArray[np.float64]:
+    """Return the samples of a frame that was exposed for `ticks` x 100 us."""
     scale = 2 ** (bits - 8)
-    return np.minimum(np.floor(LIGHT * ticks * scale), 2**bits - 1)
+    samples: NDArray[np.float64] = np.minimum(np.floor(LIGHT * ticks * scale), 2**bits - 1)
+    return samples
 
 
-def as_opencv(code, ticks):
-    """Return a frame as OpenCV gives it with CAP_PROP_CONVERT_RGB = 0."""
+def as_opencv(code: int, ticks: int) -> NDArray[Any]:
+    """Return a frame as OpenCV delivers it with CAP_PROP_CONVERT_RGB = 0."""
     name = code.to_bytes(4, "little").decode()
     if name == "YUYV":
         luma = brightness(ticks).astype(np.uint8)
@@ -305,7 +320,7 @@ def as_opencv(code, ticks):
     return brightness(ticks).astype(np.uint8).reshape(1, -1)  # 8 bits, a byte each
 
 
-def ticks_of(pixels, bits=8):
-    """Return the exposure that a frame shows, by its pixels alone."""
-    wanted = np.asarray(pixels, dtype=float)
-    return next(t for t in range(1, 1001) if np.array_equal(brightness(t, bits), wanted))
+def ticks_of(pixels: Pixels, bits: int = 8) -> int:
+    """Return the exposure of a frame, x 100 us, found from its pixels alone."""
+    samples = np.asarray(pixels, dtype=float)
+    return next(t for t in range(1, 1001) if np.array_equal(brightness(t, bits), samples))

@@ -20,7 +20,7 @@ import usb.core
 
 from camctl.backends import open_camera
 from camctl.camera import Camera, StreamingCamera
-from camctl.capture.report import CaptureReport
+from camctl.captures.report import CaptureReport
 from camctl.cli import main
 from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError
@@ -263,7 +263,7 @@ def start_devices(devices: Sequence[Device] = DEVICES) -> tuple[subprocess.Popen
         modprobe("g_serial", "use_acm=1")
         wait_for("/dev/ttyGS0", Path("/dev/ttyGS0").exists)
         process = subprocess.Popen(
-            [sys.executable, "-m", "sim.devices.hub", "--dir", str(DIRECTORY), str(config)]
+            [sys.executable, "-m", "sim.devices", "--dir", str(DIRECTORY), str(config)]
         )
         wait_for("hub", (DIRECTORY / "ctl").exists, 60)
     for device in devices:

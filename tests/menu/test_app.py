@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from panel_fakes import COSTS, FakeJob, ScriptedPanel, plan_of
 
-from camctl.capture.request import CapturePlan
+from camctl.captures.request import CapturePlan
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraDisconnectedError, CameraNotFoundError, UsageError
 from menu.app import run

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from panel_fakes import ScriptedPanel
 
+from camctl import read_report
 from camctl.camera import Frame
-from camctl.capture.report import read_report
-from camctl.capture.request import CaptureRequest
-from camctl.capture.sequencer import resume
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import resume
 from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError
 from menu.app import run

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from panel_fakes import COSTS, plan_of
 
-from camctl.capture.sequencer import Progress
+from camctl.captures.sequencer import Progress
 from camctl.controls import ExposureSetting
 from camctl.response.desired import RANGES as KNOWN_RANGES
 from camctl.response.desired import RESPONSES as KNOWN_RESPONSES

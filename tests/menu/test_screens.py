@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from panel_fakes import COSTS, plan_of
 
-from camctl.capture.request import CapturePlan
-from camctl.capture.sequencer import Progress
+from camctl.captures.request import CapturePlan
+from camctl.captures.sequencer import Progress
 from camctl.controls import ExposureSetting
 from menu.machine import STATES, Kind, step
 from menu.model import RANGES, RESPONSES, Action, Model, State

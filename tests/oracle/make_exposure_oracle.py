@@ -1,7 +1,7 @@
-"""Writes exposure_oracle.json: xi and effective levels to 30 digits, from the definition alone.
+"""Write exposure_oracle.json: xi and effective levels to 30 digits, from their definitions.
 
-Levels are exact fractions of the float64 exposures; what needs a root or a logarithm is mpmath with
-50 digits.  Nothing of camctl is used.  Run: python tests/oracle/make_exposure_oracle.py
+Levels are exact fractions of the float64 exposures; roots and logarithms are computed by mpmath
+with 50 digits.  No code of camctl is used.  Run: python tests/oracle/make_exposure_oracle.py
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import mpmath as mp
 
 mp.mp.dps = 50
 
-# name, bits, phase, exposures, response, q, dynamic range, G, p, relative error allowed
+# name, bits, phase, exposures, response, gamma, dynamic range, G, p, allowed relative error
 CASES: list[tuple[Any, ...]] = [
     ("1, 2, 4 coincide", 8, 0.0, (1, 2, 4), "linear", 1, 1000.0, 765, 1, 1e-14),
     ("printed linear 5", 8, 0.0, (1, 1.003, 1.007, 1.166, 4.975), "linear", 1, 4096.0, 1275, 1,
@@ -26,8 +26,8 @@ CASES: list[tuple[Any, ...]] = [
     ("gaps of 0 and 4e-3", 8, 0.0, (1, 1, 1), "linear", 1, 1000.0, 765, 1, 1e-14),
     ("1e6 apart", 8, 0.0, (1, 1000.5, 1e6), "log", 1, 1e7, 765, 1, 1e-14),
     ("gamma, range 1e7", 8, 0.0, (1, 50.3, 2000.7), "gamma", 0.5, 1e7, 765, 1, 1e-14),
-    ("gamma to no light", 8, 0.0, (1, 3.3), "gamma", 0.5, None, 510, 1, 1e-14),
-    ("linear to no light", 4, 0.0, (1, 1.05, 1.11), "linear", 1, None, 45, 1, 1e-14),
+    ("gamma, infinite range", 8, 0.0, (1, 3.3), "gamma", 0.5, None, 510, 1, 1e-14),
+    ("linear, infinite range", 4, 0.0, (1, 1.05, 1.11), "linear", 1, None, 45, 1, 1e-14),
     ("range 1.001", 8, 0.0, (1, 1.003), "log", 1, 1.001, 510, 1, 3e-13),
     ("range 1.001 gamma", 10, 0.0, (1, 1.0001), "gamma", 0.5, 1.001, 2046, 1, 3e-13),
     ("gamma 0.1", 8, 0.0, (1, 7.7), "gamma", 0.1, 1e5, 510, 1, 1e-14),
@@ -47,6 +47,8 @@ CASES: list[tuple[Any, ...]] = [
 
 
 class Desired:
+    """A desired response in 50 digits."""
+
     def __init__(self, response: str, q: float, dynamic_range: float | None, G: int) -> None:
         self.response, self.q, self.G = response, mp.mpf(q), mp.mpf(G)
         self.e_min = mp.mpf(0) if dynamic_range is None else 1 / mp.mpf(dynamic_range)
@@ -67,13 +69,14 @@ class Desired:
             return self.G * self.q * E ** (self.q - 1) / (1 - self.e_min**self.q)
         return self.G / (E * -mp.log(self.e_min))
 
-    def where(self, slope: Any) -> Any:
+    def inverse_slope(self, slope: Any) -> Any:
         if self.response == "gamma":
             return (slope * (1 - self.e_min**self.q) / (self.G * self.q)) ** (1 / (self.q - 1))
         return self.G / (slope * -mp.log(self.e_min))
 
 
-def share(desired: Desired, a: Any, b: Any, p: float) -> Any:
+def integral_over_gap(desired: Desired, a: Any, b: Any, p: float) -> Any:
+    """Return the integral of max(0, g' - 1 / (b - a))^p over the gap (a, b) above e_min."""
     low, high = max(a, desired.e_min), min(b, mp.mpf(1))
     if not low < high:
         return mp.mpf(0)
@@ -85,11 +88,11 @@ def share(desired: Desired, a: Any, b: Any, p: float) -> Any:
     elif desired.response == "gamma" and desired.q > 1:
         if desired.slope(high) <= density:
             return mp.mpf(0)
-        start = min(max(desired.where(density), low), high)
+        start = min(max(desired.inverse_slope(density), low), high)
     else:
         if desired.slope(low) <= density:
             return mp.mpf(0)
-        stop = min(max(desired.where(density), low), high)
+        stop = min(max(desired.inverse_slope(density), low), high)
     if p == 1:
         return desired.g(stop) - desired.g(start) - (stop - start) * density
     if desired.response == "linear":
@@ -97,8 +100,8 @@ def share(desired: Desired, a: Any, b: Any, p: float) -> Any:
     return mp.quad(lambda E: (desired.slope(E) - density) ** p, [start, stop])
 
 
-def coincident_once(bits: int, phase: float, exposures: tuple[float, ...]) -> int:
-    """Count levels of the exposures as written in decimals, those within 1e-12 of a first once."""
+def count_distinct(bits: int, phase: float, exposures: tuple[float, ...]) -> int:
+    """Count levels of the decimal exposures; levels within 1e-12 of a first one count once."""
     M = 2**bits - 1
     levels = sorted(
         (Fraction(k) - Fraction(phase)) / (M + 1) / Fraction(str(e))
@@ -123,7 +126,7 @@ def row(case: tuple[Any, ...]) -> dict[str, Any]:
     distinct = [level for level, _ in itertools.groupby(levels)]
     desired = Desired(response, q, dynamic_range, G)
     edges = [mp.mpf(x.numerator) / x.denominator for x in [Fraction(0), *distinct, Fraction(1)]]
-    xi = mp.fsum(share(desired, a, b, p) for a, b in itertools.pairwise(edges))
+    xi = mp.fsum(integral_over_gap(desired, a, b, p) for a, b in itertools.pairwise(edges))
     inside = [E for E in edges if desired.e_min < E < 1]
     heights = [desired.g(E) / G for E in [desired.e_min, *inside, mp.mpf(1)]]
     cubes = mp.fsum((b - a) ** 3 for a, b in itertools.pairwise(heights))
@@ -131,7 +134,7 @@ def row(case: tuple[Any, ...]) -> dict[str, Any]:
         "name": name, "bits": bits, "phase": phase, "exposures": list(exposures),
         "response": response, "q": q, "dynamic_range": dynamic_range, "levels_wanted": G, "p": p,
         "bound": bound, "xi": mp.nstr(xi, 30), "effective_levels": mp.nstr(1 / mp.sqrt(cubes), 30),
-        "levels_distinct": coincident_once(bits, phase, exposures),
+        "levels_distinct": count_distinct(bits, phase, exposures),
     }  # fmt: skip
 
 

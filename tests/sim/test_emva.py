@@ -1,6 +1,6 @@
-"""A simulated sensor measured as EMVA 1288 measures a camera: it gives its parameters back.
+"""A simulated sensor, measured as EMVA 1288 measures a camera, has the parameters it was given.
 
-Flat fields without a lens, everything on.  Each confidence is five standard deviations of the
+Flat fields without a lens, with every effect.  Tolerances are five standard deviations of the
 estimate, from the number of samples.
 """
 
@@ -10,15 +10,20 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sim.noise import largest_noise
 from sim.render import Renderer
+from sim.scenes.view import View
 from sim.sensors.parts import Dark, Pixels, ReadOut
 from sim.sensors.sensor import Sensor
 
 SHAPE = (400, 500)
 SAMPLES = SHAPE[0] * SHAPE[1]
 FRAMES = 24
+
+Frames = NDArray[np.float64]
+
 SENSOR = Sensor(
     name="measured",
     bits=12,
@@ -34,26 +39,26 @@ SENSOR = Sensor(
 )
 
 
-def flat(filled: float, time_s: float = 1e-3, sensor: Sensor = SENSOR) -> np.ndarray:
-    """Return (FRAMES, ...) frames of even light that fills so much of the well."""
+def flat(filled: float, time_s: float = 1e-3, sensor: Sensor = SENSOR) -> Frames:
+    """Return (FRAMES, *SHAPE) frames of even light that fills the share `filled` of the well."""
     photons_s = filled * sensor.full_well_e / sensor.quantum_efficiency / time_s
-    renderer = Renderer(np.full(SHAPE, photons_s, dtype=np.float32), sensor, seed=11)
+    renderer = Renderer(View(np.full(SHAPE, photons_s, dtype=np.float32)), sensor, seed=11)
     shots = [renderer.shot(time_s, 1.0, number) for number in range(FRAMES)]
     return np.stack([renderer.expose(shot, renderer.plan(shot)) for shot in shots]).astype(float)
 
 
-def temporal_variance(frames: np.ndarray) -> float:
-    """Return the variance from frame to frame, free of all that stands still."""
+def temporal_variance(frames: Frames) -> float:
+    """Return the variance from frame to frame, without fixed patterns."""
     return float(frames.var(axis=0, ddof=1).mean())
 
 
-def spatial_variance(frames: np.ndarray) -> float:
-    """Return the variance of what stands still, free of what is left of the temporal noise."""
+def spatial_variance(frames: Frames) -> float:
+    """Return the variance of fixed patterns, without the rest of the temporal noise."""
     return float(frames.mean(axis=0).var(ddof=1)) - temporal_variance(frames) / FRAMES
 
 
-def test_photon_transfer() -> None:
-    """Gain from the slope of variance against mean, read noise from its foot; PRNU, DSNU."""
+def test_gain_read_noise_prnu_and_dsnu() -> None:
+    """Gain is the slope of variance over mean, read noise its value at 0."""
     levels = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     stacks = {level: flat(level) for level in levels}
     means = np.array([stacks[level].mean() for level in levels])
@@ -61,13 +66,13 @@ def test_photon_transfer() -> None:
     slope = np.polyfit(means - means[0], variances - variances[0], 1)[0]
     gain_error = 5 * math.sqrt(2 / (SAMPLES * (FRAMES - 1)))
     assert 1 / slope == pytest.approx(SENSOR.electrons_per_dn, rel=gain_error + 1e-3)
-    dark_e = SENSOR.dark.current_e_s * SENSOR.dark.warmth * 1e-3
+    dark_e = SENSOR.dark.current_e_s * SENSOR.dark.rate_factor * 1e-3
     read_e = math.sqrt(variances[0] - 1 / 12 - dark_e / 2.7**2) * SENSOR.electrons_per_dn
     assert read_e == pytest.approx(SENSOR.read_noise_e, rel=gain_error + 2e-3)
     dark, half = spatial_variance(stacks[0.0]), spatial_variance(stacks[0.5])
     dsnu_e = math.sqrt(dark) * SENSOR.electrons_per_dn
     prnu = math.sqrt(half - dark) / (stacks[0.5].mean() - stacks[0.0].mean())
-    # The pattern is estimated from SAMPLES pixels, each with the noise of a mean of FRAMES.
+    # Patterns are estimated from SAMPLES pixels, each with the noise of a mean of FRAMES.
     dark_share = 1 + variances[0] / FRAMES / dark
     half_share = 1 + variances[5] / FRAMES / (half - dark)
     dsnu_error = 5 * dark_share / math.sqrt(2 * SAMPLES)
@@ -81,7 +86,7 @@ def test_photon_transfer() -> None:
 
 
 def test_full_well() -> None:
-    """Beyond saturation the mean stands at the well, and photon noise is gone."""
+    """Beyond saturation the mean is the full well, and there is no photon noise."""
     full = flat(3.0)
     well_e = (full.mean() - SENSOR.black) * SENSOR.electrons_per_dn
     pattern_e = math.hypot(SENSOR.read_noise_e, SENSOR.pixels.dsnu_e)
@@ -93,7 +98,7 @@ def test_full_well() -> None:
 
 @pytest.mark.parametrize(("temperature_c", "times"), [(25.0, 1.0), (33.0, 2.0), (49.0, 8.0)])
 def test_dark_current_doubles_every_eight_kelvin(temperature_c: float, times: float) -> None:
-    """Both from the slope of the mean with time and, as its noise, from that of the variance."""
+    """By the slope of the mean over time, and by that of the variance, which is its noise."""
     dark = SENSOR.dark.model_copy(update={"temperature_c": temperature_c})
     sensor = SENSOR.model_copy(update={"dark": dark})
     short, long = flat(0.0, 1.0, sensor), flat(0.0, 9.0, sensor)
@@ -108,7 +113,7 @@ def test_dark_current_doubles_every_eight_kelvin(temperature_c: float, times: fl
 
 
 def test_row_and_column_noise() -> None:
-    """EMVA 1288 4.0: rows change from frame to frame, columns stand still."""
+    """EMVA 1288 4.0: row noise changes from frame to frame, column noise does not."""
     lines = ReadOut(row_noise_e=6.0, column_noise_e=4.0)
     update = {"read_out": lines, "pixels": Pixels(), "dark": Dark()}
     frames = flat(0.0, 1e-3, SENSOR.model_copy(update=update)) * SENSOR.electrons_per_dn
@@ -119,7 +124,7 @@ def test_row_and_column_noise() -> None:
     assert math.sqrt(columns) == pytest.approx(4.0, rel=5 / math.sqrt(2 * SHAPE[1]))
 
 
-def test_hot_pixels_are_as_many_and_as_hot_as_was_said() -> None:
+def test_hot_pixels_have_their_share_and_their_rates() -> None:
     dark = Dark(hot_share=0.01, hot_rate_e_s=1000.0)
     sensor = SENSOR.model_copy(update={"dark": dark, "pixels": Pixels()})
     excess = (flat(0.0, 1.0, sensor).mean(axis=0) - sensor.black) * sensor.electrons_per_dn
@@ -129,7 +134,7 @@ def test_hot_pixels_are_as_many_and_as_hot_as_was_said() -> None:
     assert excess[hot].mean() == pytest.approx(510, rel=0.1)
 
 
-def test_linearity_error_is_the_bow() -> None:
+def test_the_linearity_error_is_the_bow_of_the_adc() -> None:
     bow = SENSOR.model_copy(
         update={"read_out": ReadOut(nonlinearity_dn=6.0), "pixels": Pixels(), "dark": Dark()}
     )

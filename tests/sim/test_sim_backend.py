@@ -1,4 +1,4 @@
-"""The road to the simulated camera, as the command line takes it."""
+"""The backend of the simulated camera and its options."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camctl.backends import look_for_cameras, open_camera
+from camctl.backends import list_cameras, open_camera
 from camctl.clock import RealClock, VirtualClock
 from camctl.controls import ExposureSetting, Layout
 from camctl.errors import CamctlError, CameraNotFoundError, DataError, UsageError
-from sim.backend import SimulatedBackend, parse_size
+from sim.backend import SimulatedBackend, SimulatedOptions
 
 
-def test_it_is_found_through_its_entry_point() -> None:
-    cameras = [camera for look in look_for_cameras() for camera in look.cameras]
+def test_backend_is_found_through_its_entry_point() -> None:
+    cameras = list_cameras()
     assert "sim" in [camera.id for camera in cameras]
     with open_camera("sim") as camera:
         assert camera.info.id == "sim"
         assert camera.info in cameras
 
 
-def test_defaults_are_the_tile_floor_and_the_standard_sensor() -> None:
+def test_default_scene_and_sensor() -> None:
     with SimulatedBackend().open("", {}) as camera:
         assert (camera.scene.name, camera.sensor.name) == ("tile-floor", "standard")
         assert camera.controls.shape == camera.sensor.shape
         assert isinstance(camera.clock, VirtualClock)
 
 
-def test_options() -> None:
+def test_options_are_used() -> None:
     options = {
         "scene": "room",
         "sensor": "phone",
@@ -43,16 +43,16 @@ def test_options() -> None:
         assert isinstance(camera.clock, RealClock)
 
 
-def test_the_tolerance_is_what_a_shot_may_lose() -> None:
+def test_tolerance_is_divided_among_the_frames_of_a_sequence() -> None:
     for text, allowed in (("0.4", 0.2), ("0", 0.0)):
-        words = {"sensor": "complete", "size": "64x48", "tolerance": text}
-        with SimulatedBackend().open("", words) as camera:
+        options = {"sensor": "complete", "size": "64x48", "tolerance": text}
+        with SimulatedBackend().open("", options) as camera:
             for _ in camera.shoot([ExposureSetting(0.001), ExposureSetting(0.01)]):
                 assert camera.last_plan is not None
                 assert camera.last_plan.tolerance_dn == allowed
 
 
-def test_the_seed_is_the_seed() -> None:
+def test_seed_determines_the_noise() -> None:
     def picture(seed: str) -> np.ndarray:
         with SimulatedBackend().open("", {"size": "32x24", "seed": seed}) as camera:
             return next(
@@ -63,7 +63,7 @@ def test_the_seed_is_the_seed() -> None:
     assert not np.array_equal(picture("1"), picture("2"))
 
 
-def test_a_map_gives_the_frame_its_size(tmp_path: Path) -> None:
+def test_frame_has_the_size_of_a_radiance_map(tmp_path: Path) -> None:
     np.save(tmp_path / "map.npy", np.ones((11, 13)))
     with SimulatedBackend().open("", {"scene": str(tmp_path / "map.npy")}) as camera:
         assert camera.controls.shape == (11, 13)
@@ -75,20 +75,20 @@ def test_a_map_gives_the_frame_its_size(tmp_path: Path) -> None:
         ({"scence": "room"}, UsageError, "did you mean scene"),
         ({"scene": "rooom"}, UsageError, "did you mean room"),
         ({"sensor": "fone"}, UsageError, "did you mean phone"),
-        ({"time": "fast"}, UsageError, "known: real, virtual"),
-        ({"size": "640"}, UsageError, "WIDTHxHEIGHT"),
-        ({"size": "0x5"}, UsageError, "WIDTHxHEIGHT"),
+        ({"time": "fast"}, UsageError, "time=fast; input should be 'virtual' or 'real'"),
+        ({"size": "640"}, UsageError, "size=640; write WIDTHxHEIGHT, such as 640x480"),
+        ({"size": "0x5"}, UsageError, "size=0x5; write WIDTHxHEIGHT, such as 640x480"),
         ({"size": "999999x999999"}, DataError, "GiB"),
-        ({"seed": "-1"}, UsageError, "seed"),
-        ({"seed": "x"}, UsageError, "seed"),
-        ({"tolerance": "-1"}, UsageError, "0 DN or more"),
-        ({"tolerance": "nan"}, UsageError, "0 DN or more"),
-        ({"tolerance": "x"}, UsageError, "a tolerance of 'x'"),
+        ({"seed": "-1"}, UsageError, "seed=-1; input should be greater than or equal to 0"),
+        ({"seed": "x"}, UsageError, "seed=x; input should be a valid integer"),
+        ({"tolerance": "-1"}, UsageError, "=-1; input should be greater than or equal to 0"),
+        ({"tolerance": "nan"}, UsageError, "=nan; input should be a finite number"),
+        ({"tolerance": "x"}, UsageError, "=x; input should be a valid number"),
         ({"scene": "no-such.hdr"}, DataError, "no such file"),
         ({"sensor": "no-such.json"}, DataError, "no such file"),
     ],
 )
-def test_bad_options_are_one_line(
+def test_invalid_options_raise_one_line(
     options: dict[str, str], kind: type[CamctlError], message: str
 ) -> None:
     with pytest.raises(kind, match=message) as error:
@@ -96,11 +96,12 @@ def test_bad_options_are_one_line(
     assert "\n" not in str(error.value)
 
 
-def test_an_address_is_refused() -> None:
-    with pytest.raises(CameraNotFoundError, match="its id is sim"):
+def test_address_is_refused() -> None:
+    with pytest.raises(CameraNotFoundError, match="no camera sim:3 exists; its id is sim"):
         open_camera("sim:3")
 
 
-def test_sizes() -> None:
-    assert parse_size("640x480") == (480, 640)
-    assert parse_size(" 12 X 7 ") == (7, 12)
+def test_sizes_are_rows_and_columns() -> None:
+    assert SimulatedOptions.parse({"size": "640x480"}).size == (480, 640)
+    assert SimulatedOptions.parse({"size": " 12 X 7 "}).size == (7, 12)
+    assert SimulatedOptions.parse({"size": (7, 12)}).size == (7, 12)

@@ -1,8 +1,12 @@
-"""The kernel's structures, and devices whose answers make no sense."""
+"""The kernel's structures, devices with invalid responses, and the packing of samples."""
+
+from __future__ import annotations
 
 import ctypes
 import errno
 import os
+from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,12 +19,13 @@ from camctl.errors import CamctlError, CameraProtocolError
 from drivers.v4l2 import abi
 from drivers.v4l2.abi import ControlId, Request
 from drivers.v4l2.camera import V4l2Camera
-from drivers.v4l2.formats import FORMATS, WORDS, SpoiltFrameError
-from drivers.v4l2.modes import Size
-from drivers.v4l2.node import MOST_FORMATS, MOST_INTERVALS, MOST_SIZES, Node
+from drivers.v4l2.formats import FORMATS, PixelFormat
+from drivers.v4l2.node import MOST_FORMATS, MOST_INTERVALS, MOST_SIZES, Node, SizeGrid
+from drivers.v4l2.packing import WORDS, DamagedFrameError
 
-#: Printed by a C program with linux/videodev2.h on x86-64.
-KERNEL = {
+#: Number of each ioctl, its structure, and the size of that in bytes, as printed by a C program
+#: with linux/videodev2.h on x86-64.
+KERNEL: dict[Request, tuple[int, type[ctypes.Structure], int]] = {
     Request.QUERYCAP: (0x80685600, abi.Capability, 104),
     Request.ENUM_FMT: (0xC0405602, abi.FormatDescription, 64),
     Request.G_FMT: (0xC0D05604, abi.Format, 208),
@@ -36,65 +41,83 @@ KERNEL = {
 
 
 @pytest.mark.parametrize("request_", list(Request), ids=lambda each: each.name)
-def test_ioctls_are_the_kernels(request_):
+def test_ioctl_numbers_and_structure_sizes_are_those_of_the_kernel(request_: Request) -> None:
     number, structure, size = KERNEL[request_]
     assert int(request_) == number
     assert ctypes.sizeof(structure) == size
 
 
 @pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTTY])
-def test_lists_that_are_missing_are_empty(number):
+def test_missing_lists_are_empty(number: int) -> None:
     model = Model()
     model.errors = dict.fromkeys((Request.ENUM_FMT, Request.ENUM_FRAMEINTERVALS), number)
     node = Node(PATH, model)
     assert node.formats() == ()
-    assert node.intervals(1, Size(1, 1)) == ()
+    assert node.intervals(1, (1, 1)) == ()
 
 
-class Endless:
-    """A device whose lists never end; it counts how often it is asked."""
+class EndlessLists:
+    """A device whose lists never end; it counts the queries."""
 
-    def __init__(self):
-        self.asked = 0
+    def __init__(self) -> None:
+        self.queries = 0
 
-    def open(self, path):
+    def open(self, path: str) -> int:
         return 7
 
-    def close(self, descriptor):
+    def close(self, descriptor: int) -> None:
         pass
 
-    def ioctl(self, descriptor, request, argument):
-        self.asked += 1
+    def ioctl(self, descriptor: int, request: Request, argument: Any) -> None:
+        self.queries += 1
         if request == Request.ENUM_FMT:
             argument.pixelformat = argument.index + 1
         else:
-            argument.type = 1
+            argument.type = abi.Grid.DISCRETE
             for index in range(6):
                 argument.words[index] = argument.index + 1
 
 
-def test_lists_that_never_end_are_cut():
-    endless = Endless()
+def test_endless_lists_are_cut() -> None:
+    endless = EndlessLists()
     node = Node(PATH, endless)
     assert len(node.formats()) == MOST_FORMATS
-    assert node.sizes(1).largest == Size(MOST_SIZES, MOST_SIZES)
-    node.intervals(1, Size(1, 1))
-    assert endless.asked == MOST_FORMATS + MOST_SIZES + MOST_INTERVALS
+    assert node.sizes(1).largest == (MOST_SIZES, MOST_SIZES)
+    node.intervals(1, (1, 1))
+    assert endless.queries == MOST_FORMATS + MOST_SIZES + MOST_INTERVALS
 
 
-def test_interrupted_calls_are_repeated_and_not_for_ever():
-    class Interrupting(Endless):
-        def ioctl(self, descriptor, request, argument):
-            self.asked += 1
+class OneRange(EndlessLists):
+    """A device with one range of sizes: widths 16 to 64 in steps of 8, heights 6 to 30 by 3."""
+
+    def ioctl(self, descriptor: int, request: Request, argument: Any) -> None:
+        self.queries += 1
+        argument.type = abi.Grid.STEPWISE
+        argument.words[:] = [16, 64, 8, 6, 30, 3]
+
+
+def test_range_of_sizes_is_one_grid() -> None:
+    kernel = OneRange()
+    grid = Node(PATH, kernel).sizes(1)
+    assert grid == SizeGrid(((30, 64),), smallest=(6, 16), step=(3, 8))
+    assert kernel.queries == 1
+    assert [grid.has(shape) for shape in ((30, 64), (6, 16), (9, 24))] == [True] * 3
+    assert [grid.has(shape) for shape in ((64, 30), (7, 16), (9, 23), (33, 64))] == [False] * 4
+
+
+def test_interrupted_calls_are_repeated_a_limited_number_of_times() -> None:
+    class Interrupted(EndlessLists):
+        def ioctl(self, descriptor: int, request: Request, argument: Any) -> None:
+            self.queries += 1
             raise InterruptedError(errno.EINTR, os.strerror(errno.EINTR))
 
-    kernel = Interrupting()
+    kernel = Interrupted()
     with pytest.raises(CameraProtocolError):
         Node(PATH, kernel).identity()
-    assert kernel.asked == 10
+    assert kernel.queries == 10
 
 
-def test_text_without_end():
+def test_text_without_end_and_with_unprintable_characters() -> None:
     found = abi.Capability()
     for index in range(32):
         found.card[index] = 0x41
@@ -103,15 +126,15 @@ def test_text_without_end():
     assert abi.text(found.card) == "?\N{REPLACEMENT CHARACTER}"
 
 
-class Nonsense(Model):
-    """A camera that answers some questions with random bytes or errors."""
+class RandomResponses(Model):
+    """A camera that responds to some queries with random bytes or errors."""
 
-    def __init__(self, draw):
+    def __init__(self, draw: Callable[[st.SearchStrategy[Any]], Any]) -> None:
         super().__init__()
         self._draw = draw
 
-    def ioctl(self, descriptor, request, argument):
-        kind = self._draw(st.sampled_from(["sense"] * 6 + ["bytes", "error"]))
+    def ioctl(self, descriptor: int, request: Request, argument: ctypes.Structure) -> None:
+        kind = self._draw(st.sampled_from(["valid"] * 6 + ["bytes", "error"]))
         if kind == "error":
             number = self._draw(
                 st.sampled_from([errno.EIO, errno.EINVAL, errno.EPIPE, errno.ERANGE])
@@ -124,56 +147,66 @@ class Nonsense(Model):
             ctypes.memmove(ctypes.addressof(argument), raw, size)
 
 
-@settings(max_examples=300)
-@given(data=st.data())
-def test_no_answer_leads_out_of_our_errors(data):
-    model = Nonsense(data.draw)
+def open_and_close(model: Model) -> None:
+    """Open a camera; it either has valid times or fails with an error of one line."""
+    camera = V4l2Camera(PATH, kernel=model, opener=model.video, clock=model.clock)
     try:
-        with V4l2Camera(PATH, kernel=model, opener=model.video, clock=model.clock) as camera:
-            controls = camera.controls
-            assert 0 < controls.time_s.minimum <= controls.time_s.maximum
+        with camera:
+            times = camera.controls.time_s
+            assert 0 < times.minimum <= times.maximum
     except CamctlError as error:
         assert "\n" not in str(error)  # noqa: PT017
     assert model.descriptors == 0
 
 
-range_words = st.integers(-(2**31), 2**31 - 1)
+@settings(max_examples=300)
+@given(data=st.data())
+def test_random_responses_raise_no_other_errors(data: st.DataObject) -> None:
+    open_and_close(RandomResponses(data.draw))
+
+
+register_values = st.integers(-(2**31), 2**31 - 1)
 
 
 @settings(max_examples=300)
 @given(
     control=st.sampled_from(sorted(ControlId)),
-    minimum=range_words,
-    maximum=range_words,
-    step=range_words,
-    default=range_words,
+    minimum=register_values,
+    maximum=register_values,
+    step=register_values,
+    default=register_values,
 )
-def test_no_range_leads_out_of_our_errors(control, minimum, maximum, step, default):
+def test_random_control_ranges_raise_no_other_errors(
+    control: ControlId, minimum: int, maximum: int, step: int, default: int
+) -> None:
     model = Model()
     register = model.controls.setdefault(control, model.controls[ControlId.GAIN])
     register.minimum, register.maximum = minimum, maximum
     register.step, register.default = step, default
-    try:
-        V4l2Camera(PATH, kernel=model, opener=model.video, clock=model.clock).close()
-    except CamctlError as error:
-        assert "\n" not in str(error)  # noqa: PT017
+    open_and_close(model)
+
+
+def format_with(code: str) -> PixelFormat:
+    return next(each for each in FORMATS if each.code == code)
 
 
 @settings(max_examples=200)
 @given(
     format_=st.sampled_from(FORMATS),
     data=st.binary(min_size=1, max_size=200),
-    width=st.integers(1, 9),
+    columns=st.integers(1, 9),
 )
-def test_frames_of_any_length(format_, data, width):
-    size = Size(width, 4)
+def test_frames_of_any_length_are_decoded_or_damaged(
+    format_: PixelFormat, data: bytes, columns: int
+) -> None:
+    shape = (4, columns)
     try:
-        samples = format_.samples(np.frombuffer(data, np.uint8).reshape(1, -1), size)
-    except SpoiltFrameError:
+        samples = format_.packing.samples(np.frombuffer(data, np.uint8).reshape(1, -1), shape)
+    except DamagedFrameError:
         return
-    assert samples.shape == (4, width)
+    assert samples.shape == shape
     assert samples.dtype == (np.uint8 if format_.bits == 8 else np.uint16)
-    if format_.packing is not WORDS:  # samples in words may be too large: the camera checks
+    if format_.packing is not WORDS:  # samples in words may be too large: the camera checks them
         assert int(samples.max()) < 2**format_.bits
 
 
@@ -185,47 +218,48 @@ def test_frames_of_any_length(format_, data, width):
         ("Y16 ", [0x34, 0x12, 0xFF, 0x00], [0x1234, 0x00FF]),
         ("UYVY", [128, 7, 128, 9], [7, 9]),
         ("YUYV", [7, 128, 9, 128], [7, 9]),
+        ("NV12", [7, 9, 128, 128], [7, 9]),
     ],
 )
-def test_samples_are_taken_apart_as_v4l2_packs_them(code, raw, samples):
-    format_ = next(each for each in FORMATS if each.code == code)
-    size = Size(len(samples), 1)
-    found = format_.samples(np.array([raw], np.uint8), size)
+def test_samples_are_unpacked_as_v4l2_defines(
+    code: str, raw: list[int], samples: list[int]
+) -> None:
+    found = format_with(code).packing.samples(np.array([raw], np.uint8), (1, len(samples)))
     assert found.tolist() == [samples]
 
 
-def jpeg():
+def jpeg() -> bytes:
     rows = np.random.default_rng(1).integers(0, 255, (16, 16)).astype(np.uint8)
     done, data = cv2.imencode(".jpg", rows)
     assert done
     return data.tobytes()
 
 
-@pytest.mark.parametrize("harm", ["cut", "no end", "hole", "other size", "nothing"])
-def test_a_damaged_jpeg_is_told_from_a_whole_one(harm, capfd):
-    """Decoders invent what is missing, and say so only where the user would see it."""
-    format_ = next(each for each in FORMATS if each.code == "MJPG")
-    whole, size = jpeg(), Size(16, 16)
-    spoilt = {
+@pytest.mark.parametrize("damage", ["cut", "no end", "hole", "other size", "no data"])
+def test_damaged_jpeg_is_recognised(damage: str, capfd: pytest.CaptureFixture[str]) -> None:
+    """Decoders invent what is missing, and report that on standard error only."""
+    packing = format_with("MJPG").packing
+    whole, shape = jpeg(), (16, 16)
+    damaged = {
         "cut": whole[: len(whole) // 2] + b"\xff\xd9",
         "no end": whole[:-2],
         "hole": whole[:-60] + b"\xff\xd9" + whole[-58:],
         "other size": whole,
-        "nothing": b"\xff\xd8\xff\xd9",
-    }[harm]
-    if harm == "other size":
-        size = Size(8, 8)
-    assert format_.samples(np.frombuffer(whole, np.uint8), Size(16, 16)).shape == (16, 16)
-    with pytest.raises(SpoiltFrameError):
-        format_.samples(np.frombuffer(spoilt, np.uint8), size)
+        "no data": b"\xff\xd8\xff\xd9",
+    }[damage]
+    if damage == "other size":
+        shape = (8, 8)
+    assert packing.samples(np.frombuffer(whole, np.uint8), (16, 16)).shape == (16, 16)
+    with pytest.raises(DamagedFrameError):
+        packing.samples(np.frombuffer(damaged, np.uint8), shape)
     assert capfd.readouterr() == ("", "")
 
 
-def test_bytes_before_the_end_of_a_jpeg_are_harmless(capfd):
+def test_bytes_before_the_end_of_a_jpeg_are_harmless(capfd: pytest.CaptureFixture[str]) -> None:
     """Many webcams send some."""
-    format_ = next(each for each in FORMATS if each.code == "MJPG")
+    packing = format_with("MJPG").packing
     padded = jpeg()[:-2] + b"\0\0\0\xff\xd9\0\0"
-    found = format_.samples(np.frombuffer(padded, np.uint8), Size(16, 16))
-    wanted = format_.samples(np.frombuffer(jpeg(), np.uint8), Size(16, 16))
-    assert np.array_equal(found, wanted)
+    found = packing.samples(np.frombuffer(padded, np.uint8), (16, 16))
+    undamaged = packing.samples(np.frombuffer(jpeg(), np.uint8), (16, 16))
+    assert np.array_equal(found, undamaged)
     assert capfd.readouterr() == ("", "")

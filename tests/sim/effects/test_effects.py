@@ -1,20 +1,24 @@
-"""Effects one by one: absent is the same as left out, and each does what its source says."""
+"""Effects one by one: left out is the same as absent, and each follows its model."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+import camctl.camera
 from camctl.controls import Layout
-from sim.effects.charge import draw_hits
+from sim.effects.budget import plan_frame
+from sim.effects.charge import cosmic_hits
 from sim.noise import TILE
 from sim.render import Renderer
 from sim.scenes.motion import Lamps, Target
 from sim.scenes.scene import LUMINANCE, Scene, load_scene
-from sim.scenes.view import View, light_on
+from sim.scenes.view import View
 from sim.sensors.parts import Dark, Lens, Pixels, ReadOut
 from sim.sensors.sensor import Sensor, load_sensor
 
@@ -46,16 +50,35 @@ def without(sensor: Sensor, name: str) -> Sensor:
     return Sensor.model_validate(fields)
 
 
-def frame(scene: Scene, sensor: Sensor, time_s: float = 0.02, **how: Any) -> np.ndarray:
-    renderer = Renderer(View.of(scene, sensor), sensor, seed=9, **how)
+def even(shape: tuple[int, ...], light: float, **fields: Any) -> Scene:
+    return Scene("even", np.full(shape, light, dtype=np.float32), **fields)
+
+
+def frame(
+    scene: Scene,
+    sensor: Sensor,
+    time_s: float = 0.02,
+    *,
+    left_out: Collection[str] = (),
+    threads: int = 2,
+) -> camctl.camera.Pixels:
+    renderer = Renderer(View.of(scene, sensor), sensor, seed=9, threads=threads)
     shot = renderer.shot(time_s, 1.0, 5, start_s=1.234)
-    return renderer.expose(shot, renderer.plan(shot))
+    return renderer.expose(shot, plan_frame(shot, 0.0, left_out=left_out))
+
+
+def adc_input(
+    scene: Scene, sensor: Sensor, time_s: float, *, left_out: Collection[str] = ()
+) -> NDArray[np.float32]:
+    renderer = Renderer(View.of(scene, sensor), sensor)
+    shot = renderer.shot(time_s, 1.0, 0)
+    return renderer.brightness(shot, plan_frame(shot, 0.0, left_out=left_out))
 
 
 @pytest.mark.parametrize("name", ABSENT)
 @pytest.mark.parametrize("sensor", ["complete", "mobile", "ccd"])
 def test_left_out_is_the_same_as_absent(name: str, sensor: str) -> None:
-    """So no effect's random bits depend on whether another ran."""
+    """The random bits of an effect do not depend on whether another effect runs."""
     parts = load_sensor(sensor)
     scene = load_scene("night-street", (150, 200))
     if "cosmic" in name:
@@ -66,13 +89,13 @@ def test_left_out_is_the_same_as_absent(name: str, sensor: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["veiling glare", "crosstalk", "PRNU", "blooming", "read noise"])
-def test_leaving_out_shows(name: str) -> None:
+def test_leaving_out_changes_the_frame(name: str) -> None:
     scene, sensor = load_scene("night-street", (150, 200)), load_sensor("mobile")
     assert not np.array_equal(frame(scene, sensor, left_out=[name]), frame(scene, sensor))
 
 
 @pytest.mark.parametrize("sensor", ["complete", "mobile", "ccd"])
-def test_one_seed_one_frame_whatever_the_threads_and_those_of_opencv(sensor: str) -> None:
+def test_the_frame_does_not_depend_on_threads_or_on_those_of_opencv(sensor: str) -> None:
     scene = load_scene("moving-target", (400, 500))
     before = cv2.getNumThreads()
     frames = []
@@ -82,17 +105,17 @@ def test_one_seed_one_frame_whatever_the_threads_and_those_of_opencv(sensor: str
             frames.append(frame(scene, load_sensor(sensor), threads=threads))
     finally:
         cv2.setNumThreads(before)
-    assert np.array_equal(*frames)
+    assert np.array_equal(frames[0], frames[1])
 
 
-def test_what_a_seed_means_does_not_change() -> None:
-    """With every effect that no library has a part in."""
+def test_the_frame_of_a_seed_does_not_change_between_versions() -> None:
+    """With every effect that is not computed by OpenCV, whose rounding may change."""
     plain = {"glare": 0.0, "blur_px": 0.0}
     sensor = load_sensor("ccd")
-    update = {"lens": sensor.lens.model_copy(update=plain)}
+    update: dict[str, Any] = {"lens": sensor.lens.model_copy(update=plain)}
     update["pixels"] = sensor.pixels.model_copy(update={"crosstalk": 0.0, "blooming": 0.0})
     light = np.linspace(1e3, 1e6, 12, dtype=np.float32).reshape(3, 4)
-    seen = Renderer(light, sensor.model_copy(update=update), seed=1).frame(0.01, 1.0, 0)
+    seen = Renderer(View(light), sensor.model_copy(update=update), seed=1).frame(0.01, 1.0, 0)
     assert seen.tolist() == [
         [503, 921, 1314, 1670],
         [2175, 2787, 3263, 3372],
@@ -100,14 +123,14 @@ def test_what_a_seed_means_does_not_change() -> None:
     ]
 
 
-def test_lamps_flicker_twice_a_mains_period_and_not_in_whole_periods() -> None:
+def test_lamps_peak_twice_a_mains_period_and_average_out_over_whole_periods() -> None:
     lamps = Lamps(50.0, 0.5)
     starts = np.arange(0, 0.02, 0.0005)
     short = lamps.factors(starts, 1e-5)
     assert (short.min(), short.max()) == pytest.approx((0.5, 1.5), abs=0.01)
     assert np.allclose(short[:20], short[20:], atol=1e-4)
     assert np.allclose(lamps.factors(starts, 0.01), 1, atol=1e-6)
-    assert lamps.left(0.01) < 1e-12
+    assert lamps.remaining_depth(0.01) < 1e-12
     # By the trapezoid rule over the exposure.
     t = np.linspace(0.003, 0.003 + 0.004, 20_001)
     mean = np.trapezoid(1 + 0.5 * np.cos(2 * np.pi * 100 * t), t) / 0.004
@@ -119,9 +142,9 @@ def test_a_rolling_shutter_turns_flicker_into_bands() -> None:
         name="s", bits=12, full_well_e=1e5, photon_noise=False, read_out=ReadOut(row_s=5e-5)
     )
     lamps = Lamps(50.0, 0.4)
-    scene = Scene("s", np.full((400, 8), 1e7), lamps=lamps)
+    scene = even((400, 8), 1e7, lamps=lamps)
     rows = frame(scene, sensor, 1e-3).mean(axis=1)
-    assert np.allclose(rows[:200], rows[200:], atol=1.5)  # 200 rows are one period of 10 ms
+    assert np.allclose(rows[:200], rows[200:], atol=1.5)  # 200 rows are a period of 10 ms
     assert rows.max() / rows.min() > 1.8
     still = frame(scene, sensor, 1e-3, left_out=["rolling shutter"])
     assert len(np.unique(still)) == 1
@@ -131,7 +154,7 @@ def a_bar(velocity: float, width: int = 10) -> Scene:
     target = Target(
         np.full((20, width), 1e6, np.float32), np.ones((20, width), np.float32), 5, 30.0, velocity
     )
-    return Scene("bar", np.full((30, 200), 1e3), target=target)
+    return even((30, 200), 1e3, target=target)
 
 
 def test_motion_blur_keeps_the_light_and_spreads_it() -> None:
@@ -156,21 +179,21 @@ def test_motion_blur_is_the_mean_over_the_exposure() -> None:
         -700.0,
     )
     behind = np.random.default_rng(5).random((10, 60)).astype(np.float32)
-    starts = 0.01 + np.arange(10) * 1e-4
+    starts = 0.01 + np.arange(10, dtype=np.float64) * 1e-4
     drawn = behind.copy()
     target.draw(drawn, starts, 0.02, is_blurred=True)
     total = np.zeros(behind.shape)
     steps = 4000
     for step in range(steps):
         still = behind.copy()
-        moment = starts + (step + 0.5) / steps * 0.02
+        moment = starts + 0.02 * (step + 0.5) / steps
         target.draw(still, moment, 0.0, is_blurred=False)
         total += still
     assert np.abs(total / steps - drawn).max() < 2e-4
 
 
 @pytest.mark.parametrize("travel", [1e-5, 9e-4, 1.1e-3])
-def test_what_hardly_moves_is_where_it_is_in_the_middle_of_the_exposure(travel: float) -> None:
+def test_a_target_that_hardly_moves_is_drawn_in_the_middle_of_its_path(travel: float) -> None:
     target = a_bar(travel).target
     assert target is not None
     blurred, still = (np.zeros((30, 200), np.float32) for _ in range(2))
@@ -179,7 +202,7 @@ def test_what_hardly_moves_is_where_it_is_in_the_middle_of_the_exposure(travel: 
     assert np.abs(blurred - still).max() <= 1e6 * travel / 4 + 0.1
 
 
-def test_the_target_comes_in_again() -> None:
+def test_a_target_that_has_left_comes_in_on_the_other_side() -> None:
     scene = a_bar(1000.0)
     target = scene.target
     assert target is not None
@@ -193,21 +216,18 @@ def test_the_target_comes_in_again() -> None:
     assert pictures[0][10].argmax() == 30
 
 
-def test_the_lens_keeps_even_light_even_and_spreads_a_point() -> None:
+def test_the_lens_does_not_change_even_light_and_spreads_a_point() -> None:
     lens = Lens(glare=0.1, glare_width=0.1, blur_px=1.0)
     sensor = Sensor(name="s", bits=14, full_well_e=1e5, photon_noise=False, lens=lens)
-    even = frame(Scene("even", np.full((60, 80), 1e6)), sensor, 0.01)
-    assert np.ptp(even.astype(int)) <= 1
-    point = np.full((61, 81), 1.0)
-    point[30, 40] = 1e8
-    scene = Scene("point", point)
-    seen = Renderer(View.of(scene, sensor), sensor)
-    shot = seen.shot(0.01, 1.0, 0)
-    halo = seen.brightness(shot, seen.plan(shot))
+    flat = frame(even((60, 80), 1e6), sensor, 0.01)
+    assert np.ptp(flat.astype(int)) <= 1
+    light = np.full((61, 81), 1.0, dtype=np.float32)
+    light[30, 40] = 1e8
+    point = Scene("point", light)
+    halo = adc_input(point, sensor, 0.01)
     assert halo[30, 40] == halo.max()
     assert halo[30, 45] > halo[30, 60] > halo[30, 79] > 0
-    only = Renderer(View.of(scene, sensor), sensor, left_out=["veiling glare", "point spread"])
-    sharp = only.brightness(shot, only.plan(shot))
+    sharp = adc_input(point, sensor, 0.01, left_out=["veiling glare", "point spread"])
     assert np.count_nonzero(sharp > 0.1) == 1
 
 
@@ -216,63 +236,67 @@ def test_vignetting_darkens_the_corners_by_its_share() -> None:
         name="s", bits=14, full_well_e=1e5, photon_noise=False, lens=Lens(vignetting=0.3)
     )
     for shape in ((101, 151), (101, 151, 3)):
-        seen = frame(Scene("s", np.full(shape, 1e6)), sensor, 0.1).astype(float)
+        seen = frame(even(shape, 1e6), sensor, 0.1).astype(float)
         assert seen[0, 0].mean() / seen[50, 75].mean() == pytest.approx(0.7, abs=0.001)
         assert seen[0, 0].mean() == seen[-1, -1].mean()
 
 
-def test_blooming_and_smear_run_along_columns() -> None:
-    light = np.full((80, 60), 1e4)
+def test_blooming_and_smear_stay_in_their_column() -> None:
+    light = np.full((80, 60), 1e4, dtype=np.float32)
     light[40, 30] = 1e9
-    base = {"name": "s", "bits": 12, "full_well_e": 10_000, "photon_noise": False}
+    sensor = Sensor(name="s", bits=12, full_well_e=10_000, photon_noise=False)
     pixels = Pixels(blooming=1.0, blooming_px=20, smear_s=1e-4)
-    seen = frame(Scene("lamp", light), Sensor(**base, pixels=pixels), 0.01).astype(int)
-    plain = frame(Scene("lamp", light), Sensor(**base), 0.01).astype(int)
+    both = sensor.model_copy(update={"pixels": pixels})
+    seen = frame(Scene("lamp", light), both, 0.01).astype(int)
+    plain = frame(Scene("lamp", light), sensor, 0.01).astype(int)
     assert np.array_equal(np.unique(np.nonzero(seen - plain > 1)[1]), [30])
     assert seen[33, 30] == seen[47, 30] == 4095
     assert 4095 > seen[25, 30] == seen[55, 30] > plain[25, 30] + 100
-    assert seen[0, 30] > plain[0, 30] + 1  # beyond blooming's reach: smear
+    assert seen[0, 30] > plain[0, 30] + 1  # out of the reach of blooming: smear
 
 
-def test_hits_are_a_poisson_process_and_differ_from_frame_to_frame() -> None:
+def test_cosmic_rays_are_a_poisson_process_and_differ_from_frame_to_frame() -> None:
     read_out = ReadOut(cosmic_rate_s=50.0, cosmic_e=1000.0)
     sensor = Sensor(name="s", bits=12, full_well_e=20_000, read_out=read_out)
-    renderer = Renderer(np.full((500, 1000), 1.0, np.float32), sensor, seed=3)
-    counts, charge = [], 0.0
+    renderer = Renderer(View(np.full((500, 1000), 1.0, np.float32)), sensor, seed=3)
+    counts: list[int] = []
+    charge = 0.0
     for number in range(300):
-        places, charges = draw_hits(renderer.shot(2.0, 1.0, number))
+        places, charges = cosmic_hits(renderer.shot(2.0, 1.0, number))
         assert np.all(np.diff(places) > 0)
         counts.append(places.size)
         charge += float(charges.sum())
-    # 50 hits a frame of 3.5 samples each, but for those that leave the picture.
+    assert len(set(counts)) > 10
+    # 50 hits a frame of 3.5 samples each, less what lies outside of the picture.
     assert np.mean(counts) == pytest.approx(50 * 3.5, rel=0.03)
     assert charge / 300 == pytest.approx(50 * 1000, rel=0.05)
 
 
-def test_a_spectrum_mixes_the_scenes_colours() -> None:
-    red = Scene("red", np.broadcast_to([1.0, 0.0, 0.0], (4, 4, 3)), photons_per_unit=100.0)
+def test_a_spectrum_mixes_the_colours_of_the_scene() -> None:
+    colour = np.broadcast_to(np.array([1.0, 0.0, 0.0], dtype=np.float32), (4, 4, 3))
     sensor = load_sensor("mobile")
+    assert sensor.layout is Layout.RGGB
     assert sensor.spectrum is not None
-    light = light_on(red, Layout.RGGB, sensor=sensor)
+    light = View.of(Scene("red", colour, photons_per_unit=100.0), sensor).light
     column = [row[0] for row in sensor.spectrum]
     expected = [100 * column[i] for i in (0, 1, 1, 2)]
     assert light[:2, :2].ravel() == pytest.approx(expected)
 
 
-def test_candela_become_photons_by_the_lens_and_the_pixel() -> None:
+def test_lens_and_pixel_convert_candela_to_photons() -> None:
     """100 cd/m^2 at f/4, T 0.9: pi 100 0.9 / 64 = 4.42 lx; 683 lm/W at 555 nm."""
     sensor = load_sensor("complete")
     lux = np.pi * 100 * 0.9 / (4 * 16)
     photon_j = 6.62607015e-34 * 299_792_458 / 555e-9
     expected = lux / 683 / photon_j * (3.45e-6) ** 2
-    light = light_on(Scene("s", np.full((1, 1), 100.0), LUMINANCE), Layout.MONO, sensor=sensor)
+    scene = even((1, 1), 100.0, unit=LUMINANCE)
+    light = View.of(scene, sensor).light
     assert light[0, 0] == pytest.approx(expected, rel=1e-3)
     wide = sensor.model_copy(update={"lens": sensor.lens.model_copy(update={"f_number": 2.0})})
-    more = light_on(Scene("s", np.full((1, 1), 100.0), LUMINANCE), Layout.MONO, sensor=wide)
-    assert more[0, 0] == pytest.approx(4 * light[0, 0], rel=1e-6)
+    assert View.of(scene, wide).light[0, 0] == pytest.approx(4 * light[0, 0], rel=1e-6)
 
 
-def test_a_tile_is_the_same_in_a_larger_frame_with_a_pattern_on_it() -> None:
+def test_a_tile_with_fixed_patterns_is_the_same_in_a_larger_frame() -> None:
     sensor = Sensor(
         name="s",
         bits=12,
@@ -282,17 +306,17 @@ def test_a_tile_is_the_same_in_a_larger_frame_with_a_pattern_on_it() -> None:
         pixels=Pixels(prnu=0.02, dsnu_e=5.0, lag=0.01),
     )
     light = np.full(3 * TILE + 17, 3e5, dtype=np.float32)
-    large = Renderer(light, sensor, seed=1).frame(0.01, 1.0, 4)
-    small = Renderer(light[: TILE + 5], sensor, seed=1).frame(0.01, 1.0, 4)
+    large = Renderer(View(light), sensor, seed=1).frame(0.01, 1.0, 4)
+    small = Renderer(View(light[: TILE + 5]), sensor, seed=1).frame(0.01, 1.0, 4)
     assert np.array_equal(large[: TILE + 5], small)
-    again = Renderer(light, sensor, seed=1).frame(0.01, 1.0, 5)
+    again = Renderer(View(light), sensor, seed=1).frame(0.01, 1.0, 5)
     pattern = np.corrcoef(large, again)[0, 1]
     assert pattern > 0.3
 
 
-def test_lag_follows_the_frame_before() -> None:
+def test_lag_depends_on_the_exposure_before() -> None:
     sensor = Sensor(name="s", bits=14, full_well_e=1e5, photon_noise=False, pixels=Pixels(lag=0.1))
-    renderer = Renderer(np.full((4, 4), 1e6, np.float32), sensor)
+    renderer = Renderer(View(np.full((4, 4), 1e6, np.float32)), sensor)
     none, twice = (
         renderer.brightness(shot, renderer.plan(shot)).mean()
         for shot in (renderer.shot(0.01, 1.0, 0, previous_s=p) for p in (1e-9, 0.02))
@@ -300,9 +324,9 @@ def test_lag_follows_the_frame_before() -> None:
     assert twice / none == pytest.approx(1.2, rel=1e-4)
 
 
-def test_a_mosaic_blurs_colours_before_the_filters() -> None:
-    """Where the scene has one colour everywhere, the lens changes nothing in a mosaic."""
-    colour = np.broadcast_to(np.array([3e5, 6e5, 1e5]), (30, 40, 3))
+def test_the_lens_acts_in_front_of_the_colour_filters() -> None:
+    """If the scene has the same colour everywhere, the lens changes nothing in a mosaic."""
+    colour = np.broadcast_to(np.array([3e5, 6e5, 1e5], dtype=np.float32), (30, 40, 3))
     sensor = Sensor(
         name="s",
         bits=14,
@@ -312,9 +336,6 @@ def test_a_mosaic_blurs_colours_before_the_filters() -> None:
         lens=Lens(glare=0.2, blur_px=1.5),
     )
     scene = Scene("s", colour)
-    off = frame(scene, sensor).astype(int) - frame(scene, without_lens(sensor)).astype(int)
+    without_lens = sensor.model_copy(update={"lens": Lens()})
+    off = frame(scene, sensor).astype(int) - frame(scene, without_lens).astype(int)
     assert np.abs(off).max() <= 1
-
-
-def without_lens(sensor: Sensor) -> Sensor:
-    return sensor.model_copy(update={"lens": Lens()})

@@ -1,4 +1,4 @@
-"""Scene files: real units, lamps and targets, and one line for each bad one."""
+"""Scene files: units, lamps and targets, and one line of error for each invalid one."""
 
 from __future__ import annotations
 
@@ -10,29 +10,28 @@ import numpy as np
 import pytest
 
 from camctl.errors import DataError, UsageError
-from sim.scenes.scene import LUMINANCE, PHOTONS, Scene, load_scene, scene_names
-from sim.scenes.scene_file import read_scene_file
+from sim.data_files import built_in_files, read_text
+from sim.scenes.scene import LUMINANCE, PHOTONS, SceneFile, load_scene, scene_names
 
-PLAIN: dict[str, Any] = {"name": "mine", "picture": "wall", "photons_s": 2e5}
+VALID: dict[str, Any] = {"name": "mine", "picture": "wall", "photons_s": 2e5}
 
 
 def written(tmp_path: Path, **changes: Any) -> Path:
     path = tmp_path / "mine.json"
-    path.write_text(json.dumps({**PLAIN, **changes}))
+    path.write_text(json.dumps({**VALID, **changes}))
     return path
 
 
-def test_the_scenes_that_come_with_the_program_are_such_files() -> None:
-    from importlib import resources
-
-    folder = resources.files("sim") / "scenes"
-    for name in scene_names():
-        file = read_scene_file((folder / f"{name}.json").read_text(), source=name)
+def test_the_built_in_scenes_are_scene_files() -> None:
+    files = built_in_files("scenes")
+    assert tuple(sorted(files)) == scene_names()
+    for name, text in files.items():
+        file = read_text(SceneFile, text, source=name)
         assert file.name == name
         assert file.what
 
 
-def test_a_scene_has_its_unit(tmp_path: Path) -> None:
+def test_a_scene_is_in_photons_or_candela(tmp_path: Path) -> None:
     photons = load_scene(written(tmp_path), (12, 16))
     assert photons.unit == PHOTONS
     change = {"photons_s": None, "luminance_cd_m2": 40}
@@ -41,13 +40,13 @@ def test_a_scene_has_its_unit(tmp_path: Path) -> None:
     assert np.allclose(photons.irradiance / 2e5, candela.irradiance / 40, rtol=1e-6)
 
 
-def test_a_size_comes_from_the_caller_the_file_or_the_sensor(tmp_path: Path) -> None:
+def test_the_size_is_that_of_the_caller_else_of_the_file_else_the_usual_one(tmp_path: Path) -> None:
     assert load_scene(written(tmp_path), usual=(10, 20)).shape == (10, 20)
     assert load_scene(written(tmp_path, shape=[5, 6]), usual=(10, 20)).shape == (5, 6)
     assert load_scene(written(tmp_path, shape=[5, 6]), (7, 8)).shape == (7, 8)
 
 
-def test_lamps_and_targets(tmp_path: Path) -> None:
+def test_lamps_and_a_target_are_read(tmp_path: Path) -> None:
     lamps, target = {"mains_hz": 60, "depth": 0.3}, {"size": 0.5, "crossing_s": -4.0}
     scene = load_scene(written(tmp_path, lamps=lamps, target=target), (40, 80))
     assert scene.lamps is not None
@@ -58,57 +57,77 @@ def test_lamps_and_targets(tmp_path: Path) -> None:
     assert 1e5 < scene.target.light.max() <= 2e5
 
 
-def test_a_radiance_map_beside_the_file(tmp_path: Path) -> None:
+def test_a_radiance_map_beside_the_file_gets_the_units_of_the_file(tmp_path: Path) -> None:
     np.save(tmp_path / "map.npy", np.geomspace(1, 1000, 600).reshape(20, 30))
     scene = load_scene(written(tmp_path, picture="map.npy"))
     assert scene.shape == (20, 30)
     highlight = np.quantile(scene.irradiance, 0.999)
     assert highlight == pytest.approx(2e5, rel=1e-3)
-    with pytest.raises(UsageError, match="size of its own"):
+    with pytest.raises(
+        UsageError, match=r"map\.npy: a radiance map has its own size; leave the size out"
+    ):
         load_scene(written(tmp_path, picture="map.npy"), (5, 5))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"picture": "wal"}, "did you mean wall"),
-        ({"photons_s": None}, "either photons_s or luminance_cd_m2"),
-        ({"luminance_cd_m2": 3}, "either photons_s or luminance_cd_m2"),
-        ({"photons_s": -1}, "photons_s: "),
-        ({"photons_s": float("nan")}, "photons_s: "),
-        ({"lamps": {"mains_hz": 50, "depth": 1.5}}, "lamps.depth: "),
-        ({"lamps": {"mains_hz": 0, "depth": 0.5}}, "lamps.mains_hz: "),
-        ({"target": {"crossing_s": 0}}, "less than a millisecond"),
-        ({"target": {"sise": 1}}, "target.sise: "),
-        ({"shape": [0, 5]}, "shape.0: "),
-        ({"lamp": {}}, "lamp: "),
+        ({"picture": "wal"}, "picture: unknown drawing 'wal'; did you mean wall"),
+        ({"photons_s": None}, "give either photons_s or luminance_cd_m2"),
+        ({"luminance_cd_m2": 3}, "give either photons_s or luminance_cd_m2"),
+        ({"photons_s": -1}, "photons_s: input should be greater than 0"),
+        ({"photons_s": float("nan")}, "photons_s: input should be a finite number"),
+        ({"name": None}, "name: input should be a valid string"),
+        ({"lamps": {"mains_hz": 50, "depth": 1.5}}, "lamps.depth: input should be less than"),
+        ({"lamps": {"mains_hz": 50}}, "lamps.depth: field required"),
+        ({"lamps": {"mains_hz": 0, "depth": 0.5}}, "lamps.mains_hz: input should be greater"),
+        ({"target": {"crossing_s": 0}}, "target: crossing_s is less than a millisecond"),
+        ({"target": {"sise": 1}}, "target.sise: unknown field"),
+        ({"shape": [0, 5]}, "shape.0: input should be greater than or equal to 1"),
+        ({"lamp": {}}, "lamp: unknown field"),
     ],
 )
-def test_a_bad_scene_is_one_line(tmp_path: Path, change: dict[str, Any], message: str) -> None:
-    with pytest.raises(DataError, match=message) as error:
-        load_scene(written(tmp_path, **change))
+def test_an_invalid_scene_file_is_one_line_of_error(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    path = written(tmp_path, **change)
+    with pytest.raises(DataError) as error:
+        load_scene(path)
+    assert str(error.value).startswith(f"{path}: {message}")
     assert "\n" not in str(error.value)
-    assert str(tmp_path) in str(error.value)
 
 
-def test_files_that_are_no_scene(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no such file"):
-        load_scene(tmp_path / "none.json")
-    (tmp_path / "bad.json").write_text("{")
-    with pytest.raises(DataError, match="not JSON, line 1"):
-        load_scene(tmp_path / "bad.json")
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "no such file"),
+        (b"{", "not JSON, line 1"),
+        (b"[]", "input should be a valid dictionary"),
+        (b"\xff\xfe\x00", "cannot be read"),
+    ],
+    ids=["missing", "not JSON", "a list", "binary"],
+)
+def test_a_file_that_is_no_scene_file_is_refused(
+    tmp_path: Path, content: bytes | None, message: str
+) -> None:
+    path = tmp_path / "bad.json"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(DataError, match=message) as error:
+        load_scene(path)
+    assert str(error.value).startswith(f"{path}: {message}")
 
 
-def test_a_gigantic_file_is_refused_before_it_is_drawn(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="GiB are there"):
+def test_a_drawing_larger_than_memory_is_refused_before_it_is_drawn(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"GiB of memory, but [0-9.]+ GiB are available"):
         load_scene(written(tmp_path, shape=[1_000_000, 1_000_000]))
 
 
-def test_the_brightest_diffuse_part_is_1_in_each_drawing() -> None:
+def test_the_brightest_diffuse_part_has_the_luminance_of_the_file() -> None:
     chart = load_scene("colour-chart", (48, 72)).irradiance / 120
     assert chart.max() == pytest.approx(0.9, abs=0.01)
     grey = chart[42, 6::12].mean(axis=1)
-    assert np.all(np.diff(grey) < 0)  # the last row goes from white to black
-    night: Scene = load_scene("night-street", (120, 160))
+    assert np.all(np.diff(grey) < 0)  # the last row is from white to black
+    night = load_scene("night-street", (120, 160))
     bright = np.quantile(night.irradiance, [0.5, 0.9999]) / 8
     assert bright[0] < 1 < 500 < bright[1]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import virtual_devices as rig
 
-from camctl.capture.report import read_report
+from camctl import read_report
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraError
 from camctl.testing.conformance import CameraConformance

@@ -5,7 +5,7 @@ import pytest
 import tifffile
 import virtual_devices as rig
 
-from camctl.capture.report import read_report
+from camctl import read_report
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor

@@ -7,7 +7,7 @@ from contextlib import closing
 import pytest
 import virtual_devices as rig
 
-from camctl.capture.report import read_report
+from camctl import read_report
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraError
 from camctl.profile import load_profile
@@ -35,9 +35,9 @@ class OnV4l2(CameraConformance):
     def open_camera(self):
         return rig.opened(self.device)
 
-    def test_a_closed_camera_says_so(self, streaming):
+    def test_closed_camera_raises_a_camera_error(self, streaming):
         streaming.close()  # nobody else may stream from the node meanwhile
-        super().test_a_closed_camera_says_so()
+        super().test_closed_camera_raises_a_camera_error()
 
     def middle_s(self, camera):
         return camera.controls.time_s.nearest(0.01)
@@ -246,13 +246,12 @@ class TestFaults:
     def test_a_spoilt_frame_is_not_handed_over(self, camctl, fault):
         with rig.once_a_frame_is_kept(rig.here() / fault, lambda: self.fault(fault)):
             done = camctl("shoot", *rig.words_of(rig.WEB), *LONG_BRACKET, "-o", fault)
-        report = read_report(rig.here() / fault)
         if done.status:  # a typed error, and what was shot is kept
             assert done.err.count("\n") == 1
             assert "--resume" in done.err
             self.fault("ok")
             assert camctl("shoot", "--resume", fault).status == 0
-            report = read_report(rig.here() / fault)
+        report = read_report(rig.here() / fault)
         assert report.status == "complete"
         assert all(frame.ratio.agrees for frame in report.frames[1:])
 

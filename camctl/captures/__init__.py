@@ -1,0 +1,1 @@
+"""Taking the exposures: metering, planning, shooting, summing, writing the results."""

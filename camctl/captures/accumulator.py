@@ -1,0 +1,91 @@
+"""The sum of the frames, taken while they arrive.
+
+By the paper's theorem 1 the plain sum keeps all the information of the single frames.  Each frame
+is clipped at its white level first: saturated samples that still vary would otherwise add their
+noise to the highlights.  Black stays in and is subtracted once, from the sum, as a signed number:
+clipping each frame at black would bias the dark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.camera import Pixels
+from camctl.errors import CaptureError, UsageError
+
+#: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small.
+_TILE = 1 << 20
+
+
+def sum_dtype(count: int, white: int) -> np.dtype[np.unsignedinteger]:
+    """Return the narrowest unsigned type that holds the sum of `count` samples of up to `white`.
+
+    Raises:
+        UsageError: 32 bits are not enough
+    """
+    for kind in (np.uint16, np.uint32):
+        if count * white <= np.iinfo(kind).max:
+            return np.dtype(kind)
+    raise UsageError(
+        f"the sum of {count} exposures of up to {white} does not fit in 32 bits",
+        hint=f"take at most {np.iinfo(np.uint32).max // white} exposures",
+    )
+
+
+class Accumulator:
+    """The running sum of `min(frame, white)`.
+
+    Args:
+        shape: of a frame, (rows, columns) or (rows, columns, 3)
+        dtype: of a frame, uint8 or uint16
+        count: number of frames that the sum is for
+        white: brightness at which each frame is clipped, DN
+
+    `total` is the sum, in the frames' shape.
+    """
+
+    def __init__(
+        self, shape: tuple[int, ...], dtype: np.dtype[np.unsignedinteger], count: int, white: int
+    ) -> None:
+        self.total: NDArray[np.unsignedinteger] = np.zeros(shape, sum_dtype(count, white))
+        self.white = white
+        self._dtype = np.dtype(dtype)
+        self._clips = white < np.iinfo(self._dtype).max
+        # numpy's minimum is vectorised between arrays but not against a scalar: 9 times faster.
+        self._ceiling = np.full(min(_TILE, self.total.size), white if self._clips else 0, dtype)
+        self._narrow = np.empty_like(self._ceiling)
+        self._wide = np.empty(self._ceiling.size, self.total.dtype)
+
+    def accumulate(self, pixels: Pixels) -> None:
+        """Add one frame, clipped at white.
+
+        Raises:
+            CaptureError: the frame's shape or type is not that of the others
+        """
+        self._each_tile(pixels, np.add)
+
+    def withdraw(self, pixels: Pixels) -> None:
+        """Subtract a frame that was added before, exactly."""
+        self._each_tile(pixels, np.subtract)
+
+    def _each_tile(self, pixels: Pixels, operation: Callable[..., object]) -> None:
+        if pixels.shape != self.total.shape or pixels.dtype != self._dtype:
+            raise CaptureError(
+                f"a frame of {pixels.shape} {pixels.dtype} came after frames of "
+                f"{self.total.shape} {self._dtype}",
+                hint="keep the camera's format fixed during a capture",
+            )
+        source, total = np.ascontiguousarray(pixels).reshape(-1), self.total.reshape(-1)
+        for start in range(0, total.size, _TILE):
+            tile, here = source[start : start + _TILE], total[start : start + _TILE]
+            if self._clips:
+                tile = np.minimum(tile, self._ceiling[: tile.size], out=self._narrow[: tile.size])
+            if tile.dtype != total.dtype:
+                # One widening copy and a same-type sum are faster than a sum of mixed types.
+                wide = self._wide[: tile.size]
+                np.copyto(wide, tile)
+                tile = wide
+            operation(here, tile, out=here)

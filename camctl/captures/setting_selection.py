@@ -1,0 +1,256 @@
+"""Choosing among the settings that a camera really has.
+
+Whole sets of settings are compared by their result, the shortest exposure included, and not by how
+close each ratio is: on a coarse grid the nearest ratios are rarely the best set.  Shutter time is
+changed first, then gain; the aperture only on request.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from camctl.captures.request import CapturePlan, CaptureRequest
+from camctl.controls import Control, ExposureControls, ExposureSetting
+from camctl.errors import CaptureError
+from camctl.exposure.grid_search import SettingsGrid, solve_settings
+from camctl.exposure.objective import Objective
+from camctl.response.desired import DesiredResponse
+
+#: The shortest exposure may be this far below its limit to fit the camera's steps, in stops.
+BASE_SLACK_STOPS = 1 / 6
+#: The same on a list of shutter times, where a step is often a third of a stop.
+_BASE_SLACK_ON_LIST_STOPS = 1 / 3
+#: Shutter times of the shortest exposure that are tried with the nearest ratios, and how many of
+#: the best of them are tried with other settings, too.
+_BASES, _KEPT_BASES = 24, 4
+#: Settings tried for each ratio.
+_NEIGHBOURS = 3
+#: Gains and apertures that extend the shutter times, at most.
+_GAINS, _APERTURES = 64, 8
+#: Relative difference from which a warning says that a requested exposure is not met.
+_WARNING_DIFFERENCE = 0.01
+#: Relative difference up to which two exposures are the same, in float64.
+_SAME = 1e-9
+
+Score: TypeAlias = Callable[[Sequence[ExposureSetting]], float]
+
+
+@dataclass(frozen=True)
+class SettingChooser:
+    """Finds the settings for `ratios` on one camera; the lowest `score` wins."""
+
+    controls: ExposureControls
+    request: CaptureRequest
+    ratios: tuple[float, ...]
+    score: Score
+
+    @property
+    def sets_time_only(self) -> bool:
+        """Whether shutter times, and gain beyond them, are all that may be set."""
+        return self.request.mains_hz is None and self._smallest_aperture() is None
+
+    def best(self, limit_s: float, evaluations: int) -> tuple[ExposureSetting, ...]:
+        """Return the set with the lowest score found within about `evaluations` evaluations.
+
+        Every shortest exposure is tried with its nearest settings; around the best of them the
+        neighbours of each setting are tried: all combinations where they are few, else one
+        setting at a time.  `limit_s` is the longest shutter time of the shortest exposure, s.
+
+        Raises:
+            CaptureError: an exposure is beyond the camera's controls
+        """
+        bases = self._bases(limit_s)
+        rounded = [tuple(options[0] for options in self._options(base)) for base in bases]
+        scores = [self.score(settings) for settings in rounded]
+        ranked = sorted(range(len(bases)), key=scores.__getitem__)  # equals: the longer base first
+        remaining = evaluations - len(bases)
+        best, best_score = rounded[ranked[0]], scores[ranked[0]]
+        for index in ranked[:_KEPT_BASES]:
+            options = self._options(bases[index])
+            if math.prod(map(len, options)) <= remaining // _KEPT_BASES:
+                candidates: Iterable[tuple[ExposureSetting, ...]] = itertools.product(*options)
+            else:
+                start = rounded[index]
+                candidates = (
+                    (*start[:place], other, *start[place + 1 :])
+                    for place in range(1, len(start))
+                    for other in options[place][1:]
+                )
+            for candidate in itertools.islice(candidates, max(1, remaining // _KEPT_BASES)):
+                score = self.score(candidate)
+                if score < best_score * (1 - _SAME):
+                    best_score, best = score, candidate
+        return tuple(sorted(best, key=lambda setting: setting.exposure))
+
+    def _bases(self, limit_s: float) -> list[ExposureSetting]:
+        """Return settings for the shortest exposure, the longest first."""
+        time, gain = self.controls.time_s, self.controls.gain.nearest(1.0)
+        f_number = self._smallest_aperture()
+        if self.request.base_s is not None:
+            return [ExposureSetting(_given_base(time, limit_s), gain, f_number)]
+        times = self._whole_periods(time.between(limit_s * 2.0**-BASE_SLACK_STOPS, limit_s, _BASES))
+        if not times:
+            below = time.between(time.minimum, limit_s, 1)
+            times = below or (time.minimum,)
+        return [ExposureSetting(t, gain, f_number) for t in reversed(times)]
+
+    def _smallest_aperture(self) -> float | None:
+        """Return the largest f-number, where the aperture may be changed."""
+        aperture = self.controls.f_number
+        return aperture.maximum if aperture is not None and self.request.use_aperture else None
+
+    def _options(self, base: ExposureSetting) -> list[list[ExposureSetting]]:
+        """Return, for each ratio, the settings around it, the nearest first."""
+        found: list[list[ExposureSetting]] = [[base]]
+        for ratio in self.ratios[1:]:
+            settings = self._settings_near(base, ratio)
+            found.append(_nearest_first(settings, base.exposure * ratio))
+        return found
+
+    def _settings_near(self, base: ExposureSetting, ratio: float) -> list[ExposureSetting]:
+        time, gain = self.controls.time_s, self.controls.gain
+        time_s = base.time_s * ratio
+        if time_s <= time.maximum * (1 + _WARNING_DIFFERENCE):
+            times = self._whole_periods(time.near(time_s, _NEIGHBOURS))
+            return [ExposureSetting(t, base.gain, base.f_number) for t in times]
+        apertures = [base.f_number]
+        if base.f_number is not None and self.controls.f_number is not None:
+            lens = self.controls.f_number
+            wider = lens.between(lens.minimum, base.f_number * 0.999, _APERTURES)
+            apertures += list(reversed(wider))
+        for f_number in apertures:
+            # The aperture lets in this many times the light of the base exposure.
+            opening = (base.f_number / f_number) ** 2 if f_number and base.f_number else 1.0
+            gain_ratio = time_s / time.maximum / opening
+            if gain_ratio > gain.maximum / base.gain * (1 + _WARNING_DIFFERENCE):
+                continue
+            gains = gain.near(base.gain * gain_ratio, 2 * _NEIGHBOURS)
+            settings = [
+                ExposureSetting(t, g, f_number)
+                for g in gains
+                if g >= base.gain
+                for t in time.near(time_s * base.gain / g / opening, _NEIGHBOURS)
+            ]
+            return _nearest_first(settings, base.exposure * ratio)[:_NEIGHBOURS]
+        widest = apertures[-1]
+        opening = (base.f_number / widest) ** 2 if widest and base.f_number else 1.0
+        largest = time.maximum * gain.maximum / base.gain * opening / base.time_s
+        raise CaptureError(
+            f"exposure {ratio:.6g} x {base.time_s:.6g} s is beyond the camera's controls",
+            hint=f"the nearest possible is {largest:.6g} x; choose a smaller range or fewer "
+            f"exposures, or shorten the base with --compensation {math.log2(largest / ratio):.1f}",
+        )
+
+    def _whole_periods(self, times: tuple[float, ...]) -> tuple[float, ...]:
+        """Replace times of a flicker period or more by whole periods, where there are any."""
+        if self.request.mains_hz is None:
+            return times
+        period_s = 0.5 / self.request.mains_hz
+        whole: set[float] = set()
+        for time_s in times:
+            if time_s >= period_s:
+                near = self.controls.time_s.nearest(round(time_s / period_s) * period_s)
+                if abs(near / period_s - round(near / period_s)) < _WARNING_DIFFERENCE:
+                    whole.add(near)
+        return tuple(sorted(whole)) or times
+
+    def warnings(self, plan: CapturePlan) -> list[str]:
+        """Return where the chosen settings differ from the request, one line each."""
+        found = []
+        if self.request.base_s is not None:
+            requested = self.request.base_s * 2.0**self.request.compensation_stops
+            if abs(plan.base_s / requested - 1) > _WARNING_DIFFERENCE:
+                found.append(
+                    f"the base exposure is {plan.base_s:.6g} s: "
+                    f"the camera cannot set {requested:.6g} s"
+                )
+        if self.request.ratios is not None:
+            for requested, applied in zip(plan.ratios, plan.exposures, strict=True):
+                if abs(applied / requested - 1) > _WARNING_DIFFERENCE:
+                    found.append(f"ratio {requested:.6g} becomes {applied:.6g} on this camera")
+        if self.request.mains_hz is not None:
+            period_s = 0.5 / self.request.mains_hz
+            for setting in plan.settings:
+                count = setting.time_s / period_s
+                difference = abs(count - round(count))
+                if difference > _WARNING_DIFFERENCE * max(1.0, count) or count < 0.5:
+                    found.append(
+                        f"{setting.time_s:.4g} s is not a whole number of the lamps' flicker "
+                        f"periods of {period_s:.4g} s"
+                    )
+        return found
+
+
+def _nearest_first(settings: list[ExposureSetting], exposure: float) -> list[ExposureSetting]:
+    return sorted(settings, key=lambda setting: abs(math.log(setting.exposure / exposure)))
+
+
+def _given_base(time: Control, base_s: float) -> float:
+    """Return the shutter time nearest to a given base exposure.
+
+    Raises:
+        CaptureError: it is beyond the shortest or longest shutter time
+    """
+    nearest = time.nearest(base_s)
+    if not time.minimum * 0.99 <= base_s <= time.maximum * 1.01:
+        raise CaptureError(
+            f"a base exposure of {base_s:.6g} s is beyond the camera's "
+            f"{time.minimum:.6g} to {time.maximum:.6g} s",
+            hint=f"the nearest possible is {nearest:.6g} s",
+        )
+    return nearest
+
+
+def search_choices(
+    controls: ExposureControls,
+    request: CaptureRequest,
+    desired: DesiredResponse,
+    count: int,
+    limit_s: float,
+) -> tuple[ExposureSetting, ...]:
+    """Return the best set on a list of shutter times: searched there, not rounded from a table.
+
+    Gain extends the longest time.  The shortest exposure is the longest time on the list that
+    `limit_s` allows, or one up to a third of a stop below it.
+
+    Raises:
+        UsageError: the list is shorter than `count`, or a time budget is too short
+        CaptureError: the list has too few exposures from the base on
+    """
+    gain = controls.gain.nearest(1.0)
+    times = controls.time_s.between(controls.time_s.minimum, controls.time_s.maximum, 1 << 16)
+    available = {time_s: ExposureSetting(time_s, gain) for time_s in times}
+    for more in controls.gain.between(gain, controls.gain.maximum, _GAINS):
+        available.setdefault(times[-1] * more / gain, ExposureSetting(times[-1], more))
+    base_s = max((t for t in times if t <= limit_s * (1 + _SAME)), default=times[0])
+    least_s = base_s * 2.0**-_BASE_SLACK_ON_LIST_STOPS
+    if request.base_s is not None:
+        least_s = base_s = _given_base(controls.time_s, limit_s)
+    exposures = sorted(available)
+    if count <= len(exposures) and exposures[-count] < least_s * (1 - _SAME):
+        stops = math.floor(10 * math.log2(exposures[-count] / base_s)) / 10
+        raise CaptureError(
+            f"a shortest exposure of {base_s:.4g} s leaves fewer than {count} exposures up to "
+            f"{exposures[-1]:.4g} s, the longest on this camera",
+            hint=f"take fewer exposures, or shorten it with --compensation {stops:.1f}",
+        )
+    found = solve_settings(
+        controls.levels,
+        desired,
+        count,
+        SettingsGrid(
+            exposures,
+            base=(least_s, base_s),
+            total_limit=math.inf if request.time_budget_s is None else request.time_budget_s,
+        ),
+        objective=Objective(request.levels_wanted),
+    )
+    # The search merges settings of one exposure; each of its values is one of `available`.
+    return tuple(
+        available[min(available, key=lambda exposure: abs(exposure - value))]
+        for value in found.settings
+    )

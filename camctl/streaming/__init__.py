@@ -1,0 +1,33 @@
+"""Streaming cameras: which frame had which exposure, although the controls take effect late.
+
+A streaming camera divides time into slots of one frame each.  A setting that is written while slot
+k is being exposed is in force from slot k + 1 + d on; d is the control delay in frames.
+`ExposurePipeline` writes a list of settings into such a stream and yields one frame for each: with
+a constant delay, n settings take n + d frames.  It needs a `NumberedSource`, a stream that states
+the slot number of each frame, for example from the device's sequence numbers.  `TimestampedStream`
+makes a numbered source of a stream that has only timestamps.
+"""
+
+from camctl.streaming.frame_clock import FrameClock, TimestampedSource, TimestampedStream
+from camctl.streaming.pipeline import (
+    ControlDelay,
+    DelayOrigin,
+    ExposurePipeline,
+    Shot,
+    mean_brightness,
+)
+from camctl.streaming.source import FrameStamp, NumberedSource, Written
+
+__all__ = [
+    "ControlDelay",
+    "DelayOrigin",
+    "ExposurePipeline",
+    "FrameClock",
+    "FrameStamp",
+    "NumberedSource",
+    "Shot",
+    "TimestampedSource",
+    "TimestampedStream",
+    "Written",
+    "mean_brightness",
+]

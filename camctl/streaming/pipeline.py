@@ -1,0 +1,326 @@
+"""The control-delay pipeline: a frame of known exposure for each setting of a list.
+
+The pipeline records for each setting that it wrote the first slot that may have it and the first
+slot that must have it, as libcamera's DelayedControls does for its sensors.  A frame belongs to a
+setting if its slot lies at or after the one in which the setting is in force at the latest, and
+before the one in which the next setting may be in force.  All other frames are discarded, so that a
+frame of unknown exposure is never yielded; a setting that is left without a frame is written again.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Generic, Self, TypeVar
+
+import numpy as np
+
+from camctl.camera import Pixels
+from camctl.controls import ExposureSetting
+from camctl.errors import CameraError, CameraProtocolError
+from camctl.profile import DelayRecord
+from camctl.streaming.source import NumberedSource, irregular_frames
+
+DataT = TypeVar("DataT")
+
+#: Largest delay, in frames, that is assumed where none was measured: twice that of usual webcams.
+_ASSUMED_LARGEST = 6
+#: Frames for which `step` waits at the first setting: it must not rely on a delay that it measures.
+_STEP_SETTLING = _ASSUMED_LARGEST + 2
+#: Two frames have the same exposure if their brightnesses differ by at most this share of the
+#: brightness, or of full scale: more than the noise of a mean, less than a step of exposure.
+_SAME_RELATIVE, _SAME_OF_FULL_SCALE = 0.02, 0.002
+#: Attempts without a usable frame until the stream counts as unusable.
+_ATTEMPTS = 16
+#: Old frames that are dropped at once at most: more than any driver has buffers.
+_OLD_FRAMES = 100
+#: Samples of which `mean_brightness` takes the mean, about: noise averages out to 1/128.
+_SAMPLES = 1 << 14
+
+
+class DelayOrigin(StrEnum):
+    """How the bounds of a control delay are known."""
+
+    GUARANTEED = "guaranteed"  # by the device's specification
+    MEASURED = "measured"  # in a limited number of trials
+    ASSUMED = "assumed"  # not at all
+
+
+@dataclass(frozen=True)
+class ControlDelay:
+    """Bounds of a camera's control delay.
+
+    Attributes:
+        smallest, largest: of the delay, frames
+        origin: how they are known
+    """
+
+    smallest: int
+    largest: int
+    origin: DelayOrigin = DelayOrigin.MEASURED
+
+    @classmethod
+    def from_record(cls, record: DelayRecord | None) -> Self:
+        """Return the delay that a profile records; None: the delay was never measured."""
+        if record is None:
+            return cls(0, _ASSUMED_LARGEST, DelayOrigin.ASSUMED)
+        return cls(record.smallest, record.largest)
+
+    @property
+    def frames(self) -> int | None:
+        """The delay if it is known and constant, for `ExposureControls.delay_frames`; else None."""
+        is_constant = self.smallest == self.largest and self.origin is not DelayOrigin.ASSUMED
+        return self.largest if is_constant else None
+
+    def notes(self, camera_id: str) -> tuple[str, ...]:
+        """Return what a person should know of the delay, for `ExposureControls.notes`."""
+        if self.origin is DelayOrigin.ASSUMED:
+            return (
+                "control delay not measured: the stream settles after each exposure; run camctl "
+                f"calibrate delay --camera {camera_id}",
+            )
+        if self.frames is None:
+            return (
+                f"the control delay is not constant ({self.smallest} to {self.largest} frames): "
+                "the stream settles after each exposure",
+            )
+        return ()
+
+
+@dataclass(frozen=True, eq=False)
+class Shot(Generic[DataT]):
+    """A frame whose exposure is known.
+
+    Attributes:
+        index: position of its setting in the list
+        applied: its setting as read back
+        time_s: when its exposure ended, s
+        data: the frame as the source delivered it
+    """
+
+    index: int
+    applied: ExposureSetting
+    time_s: float
+    data: DataT
+
+
+@dataclass(frozen=True)
+class _Pending:
+    """A setting that was written and has no frame yet.
+
+    Attributes:
+        index: position in the list
+        applied: as read back
+        slot: last number that the first slot not begun at the write may have had
+        earliest, latest: the first slot that may have the setting, and the first that must
+        error: of a failed write; raised once the frames of all settings before it were yielded
+    """
+
+    index: int
+    applied: ExposureSetting
+    slot: int
+    earliest: int
+    latest: int
+    error: CameraError | None = None
+
+
+class ExposurePipeline(Generic[DataT]):
+    """Yields a frame of known exposure for each setting.
+
+    Args:
+        source: a running stream
+        delay: of its exposure control
+        brightness: mean brightness of a frame as a share of full scale, such as `mean_brightness`;
+            needed unless the delay is guaranteed, to see when an exposure has settled
+    """
+
+    def __init__(
+        self,
+        source: NumberedSource[DataT],
+        delay: ControlDelay,
+        brightness: Callable[[DataT], float] | None = None,
+    ) -> None:
+        self._source = source
+        self._delay = delay
+        self._brightness = brightness
+        if brightness is None and delay.origin is not DelayOrigin.GUARANTEED:
+            raise ValueError("brightness is needed unless the control delay is guaranteed")
+        self._steps = 0
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> Generator[Shot[DataT], None, None]:
+        """Yield a frame for each setting, in order.
+
+        With a constant delay of d frames, n settings take n + d frames: one setting is written in
+        each slot.  Otherwise each setting is written when the frame of the one before it has been
+        yielded, and settles: the largest delay passes and, unless that is guaranteed, two
+        consecutive frames have the same brightness.
+
+        Raises:
+            CameraProtocolError: too many frames are lost, or the brightness does not settle
+            CameraError: as the source raises; frames of earlier settings are yielded before that
+        """
+        if self._delay.frames is not None:
+            return self._pipelined(settings)
+        return self._settled_each(settings)
+
+    def step(
+        self, before: ExposureSetting, after: ExposureSetting, frames: int
+    ) -> list[Shot[DataT]]:
+        """Settle at `before`, write `after`, and return the next `frames` frames without a gap.
+
+        Frame 0 is the first whose exposure had not begun at the write; `applied` is that of `after`
+        and `index` counts the frames.  `after` is written early in a slot and late in a slot in
+        turn, so that a delay which depends on that is not mistaken for a constant one.
+
+        Raises:
+            CameraProtocolError: frames are lost in every attempt
+        """
+        is_guaranteed = self._delay.origin is DelayOrigin.GUARANTEED
+        settling = self._delay.largest if is_guaranteed else _STEP_SETTLING
+        for attempt in range(_ATTEMPTS):
+            settled = self._write_now(0, before).slot + settling
+            while self._source.next_frame().number < settled:
+                pass
+            self._drop_old_frames()
+            if (self._steps + attempt) % 2:
+                self._source.upcoming(late=True)
+            written = self._source.write(after)
+            shots = self._consecutive(written.applied, written.last, frames)
+            # A write that may have ended in the next slot does not count.
+            if written.first == written.last and shots is not None:
+                self._steps += 1
+                return shots
+        raise irregular_frames()
+
+    def _pipelined(self, settings: Sequence[ExposureSetting]) -> Generator[Shot[DataT], None, None]:
+        pending: deque[_Pending] = deque()
+        done = attempts = 0
+        while done < len(settings):
+            if attempts > _ATTEMPTS:
+                raise irregular_frames()
+            if not pending:
+                attempts += 1
+                self._drop_old_frames()
+            self._write_next(pending, settings, done)
+            if not pending:  # the time to write has just passed
+                continue
+            if (error := pending[0].error) is not None:
+                raise error
+            stamp = self._source.next_frame()
+            if not stamp.is_certain:
+                pending.clear()
+                continue
+            if stamp.number < pending[0].latest:
+                continue
+            if len(pending) > 1 and stamp.number >= pending[1].earliest:
+                pending.clear()  # the frame of this setting was lost
+                continue
+            # The next setting is written before the frame is yielded: the caller may take long.
+            self._write_next(pending, settings, done)
+            data = self._source.read()
+            if data is None:
+                attempts += 1
+                continue
+            shot = pending.popleft()
+            yield Shot(shot.index, shot.applied, stamp.time_s, data)
+            done, attempts = done + 1, 0
+
+    def _settled_each(
+        self, settings: Sequence[ExposureSetting]
+    ) -> Generator[Shot[DataT], None, None]:
+        for index, setting in enumerate(settings):
+            yield self._settled(self._write_now(index, setting))
+
+    def _settled(self, written: _Pending) -> Shot[DataT]:
+        """Return the first frame after the delay, or the second of two that are equally bright."""
+        previous: tuple[int, float] | None = None
+        looked_at = 0
+        while looked_at < _ATTEMPTS:
+            stamp = self._source.next_frame()
+            if stamp.number < written.latest:
+                continue
+            looked_at += 1
+            data = self._source.read() if stamp.is_certain else None
+            if data is None:
+                previous = None
+                continue
+            shot = Shot(written.index, written.applied, stamp.time_s, data)
+            if self._brightness is None or self._delay.origin is DelayOrigin.GUARANTEED:
+                return shot
+            light = self._brightness(data)
+            if previous is not None and previous[0] + 1 == stamp.number:
+                difference = abs(light - previous[1])
+                if difference <= max(_SAME_RELATIVE * light, _SAME_OF_FULL_SCALE):
+                    return shot
+            previous = (stamp.number, light)
+        raise CameraProtocolError(
+            f"the brightness does not settle: no two consecutive frames of {_ATTEMPTS} with one "
+            "exposure agree",
+            hint="keep scene and light steady, or measure the delay with camctl calibrate delay",
+        )
+
+    def _consecutive(
+        self, applied: ExposureSetting, first: int, frames: int
+    ) -> list[Shot[DataT]] | None:
+        """Return the frames from slot `first` on; None where one is missing."""
+        shots: list[Shot[DataT]] = []
+        while len(shots) < frames:
+            stamp = self._source.next_frame()
+            if not stamp.is_certain:
+                return None
+            if stamp.number < first:
+                continue
+            data = self._source.read()
+            if data is None or stamp.number != first + len(shots):
+                return None
+            shots.append(Shot(len(shots), applied, stamp.time_s, data))
+        return shots
+
+    def _drop_old_frames(self) -> None:
+        """Discard frames that have been waiting, until a setting may be written."""
+        for _ in range(_OLD_FRAMES):
+            if self._source.upcoming() is not None:
+                return
+            self._source.next_frame()
+        raise irregular_frames()
+
+    def _write_next(
+        self, pending: deque[_Pending], settings: Sequence[ExposureSetting], done: int
+    ) -> None:
+        """Write the next setting if there is one and the current slot has none yet."""
+        index = done + len(pending)
+        if index >= len(settings) or (pending and pending[-1].error is not None):
+            return
+        upcoming = self._source.upcoming()
+        if upcoming is None or (pending and upcoming <= pending[-1].slot):
+            return
+        try:
+            pending.append(self._write(index, settings[index]))
+        except CameraError as error:
+            # From here on the exposure is unknown: no later frame belongs to an earlier setting.
+            unknown_from = upcoming + self._delay.smallest
+            pending.append(
+                _Pending(index, settings[index], upcoming, unknown_from, unknown_from, error)
+            )
+
+    def _write_now(self, index: int, setting: ExposureSetting) -> _Pending:
+        self._drop_old_frames()
+        return self._write(index, setting)
+
+    def _write(self, index: int, setting: ExposureSetting) -> _Pending:
+        written = self._source.write(setting)
+        return _Pending(
+            index,
+            written.applied,
+            written.last,
+            written.first + self._delay.smallest,
+            written.last + self._delay.largest,
+        )
+
+
+def mean_brightness(pixels: Pixels, full_scale: int) -> float:
+    """Return the mean of about 16,000 samples of a frame, as a share of `full_scale`, DN."""
+    step = max(1, int((pixels.size / _SAMPLES) ** 0.5))
+    return float(np.mean(pixels[::step, ::step])) / full_scale

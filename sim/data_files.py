@@ -1,0 +1,87 @@
+"""Scenes and sensors as JSON files: those that come with the program, and a user's own."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from camctl.errors import CamctlError, DataError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+PictureShape = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+"""(rows, columns)."""
+
+
+class FileModel(BaseModel):
+    """Base of the models of JSON files: unknown fields are errors, instances are immutable."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+_Model = TypeVar("_Model", bound=FileModel)
+
+
+def built_in_files(folder: str) -> dict[str, str]:
+    """Return the text of the JSON files in a folder of the package `sim`, by their names."""
+    return {
+        item.name.removesuffix(".json"): item.read_text(encoding="utf-8")
+        for item in (resources.files("sim") / folder).iterdir()
+        if item.name.endswith(".json")
+    }
+
+
+def read_file(model: type[_Model], path: Path) -> _Model:
+    """Return what the JSON file at `path` describes; raises `DataError` if it cannot be used."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: no such file", hint="give a name or a JSON file") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: cannot be read ({error})", hint="give a JSON file") from error
+    return read_text(model, text, source=str(path))
+
+
+def read_text(model: type[_Model], text: str, *, source: str) -> _Model:
+    """Return what the JSON `text` describes.
+
+    Raises:
+        DataError: the text is not JSON or does not fit the model; the message starts with `source`
+    """
+    data: Any = None
+    try:
+        data = json.loads(text)
+        return model.model_validate(data)
+    except json.JSONDecodeError as error:
+        raise DataError(f"{source}: not JSON, line {error.lineno}: {error.msg}") from error
+    except CamctlError as error:
+        raise DataError(f"{source}: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = _place(first["loc"], data)
+        reason = first["msg"].removeprefix("Value error, ")
+        is_unknown = first["type"] == "extra_forbidden"
+        reason = "unknown field" if is_unknown else reason[:1].lower() + reason[1:]
+        raise DataError(f"{source}: {place + ': ' if place else ''}{reason}") from error
+
+
+def _place(location: tuple[int | str, ...], data: Any) -> str:
+    """Return where in `data` an error is, such as lens.f_number.
+
+    The rest of the location, which names the member of a union that was tried, is left out.
+    """
+    parts = []
+    for part in location:
+        if isinstance(part, str) and isinstance(data, dict):
+            data = data.get(part)
+        elif isinstance(part, int) and isinstance(data, list):
+            data = data[part] if part < len(data) else None
+        else:
+            break
+        parts.append(str(part))
+    return ".".join(parts)

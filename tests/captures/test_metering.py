@@ -1,0 +1,94 @@
+"""Metering: the highlights end up just below saturation, wherever it starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from small_cameras import WrappedCamera, small_camera
+
+from camctl.camera import FrameStream
+from camctl.captures.metering import OUTLIER_SHARE, meter
+from camctl.controls import ExposureSetting
+from camctl.errors import CaptureError, UsageError
+
+
+def uniform(value: float, shape: tuple[int, int] = (40, 50)) -> NDArray[np.float32]:
+    return np.full(shape, value, np.float32)
+
+
+@pytest.mark.parametrize("sensor", ["standard", "ideal-4", "phone", "machine-vision", "consumer"])
+@pytest.mark.parametrize("brightness", [1e-3, 0.1, 1.0, 50.0, 2000.0])
+def test_highlights_are_just_below_white(sensor: str, brightness: float) -> None:
+    light = uniform(brightness)
+    light[:20] *= 0.01
+    # Lines so short that all shutter times can be set.
+    with small_camera(sensor, light, line_s=1e-7, time_minimum_s=1e-7) as camera:
+        metering = meter(camera)
+        controls = camera.controls
+    limit = controls.time_s.nearest(metering.limit_s)
+    assert controls.sensitivity is not None
+    full = limit * controls.sensitivity * brightness
+    # The target is as sharp as the levels are, and ends with the longest exposure.
+    assert full <= 1.0
+    assert full >= 0.87 - 2 / controls.levels.M or limit == controls.time_s.maximum
+    assert metering.clipped <= OUTLIER_SHARE
+
+
+def test_fullest_channel_is_metered() -> None:
+    light = np.full((40, 50, 3), 0.05, np.float32)
+    light[..., 2] = 1.0
+    with small_camera(light=light, layout="rggb", line_s=1e-7, time_minimum_s=1e-7) as camera:
+        assert camera.controls.sensitivity is not None
+        blue = meter(camera).limit_s * camera.controls.sensitivity * 1.0
+    assert 0.85 <= blue <= 1.0
+
+
+def test_few_reflections_may_saturate_and_are_reported() -> None:
+    light = uniform(0.1, (200, 300))
+    light[0, :4] = 1e4
+    with small_camera(light=light, line_s=1e-7, time_minimum_s=1e-7) as camera:
+        metering = meter(camera)
+        assert camera.controls.sensitivity is not None
+        assert metering.limit_s * camera.controls.sensitivity * 0.1 > 0.8
+    assert metering.clipped == pytest.approx(4 / 60_000)
+
+
+def test_black_scene_is_an_error() -> None:
+    with (
+        small_camera(light=uniform(1e-12)) as camera,
+        pytest.raises(
+            CaptureError, match="the picture is black even at 60 s; take the lens cap off"
+        ),
+    ):
+        meter(camera)
+
+
+def test_overexposed_scene_is_an_error() -> None:
+    with (
+        small_camera(light=uniform(1e9)) as camera,
+        pytest.raises(CaptureError, match="the picture is white even at 1e-05 s"),
+    ):
+        meter(camera)
+
+
+class Mechanical(WrappedCamera):
+    """A camera without a preview that counts its exposures."""
+
+    shots = 0
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        self.shots += len(settings)
+        return super().shoot(settings)
+
+
+def test_shutter_of_a_camera_without_preview_is_actuated_on_request_only() -> None:
+    with small_camera() as simulated:
+        camera = Mechanical(simulated)
+        with pytest.raises(UsageError, match=r"no preview, and metering would cost .* --meter"):
+            meter(camera)
+        assert camera.shots == 0
+        metering = meter(camera, spend_shutter=True)
+    assert metering.frames == camera.shots > 0

@@ -1,0 +1,118 @@
+"""The picture files: strips leave no seam, and files and memory hold the same arrays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+from numpy.typing import NDArray
+
+from camctl.captures import pictures
+from camctl.captures.frame_store import FolderStore, MemoryStore
+from camctl.captures.picture_files import write_picture_files
+from camctl.captures.pictures import Rendering, Tables
+from camctl.controls import Layout
+from camctl.errors import DataError
+from camctl.exposure.effective import EffectiveCamera
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
+
+BLACK = 5
+EFFECTIVE = EffectiveCamera.of(linear_response(6), [1.0, 4.0])
+
+
+def rendering(layout: Layout, response: str = "log") -> Rendering:
+    desired = desired_response(response, 100.0)
+    return Rendering(layout, Tables.of(EFFECTIVE, desired, BLACK, 2.0), desired, 2.0)
+
+
+def random_sum(layout: Layout) -> NDArray[np.uint16]:
+    shape = (37, 22, 3) if layout is Layout.RGB else (37, 22)
+    top = EFFECTIVE.levels_total + BLACK
+    return np.random.default_rng(0).integers(0, top + 1, shape).astype(np.uint16)
+
+
+@pytest.mark.parametrize("layout", list(Layout))
+@pytest.mark.parametrize("response", ["linear", "gamma", "log"])
+def test_strips_leave_no_seam(
+    layout: Layout, response: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    total, how = random_sum(layout), rendering(layout, response)
+    stores = []
+    for samples in (1 << 20, 150):
+        monkeypatch.setattr(pictures, "STRIP_SAMPLES", samples)
+        folder = tmp_path / str(samples)
+        folder.mkdir()
+        stores.append(FolderStore(folder))
+        write_picture_files(total, how, folder)
+    whole, strips = stores
+    assert np.array_equal(whole.image(), strips.image())
+    assert np.array_equal(whole.radiance(), strips.radiance())
+    assert np.array_equal(whole.mask(), strips.mask())
+    if not layout.is_mosaic:
+        assert np.array_equal(whole.image(), how.tables.code[total])
+
+
+@pytest.mark.parametrize("layout", list(Layout))
+def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -> None:
+    total, how = random_sum(layout), rendering(layout)
+    folder, memory = FolderStore(tmp_path), MemoryStore()
+    files = folder.keep_pictures(total, how)
+    assert memory.keep_pictures(total, how) == {}
+    assert {path.name for path in tmp_path.iterdir()} == set(files.values())
+    shape = (37, 22) if layout is Layout.MONO else (37, 22, 3)
+    for name, dtype in {"image": np.uint16, "radiance": np.float32, "mask": np.uint8}.items():
+        from_file, from_memory = getattr(folder, name)(), getattr(memory, name)()
+        assert np.array_equal(from_file, from_memory)
+        assert from_file.dtype == from_memory.dtype == dtype
+        assert from_file.shape == shape
+    assert np.array_equal(folder.sum(), memory.sum())
+    assert np.array_equal(folder.sum(), total)
+
+
+@pytest.mark.parametrize("layout", list(Layout))
+def test_channels_of_radiance_exr(layout: Layout, tmp_path: Path) -> None:
+    write_picture_files(random_sum(layout), rendering(layout), tmp_path)
+    with OpenEXR.File(str(tmp_path / "radiance.exr"), separate_channels=True) as file:
+        types = {name: channel.pixels.dtype for name, channel in file.channels().items()}
+    names = "Y" if layout is Layout.MONO else "RGB"
+    assert types == dict.fromkeys(names, np.float32) | {f"mask.{n}": np.uint32 for n in names}
+
+
+def test_preview_is_small_and_looks_like_the_image(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("camctl.captures.picture_files._PREVIEW_SIDE", 10)
+    monkeypatch.setattr(pictures, "STRIP_SAMPLES", 100)
+    total = np.linspace(BLACK, EFFECTIVE.levels_total, 23 * 37 * 3).astype(np.uint16)
+    write_picture_files(total.reshape(23, 37, 3), rendering(Layout.RGB), tmp_path)
+    preview = cv2.imread(str(tmp_path / "preview.png"), cv2.IMREAD_UNCHANGED)
+    assert preview is not None
+    image = FolderStore(tmp_path).image()
+    assert preview.shape == (6, 10, 3)
+    assert np.array_equal(preview[..., ::-1], np.rint(image[::4, ::4] / 257).astype(np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("file", "method"),
+    [
+        ("sum.tiff", "sum"),
+        ("image.tiff", "image"),
+        ("radiance.exr", "radiance"),
+        ("radiance.exr", "mask"),
+        ("frames/frame-01.npy", "frame"),
+    ],
+)
+@pytest.mark.parametrize("content", [None, b"", b"II*\0 and no more", b"v/1\x01 and no more"])
+def test_missing_or_damaged_file_is_a_data_error_that_names_it(
+    file: str, method: str, content: bytes | None, tmp_path: Path
+) -> None:
+    store = FolderStore.create(tmp_path / "here")
+    if content is not None:
+        (tmp_path / "here" / file).write_bytes(content)
+    with pytest.raises(DataError, match=file) as failure:
+        getattr(store, method)(*[0] if method == "frame" else [])
+    assert "\n" not in str(failure.value)

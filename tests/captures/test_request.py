@@ -1,0 +1,178 @@
+"""Requests: which are refused, and the desired responses of one's own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_cameras import small_camera
+
+from camctl.captures.frame_store import read_capture
+from camctl.captures.plan import plan_capture
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture, resume
+from camctl.errors import CameraDisconnectedError, DataError, UsageError
+from camctl.response.desired import GammaDesired, LinearDesired
+from sim.camera import Faults
+
+CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"response": "gama"}, "unknown response 'gama'; did you mean gamma?"),
+        ({"response": "auto", "dynamic_range": math.inf}, "invalid dynamic range inf: expected a"),
+        ({"response": "auto", "dynamic_range": 1.0}, "invalid dynamic range 1: expected a finite"),
+        ({"gamma": 0.4}, "gamma 0.4 does not apply to the response 'log'; choose the response"),
+        (
+            {"response": "auto", "gamma": 0.4},
+            "gamma 0.4 does not apply to the response 'auto'; choose the response 'gamma', or",
+        ),
+        ({"response": "gamma", "gamma": -1.0}, "invalid gamma .*-1"),
+        ({"desired_curve": CURVE}, "a desired curve does not apply to the response 'log'"),
+        ({"response": "curve"}, "the response 'curve' needs a desired curve; give pairs of"),
+        ({"response": "curve", "desired_curve": ()}, "invalid desired response .curve.: .*"),
+        (
+            {"response": "curve", "desired_curve": ((1.0, 0.0, 3.0), (2.0, 1.0, 3.0))},
+            "invalid desired curve: expected pairs of irradiance and brightness",
+        ),
+        (
+            {"response": "curve", "desired_curve": ((1.0, 0.0), (0.5, 1.0))},
+            "invalid desired response .curve.: irradiance must be positive and increase",
+        ),
+        (
+            {"response": "curve", "desired_curve": ((0.1, 1.0), (0.5, 0.0))},
+            "invalid desired response .curve.: u must not decrease",
+        ),
+        (
+            {"response": "curve", "desired_curve": ((0.1, math.nan), (0.5, 0.0))},
+            "invalid desired response .curve.: .*finite",
+        ),
+        ({"count": 0}, "invalid number of exposures 0: expected at least 1"),
+        ({"ratios": ()}, "no exposure ratios: expected at least one, such as 1,2,4"),
+        ({"ratios": (1.0, 0.0)}, "invalid exposure ratio 0: expected a positive, finite number"),
+        ({"ratios": (1.0, -2.0)}, "invalid exposure ratio -2: expected a positive, finite"),
+        ({"ratios": (math.nan,)}, "invalid exposure ratio nan: expected a positive, finite"),
+        ({"ratios": (math.inf, 1.0)}, "invalid exposure ratio inf: expected a positive, finite"),
+        ({"base_s": -1.0}, "invalid base exposure in seconds -1: expected a positive, finite"),
+        ({"levels_wanted": 0.0}, "invalid number of levels 0: expected a positive, finite number"),
+        ({"time_budget_s": 0.0}, "invalid time budget in seconds 0: expected a positive, finite"),
+        ({"mains_hz": -50.0}, "invalid mains frequency -50: expected a positive, finite number"),
+        ({"compensation_stops": math.inf}, "invalid compensation inf: expected a finite number"),
+        ({"tolerance": -1.0}, "invalid tolerance -1: expected a number of levels from 0"),
+        ({"tolerance": 1.0}, "a tolerance needs the number of levels wanted; give it with"),
+        (
+            {"tolerance": 1.0, "levels_wanted": 10.0, "time_budget_s": 1.0},
+            "a tolerance cannot be combined with a time budget or an automatic response; leave",
+        ),
+        (
+            {"tolerance": 1.0, "levels_wanted": 10.0, "response": "auto"},
+            "a tolerance cannot be combined with a time budget or an automatic response; leave",
+        ),
+        (
+            {"tolerance": 1.0, "levels_wanted": 10.0, "ratios": (1.0, 2.0)},
+            "a tolerance cannot be combined with given exposure ratios; leave one of them out",
+        ),
+        (
+            {"response": "auto", "ratios": (1.0, 2.0)},
+            "an automatic response cannot be combined with given exposure ratios; choose another",
+        ),
+        (
+            {"response": "auto", "base_s": 0.01},
+            "an automatic response needs metering, and the base exposure is given; leave the base",
+        ),
+    ],
+)
+def test_invalid_request_is_a_usage_error_of_one_line(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message) as failure:
+        CaptureRequest(**fields)
+    assert "\n" not in str(failure.value)
+
+
+def test_exponent_of_gamma_is_one_half_without_another() -> None:
+    default = CaptureRequest("gamma").desired
+    assert isinstance(default, GammaDesired)
+    assert default.gamma == 0.5
+    other = CaptureRequest("gamma", gamma=0.45).desired
+    assert isinstance(other, GammaDesired)
+    assert other.gamma == 0.45
+    assert isinstance(CaptureRequest("gamma", gamma=1.0).desired, LinearDesired)
+
+
+def test_curve_has_its_own_dynamic_range() -> None:
+    desired = CaptureRequest("curve", desired_curve=CURVE).desired
+    assert desired is not None
+    assert desired.dynamic_range == pytest.approx(100)
+    assert desired.u([0.01, 0.1, 1.0]).tolist() == pytest.approx([0, 0.6, 1])
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        CaptureRequest("gamma", 256.0, 2, gamma=0.45),
+        CaptureRequest("curve", count=2, desired_curve=CURVE),
+    ],
+    ids=["gamma", "curve"],
+)
+def test_desired_response_reaches_plan_report_and_image(
+    request_: CaptureRequest, tmp_path: Path
+) -> None:
+    desired = request_.desired
+    assert desired is not None
+    with small_camera("ideal-8") as camera:
+        report = capture(camera, request_, tmp_path / "out")
+    assert report.plan.response == request_.response
+    assert report.plan.dynamic_range == desired.dynamic_range
+    saved = read_capture(tmp_path / "out")
+    assert (saved.request, saved.plan) == (request_, report.plan)
+    E = np.geomspace(1e-3, 1, 99)
+    assert saved.plan.desired.u(E).tolist() == desired.u(E).tolist()
+    # The image is the desired response of the radiance, to rounding.
+    irradiance = report.radiance() * report.irradiance.full_scale_exposure
+    assert np.abs(report.image() - 65535 * desired.u(irradiance)).max() <= 1
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        CaptureRequest("gamma", 256.0, 2, gamma=0.45),
+        CaptureRequest("curve", count=2, desired_curve=CURVE),
+    ],
+    ids=["gamma", "curve"],
+)
+def test_resume_keeps_the_desired_response(request_: CaptureRequest, tmp_path: Path) -> None:
+    with (
+        small_camera(faults=Faults(unplug_after=1)) as camera,
+        pytest.raises(CameraDisconnectedError),
+    ):
+        capture(camera, request_, tmp_path / "out")
+    with small_camera() as camera:
+        report = resume(camera, tmp_path / "out")
+    assert request_.desired is not None
+    assert report.plan.desired.key == request_.desired.key
+
+
+def test_exponents_have_plans_of_their_own() -> None:
+    plans = []
+    for gamma in (0.3, 0.5, 0.9):
+        with small_camera() as camera:
+            request = CaptureRequest("gamma", 1000.0, 2, gamma=gamma, base_s=0.01)
+            plans.append(plan_capture(camera, request))
+    assert plans[0].exposures[1] > plans[1].exposures[1] > plans[2].exposures[1]
+    with small_camera() as camera:
+        default = plan_capture(camera, replace(request, gamma=None))
+    assert default.exposures == plans[1].exposures
+
+
+def test_report_with_an_invalid_request_is_a_data_error(tmp_path: Path) -> None:
+    with small_camera() as camera:
+        capture(camera, CaptureRequest(ratios=(1.0, 2.0)), tmp_path / "out")
+    path = tmp_path / "out" / "report.json"
+    path.write_text(path.read_text().replace('"gamma": null', '"gamma": 0.4'))
+    with pytest.raises(DataError, match=r"report\.json is damaged: gamma 0\.4 does not apply"):
+        read_capture(tmp_path / "out")

@@ -1,0 +1,405 @@
+"""Whole captures on a simulated camera: their files, and what happens when something fails."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from numpy.typing import NDArray
+from small_cameras import WrappedCamera, gradient, small_camera
+
+from camctl.camera import Frame, FrameStream
+from camctl.captures.frame_store import read_capture, read_report
+from camctl.captures.plan import plan_capture
+from camctl.captures.report import CaptureReport
+from camctl.captures.request import CapturePlan, CaptureRequest
+from camctl.captures.sequencer import Progress, capture, resume
+from camctl.controls import ExposureSetting, Layout
+from camctl.errors import (
+    CameraDisconnectedError,
+    CameraError,
+    CameraTimeoutError,
+    CaptureError,
+    DataError,
+    InterruptedCaptureError,
+    StorageError,
+    UsageError,
+)
+from camctl.exposure.effective import EffectiveCamera, effective_levels
+from camctl.exposure.objective import xi
+from camctl.response.desired import desired_response
+from sim.camera import Faults, SimulatedCamera
+
+GIVEN = CaptureRequest("log", 1000.0, ratios=(1.0, 4.0, 16.0))
+RESULTS = {"report.json", "frames", "sum.tiff", "image.tiff", "radiance.exr", "preview.png"}
+
+
+def sum_of_frames(directory: Path, report: CaptureReport) -> NDArray[np.int64]:
+    """Return the sum of the frames on disk, clipped at white."""
+    total = np.zeros((), np.int64)
+    for frame in report.frames:
+        assert frame.file is not None
+        total = total + np.minimum(np.load(directory / frame.file), frame.white).astype(np.int64)
+    return total
+
+
+@pytest.mark.parametrize(
+    ("sensor", "layout"),
+    [("standard", "mono"), ("standard", "rgb"), ("phone", "rggb"), ("machine-vision", "mono")],
+)
+def test_sum_is_that_of_the_frames_on_disk(tmp_path: Path, sensor: str, layout: str) -> None:
+    with small_camera(sensor, layout=layout) as camera:
+        report = capture(camera, GIVEN, tmp_path / "out")
+    assert report.status == "complete"
+    assert {path.name for path in (tmp_path / "out").iterdir()} == RESULTS
+    saved = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert saved == report.model_dump(mode="json")
+    total = sum_of_frames(tmp_path / "out", report)
+    assert np.array_equal(tifffile.imread(tmp_path / "out" / "sum.tiff"), total)
+    assert saved["black_total"] == sum(frame["black"] for frame in saved["frames"])
+
+
+def test_achieved_quality_is_that_of_the_applied_exposures(tmp_path: Path) -> None:
+    with small_camera(line_s=1e-3, time_minimum_s=1e-3) as camera:
+        report = capture(camera, CaptureRequest("gamma", 1000.0, 3), tmp_path / "out")
+        real = camera.controls.levels
+    applied = [frame.applied_s for frame in report.frames]
+    assert [frame.exposure for frame in report.frames] == [t / applied[0] for t in applied]
+    effective = EffectiveCamera.of(real, [t / applied[0] for t in applied])
+    desired = desired_response("gamma", 1000.0)
+    assert report.achieved.xi == xi(effective, desired, 3 * real.M)
+    assert report.achieved.effective_levels == effective_levels(effective, desired)
+    assert report.achieved.levels_distinct == effective.levels_distinct
+
+
+@pytest.mark.parametrize(("layout", "names"), [("mono", "Y"), ("rgb", "RGB"), ("rggb", "RGB")])
+def test_radiance_is_the_scene_in_its_own_unit(tmp_path: Path, layout: str, names: str) -> None:
+    # A uniform colour survives demosaicing, and an ideal sensor leaves rounding alone.
+    colour = np.array([0.4, 0.2, 0.32], np.float32)
+    light = np.full((40, 50, 3), colour)
+    light[0, 0] = 0
+    truth = [float(np.dot([0.2126, 0.7152, 0.0722], colour))] if names == "Y" else colour
+    with small_camera("ideal-8", light, layout=layout) as camera:
+        capture(camera, GIVEN, tmp_path / "out")
+    with OpenEXR.File(str(tmp_path / "out" / "radiance.exr"), separate_channels=True) as file:
+        channels = {name: channel.pixels.copy() for name, channel in file.channels().items()}
+    for name, value in zip(names, truth, strict=True):
+        assert channels[name].dtype == np.float32
+        inside = channels[name][4:-4, 4:-4]
+        assert np.allclose(inside, value, rtol=0.01)
+        assert not channels["mask." + name][4:-4, 4:-4].any()
+
+
+def test_samples_outside_the_levels_are_masked_and_counted(tmp_path: Path) -> None:
+    light = np.full((30, 30), 0.5, np.float32)
+    light[:3], light[-3:] = 500.0, 1e-9
+    with small_camera("ideal-8", light) as camera:
+        request = CaptureRequest("log", 1000.0, ratios=(1.0, 2.0), base_s=0.002)
+        report = capture(camera, request, tmp_path / "out")
+    mask = report.mask()
+    assert (mask[:3] == 2).all()
+    assert (mask[-3:] == 1).all()
+    assert (mask[3:-3] == 0).all()
+    assert report.achieved.saturated_fraction == pytest.approx(0.1)
+    assert report.achieved.dark_fraction == pytest.approx(0.1)
+
+
+def test_image_is_the_desired_response_to_the_scene(tmp_path: Path) -> None:
+    """Each value is the response to some light that gives the same brightness in every frame.
+
+    The scene's light is known and the sensor ideal, so that the brightness of each frame and the
+    interval of irradiance that it stands for follow from the definition of the linear camera.
+    """
+    light, dynamic_range = gradient(), 256.0
+    request = CaptureRequest("log", dynamic_range, ratios=(1.0, 16.0))
+    with small_camera("ideal-12", light) as camera:
+        report = capture(camera, request, tmp_path / "out")
+        sensitivity = camera.controls.sensitivity
+    assert sensitivity is not None
+    times_s = [frame.applied_s for frame in report.frames]
+    E = light.astype(np.float64) * sensitivity * times_s[0]  # 1 at full scale of the first frame
+    low, high = np.zeros_like(E), np.full_like(E, np.inf)
+    for time_s in times_s:
+        exposure = time_s / times_s[0]
+        levels = np.minimum(np.floor(E * exposure * 4096), 4095)
+        low = np.maximum(low, levels / 4096 / exposure)
+        high = np.minimum(high, np.where(levels < 4095, (levels + 1) / 4096 / exposure, np.inf))
+
+    def constant_contrast(E: NDArray[np.float64]) -> NDArray[np.float64]:
+        u: NDArray[np.float64] = 1 + np.log(np.clip(E, 1 / dynamic_range, 1)) / np.log(
+            dynamic_range
+        )
+        return u
+
+    image = tifffile.imread(tmp_path / "out" / "image.tiff")
+    assert image.dtype == np.uint16
+    # Half a code of rounding; and the simulator computes light in float32.
+    slack = 0.5 + 65535 * 1e-6
+    assert (image >= 65535 * constant_contrast(low) - slack).all()
+    assert (image <= 65535 * constant_contrast(high) + slack).all()
+    # The intervals are narrow, so that this says something.
+    width = constant_contrast(high) - constant_contrast(low)
+    assert np.median(width) < 1 / 1000
+    assert width.max() < 1 / 8
+
+
+@pytest.mark.parametrize("delay", range(6))
+def test_no_frame_slot_is_wasted(tmp_path: Path, delay: int) -> None:
+    with small_camera(delay_frames=delay) as camera:
+        request = CaptureRequest("linear", 256.0, ratios=(1, 1.1, 1.2, 1.3, 1.4), base_s=0.01)
+        report = capture(camera, request, tmp_path / "out")
+    slots = 5 + delay
+    assert report.timing["shooting_s"] / (slots * camera.sensor.frame_interval_s) <= 1.02
+
+
+@pytest.mark.parametrize(
+    ("faults", "kind"),
+    [
+        (Faults(unplug_after=2), CameraDisconnectedError),
+        (Faults(freeze_after=2), CameraTimeoutError),
+    ],
+)
+def test_frames_before_a_failure_are_kept_and_resume_completes_them(
+    tmp_path: Path, faults: Faults, kind: type[CameraError]
+) -> None:
+    with small_camera(faults=faults) as camera, pytest.raises(kind) as failure:
+        capture(camera, GIVEN, tmp_path / "out")
+    assert str(failure.value).endswith(
+        f"; 2 of 3 frames are kept; go on with: camctl shoot --resume {tmp_path / 'out'}"
+    )
+    assert "\n" not in str(failure.value)
+    kept = [np.load(tmp_path / "out" / "frames" / f"frame-0{k}.npy") for k in (1, 2)]
+    assert read_capture(tmp_path / "out").status == "incomplete"
+    with pytest.raises(DataError, match="holds an incomplete capture; complete it with: camctl"):
+        read_report(tmp_path / "out")
+    with small_camera(seed=1) as camera:
+        report = resume(camera, tmp_path / "out")
+    assert report.status == "complete"
+    for k, before in enumerate(kept, start=1):
+        assert np.array_equal(np.load(tmp_path / "out" / "frames" / f"frame-0{k}.npy"), before)
+    total = sum_of_frames(tmp_path / "out", report)
+    assert np.array_equal(tifffile.imread(tmp_path / "out" / "sum.tiff"), total)
+
+
+def test_cancelled_capture_keeps_its_frames(tmp_path: Path) -> None:
+    calls: list[int] = []
+
+    def cancelled() -> bool:
+        calls.append(1)
+        return len(calls) >= 2
+
+    with small_camera() as camera, pytest.raises(InterruptedCaptureError) as failure:
+        capture(camera, GIVEN, tmp_path / "out", cancelled=cancelled)
+    assert failure.value.exit_status == 130
+    assert len(list((tmp_path / "out" / "frames").iterdir())) == 2
+    with small_camera() as camera:
+        assert resume(camera, tmp_path / "out").status == "complete"
+
+
+def test_control_c_keeps_the_frames(tmp_path: Path) -> None:
+    def interrupt(progress: Progress) -> None:
+        if progress.stage == "shooting" and progress.done >= 1:
+            raise KeyboardInterrupt
+
+    with small_camera() as camera, pytest.raises(InterruptedCaptureError, match="interrupted"):
+        capture(camera, GIVEN, tmp_path / "out", progress=interrupt)
+    assert (tmp_path / "out" / "frames" / "frame-01.npy").exists()
+
+
+@pytest.fixture
+def unfinished(tmp_path: Path) -> Path:
+    """A folder with two frames of three."""
+    with (
+        small_camera(faults=Faults(unplug_after=2)) as camera,
+        pytest.raises(CameraDisconnectedError),
+    ):
+        capture(camera, GIVEN, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def test_resume_shoots_a_frame_again_whose_file_is_missing(unfinished: Path) -> None:
+    (unfinished / "frames" / "frame-01.npy").unlink()
+    with small_camera() as camera:
+        assert resume(camera, unfinished).status == "complete"
+
+
+@pytest.mark.parametrize("content", [b"\x93NUMPY", b""])
+def test_resume_names_a_damaged_frame(unfinished: Path, content: bytes) -> None:
+    (unfinished / "frames" / "frame-01.npy").write_bytes(content)
+    with small_camera() as camera, pytest.raises(DataError, match=r"frame-01.npy cannot be read"):
+        resume(camera, unfinished)
+
+
+def test_resume_refuses_complete_captures_other_cameras_and_empty_folders(tmp_path: Path) -> None:
+    with small_camera() as camera:
+        capture(camera, GIVEN, tmp_path / "out")
+        with pytest.raises(DataError, match="is complete: no frame is missing; shoot a new"):
+            resume(camera, tmp_path / "out")
+    with small_camera("phone") as camera, pytest.raises(DataError, match="connect the same camera"):
+        resume(camera, tmp_path / "out")
+    with (
+        small_camera() as camera,
+        pytest.raises(DataError, match=r"holds no capture: report\.json"),
+    ):
+        resume(camera, tmp_path / "nowhere")
+
+
+def test_resume_refuses_another_format(unfinished: Path) -> None:
+    with (
+        small_camera(layout="rgb") as camera,
+        pytest.raises(DataError, match="was begun in another format of the camera; set the same"),
+    ):
+        resume(camera, unfinished)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "problem"),
+    [
+        ('"white": 255', '"white": "snow"', "white: Input should be a valid integer"),
+        ('"attempts": 1', '"attempts": []', "frames.0.attempts: Input should be a valid integer"),
+        ("{", "[", "Invalid JSON"),
+    ],
+)
+def test_damaged_report_is_an_error_of_one_line(
+    tmp_path: Path, before: str, after: str, problem: str
+) -> None:
+    with small_camera() as camera:
+        capture(camera, GIVEN, tmp_path / "out")
+    path = tmp_path / "out" / "report.json"
+    path.write_text(path.read_text().replace(before, after))
+    with pytest.raises(DataError, match=f"report.json is damaged: {problem}") as failure:
+        read_report(tmp_path / "out")
+    assert "\n" not in str(failure.value)
+
+
+@pytest.mark.parametrize("wrong", [0, 1, 2, 3])
+def test_frame_of_the_wrong_exposure_is_shot_again(tmp_path: Path, wrong: int) -> None:
+    request = CaptureRequest("log", 1000.0, ratios=(1.0, 2.0, 4.0, 8.0))
+    with small_camera() as camera:
+        truth = capture(camera, request, tmp_path / "truth")
+    with small_camera(faults=Faults(wrong_exposure={wrong: 0.5})) as camera:
+        report = capture(camera, request, tmp_path / "out")
+    assert report.warnings == truth.warnings
+    assert report.frames[wrong].attempts == 2
+    assert any(f"frame-0{wrong + 1}-rejected" in name for name in report.rejected)
+    assert all((tmp_path / "out" / name).exists() for name in report.rejected)
+    total = sum_of_frames(tmp_path / "out", report)
+    assert np.array_equal(tifffile.imread(tmp_path / "out" / "sum.tiff"), total)
+    assert np.median(np.abs(report.radiance() / truth.radiance() - 1)) < 0.03
+
+
+def test_frame_that_stays_wrong_causes_a_warning(tmp_path: Path) -> None:
+    request = CaptureRequest("log", 1000.0, ratios=(1.0, 2.0, 4.0))
+    faults = Faults(wrong_exposure=dict.fromkeys((1, 3, 4, 5), 0.5))
+    with small_camera(faults=faults) as camera:
+        report = capture(camera, request, tmp_path / "out")
+    assert report.status == "complete"
+    assert any("do not trust the picture" in warning for warning in report.warnings)
+
+
+def test_existing_capture_is_replaced_only_with_overwrite(tmp_path: Path) -> None:
+    with small_camera() as camera:
+        capture(camera, GIVEN, tmp_path / "out")
+        before = (tmp_path / "out" / "sum.tiff").read_bytes()
+        with pytest.raises(StorageError, match="replace this capture with --force"):
+            capture(camera, CaptureRequest(ratios=(1.0,)), tmp_path / "out")
+        assert (tmp_path / "out" / "sum.tiff").read_bytes() == before
+        report = capture(camera, CaptureRequest(ratios=(1.0,)), tmp_path / "out", overwrite=True)
+    assert len(report.frames) == len(list((tmp_path / "out" / "frames").iterdir())) == 1
+
+
+def test_folder_with_other_files_is_never_touched(tmp_path: Path) -> None:
+    (tmp_path / "diary.txt").write_text("mine")
+    with small_camera() as camera, pytest.raises(StorageError, match="is not empty"):
+        capture(camera, GIVEN, tmp_path, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["diary.txt"]
+
+
+def test_given_plan_is_followed(tmp_path: Path) -> None:
+    with small_camera() as camera:
+        plan = plan_capture(camera, GIVEN)
+        report = capture(camera, GIVEN, tmp_path / "out", plan=plan)
+    assert [frame.requested for frame in report.frames] == list(plan.settings)
+    assert report.plan == plan
+
+
+def test_sum_that_does_not_fit_in_32_bits_is_refused_before_shooting(tmp_path: Path) -> None:
+    with small_camera() as camera:
+        plan = plan_capture(camera, GIVEN)
+        setting = ExposureSetting(plan.base_s)
+        many = CapturePlan(**{**vars(plan), "settings": (setting,) * 20_000_000})
+        with pytest.raises(UsageError, match="does not fit in 32 bits"):
+            capture(camera, GIVEN, tmp_path / "out", plan=many)
+    assert not (tmp_path / "out").exists()
+
+
+class OtherFrames(WrappedCamera):
+    """A camera whose frames are changed on their way."""
+
+    def __init__(
+        self, camera: SimulatedCamera, change: Callable[[FrameStream], Iterator[Frame]]
+    ) -> None:
+        super().__init__(camera)
+        self._change = change
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        frames = super().shoot(settings)
+        return (frame for frame in self._change(frames))
+
+
+def test_camera_that_ends_the_sequence_early_is_an_error(tmp_path: Path) -> None:
+    request = replace(GIVEN, base_s=0.01)
+    with small_camera() as simulated:
+        camera = OtherFrames(simulated, lambda frames: iter([next(frames)]))
+        with pytest.raises(CaptureError, match="ended the sequence 2 frames early; 1 of 3 frames"):
+            capture(camera, request, tmp_path / "out")
+
+
+def test_frame_with_another_white_level_is_an_error_and_is_kept(tmp_path: Path) -> None:
+    request = replace(GIVEN, base_s=0.01)
+    with small_camera() as simulated:
+        camera = OtherFrames(
+            simulated, lambda frames: (replace(frame, white=200) for frame in frames)
+        )
+        with pytest.raises(CaptureError, match="changed its black and white level to 0 and 200"):
+            capture(camera, request, tmp_path / "out")
+    assert (tmp_path / "out" / "frames" / "frame-01.npy").exists()
+
+
+def test_report_names_the_pixel_layout(tmp_path: Path) -> None:
+    with small_camera("phone") as camera:
+        report = capture(camera, GIVEN, tmp_path / "out")
+    assert report.layout is Layout.RGGB
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["layout"] == "rggb"
+
+
+def test_report_holds_the_details_of_each_frame(tmp_path: Path) -> None:
+    with small_camera("complete") as camera:
+        report = capture(camera, GIVEN, tmp_path / "out")
+    saved = json.loads((tmp_path / "out" / "report.json").read_text())
+    for frame, record in zip(saved["frames"], report.frames, strict=True):
+        simulated = frame["details"]["simulation"]
+        assert simulated == record.details["simulation"]
+        assert simulated["joint_bound_dn"] <= simulated["tolerance_dn"]
+        assert {"name", "bound_dn", "ran", "why"} <= simulated["effects"][0].keys()
+
+
+@pytest.mark.parametrize("sensor", ["standard", "machine-vision"])
+@pytest.mark.parametrize(
+    ("base_s", "reason"), [(1e-5, "is black"), (60.0, "is white"), (0.02, None)]
+)
+def test_black_or_white_picture_causes_a_warning(
+    tmp_path: Path, sensor: str, base_s: float, reason: str | None
+) -> None:
+    with small_camera(sensor, time_minimum_s=1e-5, line_s=1e-5, time_maximum_s=120.0) as camera:
+        request = CaptureRequest("log", 1000.0, ratios=(1.0, 1.0), base_s=base_s)
+        report = capture(camera, request, tmp_path / "out")
+    found = [line for line in report.warnings if "in every exposure" in line]
+    assert len(found) == (reason is not None)
+    assert all(reason in line for line in found if reason is not None)

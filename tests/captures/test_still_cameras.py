@@ -1,0 +1,198 @@
+"""Still cameras: a list of third stops, no preview, files of their own, slow downloads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from still_fakes import THIRDS, StillCamera, ramp
+
+from camctl.camera import Frame
+from camctl.captures.plan import plan_capture
+from camctl.captures.request import CapturePlan, CaptureRequest
+from camctl.captures.sequencer import capture, resume
+from camctl.controls import Choices, ExposureSetting
+from camctl.errors import CameraDisconnectedError, CaptureError, UsageError
+from camctl.testing.conformance import CameraConformance
+
+METERED = CaptureRequest(spend_shutter=True)
+
+
+def plan_or_hint(camera: StillCamera, request: CaptureRequest) -> tuple[CapturePlan | None, str]:
+    try:
+        return plan_capture(camera, request), ""
+    except (CaptureError, UsageError) as error:
+        return None, error.hint
+
+
+class TestStillCamera(CameraConformance):
+    """The fake camera conforms, or the tests below would prove nothing."""
+
+    def open_camera(self) -> StillCamera:
+        return StillCamera(ramp(2.0), response="linear", bits=12, black=100, with_gain=True)
+
+
+def test_metering_actuates_the_shutter_only_on_request() -> None:
+    with StillCamera(ramp()) as camera:
+        with pytest.raises(UsageError, match=r"no preview.*--meter.*--base SECONDS"):
+            plan_capture(camera, CaptureRequest())
+        assert camera.actuations == 0
+        assert plan_capture(camera, CaptureRequest(base_s=1 / 60)).metering is None
+        assert camera.actuations == 0
+
+
+@pytest.mark.parametrize("brightest", [1e-1, 1.0, 30.0, 1e3])
+@pytest.mark.parametrize("kind", [("srgb", 8, 0), ("linear", 10, 64)])
+def test_metering_costs_few_actuations_and_finds_the_highlights(
+    brightest: float, kind: tuple[str, int, int]
+) -> None:
+    response, bits, black = kind
+    with StillCamera(ramp(brightest), response=response, bits=bits, black=black) as camera:
+        plan = plan_capture(camera, replace(METERED, count=2))
+        assert plan.metering is not None
+        assert camera.actuations == plan.metering.frames <= 5
+    # The longest time on the list that keeps the brightest light below white.
+    longest = max(t for t in THIRDS.values if t * brightest < 1)
+    assert longest / 2 <= plan.base_s <= longest
+
+
+@given(
+    response=st.sampled_from(["log", "linear", "gamma"]),
+    dynamic_range=st.sampled_from([256.0, 1000.0, 16000.0]),
+    count=st.integers(1, 3),
+    brightest=st.floats(1e-2, 1e3),
+    mains=st.sampled_from([None, 50.0, 60.0]),
+    budget=st.sampled_from([None, 30.0]),
+)
+@settings(max_examples=40)
+def test_every_plan_consists_of_settings_that_the_camera_has(
+    response: str,
+    dynamic_range: float,
+    count: int,
+    brightest: float,
+    mains: float | None,
+    budget: float | None,
+) -> None:
+    request = replace(
+        METERED,
+        response=response,
+        dynamic_range=dynamic_range,
+        count=count,
+        mains_hz=mains,
+        time_budget_s=budget,
+    )
+    with StillCamera(ramp(brightest), with_gain=True, with_aperture=True) as camera:
+        plan, hint = plan_or_hint(camera, request)
+        if plan is None:
+            assert hint
+            return
+        for setting in plan.settings:
+            camera.controls.check(setting)
+            assert setting.f_number is None
+        assert list(plan.exposures) == sorted(plan.exposures)
+        assert len(plan.settings) == count
+        assert sum(s.time_s for s in plan.settings) <= (budget or np.inf) * (1 + 1e-9)
+
+
+def test_gain_extends_the_longest_shutter_time() -> None:
+    with StillCamera(ramp(0.2), with_gain=True) as camera:
+        plan = plan_capture(camera, replace(METERED, dynamic_range=16000.0))
+        assert plan.settings[-1].gain > 1
+        assert plan.settings[0].gain == 1
+
+
+def test_base_that_leaves_too_few_exposures_is_refused_with_a_compensation_that_works() -> None:
+    with StillCamera(ramp(1e-2)) as camera:
+        with pytest.raises(
+            CaptureError, match=r"leaves fewer than 4 exposures.*--compensation -"
+        ) as error:
+            plan_capture(camera, replace(METERED, count=4))
+        stops = float(error.value.hint.split()[-1])
+        plan = plan_capture(camera, replace(METERED, count=4, compensation_stops=stops))
+        assert plan.settings[-1].time_s == THIRDS.maximum
+
+
+def test_base_beyond_the_longest_time_is_refused_with_the_nearest() -> None:
+    with (
+        StillCamera(ramp()) as camera,
+        pytest.raises(CaptureError, match=r"beyond the camera's .* nearest possible is 32 s"),
+    ):
+        plan_capture(camera, replace(METERED, base_s=100.0))
+
+
+def test_more_exposures_than_the_camera_has_are_refused() -> None:
+    with (
+        StillCamera(ramp(), times=Choices((1 / 64, 1 / 8))) as camera,
+        pytest.raises(UsageError, match="at most 2"),
+    ):
+        plan_capture(camera, replace(METERED, count=3))
+
+
+def test_whole_flicker_periods_are_chosen_where_the_camera_has_them() -> None:
+    with StillCamera(ramp(2.0)) as camera:
+        plan = plan_capture(camera, replace(METERED, mains_hz=50.0, dynamic_range=256.0))
+    warnings = [warning for warning in plan.warnings if "flicker" in warning]
+    periods = [setting.time_s * 100 for setting in plan.settings]
+    # A part of a period matters relative to the exposure.
+    not_whole = [count for count in periods if abs(count - round(count)) > 0.01 * count]
+    assert not_whole == []
+    assert warnings == []
+
+
+def test_capture_keeps_the_cameras_own_files(tmp_path: Path) -> None:
+    with StillCamera(ramp(20.0), response="linear", bits=10, black=64) as camera:
+        report = capture(camera, METERED, tmp_path / "here")
+    assert report.status == "complete"
+    total = np.zeros((), np.int64)
+    for record in report.frames:
+        assert record.file is not None
+        assert record.original is not None
+        original = tmp_path / "here" / record.original
+        pixels = cv2.imread(str(original), cv2.IMREAD_UNCHANGED)
+        assert pixels is not None
+        assert np.array_equal(pixels, np.load(tmp_path / "here" / record.file))
+        total = total + np.minimum(pixels, record.white).astype(np.int64)
+    assert np.array_equal(tifffile.imread(tmp_path / "here" / "sum.tiff"), total)
+
+
+@pytest.mark.parametrize("kind", [("srgb", 8, 0), ("linear", 10, 64)])
+def test_radiance_is_the_light_of_the_scene(tmp_path: Path, kind: tuple[str, int, int]) -> None:
+    response, bits, black = kind
+    light = ramp(20.0, 300.0)
+    with StillCamera(light, response=response, bits=bits, black=black) as camera:
+        report = capture(camera, replace(METERED, count=4), tmp_path / "here")
+        assert report.plan.metering is not None
+        assert camera.actuations == 4 + report.plan.metering.frames
+    radiance = report.radiance()
+    error = np.abs(np.median(radiance / light) * light / radiance - 1)
+    assert np.median(error) < 0.01
+    assert np.quantile(error, 0.99) < 0.1
+    assert all(frame.ratio is None or frame.ratio.agrees for frame in report.frames)
+
+
+def test_resume_shoots_only_the_missing_frame(tmp_path: Path) -> None:
+    class Unplugged(StillCamera):
+        """Is disconnected during its third frame."""
+
+        def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+            for frame in super()._frames(settings):
+                if frame.index == 2:
+                    raise CameraDisconnectedError("the still camera was disconnected")
+                yield frame
+
+    with (
+        Unplugged(ramp(20.0)) as unplugged,
+        pytest.raises(CameraDisconnectedError, match="2 of 3 frames are kept"),
+    ):
+        capture(unplugged, METERED, tmp_path / "here")
+    with StillCamera(ramp(20.0)) as camera:
+        report = resume(camera, tmp_path / "here")
+        assert camera.actuations == 1
+    assert report.status == "complete"

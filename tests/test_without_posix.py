@@ -1,0 +1,94 @@
+"""What needs no Linux device runs where the modules of POSIX systems are missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+BLOCKED = ("curses", "fcntl", "grp", "pwd", "resource", "termios", "tty")
+BLOCKER = f"""
+import sys
+
+for name in {BLOCKED}:
+    sys.modules[name] = None  # an import of it raises ImportError
+"""
+
+
+def run(code: str, folder: Path) -> str:
+    """Return what code prints in a fresh interpreter without the modules `BLOCKED`."""
+    done = subprocess.run(
+        [sys.executable, "-c", BLOCKER + textwrap.dedent(code)],
+        cwd=folder,
+        env={
+            **os.environ,
+            "CAMCTL_PROFILES": str(folder / "profiles"),
+            "CAMCTL_CACHE": str(folder / "cache"),
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def command(line: str) -> str:
+    """Return code that runs a command line and exits with its status."""
+    return f"from camctl.cli import main; sys.exit(main({line.split()!r}))"
+
+
+@pytest.mark.parametrize("module", BLOCKED)
+def test_blocked_modules_are_missing(module: str, tmp_path: Path) -> None:
+    code = f"""
+        try:
+            import {module}
+        except ImportError as error:
+            print(error.name)
+    """
+    assert run(code, tmp_path) == f"{module}\n"
+
+
+def test_capture_with_the_simulated_camera(tmp_path: Path) -> None:
+    code = """
+        import camctl
+
+        with camctl.open_camera("sim", size="64x48") as camera:
+            report = camctl.capture(camera, camctl.CaptureRequest(ratios=(1, 4)), "out")
+        print(report.status, report.radiance().shape)
+    """
+    assert run(code, tmp_path) == "complete (48, 64)\n"
+
+
+def test_v4l2_backend_reports_that_it_needs_linux(tmp_path: Path) -> None:
+    code = """
+        import camctl
+
+        print(*(camera.id for camera in camctl.list_cameras()))
+        for listing in camctl.list_backends():
+            if listing.name == "v4l2":
+                print(listing.problem)
+        try:
+            camctl.open_camera("v4l2:/dev/video0")
+        except camctl.CameraError as error:
+            print(error)
+    """
+    cameras, *problems = run(code, tmp_path).splitlines()
+    assert "sim" in cameras.split()
+    assert problems == ["V4L2 cameras need Linux; choose another camera"] * 2
+
+
+def test_commands_that_need_no_device(tmp_path: Path) -> None:
+    run(command("shoot --size 64x48 --ratios 1,4 -o out"), tmp_path)
+    assert (tmp_path / "out" / "radiance.exr").exists()
+    assert "exposures" in run(command("solve -n 2 --bits 4"), tmp_path)
+    assert "sim" in run(command("cameras"), tmp_path)
+
+
+def test_profiles_are_kept(tmp_path: Path) -> None:
+    run(command("calibrate delay --camera sim -O size=32x24 --trials 4"), tmp_path)
+    assert "simulated standard" in run(command("profile list"), tmp_path)
