@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import monotonic, process_time
+from typing import Self
 
 import numpy as np
 
@@ -117,12 +118,12 @@ class Solution:
         *,
         seconds: float = 0.0,
         evaluations: int = 1,
-    ) -> Solution:
+    ) -> Self:
         """Return the solution that consists of `exposures`, ascending from 1."""
         quality = evaluate(
             problem.response, exposures, problem.desired, objective=problem.objective
         )
-        return Solution(
+        return cls(
             exposures=exposures,
             xi=quality.xi,
             levels_wanted=quality.levels_wanted,

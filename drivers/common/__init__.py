@@ -1,1 +1,1 @@
-"""What several camera drivers share."""
+"""What several camera drivers share: USB, serial lines, device nodes, files of still cameras."""

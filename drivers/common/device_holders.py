@@ -1,4 +1,4 @@
-"""Which programs hold a device node, as far as this user may see."""
+"""Which processes have a device node open, as far as this user may see."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ class Holder:
 
     @property
     def is_us(self) -> bool:
-        """True where it is this very process."""
+        """True if it is this process."""
         return self.process == os.getpid()
 
 
 def holding(node: str) -> Iterator[Holder]:
     """Yield each process that has `node`, a path without links, open.
 
-    Our own counts where it has it open twice: once is the caller's doing.  Processes of other
-    users are not seen without the rights of root.
+    This process is included only if it has the node open twice, since the caller usually has it
+    open once.  Processes of other users are visible to root alone.
     """
     for process in Path("/proc").glob("[0-9]*"):
         allowed = 1 if process.name == str(os.getpid()) else 0
         try:
             if _count(node, process / "fd") > allowed:
                 yield Holder(int(process.name), (process / "comm").read_text().strip())
-        except OSError:  # it has ended meanwhile, or belongs to somebody else
+        except OSError:  # the process has ended, or belongs to another user
             continue
 
 
 def _count(node: str, descriptors: Path) -> int:
-    """Return how many of a process's descriptors are of `node`."""
+    """Return how many of a process's file descriptors refer to `node`."""
     count = 0
     for link in descriptors.iterdir():
-        with suppress(FileNotFoundError):  # closed meanwhile
+        with suppress(FileNotFoundError):  # closed in the meantime
             count += str(link.readlink()) == node
     return count

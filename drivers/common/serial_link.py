@@ -1,11 +1,10 @@
-"""A serial line behind any pyserial URL, with typed errors and deadlines that count silence."""
+"""A serial line behind any pyserial URL, with typed errors and time-outs that count silence."""
 
 from __future__ import annotations
 
 import errno
+import math
 import re
-import termios
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -20,45 +19,52 @@ from camctl.errors import (
     UsageError,
 )
 
-# pyserial's own time-out is the grain in which silence is counted: changing it on an open port
-# configures the port anew, which some kinds of ports do slowly.
-_GRAIN_S = 0.02
+try:
+    from termios import error as TermiosError  # noqa: N812 - an exception class
+except ImportError:  # not a POSIX system: pyserial raises its own errors alone
+    TermiosError = OSError  # type: ignore[assignment,misc]  # the same use, in except clauses
+
+# The time-out of one read; silence is counted in reads that return nothing.  The time-out stays
+# constant, since changing it on an open port configures the port anew, which is slow on some.
+_READ_TIMEOUT_S = 0.02
 _WRITE_TIMEOUT_S = 5.0
 
-_WHICH = "camctl cameras --probe asks every serial port"
-_TAKE_IT = "close the other program (ModemManager, minicom, gphoto2), then try again"
-_PLUG_AGAIN = "plug the cable in, switch the camera on, then try again"
-_PERMIT = "run: sudo usermod -aG dialout $USER, then log in again"
+_FIND_PORT = "camctl cameras --probe asks every serial port"
+_RELEASE_PORT = "close the other program (ModemManager, minicom, gphoto2), then try again"
+_PLUG_IN_AGAIN = "plug the cable in, switch the camera on, then try again"
+_GRANT_PERMISSION = "run: sudo usermod -aG dialout $USER, then log in again"
+_START_SERVER = "start the program that serves the line"
 
-# What a port cannot be opened for: type, what, next step.  EIO and ENOTTY come from asking what is
-# no line, or has no hardware, for its settings.
-_OPENING: dict[int, tuple[type[CameraError], str, str]] = {
-    errno.ENOENT: (CameraNotFoundError, "there is no such port", _WHICH),
-    errno.ENXIO: (CameraNotFoundError, "nothing is behind that port", _WHICH),
-    errno.ENODEV: (CameraNotFoundError, "nothing is behind that port", _WHICH),
-    errno.EIO: (CameraNotFoundError, "nothing is behind that port", _WHICH),
-    errno.ENOTTY: (CameraNotFoundError, "it is no serial port", _WHICH),
-    errno.EISDIR: (CameraNotFoundError, "it is no serial port", _WHICH),
-    errno.EACCES: (CameraNotFoundError, "no permission to use it", _PERMIT),
-    errno.EPERM: (CameraNotFoundError, "no permission to use it", _PERMIT),
-    errno.EBUSY: (CameraBusyError, "another process holds it", _TAKE_IT),
-    errno.EAGAIN: (CameraBusyError, "another process holds it", _TAKE_IT),
-    errno.ECONNREFUSED: (CameraNotFoundError, "nobody listens there", "start what serves the line"),
+# errno of opening a port: error type, reason, what to do.  EIO and ENOTTY come from asking a file
+# that is no line, or a port without hardware, for its settings.
+_OPEN_ERRORS: dict[int, tuple[type[CameraError], str, str]] = {
+    errno.ENOENT: (CameraNotFoundError, "there is no such port", _FIND_PORT),
+    errno.ENXIO: (CameraNotFoundError, "the port has no hardware", _FIND_PORT),
+    errno.ENODEV: (CameraNotFoundError, "the port has no hardware", _FIND_PORT),
+    errno.EIO: (CameraNotFoundError, "the port has no hardware", _FIND_PORT),
+    errno.ENOTTY: (CameraNotFoundError, "it is not a serial port", _FIND_PORT),
+    errno.EISDIR: (CameraNotFoundError, "it is not a serial port", _FIND_PORT),
+    errno.EACCES: (CameraNotFoundError, "no permission to use it", _GRANT_PERMISSION),
+    errno.EPERM: (CameraNotFoundError, "no permission to use it", _GRANT_PERMISSION),
+    errno.EBUSY: (CameraBusyError, "another process holds it", _RELEASE_PORT),
+    errno.EAGAIN: (CameraBusyError, "another process holds it", _RELEASE_PORT),
+    errno.ECONNREFUSED: (CameraNotFoundError, "no server listens at that address", _START_SERVER),
 }
 
 
 class SerialLink:
     """An open line of 8 bits, no parity and one stop bit, without flow control.
 
-    Ports of the machine are locked: a second program that asks for the lock is refused.  Lines
-    without modem signals (ptys, sockets) work, since none is asked for.
+    Local ports are locked, so that a second program that asks for the lock is refused.  Lines
+    without modem signals (pseudo-terminals, sockets) work, since none is used.  All waiting is done
+    by pyserial, which is given the time-outs.
 
     Args:
-        url: a port's name, or any URL that `serial.serial_for_url` knows
+        url: name of a port, or any URL that `serial.serial_for_url` accepts
         speed: baud
 
     Raises:
-        UsageError: the URL is of no known kind
+        UsageError: the kind of URL is unknown
         CameraNotFoundError: no such port, or no permission to use it
         CameraBusyError: another process holds it
     """
@@ -69,26 +75,26 @@ class SerialLink:
             self._line = serial.serial_for_url(
                 url,
                 baudrate=speed,
-                timeout=_GRAIN_S,
+                timeout=_READ_TIMEOUT_S,
                 write_timeout=_WRITE_TIMEOUT_S,
                 exclusive=True,
             )
-        except (serial.SerialException, termios.error, OSError) as error:
-            raise _cannot_open(url, error) from error
+        except (serial.SerialException, TermiosError, OSError) as error:
+            raise _open_error(url, error) from error
         except ValueError as error:
             raise UsageError(
-                f"'{url}' is no serial port: {_words(error)}",
+                f"'{url}' is not a serial port: {_one_line(error)}",
                 hint="give a port such as /dev/ttyUSB0, or a URL such as socket://HOST:PORT",
             ) from error
 
     @property
     def has_speed(self) -> bool:
-        """False where nothing at this end sets the line's speed: a plain socket carries bytes."""
+        """False for a plain socket, which carries bytes and has no speed that we could set."""
         return not self.url.startswith("socket://")
 
     @property
     def speed(self) -> int:
-        """The speed the line is set to, baud."""
+        """The speed of the line, baud."""
         return int(self._line.baudrate)
 
     @speed.setter
@@ -100,33 +106,30 @@ class SerialLink:
         """Send all of `data`.
 
         Raises:
-            CameraDisconnectedError: the line has gone
-            CameraTimeoutError: it takes nothing any more
+            CameraDisconnectedError: the line was disconnected
+            CameraTimeoutError: the other end accepts nothing
         """
         with self._typed_errors():
             self._line.write(data)
 
     def read(self, count: int, silence_s: float) -> bytes:
-        """Return `count` bytes, or those that came until the line was silent for `silence_s`.
+        """Return `count` bytes, or those that came before `silence_s` seconds without any.
 
         Raises:
-            CameraDisconnectedError: the line has gone
+            CameraDisconnectedError: the line was disconnected
         """
         data = bytearray()
-        deadline_s = time.monotonic() + silence_s
+        limit = max(1, math.ceil(silence_s / _READ_TIMEOUT_S))
+        silent_reads = 0
         with self._typed_errors():
-            while len(data) < count:
-                came = self._line.read(count - len(data))
-                data += came
-                now_s = time.monotonic()
-                if came:
-                    deadline_s = now_s + silence_s
-                elif now_s >= deadline_s:
-                    break
+            while len(data) < count and silent_reads < limit:
+                part = self._line.read(count - len(data))
+                data += part
+                silent_reads = 0 if part else silent_reads + 1
         return bytes(data)
 
-    def waiting(self, limit: int) -> bytes:
-        """Return what has come already, up to `limit` bytes."""
+    def read_waiting(self, limit: int) -> bytes:
+        """Return the bytes that have already arrived, up to `limit`; raises as `read`."""
         data = bytearray()
         with self._typed_errors():
             while len(data) < limit and self._line.in_waiting:
@@ -134,11 +137,11 @@ class SerialLink:
         return bytes(data)
 
     def close(self) -> None:
-        """Let go of the port; a second call does nothing."""
+        """Close the port; a second call does nothing."""
         try:
             self._line.close()
-        except (OSError, termios.error):
-            return  # it has gone already: nothing is held any more
+        except (OSError, TermiosError):
+            return  # it was disconnected: there is nothing left to close
 
     @contextmanager
     def _typed_errors(self) -> Iterator[None]:
@@ -146,29 +149,28 @@ class SerialLink:
             yield
         except serial.SerialTimeoutException as error:
             raise CameraTimeoutError(
-                f"{self.url} has taken nothing for {_WRITE_TIMEOUT_S:g} s", hint=_PLUG_AGAIN
+                f"the line {self.url} has accepted no data for {_WRITE_TIMEOUT_S:g} s",
+                hint=_PLUG_IN_AGAIN,
             ) from error
-        # Not all kinds of ports turn what the system says into their own exception; one that has
-        # been closed has no file descriptor (TypeError).
-        except (serial.SerialException, OSError, termios.error, TypeError) as error:
-            if "multiple access" in str(error):
-                # pyserial cannot tell a line that hung up from one that somebody else reads.
-                what = f"the line {self.url} has gone, or another process reads from it"
-            else:
-                what = f"the line {self.url} has gone"
-            raise CameraDisconnectedError(what, hint=_PLUG_AGAIN) from error
+        # Some kinds of ports pass on the system's errors as they are; a closed port has no file
+        # descriptor (TypeError).
+        except (serial.SerialException, OSError, TermiosError, TypeError) as error:
+            what = f"the line {self.url} was disconnected"
+            if "multiple access" in str(error):  # pyserial cannot tell these two apart
+                what += ", or another process reads from it"
+            raise CameraDisconnectedError(what, hint=_PLUG_IN_AGAIN) from error
 
 
-def _cannot_open(url: str, error: Exception) -> CameraError:
-    number = _number(error)
-    if number in _OPENING:
-        kind, what, hint = _OPENING[number]
+def _open_error(url: str, error: Exception) -> CameraError:
+    number = _errno(error)
+    if number in _OPEN_ERRORS:
+        kind, what, hint = _OPEN_ERRORS[number]
         return kind(f"cannot open {url}: {what}", hint=hint)
-    return CameraNotFoundError(f"cannot open {url}: {_words(error)}", hint=_WHICH)
+    return CameraNotFoundError(f"cannot open {url}: {_one_line(error)}", hint=_FIND_PORT)
 
 
-def _number(error: Exception) -> int | None:
-    """Return the errno, which pyserial sometimes leaves in its words only."""
+def _errno(error: Exception) -> int | None:
+    """Return the errno, which pyserial sometimes puts into its text alone."""
     first = error.args[0] if error.args else None
     number = getattr(error, "errno", None) or (first if isinstance(first, int) else None)
     if number is not None:
@@ -177,5 +179,5 @@ def _number(error: Exception) -> int | None:
     return int(found[1] or found[2]) if found else None
 
 
-def _words(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())

@@ -1,8 +1,9 @@
-"""What a still camera's file holds, as samples: JPEG, PNG, TIFF and camera raw.
+"""Samples in the files of still cameras: JPEG, PNG, TIFF and camera raw.
 
-A file comes over a cable and may be damaged, cut short, or made up.  Whatever its bytes are, the
-answer is pixels or one typed error, and memory stays within what the file's length can honestly
-stand for (`_check_size`).
+A file may be damaged, cut short or malicious.  Whatever its bytes are, the result is pixels or one
+typed error, and memory is limited by what a file of that length can hold (`_check_size`).
+
+OpenCV and tifffile are imported when the first file is read, since listing cameras needs neither.
 """
 
 from __future__ import annotations
@@ -16,9 +17,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
-import cv2
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
@@ -26,12 +25,12 @@ from camctl.controls import Layout
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.profile import StillRecord
 
-# The largest still cameras (pixel shift with a medium-format back) make 400 million pixels.
+# The largest pictures of still cameras (medium format with pixel shift) have 400 million pixels.
 MAX_PIXELS = 1 << 29
 
-# Deflate codes at best 1032 bytes in one (zlib's technical notes); a JPEG spends at least one bit
-# on the first coefficient of each block of 64 pixels, which is less than half of that.
-_MOST_PIXELS_A_BYTE = 1040
+# Deflate compresses by 1032 at most (zlib's technical notes).  A JPEG needs at least one bit for
+# the first coefficient of each block of 64 pixels: 512 pixels a byte at most.
+_MAX_PIXELS_PER_BYTE = 1040
 
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -40,13 +39,13 @@ _TIFF_SUFFIXES = (".tif", ".tiff")
 _DNG_VERSION = 50706
 _MIN_IS_BLACK, _RGB = 1, 2  # TIFF 6.0, PhotometricInterpretation
 
-# JPEG, ITU-T T.81 table B.1: frame headers but for DHT, JPG and DAC; a marker in the entropy-coded
-# data is FF followed by neither a stuffed zero, nor a restart marker, nor a fill byte.
+# JPEG, ITU-T T.81 table B.1: frame headers are these without DHT, JPG and DAC.  A marker in
+# entropy-coded data is FF, not followed by a stuffed zero, a restart marker or a fill byte.
 _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 _MARKER = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
 
-# Colours of a 2 x 2 pattern as LibRaw numbers and names them: 0 R, 1 G, 2 B, 3 the other G.
+# LibRaw's names of 2 x 2 colour filter patterns, row by row.
 _PATTERNS = {
     "RGGB": Layout.RGGB,
     "GRBG": Layout.GRBG,
@@ -54,23 +53,23 @@ _PATTERNS = {
     "BGGR": Layout.BGGR,
 }
 
-# tifffile tells of broken tags on a logger; the error that follows says it to the user.
+# tifffile logs broken tags; without a handler the text would appear beside our own error.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True, eq=False)
 class Still:
-    """What one file holds.
+    """The contents of one file.
 
     Attributes:
         pixels: (rows, columns), or (rows, columns, 3) in the order red, green, blue; uint8 up to
             8 bits, else uint16
-        layout: how colour lies in it; grey files of three channels stay RGB
-        bits: bits a sample
+        layout: pixel layout; a grey file with three channels is RGB
+        bits: bits per sample
         black: brightness without light, DN
         white: brightness from which a sample is saturated, DN
-        is_linear: True where samples are proportional to the light, as those of camera raw
-        notes: what a person should know, one line each
+        is_linear: True if samples are proportional to the light, as in camera raw
+        notes: what the user should know, one line each
     """
 
     pixels: Pixels
@@ -83,7 +82,7 @@ class Still:
 
     @property
     def record(self) -> StillRecord:
-        """What the file is, without its pixels, as a profile keeps it."""
+        """Size, layout and levels of the file, as a camera's profile keeps them."""
         rows, columns = self.pixels.shape[:2]
         return StillRecord(
             rows=rows,
@@ -96,19 +95,19 @@ class Still:
 
 
 def read_still(data: bytes, name: str) -> Still:
-    """Return what a camera's file holds; its first bytes say what it is, then its name.
+    """Return the contents of a camera's file, recognised by its first bytes and by its name.
 
-    Raw files give the samples of the sensor's visible part as they came: no demosaicing, no
-    scaling, no black taken off.  Where the four colours have different black levels, each is raised
-    by a whole number of levels to the highest, so that one black level holds for all of them.
+    Raw files give the unchanged samples of the visible part of the sensor: not demosaiced, not
+    scaled, black level included.  If the black levels of the four colours differ, the samples of
+    each colour are raised by a whole number of levels, so that the highest holds for all.
 
     Args:
         data: the whole file
-        name: what the camera calls it, for its suffix and for errors
+        name: its name on the camera, for its suffix and for errors
 
     Raises:
-        CameraProtocolError: it is damaged, cut short, or of no kind that can be read
-        UsageError: it is camera raw, and rawpy is not installed
+        CameraProtocolError: it is damaged, cut short, or of an unknown format
+        UsageError: the package that reads this format is not installed
     """
     suffix = PurePath(name).suffix.lower()
     if data.startswith(_JPEG):
@@ -118,7 +117,7 @@ def read_still(data: bytes, name: str) -> Still:
     if data.startswith(_TIFF):
         return _read_tiff_family(data, name, is_plain=suffix in _TIFF_SUFFIXES)
     if len(data) < 16:
-        raise _damaged(name, f"it has {len(data)} bytes")
+        raise _damaged(name, f"it has only {len(data)} bytes")
     return _read_raw(data, name)
 
 
@@ -129,10 +128,10 @@ def _damaged(name: str, why: str) -> CameraProtocolError:
 
 
 def _check_size(name: str, rows: int, columns: int, bytes_in_file: int) -> None:
-    """Refuse sizes that no camera has or that so short a file cannot hold."""
+    """Reject sizes that no camera has, or that a file of this length cannot hold."""
     pixels = rows * columns
-    if not (0 < pixels <= MAX_PIXELS and pixels <= _MOST_PIXELS_A_BYTE * bytes_in_file):
-        raise _damaged(name, f"{columns} x {rows} pixels in {bytes_in_file} bytes")
+    if not (0 < pixels <= MAX_PIXELS and pixels <= _MAX_PIXELS_PER_BYTE * bytes_in_file):
+        raise _damaged(name, f"it states {columns} x {rows} pixels in {bytes_in_file} bytes")
 
 
 # ---- JPEG and PNG
@@ -144,9 +143,9 @@ def _read_jpeg(data: bytes, name: str) -> Still:
 
 
 def _jpeg_size(data: bytes, name: str) -> tuple[int, int]:
-    """Return (rows, columns), having walked all markers to the end of the image.
+    """Return (rows, columns) after a check of all markers up to the end of the image.
 
-    libjpeg fills up with grey what a file cut short does not have, so its end is looked for here.
+    libjpeg fills the missing part of a file cut short with grey, so its end is checked here.
     """
     size: tuple[int, int] | None = None
     at = 2
@@ -164,7 +163,7 @@ def _jpeg_size(data: bytes, name: str) -> tuple[int, int]:
                 break
             precision, rows, columns, channels = struct.unpack_from(">BHHB", data, at + 2)
             if precision != 8 or channels not in (1, 3):
-                raise _damaged(name, f"JPEG of {channels} channels of {precision} bits")
+                raise _damaged(name, f"a JPEG of {channels} x {precision} bits is not supported")
             size = (rows, columns)
         at += max(length, 2)
     raise _damaged(name, "it ends too early")
@@ -178,7 +177,7 @@ def _read_png(data: bytes, name: str) -> Still:
         if end > len(data):
             break
         if zlib.crc32(memoryview(data)[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end]):
-            raise _damaged(name, f"the checksum of its part {kind!r} is wrong")
+            raise _damaged(name, f"the checksum of its chunk {kind!r} is wrong")
         if kind == b"IHDR" and length == 13:
             columns, rows = struct.unpack_from(">II", data, at + 8)
             size = (rows, columns)
@@ -192,25 +191,27 @@ def _read_png(data: bytes, name: str) -> Still:
 
 
 def _decode(data: bytes, name: str) -> Still:
+    import cv2
+
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise _damaged(name, error.err or "OpenCV refuses it") from None
+        raise _damaged(name, error.err or "OpenCV cannot decode it") from None
     if image is None:
         raise _damaged(name, "OpenCV cannot decode it")
     if image.ndim == 3 and image.shape[2] == 3:
         image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-    return _brightness(np.asarray(image), name)
+    return _full_range(np.asarray(image), name)
 
 
-def _brightness(image: NDArray[Any], name: str) -> Still:
-    """Return grey or RGB samples of 8 or 16 bits that use all their codes."""
+def _full_range(image: NDArray[Any], name: str) -> Still:
+    """Return grey or RGB samples of 8 or 16 bits, whose white level is the largest code."""
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[:, :, 0]
     if image.dtype not in (np.uint8, np.uint16):
-        raise _damaged(name, f"samples of type {image.dtype}")
+        raise _damaged(name, f"samples of type {image.dtype} are not supported")
     if image.ndim != 2 and not (image.ndim == 3 and image.shape[2] == 3):
-        raise _damaged(name, f"an array of {image.shape}")
+        raise _damaged(name, f"an array of shape {image.shape} is not supported")
     bits = 8 * image.dtype.itemsize
     return Still(
         np.ascontiguousarray(image),
@@ -226,6 +227,8 @@ def _brightness(image: NDArray[Any], name: str) -> Still:
 
 
 def _read_tiff_family(data: bytes, name: str, *, is_plain: bool) -> Still:
+    import tifffile
+
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             page = file.pages.first
@@ -233,12 +236,12 @@ def _read_tiff_family(data: bytes, name: str, *, is_plain: bool) -> Still:
             _check_segments(page, name, len(data))
             for offset in page.subifds or () if not is_plain else ():
                 if not 0 <= offset < len(data):
-                    raise _damaged(name, "a directory lies behind its end")
+                    raise _damaged(name, "a directory lies beyond its end")
             if is_plain:
                 return _read_page(page, name, len(data))
     except (CameraProtocolError, UsageError):
         raise
-    except Exception as error:  # whatever a made-up tag leads tifffile to
+    except Exception as error:  # a damaged tag can cause any error in tifffile
         raise _damaged(name, f"{type(error).__name__}: {error}".splitlines()[0]) from None
     return _read_raw(data, name)
 
@@ -253,22 +256,23 @@ def _read_page(page: Any, name: str, bytes_in_file: int) -> Still:
     _check_size(name, page.imagelength, page.imagewidth, bytes_in_file)
     _check_size(name, page.imagelength, page.imagewidth * page.samplesperpixel, bytes_in_file)
     if page.photometric not in (_MIN_IS_BLACK, _RGB):
-        raise _damaged(name, f"TIFF of photometric interpretation {page.photometric}")
+        raise _damaged(name, f"TIFF photometric interpretation {page.photometric} is not supported")
     if page.bitspersample not in (8, 16) or page.imagedepth != 1:
-        raise _damaged(name, f"TIFF of {page.bitspersample} bits a sample")
+        raise _damaged(name, f"a TIFF of {page.bitspersample} bits per sample is not supported")
     if not page.dataoffsets or len(page.dataoffsets) != len(page.databytecounts):
-        raise _damaged(name, "it does not say where its samples are")
+        raise _damaged(name, "the positions of its samples are missing")
     try:
         image = page.asarray(maxworkers=1)
     except ValueError as error:
         if "imagecodecs" in str(error):
             raise UsageError(
-                f"{name} is a compressed TIFF", hint="pip install imagecodecs"
+                f"{name} is a compressed TIFF, and imagecodecs is not installed",
+                hint="pip install imagecodecs",
             ) from None
         raise
     if page.planarconfig == 2 and image.ndim == 3:
         image = np.moveaxis(image, 0, -1)
-    return _brightness(image, name)
+    return _full_range(image, name)
 
 
 # ---- camera raw
@@ -287,25 +291,22 @@ def _read_raw(data: bytes, name: str) -> Still:
             _check_size(name, sizes.raw_height, sizes.raw_width, len(data))
             return _mosaic(raw, name)
     except rawpy.LibRawError as error:
-        raise _damaged(name, _words(error)) from None
-
-
-def _words(error: Exception) -> str:
-    said = error.args[0] if error.args else type(error).__name__
-    return said.decode("ascii", "replace") if isinstance(said, bytes) else str(said)
+        text = error.args[0] if error.args else type(error).__name__
+        reason = text.decode("ascii", "replace") if isinstance(text, bytes) else str(text)
+        raise _damaged(name, reason) from None
 
 
 def _mosaic(raw: Any, name: str) -> Still:
     samples: NDArray[np.uint16] = raw.raw_image_visible
     if samples is None or samples.size == 0:
-        raise _damaged(name, "it holds no samples")
+        raise _damaged(name, "it has no samples")
     blacks = [int(level) for level in raw.black_level_per_channel]
     whites = [int(level) for level in raw.camera_white_level_per_channel or ()]
     white = min([int(raw.white_level), *(level for level in whites if level > max(blacks))])
     layout, channels = _layout(raw, samples, name)
     black = max(blacks[int(channel)] for channel in np.unique(channels))
     if not 0 <= black < white < 1 << 16:
-        raise _damaged(name, f"black level {black}, white level {white}")
+        raise _damaged(name, f"its black level is {black} and its white level {white}")
     bits = white.bit_length()
     pixels = np.minimum(samples, np.uint16(2**bits - 1))
     raise_by = np.array([black - level for level in blacks])[channels]
@@ -313,8 +314,8 @@ def _mosaic(raw: Any, name: str) -> Still:
     if np.any(raise_by):
         _raise_blacks(pixels, raise_by, 2**bits - 1)
         notes = (
-            f"black levels of the colours differ ({', '.join(map(str, blacks))}): each was raised "
-            f"to {black}",
+            f"the black levels of the colours differ ({', '.join(map(str, blacks))}): all samples "
+            f"were raised to black level {black}",
         )
     if bits <= 8:
         return Still(pixels.astype(np.uint8), layout, bits, black, white, True, notes)
@@ -322,7 +323,7 @@ def _mosaic(raw: Any, name: str) -> Still:
 
 
 def _layout(raw: Any, samples: NDArray[np.uint16], name: str) -> tuple[Layout, NDArray[np.intp]]:
-    """Return the layout, and the channel numbers of its smallest repeating part."""
+    """Return the layout, and the channel numbers of the smallest repeating pattern."""
     if samples.ndim == 3:
         raise _damaged(name, "raw files with all colours in each pixel are not supported")
     if raw.num_colors == 1:
@@ -332,12 +333,12 @@ def _layout(raw: Any, samples: NDArray[np.uint16], name: str) -> tuple[Layout, N
     word = "".join(names[channel] for channel in channels.ravel())
     pattern = raw.raw_pattern
     if word not in _PATTERNS or pattern is None or pattern.shape != (2, 2):
-        raise _damaged(name, f"a colour pattern of {word} is not supported")
+        raise _damaged(name, f"the colour filter pattern {word} is not supported")
     return _PATTERNS[word], channels
 
 
 def _raise_blacks(pixels: NDArray[np.uint16], raise_by: NDArray[np.intp], top: int) -> None:
-    """Add to each colour, in place and without running over."""
+    """Add `raise_by` to the samples of each colour, in place, up to `top`."""
     for row, column in np.ndindex(raise_by.shape):
         part = pixels[row :: raise_by.shape[0], column :: raise_by.shape[1]]
         by = np.uint16(raise_by[row, column])

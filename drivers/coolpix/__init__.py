@@ -1,5 +1,11 @@
-"""The Nikon CoolPix 990 on a serial line: the camera of the paper."""
+"""The Nikon CoolPix 990 on a serial line: the camera of the paper.
 
-from drivers.coolpix.camera import CoolpixCamera
+Layers, from the top: `backend` finds cameras; `camera` is the `camctl.camera.Camera`; `body` takes
+and downloads pictures; `pictures` finds them on the card; `settings` are the registers; `sierra` is
+the protocol.
+"""
 
-__all__ = ["CoolpixCamera"]
+from drivers.coolpix.backend import CoolpixBackend
+from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
+
+__all__ = ["CoolpixBackend", "CoolpixCamera", "CoolpixOptions"]

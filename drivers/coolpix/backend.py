@@ -1,42 +1,87 @@
-"""The Nikon CoolPix 990 on a serial line, as a camera: what it can set, and frames."""
+"""The backend `coolpix`: finds a CoolPix on serial ports, for the entry point `camctl.cameras`."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+
+from serial.tools import list_ports
 
 from camctl.camera import CameraInfo
-from camctl.errors import CameraNotFoundError, unknown_name
-from drivers.coolpix.camera import _OPTIONS, CoolpixCamera, _speed
-from drivers.coolpix.discovery import ask, ports
+from camctl.clock import RealClock
+from camctl.errors import CamctlError, CameraNotFoundError
+from drivers.common.serial_link import SerialLink
+from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions, identity
+from drivers.coolpix.sierra.packets import FIRST_SPEED
+from drivers.coolpix.sierra.session import Sierra
+
+# All ports together have this long to answer, since listing cameras should take a second at most.
+_PROBE_S = 0.9
+# Time-out of one port; below the time for all, so that a camera found late is still listed.
+_PORT_TIMEOUT_S = 0.6
 
 
 class CoolpixBackend:
-    """Opens ``coolpix:PORT``; options: format (jpeg, tiff), speed (baud), response."""
+    """Opens ``coolpix:PORT``, where PORT is any pyserial URL."""
 
     about = "Nikon CoolPix 990 on a serial port, looked for with --probe; any pyserial URL opens"
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras that answer on the machine's serial ports; none without `probe`."""
-        return ask(ports()) if probe else ()
+        return probe_lines(serial_ports(), _PROBE_S) if probe else ()
 
     def open(self, address: str, options: Mapping[str, str]) -> CoolpixCamera:
-        """Open the camera on the port or URL `address`.
+        """Return the open camera on the port or URL `address`; for `options` see `CoolpixOptions`.
 
         Raises:
-            UsageError: an unknown option or value
-            CameraError: as `CoolpixCamera`
+            UsageError: an unknown option, or an invalid value
+            CameraError: see `CoolpixCamera`
         """
-        for option in options:
-            if option not in _OPTIONS:
-                raise unknown_name("option of the CoolPix", option, _OPTIONS)
+        parsed = CoolpixOptions.parse(options)
         if not address:
             raise CameraNotFoundError(
                 "a CoolPix needs its serial port",
                 hint="give it, such as coolpix:/dev/ttyUSB0; camctl cameras --probe looks for it",
             )
-        return CoolpixCamera(
-            address,
-            format=options.get("format", "jpeg").lower(),
-            speed=_speed(options.get("speed", "115200")),
-            response=options.get("response", "srgb").lower(),
-        )
+        return CoolpixCamera(address, parsed).open()
+
+
+def probe_lines(urls: Sequence[str], limit_s: float) -> list[CameraInfo]:
+    """Return the cameras that answer on these lines within `limit_s`, all asked at once.
+
+    A line is sent one NUL byte at 19,200 baud, and more only if a camera answers it.  Opening a
+    port sets its modem signals once, and closing it resets them.
+    """
+    found: dict[str, CameraInfo | None] = {}
+    changed = threading.Condition()
+
+    def probe(url: str) -> None:
+        info = None
+        with suppress(CamctlError):
+            info = _probe_line(url)
+        with changed:
+            found[url] = info
+            changed.notify()
+
+    for url in urls:
+        threading.Thread(target=probe, args=(url,), daemon=True).start()
+    with changed:
+        changed.wait_for(lambda: len(found) == len(set(urls)), limit_s)
+        answers = [found.get(url) for url in urls]
+    return [info for info in answers if info is not None]
+
+
+def _probe_line(url: str) -> CameraInfo | None:
+    with closing(SerialLink(url, FIRST_SPEED)) as link:
+        sierra = Sierra(link, RealClock(), speed=FIRST_SPEED, timeout_s=_PORT_TIMEOUT_S)
+        if not sierra.answers():
+            return None
+        info = identity(sierra, url)
+        sierra.close()
+        return info
+
+
+def serial_ports() -> list[str]:
+    """Return the serial ports of the machine."""
+    return sorted(port.device for port in list_ports.comports())

@@ -1,7 +1,7 @@
-"""A CoolPix 990 as it is at the other end of the line: prepared, exposing, and found again.
+"""A CoolPix 990 body: prepared, exposing, and found again after the line was disconnected.
 
-A picture exists on the card before it comes over the line, so that whatever breaks in between
-costs time but no picture: `CoolpixBody.take` looks for it before it takes another.
+A picture is on the card before it is transferred, so that a broken transfer costs time but no
+picture: `CoolpixBody.take` looks for it before it takes another.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
-from drivers.common.exif import exposure_time_s
 from drivers.common.serial_link import SerialLink
+from drivers.common.still_camera import exposure_time_s
 from drivers.common.still_file import Still
 from drivers.coolpix.pictures import (
-    OnCard,
+    CardPicture,
     Progress,
     download,
-    follows,
-    newest,
+    is_next,
+    newest_picture,
+    no_picture_error,
     wait_for_picture,
-    why_no_picture,
 )
-from drivers.coolpix.settings import FORMATS, CoolpixDials, told
+from drivers.coolpix.settings import FORMATS, CoolpixDials, read_register_or_none
 from drivers.coolpix.sierra.packets import (
     FIRST_SPEED,
     Action,
@@ -39,25 +39,26 @@ from drivers.coolpix.sierra.packets import (
 )
 from drivers.coolpix.sierra.session import Sierra
 
-#: Seconds from the end of an exposure until the camera has written the picture to its card.
-WRITING_S = 10.0
+# How long the camera may take to write a picture to its card.
+_WRITING_S = 10.0
 _ATTEMPTS = 2
-# Files give times as the dial does: 1/60 s for 16,666 us, 1/1000 s for what may be 1/1024 s.
-_LABEL_SLACK = 0.15
+# Files state the dial's label, such as 1/60 s for 16,666 us and 1/1000 s for what may be 1/1024 s.
+_MAX_TIME_ERROR = 0.15
+_SUMMARY_BYTES = 32
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A picture that was taken and fetched.
+    """A picture that was taken and downloaded.
 
     Attributes:
         name: on the card
         data: the file
-        still: what it holds
-        applied: the exposure read back before the shutter was released
-        taken_s: when the camera said that it was done, on the clock, s
-        found_again: True where it was taken before the line broke, and fetched afterwards
-        left_on_card: name of a picture that was taken and not fetched, "" where there is none
+        still: its contents
+        applied: the setting read back before the shutter was released
+        taken_s: when the camera reported the end of the exposure, on the clock
+        found_again: True if it was taken before the line was disconnected, and downloaded after
+        left_on_card: name of a picture that was taken and not downloaded, or ""
     """
 
     name: str
@@ -71,28 +72,28 @@ class Shot:
 
 @dataclass(frozen=True)
 class _Pending:
-    """A picture that was asked for and has not been fetched; `before` was the newest then."""
+    """A picture that was requested and not downloaded; `before` was the newest one then."""
 
-    wanted: ExposureSetting
+    requested: ExposureSetting
     applied: ExposureSetting
-    before: OnCard
+    before: CardPicture
     taken_s: float
 
 
 class CoolpixBody:
-    """The camera, in session.
+    """A camera with an open session.
 
     Args:
         url: the line, see `SerialLink`
-        file_format: a name in `FORMATS`
+        file_format: a name in `drivers.coolpix.settings.FORMATS`
         speed: the highest speed to use, baud
         timeout_s: see `Sierra`
-        clock: what exposures are timed on
-        progress: takes name, bytes and size while a picture comes
+        clock: of timestamps, and for all waiting
+        progress: see `drivers.coolpix.pictures.Progress`
 
     Raises:
         UsageError, CameraNotFoundError, CameraBusyError, CameraTimeoutError: it cannot be opened
-        CameraError: it is in a mode in which it cannot be used
+        CameraError: it is in a mode that allows no remote control
     """
 
     def __init__(
@@ -105,45 +106,45 @@ class CoolpixBody:
         clock: Clock,
         progress: Progress | None,
     ) -> None:
-        self.url = url
+        self._url = url
         self._format = file_format
         self._clock = clock
         self._progress = progress
         self._pending: _Pending | None = None
-        self._left = ""
+        self._left_on_card = ""
         self._link = SerialLink(url, FIRST_SPEED)
         try:
-            self.sierra = Sierra(self._link, speed=speed, timeout_s=timeout_s, clock=clock)
+            self.sierra = Sierra(self._link, clock, speed=speed, timeout_s=timeout_s)
             self.sierra.open()
             self.dials = CoolpixDials(self.sierra, file_format)
         except BaseException:
             self._link.close()
             raise
-        self._is_well = True
+        self._is_connected = True
 
     def close(self) -> None:
-        """Give the camera back as it was found; a second call does nothing."""
-        if self._is_well:
+        """Restore the camera's settings and close the line; a second call does nothing."""
+        if self._is_connected:
             with suppress(CameraError):
                 self.dials.restore()
                 self.sierra.close()
-        self._is_well = False
+        self._is_connected = False
         self._link.close()
 
     def take(self, setting: ExposureSetting) -> Shot:
-        """Take a picture, or find the one that was taken when the line broke, and fetch it.
+        """Take and download a picture, or download the one taken when the line was disconnected.
 
         Args:
-            setting: times and f-numbers as the dials have them
+            setting: a time and an f-number that the dials have
 
         Raises:
             RefusedSettingError: the camera applied another shutter time or aperture
-            CameraError: it will not take pictures: no card, card full, battery low, lens
+            CameraError: it takes no pictures: no card, card full, battery low, lens
             CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
         try:
-            self._come_back()
-            picture = self._found_again(setting)
+            self._reconnect()
+            picture = self._pending_picture(setting)
             is_found = picture is not None
             if picture is None:
                 picture = self._release(setting)
@@ -154,109 +155,104 @@ class CoolpixBody:
         except SessionOverError:
             raise
         except (CameraDisconnectedError, CameraTimeoutError) as error:
-            self._is_well = False
-            raise self._with_what_is_left(error) from error
-        left, self._left, self._pending = self._left, "", None
+            self._is_connected = False
+            raise self._with_pending(error) from error
+        left, self._left_on_card, self._pending = self._left_on_card, "", None
         return Shot(picture.name, data, still, pending.applied, pending.taken_s, is_found, left)
 
     def fetch_newest(self) -> tuple[str, Still] | None:
-        """Return name and contents of the newest picture, if of the format and size in force."""
-        picture = newest(self.sierra)
+        """Return name and contents of the newest picture; None if its format or size differs."""
+        picture = newest_picture(self.sierra)
         if not picture.name.upper().endswith(FORMATS[self._format].suffixes):
             return None
         try:
             summary = self.sierra.read(Register.PICTURE_SUMMARY, 256, picture=picture.number)
         except RefusedCommandError:
             return None
-        resolution = told(self.sierra, Register.RESOLUTION)
-        if len(summary) != 32 or int.from_bytes(summary[12:16], "little") != resolution:
+        resolution = read_register_or_none(self.sierra, Register.RESOLUTION)
+        if len(summary) != _SUMMARY_BYTES or int.from_bytes(summary[12:16], "little") != resolution:
             return None
         _, still = download(self.sierra, picture, self._progress)
         return picture.name, still
 
-    # ---- before the exposure
-
-    def _come_back(self) -> None:
-        """Open the line again where it broke, and prepare a camera that has forgotten."""
-        if not self._is_well:
-            self._link.close()
-            self._link = SerialLink(self.url, FIRST_SPEED)
-            self.sierra.reopen(self._link)
-            self._is_well = True
-        self.dials.prepare()
-
     # ---- the exposure
 
-    def _release(self, setting: ExposureSetting) -> OnCard:
+    def _release(self, setting: ExposureSetting) -> CardPicture:
         """Take one picture and return it; its exposure is certain."""
-        trouble: CameraError = SessionOverError(
-            f"the camera at {self.url} ends every session", hint="switch it off and on, then resume"
+        failure: CameraError | None = SessionOverError(
+            f"the camera at {self._url} ends every session",
+            hint="switch it off and on, then resume",
         )
         for _ in range(_ATTEMPTS):
             self.dials.prepare()
-            before = newest(self.sierra)
-            applied = self.dials.expose_for(setting)
+            before = newest_picture(self.sierra)
+            applied = self.dials.set_exposure(setting)
             if not self.dials.are_prepared:
-                continue  # a new session may have forgotten what was set a moment ago
+                continue  # a new session began, and may have lost the settings
             self._pending = _Pending(setting, applied, before, self._clock.now())
-            refused = False
+            is_refused = False
             try:
-                self.sierra.act(Action.TAKE_PICTURE, wait_s=2 * setting.time_s + WRITING_S)
+                self.sierra.act(Action.TAKE_PICTURE, wait_s=2 * setting.time_s + _WRITING_S)
+                failure = None
             except RefusedCommandError:
-                refused = True
-            except SessionOverError as error:
-                trouble = error
-            except CameraDisconnectedError:
-                raise
-            except (CameraTimeoutError, CameraProtocolError) as error:
-                trouble = error
-            else:
-                trouble = CameraError("")
+                is_refused = True
+            except (SessionOverError, CameraTimeoutError, CameraProtocolError) as error:
+                failure = error
             self._pending = _Pending(setting, applied, before, self._clock.now())
-            wait_s = 0.0 if refused else WRITING_S
+            wait_s = 0.0 if is_refused else _WRITING_S
             picture = wait_for_picture(self.sierra, before, self._clock, wait_s)
             if picture is not None:
                 return picture
             self._pending = None
-            if refused or not trouble.what:
-                raise why_no_picture(self.sierra)
-        raise trouble
+            if is_refused or failure is None:
+                raise no_picture_error(self.sierra)
+        assert failure is not None
+        raise failure
 
-    def _check_file(self, data: bytes, picture: OnCard, applied: ExposureSetting) -> None:
+    def _check_file(self, data: bytes, picture: CardPicture, applied: ExposureSetting) -> None:
         if not data.startswith(FORMATS[self._format].magic):
             raise CameraProtocolError(
                 f"the camera's file {picture.name} is not {self._format}",
                 hint="choose the quality with the camera's own menu (HI is tiff)",
             )
-        written_s = exposure_time_s(data)
-        if written_s and abs(written_s / applied.time_s - 1) > _LABEL_SLACK:
+        stated_s = exposure_time_s(data)
+        if stated_s and abs(stated_s / applied.time_s - 1) > _MAX_TIME_ERROR:
             self._pending = None
             raise CameraProtocolError(
-                f"the camera says in {picture.name} that it exposed for {written_s:.6g} s, "
-                f"not for {applied.time_s:.6g} s",
-                hint="turn its dial to M, and shoot again with times that it keeps",
+                f"the camera's file {picture.name} states an exposure time of {stated_s:.6g} s, "
+                f"but {applied.time_s:.6g} s was set",
+                hint="turn its dial to M, and shoot again with times that it accepts",
             )
 
-    # ---- after a break
+    # ---- after the line was disconnected
 
-    def _found_again(self, setting: ExposureSetting) -> OnCard | None:
-        """Return the picture that is still to be fetched, if it is certainly the one wanted."""
+    def _reconnect(self) -> None:
+        """Open the line again if it was disconnected, and prepare the camera again if necessary."""
+        if not self._is_connected:
+            self._link.close()
+            self._link = SerialLink(self._url, FIRST_SPEED)
+            self.sierra.reopen(self._link)
+            self._is_connected = True
+        self.dials.prepare()
+
+    def _pending_picture(self, setting: ExposureSetting) -> CardPicture | None:
+        """Return the picture that was not downloaded if it certainly has `setting`, else None."""
         pending = self._pending
         if pending is None:
             return None
-        last = newest(self.sierra)
-        if pending.wanted == setting and follows(last, pending.before):
+        last = newest_picture(self.sierra)
+        if pending.requested == setting and is_next(last, pending.before):
             return last
         if last != pending.before:
-            self._left = last.name or f"picture {last.number}"
+            self._left_on_card = last.label
         self._pending = None
         return None
 
-    def _with_what_is_left(self, error: CameraError) -> CameraError:
+    def _with_pending(self, error: CameraError) -> CameraError:
         if self._pending is None:
             return error
         return type(error)(
-            f"{error.what}, and a picture of {self._pending.wanted.time_s:g} s may be on its card "
-            "that was not fetched",
+            f"{error.what}, and a picture of {self._pending.requested.time_s:g} s that was not "
+            "downloaded may be on its card",
             hint=error.hint,
         )

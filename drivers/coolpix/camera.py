@@ -1,101 +1,114 @@
-"""The Nikon CoolPix 990 on a serial line, as a camera: what it can set, and frames."""
+"""The Nikon CoolPix 990 on a serial line, as a `camctl.camera.Camera`."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Iterator
+from typing import Annotated, Literal
 
-from camctl.camera import CameraInfo, Closing, Frame, FrameStream, OriginalFile
+from pydantic import field_validator
+
+from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile
 from camctl.clock import Clock, RealClock
 from camctl.controls import Choices, ExposureControls, ExposureSetting
-from camctl.errors import CameraDisconnectedError, UsageError, unknown_name
 from camctl.profile import StillRecord
 from camctl.response.camera import named_response
+from drivers.common.still_camera import LowerCase, StillOptions
 from drivers.coolpix.body import CoolpixBody, Shot
-from drivers.coolpix.discovery import describe
 from drivers.coolpix.pictures import KnownFiles, Progress
-from drivers.coolpix.settings import FORMATS
-from drivers.coolpix.sierra.packets import SPEEDS
+from drivers.coolpix.sierra.packets import SPEEDS, RefusedCommandError, Register
+from drivers.coolpix.sierra.session import Sierra
 
-_MICRO = 1_000_000
-_TOLERANCE = 1e-4  # 1/60 s is 16,666 us to the camera
-_PROBE_S = 1 / 60
-_OPTIONS = ("format", "response", "speed")
+DRIVER = "coolpix"
+_US_PER_S = 1_000_000
+_TOLERANCE = 1e-4  # the camera sets 1/60 s as 16,666 us
+# Shutter time of a picture that is taken to learn the file format, s: short, with little blur.
+_TEST_PICTURE_S = 1 / 60
 
 
-class CoolpixCamera(Closing):
-    """A CoolPix 990 (or a sister with the same protocol) behind any pyserial URL.
+class CoolpixOptions(StillOptions):
+    """Options of a CoolPix, beside those of `StillOptions`.
 
-    Exposures cannot overlap with transfers: the line carries one thing at a time.  A frame's
-    timestamp is when the camera said that it was done, which is a little after the exposure ended.
-    What its files are is taken from its profile, or from the newest picture on the card, or else
-    from a picture that is taken for it when `controls` is first read.
+    Attributes:
+        format: of the frames' files
+        speed: the highest speed of the line to use, baud: 9600, 19200, 38400, 57600 or 115200
+    """
+
+    format: Annotated[Literal["jpeg", "tiff"], LowerCase] = "jpeg"
+    speed: int = 115_200
+
+    @field_validator("speed")
+    @classmethod
+    def _is_a_speed(cls, speed: int) -> int:
+        if speed not in SPEEDS:
+            raise ValueError(f"the camera has the speeds {', '.join(map(str, SPEEDS))} baud")
+        return speed
+
+
+class CoolpixCamera(CameraBase):
+    """A CoolPix 990, or a camera with the same protocol, behind any pyserial URL.
+
+    Exposures cannot overlap with transfers, since the line carries one thing at a time.  A frame's
+    timestamp is when the camera reported the end of the exposure, slightly late.  The format of the
+    frames is read from the camera's profile, from the newest picture on its card, or from a picture
+    taken for this purpose when `controls` is first used.
+
+    `open` raises `CameraNotFoundError` if there is no such port or no permission to use it,
+    `CameraBusyError` if another process holds it, `CameraTimeoutError` if no camera answers, and
+    `CameraError` if the camera is in an automatic mode, in which it accepts no shutter times.
 
     Args:
         url: a port such as /dev/ttyUSB0, or a URL such as socket://host:port
-        format: jpeg or tiff
-        speed: the highest speed to use, baud: 9600, 19200, 38400, 57600 or 115200
-        response: of its files: linear, srgb, rec709 or power:GAMMA
-        timeout_s: seconds of silence after which a call gives up; an exposure may take its time
-        clock: the clock of its timestamps
-        progress: takes name, bytes and size while a picture comes over the line
-
-    Raises:
-        UsageError: an unknown format, speed or response, or no such kind of URL
-        CameraNotFoundError: no such port, or no permission to use it
-        CameraBusyError: another process holds the port
-        CameraTimeoutError: nobody answers at the other end
-        CameraError: the camera takes no shutter times: it is in an automatic mode
+        options: see `CoolpixOptions`
+        clock: of timestamps, and for all waiting
+        progress: called with name, bytes received and size while a picture is downloaded
+        timeout_s: time without a valid answer after which a call fails; exposures take longer
     """
 
     def __init__(
         self,
         url: str,
+        options: CoolpixOptions | None = None,
         *,
-        format: str = "jpeg",
-        speed: int = 115_200,
-        response: str = "srgb",
-        timeout_s: float = 12.0,
         clock: Clock | None = None,
         progress: Progress | None = None,
+        timeout_s: float = 12.0,
     ) -> None:
-        if format not in FORMATS:
-            raise unknown_name("format of the CoolPix", format, FORMATS)
-        # An impossible response is told now, not after the first picture.
-        named_response(response, 8, 255)
-        self._response_name = response
-        self._format = format
-        self._clock = clock or RealClock()
+        super().__init__(f"the camera at {url}", clock if clock is not None else RealClock())
+        self._url = url
+        self._options = options if options is not None else CoolpixOptions()
+        self._progress = progress
+        self._timeout_s = timeout_s
+
+    def _open(self) -> None:
         self._body = CoolpixBody(
-            url,
-            format,
-            speed=speed,
-            timeout_s=timeout_s,
+            self._url,
+            self._options.format,
+            speed=self._options.speed,
+            timeout_s=self._timeout_s,
             clock=self._clock,
-            progress=progress,
+            progress=self._progress,
         )
-        self._is_open = True
         try:
-            self._info = describe(self._body.sierra, url)
-            self._files = KnownFiles(self._info, format)
+            self._info = identity(self._body.sierra, self._url)
+            self._files = KnownFiles(self._info, self._options.format)
         except BaseException:
-            self.close()
+            self._body.close()
             raise
 
-    @property
-    def info(self) -> CameraInfo:
-        """Who it is, from its own registers."""
-        return self._info
-
-    @property
-    def clock(self) -> Clock:
-        """The clock of its timestamps."""
-        return self._clock
+    def _close(self) -> None:
+        self._body.close()
 
     @property
     def controls(self) -> ExposureControls:
-        """What it can set; finding out what its files are may take a picture, and minutes."""
-        record = self._files.record or self._learn()
+        """The settings of the camera; the first use may take a picture, and minutes.
+
+        Raises:
+            CameraError: the format of the frames could not be learnt, or the camera is not open
+        """
+        self._check_open()
+        record = self._files.record or self._learn_format()
         apertures = self._body.dials.apertures
+        word = self._options.response
         return ExposureControls(
             time_s=self._times,
             f_number=Choices(tuple(apertures)) if apertures else None,
@@ -104,41 +117,21 @@ class CoolpixCamera(Closing):
             bits=record.bits,
             black=record.black,
             white=record.white,
-            response=named_response(self._response_name, record.bits, record.white - record.black),
+            response=named_response(word, record.bits, record.white - record.black),
             tolerance=_TOLERANCE,
             notes=self._notes(),
         )
 
-    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
-        """Take pictures one after the other; see `camctl.camera.Camera.shoot`."""
-        self._check_open()
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         controls = self.controls
-        for setting in settings:
-            controls.check(setting)
-        return self._frames([(wanted, _nearest(controls, wanted)) for wanted in settings])
-
-    def close(self) -> None:
-        """Give the camera back as it was found, and let go of the port."""
-        self._is_open = False
-        self._body.close()
-
-    def _check_open(self) -> None:
-        if not self._is_open:
-            raise CameraDisconnectedError(
-                f"the camera at {self._body.url} is closed", hint="open it again"
-            )
-
-    def _frames(
-        self, pairs: Sequence[tuple[ExposureSetting, ExposureSetting]]
-    ) -> Generator[Frame, None, None]:
-        for index, (wanted, exact) in enumerate(pairs):
+        for index, setting in enumerate(settings):
             self._check_open()
-            shot = self._body.take(exact)
+            shot = self._body.take(_nearest(controls, setting))
             still = shot.still
-            self._files.learn(still)
+            self._files.update(still)
             yield Frame(
                 pixels=still.pixels,
-                requested=wanted,
+                requested=setting,
                 applied=shot.applied,
                 timestamp_s=shot.taken_s,
                 index=index,
@@ -148,56 +141,66 @@ class CoolpixCamera(Closing):
                 details=_details(shot),
             )
 
-    def _learn(self) -> StillRecord:
-        """Find out what its files are, by fetching one, and by taking one if there is none."""
-        self._check_open()
+    def _learn_format(self) -> StillRecord:
+        """Learn the format of the frames from a picture, taken if there is none of this format."""
         found = self._body.fetch_newest()
         if found is not None:
             name, still = found
-            self._files.notes.append(f"what its files are was taken from {name} on its card")
+            self._files.notes.append(f"the format of its files was learnt from {name} on its card")
         else:
-            shot = self._body.take(ExposureSetting(self._times.nearest(_PROBE_S)))
+            shot = self._body.take(ExposureSetting(self._times.nearest(_TEST_PICTURE_S)))
             name, still = shot.name, shot.still
-            self._files.notes.append(f"{name} was taken to see what its files are")
-        return self._files.learn(still)
+            self._files.notes.append(f"{name} was taken to learn the format of its files")
+        return self._files.update(still)
 
     @property
     def _times(self) -> Choices:
-        return Choices(tuple(us / _MICRO for us in self._body.dials.times_us))
+        return Choices(tuple(us / _US_PER_S for us in self._body.dials.times_us))
 
     def _notes(self) -> tuple[str, ...]:
-        notes = [self._files.note_of_line(self._body.sierra.link.speed)]
-        if self._format == "jpeg":
+        notes = [self._files.transfer_note(self._body.sierra.link.speed)]
+        if self._options.format == "jpeg":
             notes.append(
-                "JPEG loses levels; -O format=tiff keeps them, and takes minutes a picture"
+                "JPEG loses levels; -O format=tiff keeps them, but a picture takes minutes"
             )
-        if self._response_name == "srgb":
+        if self._options.response == "srgb":
             notes.append(
                 "the response of its files is assumed to be sRGB, not measured (-O response=... "
-                "says another)"
+                "sets another)"
             )
         if self._body.dials.apertures:
             numbers = ", ".join(f"f/{number:g}" for number in self._body.dials.apertures)
             notes.append(
                 f"its apertures low, medium and high are assumed to be {numbers} (wide end of the "
-                "zoom; 1.6 times as much at the long end), not measured"
+                "zoom; 1.6 times as large at the long end), not measured"
             )
-        return (*notes, *self._body.dials.steadied, *self._files.notes)
+        return (*notes, *self._body.dials.notes, *self._files.notes)
 
 
-def _speed(text: str) -> int:
-    known = {str(speed): speed for speed in SPEEDS}
-    if text.strip() not in known:
-        raise UsageError(f"a speed of '{text}'", hint=f"the camera knows {', '.join(known)} baud")
-    return known[text.strip()]
+def identity(sierra: Sierra, url: str) -> CameraInfo:
+    """Return the identity of the camera in a session, from its registers."""
+
+    def text(register: Register) -> str:
+        try:
+            return sierra.text(register)
+        except RefusedCommandError:
+            return ""
+
+    return CameraInfo(
+        id=f"{DRIVER}:{url}",
+        make=text(Register.MAKER) or "unknown",
+        model=text(Register.MODEL) or "camera with the Sierra protocol",
+        serial=text(Register.SERIAL_NUMBER),
+        driver=DRIVER,
+    )
 
 
-def _nearest(controls: ExposureControls, wanted: ExposureSetting) -> ExposureSetting:
-    """Return the exact values that stand for a setting within the tolerance."""
-    number = wanted.f_number
+def _nearest(controls: ExposureControls, setting: ExposureSetting) -> ExposureSetting:
+    """Return the camera's exact values for a setting within the tolerance."""
+    number = setting.f_number
     if number is not None and controls.f_number is not None:
         number = controls.f_number.nearest(number)
-    return ExposureSetting(controls.time_s.nearest(wanted.time_s), 1.0, number)
+    return ExposureSetting(controls.time_s.nearest(setting.time_s), 1.0, number)
 
 
 def _suffix(shot: Shot) -> str:

@@ -1,4 +1,4 @@
-"""What the files of a CoolPix are, known before the first frame: from its profile or from one."""
+"""Pictures on the card of a CoolPix: found, downloaded, and the format of their files."""
 
 from __future__ import annotations
 
@@ -8,18 +8,35 @@ from dataclasses import dataclass
 from camctl.camera import CameraInfo
 from camctl.clock import Clock
 from camctl.controls import Layout
-from camctl.errors import CameraError, CameraProtocolError, DataError, StorageError
-from camctl.profile import StillRecord, change_profile, load_profile
+from camctl.errors import CameraError, CameraProtocolError, DataError
+from camctl.profile import StillRecord, load_profile
+from drivers.common.still_camera import save_record
 from drivers.common.still_file import Still, read_still
-from drivers.coolpix.settings import FORMATS, told
+from drivers.coolpix.settings import FORMATS, read_register_or_none
 from drivers.coolpix.sierra.packets import RefusedCommandError, Register
 from drivers.coolpix.sierra.session import Sierra
 
-_BITS_A_BYTE = 10  # on the line: with start and stop bit
+# Above any file of this camera, whose TIFF has 9.4 MB.
+_MAX_PICTURE_BYTES = 1 << 26
+_DOWNLOAD_ATTEMPTS = 3
+# Pause between two requests for the number of pictures.
+_POLL_S = 0.05
+# Value of the register CARD, and charge below which the battery explains a missing picture.
+_NO_CARD = 1
+_LOW_BATTERY_PERCENT = 5
+_BITS_PER_BYTE = 10  # on the line, with start and stop bit
+
+Progress = Callable[[str, int, int], None]
+"""Called with the name of a picture, the bytes received, and the size of its file."""
 
 
 class KnownFiles:
-    """What the files of one camera are in one format; `record` is None until that is known."""
+    """What is known of a camera's files in one format.
+
+    Attributes:
+        record: size, layout and levels; None until a file or the profile shows them
+        notes: problems with the profile, one line each
+    """
 
     def __init__(self, info: CameraInfo, file_format: str) -> None:
         self.notes: list[str] = []
@@ -31,144 +48,139 @@ class KnownFiles:
             self.record = None
             self.notes.append(str(error))
 
-    def learn(self, still: Still) -> StillRecord:
-        """Take from a file what files are, keep it in the profile if it is news, and return it."""
+    def update(self, still: Still) -> StillRecord:
+        """Return the record of a file, which is saved in the profile if it is new."""
         record = still.record
-        if record == self.record:
-            return record
-        self.record = record
-        try:
-            change_profile(
-                self._info, lambda profile: profile.stills.update({self._format: record})
-            )
-        except (DataError, StorageError) as error:
-            self.notes.append(f"what its files are could not be kept: {error.what}")
+        if record != self.record:
+            self.record = record
+            problem = save_record(self._info, self._format, record)
+            if problem is not None:
+                self.notes.append(problem)
         return record
 
-    def note_of_line(self, speed: int) -> str:
-        """Return what a person should know of the time that a file takes, at `speed` baud."""
+    def transfer_note(self, speed: int) -> str:
+        """Return a note on how long the transfer of a file takes at `speed` baud."""
         size = FORMATS[self._format].typical_bytes
         if self.record is not None and self._format == "tiff":
             channels = 3 if self.record.layout is Layout.RGB else 1
             size = self.record.rows * self.record.columns * channels
-        seconds = size * _BITS_A_BYTE / speed
+        seconds = size * _BITS_PER_BYTE / speed
         time = f"{seconds / 60:.2g} minutes" if seconds >= 60 else f"{seconds:.2g} s"
         return (
             f"a picture ({self._format}, about {size / 1e6:.2g} MB) takes {time} over the line at "
-            f"{speed} baud, and the next exposure begins when it has come"
+            f"{speed} baud, and the next exposure begins after that"
         )
 
 
-MAX_PICTURE_BYTES = 1 << 26
-_ATTEMPTS = 3
-_POLL_S = 0.05
-_NO_CARD = 1
-_LOW_PERCENT = 5
-
-Progress = Callable[[str, int, int], None]
-"""Takes a picture's name, the bytes that have come, and the bytes there are."""
-
-
 @dataclass(frozen=True)
-class OnCard:
-    """A picture on the card: its number, from 1 (0: there is none), and its name if it has one."""
+class CardPicture:
+    """A picture on the card: its number, from 1 (0: there is none), and its name or ""."""
 
     number: int
     name: str
 
+    @property
+    def label(self) -> str:
+        """The name, or else the number, in messages."""
+        return self.name or f"picture {self.number}"
 
-def newest(sierra: Sierra) -> OnCard:
-    """Return the newest picture of the camera's folder, the one of the highest number."""
+
+def newest_picture(sierra: Sierra) -> CardPicture:
+    """Return the picture with the highest number in the camera's folder."""
     number = sierra.get(Register.PICTURES)
     if number == 0:
-        return OnCard(0, "")
+        return CardPicture(0, "")
     try:
-        return OnCard(number, sierra.text(Register.PICTURE_NAME, picture=number))
+        return CardPicture(number, sierra.text(Register.PICTURE_NAME, picture=number))
     except RefusedCommandError:
-        return OnCard(number, "")
+        return CardPicture(number, "")
 
 
-def follows(later: OnCard, earlier: OnCard) -> bool:
-    """Say whether `later` is the one picture that was taken since `earlier` was the newest.
+def is_next(later: CardPicture, earlier: CardPicture) -> bool:
+    """Return whether `later` is the one picture taken since `earlier` was the newest.
 
-    After the last picture that a folder holds, the camera counts from 1 again in another one.
+    When a folder is full, the camera counts from 1 again in another one.
     """
     is_another = later.name != earlier.name or not later.name
-    is_next = later.number == earlier.number + 1
-    return is_another and (is_next or 1 == later.number < earlier.number)
+    follows = later.number == earlier.number + 1
+    return is_another and (follows or 1 == later.number < earlier.number)
 
 
-def wait_for_picture(sierra: Sierra, before: OnCard, clock: Clock, wait_s: float) -> OnCard | None:
-    """Return the picture that comes after `before`; None where none has come after `wait_s`."""
+def wait_for_picture(
+    sierra: Sierra, before: CardPicture, clock: Clock, wait_s: float
+) -> CardPicture | None:
+    """Return the next picture after `before`; None if there is none after `wait_s`."""
     deadline_s = clock.now() + wait_s
     while True:
-        # A camera that is still writing to its card may refuse to count.
-        number = told(sierra, Register.PICTURES)
+        # A camera that is still writing to its card may refuse to count its pictures.
+        number = read_register_or_none(sierra, Register.PICTURES)
         if number is not None and number != before.number:
-            picture = newest(sierra)
-            if follows(picture, before):
+            picture = newest_picture(sierra)
+            if is_next(picture, before):
                 return picture
         if clock.now() >= deadline_s:
             return None
         clock.sleep_until(clock.now() + _POLL_S)
 
 
-def download(sierra: Sierra, picture: OnCard, progress: Progress | None) -> tuple[bytes, Still]:
-    """Return the file of a picture and what it holds, asked for again where that is not whole.
+def download(
+    sierra: Sierra, picture: CardPicture, progress: Progress | None
+) -> tuple[bytes, Still]:
+    """Return the file of a picture and its contents; repeated if the file is incomplete.
 
     Raises:
-        CameraProtocolError: it comes short or damaged each time
-        UsageError: it is a file of a kind that something is not installed for
+        CameraProtocolError: it is incomplete or damaged each time
+        UsageError: the package that reads its format is not installed
         CameraTimeoutError, CameraDisconnectedError
     """
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(_DOWNLOAD_ATTEMPTS):
         try:
-            data = _whole(sierra, picture, progress)
+            data = _file_of(sierra, picture, progress)
             return data, read_still(data, picture.name)
         except CameraProtocolError:
-            if attempt == _ATTEMPTS - 1:
+            if attempt == _DOWNLOAD_ATTEMPTS - 1:
                 raise
     raise AssertionError("unreachable")
 
 
-def _whole(sierra: Sierra, picture: OnCard, progress: Progress | None) -> bytes:
+def _file_of(sierra: Sierra, picture: CardPicture, progress: Progress | None) -> bytes:
     size = sierra.get(Register.PICTURE_BYTES, picture=picture.number)
-    who = picture.name or f"picture {picture.number}"
-    if not 0 < size <= MAX_PICTURE_BYTES:
-        raise _unusable(sierra, f"{who} is said to have {size} bytes")
+    if not 0 < size <= _MAX_PICTURE_BYTES:
+        raise _transfer_error(sierra, f"stated an invalid size of {size} bytes for {picture.label}")
 
-    def tell(come: int) -> None:
+    def report(received: int) -> None:
         if progress is not None:
-            progress(who, come, size)
+            progress(picture.label, received, size)
 
-    data = sierra.read(Register.PICTURE_DATA, size, picture=picture.number, progress=tell)
+    data = sierra.read(Register.PICTURE_DATA, size, picture=picture.number, progress=report)
     if len(data) != size:
-        raise _unusable(sierra, f"{who} came with {len(data)} bytes of {size}")
+        raise _transfer_error(sierra, f"sent {len(data)} of {size} bytes of {picture.label}")
     return data
 
 
-def _unusable(sierra: Sierra, what: str) -> CameraProtocolError:
+def _transfer_error(sierra: Sierra, what: str) -> CameraProtocolError:
     return CameraProtocolError(
-        f"{what} over {sierra.link.url}", hint="try a lower speed, such as -O speed=19200"
+        f"the camera at {sierra.link.url} {what}",
+        hint="try a lower speed, such as -O speed=19200",
     )
 
 
-def why_no_picture(sierra: Sierra) -> CameraError:
-    """Return why the camera took no picture, as far as its registers tell."""
-    who = f"the camera at {sierra.link.url}"
-    battery = told(sierra, Register.BATTERY_PERCENT)
-    if told(sierra, Register.CARD) == _NO_CARD:
-        return CameraError(f"{who} has no card in it", hint="put one in, then resume")
-    if told(sierra, Register.PICTURES_LEFT) == 0:
+def no_picture_error(sierra: Sierra) -> CameraError:
+    """Return the error for a picture that was not taken, with the reason in its registers."""
+    name = f"the camera at {sierra.link.url}"
+    battery = read_register_or_none(sierra, Register.BATTERY_PERCENT)
+    if read_register_or_none(sierra, Register.CARD) == _NO_CARD:
+        return CameraError(f"{name} has no card in it", hint="put one in, then resume")
+    if read_register_or_none(sierra, Register.PICTURES_LEFT) == 0:
         return CameraError(
-            f"the card of {who} is full", hint="make room on it or put another in, then resume"
+            f"the card of {name} is full", hint="make room on it or put another in, then resume"
         )
-    if battery is not None and 0 < battery < _LOW_PERCENT:  # 0: it does not know
+    if battery is not None and 0 < battery < _LOW_BATTERY_PERCENT:  # 0: unknown
         return CameraError(
-            f"the battery of {who} is low ({battery} %)",
+            f"the battery of {name} is low ({battery} %)",
             hint="charge it or use a mains adapter, then resume",
         )
     return CameraError(
-        f"{who} took no picture",
-        hint="see its display: lens cap on, lens blocked, or its dial not at M; then resume",
+        f"{name} took no picture",
+        hint="look at its display: lens cap on, lens blocked, or its dial not at M; then resume",
     )

@@ -1,13 +1,12 @@
-"""What a CoolPix 990 can be set to: tables of registers, and trying out what it takes.
+"""Settings of a CoolPix 990: tables of registers, and finding the values that it accepts.
 
-Which values the real camera takes is documented nowhere.  Those of its sister, the CoolPix 880, are
-(libgphoto2's description of that camera), and so are the standard scales of shutter times; each is
-written, and offered if it is read back unchanged.
+The values that the real camera accepts are not documented.  Those of the similar CoolPix 880 are
+(libgphoto2's description of that camera), and there are standard scales of shutter times; each
+value is written, and offered if it is read back unchanged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from camctl.controls import ExposureSetting
@@ -15,34 +14,40 @@ from camctl.errors import CameraError, RefusedSettingError
 from drivers.coolpix.sierra.packets import RefusedCommandError, Register
 from drivers.coolpix.sierra.session import Sierra
 
-AUTOMATIC = 0
+# Value of the aperture register for automatic exposure.
+_AUTOMATIC = 0
+_US_PER_S = 1_000_000
+# A setting is written again once if the session ended between writing and reading it.
+_ATTEMPTS = 2
 
-# Nominal times: 1/n s below one second, then s.  Third and half stops, and the CoolPix 880's own.
-_PARTS = (1000, 800, 750, 640, 500, 400, 350, 320, 250, 200, 180, 160, 125, 100, 90, 80, 60, 50)
-_PARTS_MORE = (45, 40, 30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3, 2.5, 2, 1.6, 1.5, 1.3)
+# Nominal times: 1/n s, then s, in third and half stops, and those of the CoolPix 880.
+_DENOMINATORS = (
+    *(1000, 800, 750, 640, 500, 400, 350, 320, 250, 200, 180, 160, 125, 100, 90, 80, 60, 50, 45),
+    *(40, 30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3, 2.5, 2, 1.6, 1.5, 1.3),
+)
 _SECONDS = (1, 1.3, 1.5, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 7, 8)
 
-#: Shutter times to try, us, ascending; parts of a second are cut off as the CoolPix 880 does.
+#: Shutter times to try, us, ascending; 1/n s is rounded down, as in the CoolPix 880.
 CANDIDATES_US: tuple[int, ...] = tuple(
     sorted(
-        {int(1_000_000 / part) for part in _PARTS + _PARTS_MORE}
-        | {round(1_000_000 * seconds) for seconds in _SECONDS}
+        {int(_US_PER_S / denominator) for denominator in _DENOMINATORS}
+        | {round(_US_PER_S * seconds) for seconds in _SECONDS}
     )
 )
 
 
 @dataclass(frozen=True)
 class Aperture:
-    """A setting of the aperture register, and the f-number that it is taken for."""
+    """A setting of the aperture: its name, possible register values, and assumed f-number."""
 
-    word: str
+    name: str
     codes: tuple[int, ...]
     f_number: float
 
 
-# The lens is marked 1:2.5-4 and closes in ten settings a third of a stop apart.  These hold at the
-# wide end of the zoom; at the long end all are 1.6 times as much.  Descriptions of the protocol do
-# not agree on the number of "high".
+# The lens is marked 1:2.5-4 and closes in ten settings a third of a stop apart.  These f-numbers
+# hold at the wide end of the zoom; at the long end they are 1.6 times as large.  Descriptions of
+# the protocol give different register values for "high".
 APERTURES = (
     Aperture("low", (1,), 2.5),
     Aperture("medium", (2,), 4.0),
@@ -52,13 +57,13 @@ APERTURES = (
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A file format as the camera calls it.
+    """A file format of the camera.
 
     Attributes:
-        codes: values of the register of resolution and quality that give it (CoolPix 880)
-        default: the one to set where another is in force: all pixels, best quality
+        codes: values of the resolution and quality register for this format (CoolPix 880)
+        default: the value to set if the camera is set to another format: all pixels, best quality
         suffixes: of file names
-        magic: what files begin with
+        magic: first bytes of a file
         typical_bytes: size of a file of 2048 x 1536 pixels
     """
 
@@ -82,31 +87,33 @@ FORMATS = {
 
 
 @dataclass(frozen=True)
-class Steadying:
-    """A setting that must not change from frame to frame.
+class AutomaticSetting:
+    """A setting that the camera may change from picture to picture.
 
     Attributes:
-        register: which
-        unsteady: values under which the camera decides for each picture
-        steady: what to set instead
-        note: what a person should know then
+        register: its register
+        automatic: values with which the camera decides for each picture
+        fixed: the value to set instead
+        name: of the setting, in notes
+        state: of the fixed value, in notes
     """
 
     register: Register
-    unsteady: tuple[int, ...]
-    steady: int
-    note: str
+    automatic: tuple[int, ...]
+    fixed: int
+    name: str
+    state: str
 
 
-STEADYINGS = (
-    Steadying(Register.FLASH, (0, 1, 3, 4), 2, "its flash is switched off"),
-    Steadying(Register.WHITE_BALANCE, (0,), 1, "its white balance is fixed at sunlight"),
-    Steadying(Register.ADJUSTMENT, (5,), 0, "its automatic contrast is switched off"),
+AUTOMATIC_SETTINGS = (
+    AutomaticSetting(Register.FLASH, (0, 1, 3, 4), 2, "flash", "off"),
+    AutomaticSetting(Register.WHITE_BALANCE, (0,), 1, "white balance", "sunlight"),
+    AutomaticSetting(Register.ADJUSTMENT, (5,), 0, "image adjustment", "normal"),
 )
 
 
-def takes(sierra: Sierra, register: Register, value: int) -> bool:
-    """Write a register and say whether it reads back unchanged; False where it is refused.
+def accepts(sierra: Sierra, register: Register, value: int) -> bool:
+    """Write a register; return whether the camera accepts the value and reads it back unchanged.
 
     Raises:
         CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
@@ -118,65 +125,61 @@ def takes(sierra: Sierra, register: Register, value: int) -> bool:
         return False
 
 
-def told(sierra: Sierra, register: Register) -> int | None:
-    """Return a register, None where the camera refuses to tell it."""
+def read_register_or_none(sierra: Sierra, register: Register) -> int | None:
+    """Return a register; None if the camera refuses to report it."""
     try:
         return sierra.get(register)
     except RefusedCommandError:
         return None
 
 
-def find_times_us(sierra: Sierra, candidates: Sequence[int] = CANDIDATES_US) -> tuple[int, ...]:
-    """Return the shutter times that the camera takes, us, ascending; the old one is restored.
+def find_times_us(sierra: Sierra) -> tuple[int, ...]:
+    """Return the shutter times that the camera accepts, us, ascending; restores the current one.
 
     Raises:
-        CameraError: it takes none
+        CameraError: it accepts none
     """
-    before = told(sierra, Register.SHUTTER_US)
-    times = tuple(us for us in candidates if takes(sierra, Register.SHUTTER_US, us))
+    before = read_register_or_none(sierra, Register.SHUTTER_US)
+    times = tuple(us for us in CANDIDATES_US if accepts(sierra, Register.SHUTTER_US, us))
     if before is not None:
         sierra.set(Register.SHUTTER_US, before)
     if not times:
         raise CameraError(
-            f"the camera at {sierra.link.url} takes no shutter time",
+            f"the camera at {sierra.link.url} accepts no shutter time",
             hint="turn its dial to M (manual recording), then try again",
         )
     return times
 
 
 def find_apertures(sierra: Sierra) -> dict[float, int]:
-    """Return the codes of the aperture settings that the camera takes, by f-number, ascending."""
-    before = told(sierra, Register.APERTURE)
+    """Return the register values of the apertures that the camera accepts, by f-number."""
+    before = read_register_or_none(sierra, Register.APERTURE)
     if before is None:
         return {}
     found = {}
     for aperture in APERTURES:
         for code in aperture.codes:
-            if takes(sierra, Register.APERTURE, code):
+            if accepts(sierra, Register.APERTURE, code):
                 found[aperture.f_number] = code
                 break
     sierra.set(Register.APERTURE, before)
     return found
 
 
-_MICRO = 1_000_000
-_ATTEMPTS = 2
-
-
 class CoolpixDials:
-    """What the camera can be set to and is set to.
+    """The settings of the camera.
 
     Args:
         sierra: an open session
         file_format: a name in `FORMATS`
 
     Attributes:
-        apertures: codes of the aperture settings that the camera takes, by f-number
-        times_us: shutter times that it takes, us, ascending
-        steadied: what was set for the whole sequence, one line each
+        apertures: register values of the apertures that the camera accepts, by f-number
+        times_us: shutter times that it accepts, us, ascending
+        notes: what was set for the whole sequence, one line each
 
     Raises:
-        CameraError: it takes no shutter time, or cannot be set to the file format
+        CameraError: it accepts no shutter time, or cannot be set to the file format
         CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
     """
 
@@ -185,19 +188,19 @@ class CoolpixDials:
         self._format = file_format
         self._base_aperture: int | None = None
         self._old: dict[Register, int] = {}
-        self._prepared = 0
-        self.steadied: list[str] = []
+        self._prepared_session = 0
+        self.notes: list[str] = []
         self.apertures = find_apertures(sierra)
         self.times_us = find_times_us(sierra)
         self.prepare()
 
     @property
     def are_prepared(self) -> bool:
-        """True where the camera has not forgotten what was set: the session is still the same."""
-        return self._prepared == self._sierra.sessions
+        """True if `prepare` was done in this session; a new one may have lost the settings."""
+        return self._prepared_session == self._sierra.sessions
 
     def prepare(self) -> None:
-        """Set what must hold for all pictures, once a session.
+        """Set what holds for all pictures, once in each session.
 
         Raises:
             CameraError: it cannot be set to the file format
@@ -206,62 +209,63 @@ class CoolpixDials:
         if self.are_prepared:
             return
         session = self._sierra.sessions
-        self.steadied.clear()
-        self._keep(Register.SHUTTER_US)
+        self.notes.clear()
+        self._save(Register.SHUTTER_US)
         self._set_format()
-        for rule in STEADYINGS:
-            if self._keep(rule.register) in rule.unsteady:
-                done = takes(self._sierra, rule.register, rule.steady)
-                self.steadied.append(rule.note if done else f"not done: {rule.note}")
-        aperture = self._keep(Register.APERTURE)
-        if aperture == AUTOMATIC and self.apertures:
+        for each in AUTOMATIC_SETTINGS:
+            if self._save(each.register) in each.automatic:
+                is_set = accepts(self._sierra, each.register, each.fixed)
+                verb = "is" if is_set else "could not be"
+                self.notes.append(f"its {each.name} {verb} set to {each.state}")
+        aperture = self._save(Register.APERTURE)
+        if aperture == _AUTOMATIC and self.apertures:
             widest = min(self.apertures)
             aperture = self.apertures[widest]
             self._apply(Register.APERTURE, aperture, "f_number", 0.0)
-            self.steadied.append(f"its aperture is fixed at f/{widest:g}")
+            self.notes.append(f"its aperture is set to f/{widest:g}")
         if self._base_aperture is None:
             self._base_aperture = aperture
-        self._prepared = session
+        self._prepared_session = session
 
-    def expose_for(self, setting: ExposureSetting) -> ExposureSetting:
-        """Set time and aperture, and return what was read back.
+    def set_exposure(self, setting: ExposureSetting) -> ExposureSetting:
+        """Set shutter time and aperture; return the setting read back.
 
         Raises:
             RefusedSettingError: the camera applied another shutter time or aperture
             CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
-        time_us = round(setting.time_s * _MICRO)
+        time_us = round(setting.time_s * _US_PER_S)
         self._apply(Register.SHUTTER_US, time_us, "time_s", setting.time_s)
         number = setting.f_number
         code = self._base_aperture if number is None else self.apertures[number]
-        if code is not None and told(self._sierra, Register.APERTURE) != code:
-            wanted = self._meaning(Register.APERTURE, code)
-            self._apply(Register.APERTURE, code, "f_number", wanted)
-        return ExposureSetting(time_us / _MICRO, 1.0, number)
+        if code is not None and read_register_or_none(self._sierra, Register.APERTURE) != code:
+            f_number = self._si_value(Register.APERTURE, code)
+            self._apply(Register.APERTURE, code, "f_number", f_number)
+        return ExposureSetting(time_us / _US_PER_S, 1.0, number)
 
     def restore(self) -> None:
-        """Set everything as it was found."""
+        """Restore the settings that the camera had before."""
         for register, value in self._old.items():
-            takes(self._sierra, register, value)
+            accepts(self._sierra, register, value)
 
-    def _keep(self, register: Register) -> int | None:
-        """Return a register, and remember its first value for giving it back."""
-        value = told(self._sierra, register)
+    def _save(self, register: Register) -> int | None:
+        """Return a register, and keep its first value for `restore`."""
+        value = read_register_or_none(self._sierra, register)
         if value is not None:
             self._old.setdefault(register, value)
         return value
 
     def _set_format(self) -> None:
         wanted = FORMATS[self._format]
-        if self._keep(Register.RESOLUTION) in wanted.codes:
+        if self._save(Register.RESOLUTION) in wanted.codes:
             return
-        if not takes(self._sierra, Register.RESOLUTION, wanted.default):
+        if not accepts(self._sierra, Register.RESOLUTION, wanted.default):
             raise CameraError(
                 f"the camera at {self._sierra.link.url} cannot be set to {self._format}",
                 hint="choose the quality with its own menu (HI is tiff), or another -O format",
             )
 
-    def _apply(self, register: Register, value: int, control: str, wanted: float) -> None:
+    def _apply(self, register: Register, value: int, control: str, requested: float) -> None:
         for _ in range(_ATTEMPTS):
             session = self._sierra.sessions
             self._sierra.set(register, value)
@@ -269,11 +273,11 @@ class CoolpixDials:
             if found == value:
                 return
             if session == self._sierra.sessions:
-                break  # otherwise it forgot between writing and reading
-        raise RefusedSettingError(control, wanted, self._meaning(register, found))
+                break  # else the value was lost with the session, between writing and reading
+        raise RefusedSettingError(control, requested, self._si_value(register, found))
 
-    def _meaning(self, register: Register, value: int) -> float:
-        """Return a register's value in SI units; 0 for what is automatic or unknown."""
+    def _si_value(self, register: Register, value: int) -> float:
+        """Return a register's value in SI units; 0 if it is automatic or unknown."""
         if register is Register.SHUTTER_US:
-            return value / _MICRO
+            return value / _US_PER_S
         return next((number for number, code in self.apertures.items() if code == value), 0.0)

@@ -1,11 +1,12 @@
 """Still cameras on USB that speak PTP (ISO 15740).
 
-Rooms, each above the next: `road` finds cameras; `camera` is `camctl.camera.Camera`; `sequence`
-and `shooting` take exposures and find their files, `stills` knows what the files are; `body` speaks
-the dialects of `vendors`; `protocol` does transactions; `transport` moves containers.
+Layers, from the top: `backend` finds cameras; `camera` is the `camctl.camera.Camera`; `sequence`
+and `shooting` take exposures and fetch their files, of the formats in `still_formats`; `body` and
+`properties` perform the operations of the tables in `dialects`, with the scales in `dials`;
+`session` performs transactions; `transport` moves containers; `datasets` and `codes` are the data.
 """
 
 from drivers.ptp.backend import PtpBackend
-from drivers.ptp.camera import PtpCamera
+from drivers.ptp.camera import PtpCamera, PtpOptions
 
-__all__ = ["PtpBackend", "PtpCamera"]
+__all__ = ["PtpBackend", "PtpCamera", "PtpOptions"]

@@ -1,4 +1,4 @@
-"""The road to still cameras on USB, for the entry point `camctl.cameras`."""
+"""The backend `ptp`: finds still cameras on USB, for the entry point `camctl.cameras`."""
 
 from __future__ import annotations
 
@@ -9,21 +9,18 @@ from typing import Any
 import usb.core
 
 from camctl.camera import CameraInfo
-from camctl.errors import CameraNotFoundError, UsageError, unknown_name
-from drivers.common.usb import no_libusb, typed_usb_errors, usb_identity
-from drivers.ptp.camera import PtpCamera
-from drivers.ptp.usb_interface import still_interface_number
+from camctl.errors import CameraNotFoundError
+from drivers.common.usb import has_interface, no_libusb, typed_usb_errors, usb_identity
+from drivers.ptp.camera import PtpCamera, PtpOptions
+from drivers.ptp.transport import STILL_IMAGE
 
-_OPTIONS = ("bulb", "delete", "format", "response")
-_YES_NO = {"yes": True, "no": False}
+# Device classes that can have a still-image interface: 0 (each interface states its class), still
+# image itself, composite devices (EF) and vendor-specific ones (FF).
+_DEVICE_CLASSES = (0, 6, 0xEF, 0xFF)
 
 
 class PtpBackend:
-    """Opens ``ptp:SERIAL`` and ``ptp:BUS:ADDRESS``; ``ptp`` alone where there is one camera.
-
-    Options: format (raw, tiff, jpeg, auto), response (of JPEG and TIFF: srgb, rec709, linear,
-    power), bulb (longest time to hold the shutter open, s), delete (yes: from the card once
-    fetched).
+    """Opens ``ptp:SERIAL`` and ``ptp:BUS:ADDRESS``, or ``ptp`` if there is one camera.
 
     Args:
         backend: a pyusb backend; None: libusb
@@ -35,7 +32,7 @@ class PtpBackend:
         self._backend = backend
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
-        """Return the still cameras that are plugged in, from their descriptors alone.
+        """Return the still cameras on the bus, from their descriptors alone.
 
         Raises:
             CameraNotFoundError: libusb is missing
@@ -43,28 +40,15 @@ class PtpBackend:
         return tuple(usb_identity(device, "ptp") for device in self._devices())
 
     def open(self, address: str, options: Mapping[str, str]) -> PtpCamera:
-        """Return an open camera.
+        """Return the open camera at `address`; `options` are those of `PtpOptions`.
 
         Raises:
             CameraNotFoundError: no such camera, libusb missing, or no permission
-            UsageError: an unknown option, or one with a value that makes no sense
+            UsageError: an unknown option, or an invalid value
             CameraError: see `PtpCamera`
         """
-        for option in options:
-            if option not in _OPTIONS:
-                raise unknown_name("option of a PTP camera", option, _OPTIONS)
-        words = dict(options)
-        bulb = _seconds(words["bulb"]) if "bulb" in words else None
-        delete = words.get("delete", "no")
-        if delete not in _YES_NO:
-            raise UsageError(f"delete={delete}", hint="say yes or no")
-        return PtpCamera(
-            self._find(address),
-            format=words.get("format", "auto"),
-            response=words.get("response", "srgb"),
-            bulb_s=bulb,
-            delete=_YES_NO[delete],
-        )
+        parsed = PtpOptions.parse(options)
+        return PtpCamera(self._find(address), parsed).open()
 
     def _devices(self) -> Iterator[Any]:
         try:
@@ -88,32 +72,25 @@ class PtpBackend:
             or (place and (device.bus, device.address) == (int(place[1]), int(place[2])))
         ]
         if not matching:
-            there = ", ".join(info.id for info in known)
+            ids = ", ".join(info.id for info in known)
             raise CameraNotFoundError(
-                f"no still camera ptp:{address}".rstrip(":"),
-                hint=f"there are: {there}"
-                if there
+                f"there is no still camera ptp:{address}".rstrip(":"),
+                hint=f"connected: {ids}"
+                if ids
                 else "plug it in, switch it on, and set its USB mode to PTP",
             )
         if len(matching) > 1:
-            there = ", ".join(f"ptp:{d.bus:03d}:{d.address:03d}" for d in matching)
-            raise CameraNotFoundError(f"several cameras are ptp:{address}", hint=f"choose: {there}")
+            ids = ", ".join(f"ptp:{d.bus:03d}:{d.address:03d}" for d in matching)
+            raise CameraNotFoundError(
+                f"several cameras match ptp:{address}".rstrip(":"), hint=f"choose one of: {ids}"
+            )
         return matching[0]
 
 
 def _is_still_camera(device: Any) -> bool:
-    # Class 0: each interface says its own; anything else than that and 6 has no such interface,
-    # but for composite devices (EF).
-    if device.bDeviceClass not in (0, 6, 0xEF, 0xFF):
+    if device.bDeviceClass not in _DEVICE_CLASSES:
         return False
     try:
-        return still_interface_number(device) is not None
+        return has_interface(device, STILL_IMAGE)
     except usb.core.USBError:
-        return False  # it went away, or its descriptors are broken
-
-
-def _seconds(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(f"a bulb time of '{text}'", hint="give seconds, such as 120") from None
+        return False  # it was disconnected, or its descriptors are broken

@@ -1,6 +1,6 @@
-"""A camera body in its own dialect: shutter released, news heard, cards looked at.
+"""A camera body in its dialect: releases the shutter, reports events, lists its cards.
 
-The tables are in `vendors`; here is what is done with them.  Nothing here knows of frames.
+The dialects are tables (`drivers.ptp.dialects`); this module performs their operations.
 """
 
 from __future__ import annotations
@@ -11,32 +11,30 @@ from dataclasses import dataclass, replace
 
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError
 from drivers.ptp.codes import DEVICE_BUSY, OK, Event, Op, Prop, response_error
-from drivers.ptp.datasets import StorageInfo
+from drivers.ptp.datasets import StorageInfo, parse_nikon_events
 from drivers.ptp.dialects import OPENING_TRANSACTION, Source, Step, dialect_of
 from drivers.ptp.dials import Dial
 from drivers.ptp.properties import Properties
 from drivers.ptp.session import Session
 from drivers.ptp.transport import CAPTURE_S
-from drivers.ptp.vendor_datasets import parse_nikon_events
 
-# How long a body may take to show a setting that it has accepted, and pauses between looks.
-READ_BACK_S = 3.0
-_LOOK_S = 0.02
-_LOW_BATTERY = 5  # per cent
-_MOST_STEPS = 200
+# Below this charge a camera that takes no picture probably lacks power, per cent.
+_LOW_BATTERY_PERCENT = 5
+# Time-out of further events after the first: those that are already there.
+_NEXT_EVENT_S = 0.001
 _ADDED = (Event.OBJECT_ADDED, Event.SONY_OBJECT_ADDED, Event.NIKON_OBJECT_IN_MEMORY)
-# D215 counts pictures that wait; its top bit says that the first of them can be fetched.
+# Property D215 counts waiting pictures; its top bit is set when the first can be fetched.
 _SONY_READY = 0x8000
 
 
 @dataclass(frozen=True)
-class News:
-    """What a camera has told since it was last listened to.
+class CameraEvents:
+    """The events since the last poll.
 
     Attributes:
-        added: handles of new objects, folders among them
-        is_complete: an exposure has ended
-        is_full: there is no room left
+        added: handles of new objects, including folders
+        is_complete: True if an exposure has ended
+        is_full: True if the card is full
     """
 
     added: tuple[int, ...] = ()
@@ -49,27 +47,27 @@ class Body:
 
     Args:
         session: open
-        who: how errors call it
+        name: of the camera in error messages
 
     Raises:
-        CameraError: it does not come into the mode that its dialect needs
+        CameraError: it does not enter the mode that its dialect needs
     """
 
-    def __init__(self, session: Session, who: str) -> None:
-        self.session, self._who = session, who
+    def __init__(self, session: Session, name: str) -> None:
+        self.session, self._name = session, name
         info = session.info
         self.dialect = dialect_of(info.vendor_extension, info.make, info.operations)
         session.maker = self.dialect.name
-        self.properties = Properties(session, self.dialect, who)
-        self._opening = 0
-        session.after_reopening = self._enter
-        self._enter()
-        self.properties.look()
-        self.properties.preset()
+        self.properties = Properties(session, self.dialect, name)
+        self._opening_transaction = 0
+        session.after_reopening = self._enter_remote_mode
+        self._enter_remote_mode()
+        self.properties.refresh()
+        self.properties.set_presets()
 
-    def _enter(self) -> None:
+    def _enter_remote_mode(self) -> None:
         for step in self.dialect.opening:
-            self._do(step, "switching to remote control")
+            self._do(step, "switch to remote control")
 
     # ---- exposures
 
@@ -77,14 +75,14 @@ class Body:
         """Take a picture; return the response code, which is OK or Device_Busy.
 
         Raises:
-            CameraError: the camera says why it does not
+            CameraError: the camera does not take one, with the reason it gives
         """
         self.wait_ready()
         for steps in self.dialect.releases:
             if all(step.operation in self.session.info.operations for step in steps):
                 return self._run(steps, silence_s)
         raise CameraError(
-            f"{self._who} cannot be released over USB",
+            f"{self._name} cannot take pictures over USB",
             hint="choose remote control or PTP in its USB menu; else its model is not supported",
         )
 
@@ -96,17 +94,18 @@ class Body:
             self.properties.write(description, bulb)
         self.wait_ready()
         for step in self.dialect.bulb_opens:
-            self._do(step, "opening the shutter")
-        self._opening = self.session.last_transaction
+            self._do(step, "open the shutter")
+        self._opening_transaction = self.session.last_transaction
 
     def close_bulb(self) -> None:
         """Close the shutter of a bulb exposure."""
+        opening = self._opening_transaction
         for step in self.dialect.bulb_closes:
-            parameters = (self._opening if p == OPENING_TRANSACTION else p for p in step.parameters)
-            self._do(replace(step, parameters=tuple(parameters)), "closing the shutter")
+            parameters = (opening if p == OPENING_TRANSACTION else p for p in step.parameters)
+            self._do(replace(step, parameters=tuple(parameters)), "close the shutter")
 
     def has_bulb(self, dial: Dial) -> bool:
-        """Return whether the shutter can be held open from here."""
+        """Return whether the computer can hold the shutter open."""
         steps = (*self.dialect.bulb_opens, *self.dialect.bulb_closes)
         description = self.properties.description(dial.code)
         choices = description.choices if description is not None else ()
@@ -115,10 +114,10 @@ class Body:
         )
 
     def wait_ready(self) -> None:
-        """Wait until the camera is done with what it does; raises `CameraBusyError`."""
+        """Wait until the camera is ready, if its dialect can ask; raises `CameraBusyError`."""
         ready = self.dialect.ready
         if ready is not None:
-            self.session.call(ready, doing="waiting for it")
+            self.session.call(ready, task="become ready")
 
     def _run(self, steps: Iterable[Step], silence_s: float) -> int:
         for step in steps:
@@ -128,63 +127,65 @@ class Body:
             if answer.code == DEVICE_BUSY:
                 return answer.code
             if answer.code != OK:
-                raise self._why_not(answer.code)
-            # Canon's body says here why it did not, in numbers that differ between models.
+                raise self._release_error(answer.code)
+            # Canon's bodies give a result number here; its meaning differs between models.
             if self.dialect.source is Source.EOS_EVENTS and any(answer.parameters[:1]):
                 raise CameraError(
-                    f"{self._who} did not take the picture (result {answer.parameters[0]})",
+                    f"{self._name} did not take a picture: result {answer.parameters[0]}",
                     hint="set the lens to manual focus (MF), take the lens cap off, check the card",
                 )
         return OK
 
-    def _why_not(self, code: int) -> CameraError:
-        """Return the error for a picture that the camera would not take."""
-        error = response_error(code, "taking a picture", self._who, self.dialect.name)
-        if (charge := self.properties.battery()) is not None and charge <= _LOW_BATTERY:
+    def _release_error(self, code: int) -> CameraError:
+        """Return the error for a picture that was not taken."""
+        charge = self.properties.battery_percent()
+        if charge is not None and charge <= _LOW_BATTERY_PERCENT:
             return CameraError(
-                f"{self._who} does not take a picture: its battery is down to {charge} %",
+                f"{self._name} did not take a picture: its battery has {charge} % of its charge",
                 hint="charge it or use a mains adapter",
             )
-        return error
+        return response_error(code, "take a picture", self._name, self.dialect.name)
 
-    def _do(self, step: Step, doing: str) -> None:
+    def _do(self, step: Step, task: str) -> None:
         self.session.call(
-            step.operation, *step.parameters, doing=doing, data=step.data, repeatable=False
+            step.operation, *step.parameters, task=task, data=step.data, repeatable=False
         )
 
-    # ---- news
+    # ---- events
 
-    def news(self, wait_s: float) -> News:
-        """Return what happened, waiting up to `wait_s` for an event."""
+    def poll_events(self, wait_s: float) -> CameraEvents:
+        """Return the events since the last poll, after up to `wait_s` if there is none yet."""
         added = self.properties.take_added()
         complete = full = False
         while (event := self.session.event(wait_s)) is not None:
-            wait_s = 0.001
+            wait_s = _NEXT_EVENT_S
             parameter = event.parameters[0] if event.parameters else 0
             if event.code in _ADDED:
                 added.append(parameter)
             complete |= event.code == Event.CAPTURE_COMPLETE
             full |= event.code == Event.STORE_FULL
-        added.extend(self._polled())
-        return News(tuple(dict.fromkeys(added)), complete, full)
+        added.extend(self._requested_handles())
+        return CameraEvents(tuple(dict.fromkeys(added)), complete, full)
 
-    def _polled(self) -> list[int]:
-        """Return handles of new objects that the camera tells only when asked."""
+    def _requested_handles(self) -> list[int]:
+        """Return handles of new objects that the camera reports on request only."""
         if self.dialect.polled == Op.EOS_EVENTS:
-            self.properties.look()
+            self.properties.refresh()
             return self.properties.take_added()
         if self.dialect.polled == Op.NIKON_EVENTS:
             if Op.NIKON_EVENTS not in self.session.info.operations:
                 return []
-            answer = self.session.call(Op.NIKON_EVENTS, doing="asking for news")
+            answer = self.session.call(Op.NIKON_EVENTS, task="report its events")
             return [handle for event, handle in parse_nikon_events(answer.data) if event in _ADDED]
         if self.dialect.source is Source.SONY_LIST and self.dialect.memory is not None:
             waiting = self.properties.number(Prop.SONY_OBJECT_IN_MEMORY)
             return [self.dialect.memory] if waiting is not None and waiting >= _SONY_READY else []
         return []
 
+    # ---- cards
+
     def handles(self) -> frozenset[int] | None:
-        """Return all objects on its cards; None where it cannot tell now, or at all."""
+        """Return all objects on its cards; None if it is busy or does not support the list."""
         if Op.GET_OBJECT_HANDLES not in self.session.info.operations:
             return None
         try:
@@ -193,18 +194,16 @@ class Body:
             return None
 
     def check_card(self) -> None:
-        """Raise `CameraError` where the camera has nothing to put a picture on."""
+        """Raise `CameraError` if no card can store a picture."""
         if Op.GET_STORAGE_IDS not in self.session.info.operations:
             return
         stores: tuple[StorageInfo, ...] = ()
-        with suppress(CameraProtocolError):  # the release itself will tell
+        with suppress(CameraProtocolError):  # if there is a problem, the release will report it
             stores = self.session.stores()
         if stores and not any(store.is_writable for store in stores):
-            raise CameraError(
-                f"{self._who}: its card cannot be written", hint="take the lock off the card"
-            )
+            raise CameraError(f"the card of {self._name} is write-protected", hint="unlock it")
         if stores and all(store.free_bytes == 0 and store.free_images == 0 for store in stores):
             raise CameraError(
-                f"{self._who}: its card is full",
-                hint="make room on the card or put another one in",
+                f"the card of {self._name} is full",
+                hint="make room on it or put another one in",
             )

@@ -1,7 +1,7 @@
-"""Numbers of ISO 15740 (PTP) and of makers' extensions, and what each response code means.
+"""Codes of ISO 15740 (PTP) and of makers' extensions, and the error for each response code.
 
-Standard codes: ISO 15740:2013, sections 10 to 13.  Makers' codes: not published by them; as
-libgphoto2 and others have found them.
+Standard codes: ISO 15740:2013, sections 10 to 13.  Makers do not publish their codes; these are
+those that libgphoto2 and others have found.
 """
 
 from __future__ import annotations
@@ -61,11 +61,10 @@ class Op(IntEnum):
 
 
 class Event(IntEnum):
-    """Events; those of Canon are kinds of records of its poll."""
+    """Events; those of Canon are record types in the answer to EOS_EVENTS."""
 
     OBJECT_ADDED = 0x4002
     STORE_FULL = 0x400A
-    DEVICE_RESET = 0x400B
     CAPTURE_COMPLETE = 0x400D
 
     NIKON_OBJECT_IN_MEMORY = 0xC101
@@ -110,38 +109,41 @@ SESSION_ALREADY_OPEN = 0x201E
 FOLDER = 0x3001
 ALL_STORES = 0xFFFFFFFF
 
-# code: type of the error, what the camera said, what to do.
+_UNSUPPORTED = "its model is not supported"
+_M_DIAL = "turn the mode dial to M"
+
+# Response code: error type, reason, what to do.
 _STANDARD: dict[int, tuple[type[CameraError], str, str]] = {
     0x2002: (
         CameraProtocolError,
-        "general error",
+        "it reports a general error",
         "see the camera's own display: focus, lens cap, card and battery are the usual causes",
     ),
     0x2003: (CameraDisconnectedError, "its session is closed", "open it again"),
     0x2004: (CameraProtocolError, "transaction numbers do not match", "open it again"),
-    0x2005: (CameraProtocolError, "it does not know this operation", "its model is not supported"),
-    0x2006: (CameraProtocolError, "it does not know a parameter", "its model is not supported"),
-    0x2007: (CameraProtocolError, "a transfer was not completed", "try again"),
-    0x2008: (CameraProtocolError, "no such storage", "put a card in"),
-    0x2009: (CameraProtocolError, "no such object", "shoot it again"),
-    0x200A: (CameraProtocolError, "it does not have this property", "its model is not supported"),
+    0x2005: (CameraProtocolError, "it does not support this operation", _UNSUPPORTED),
+    0x2006: (CameraProtocolError, "it does not support a parameter", _UNSUPPORTED),
+    0x2007: (CameraProtocolError, "a transfer was incomplete", "try again"),
+    0x2008: (CameraProtocolError, "it has no such storage", "put a card in"),
+    0x2009: (CameraProtocolError, "it has no such object", "shoot it again"),
+    0x200A: (CameraProtocolError, "it does not support this property", _UNSUPPORTED),
     0x200C: (CameraError, "its card is full", "make room on the card or put another one in"),
-    0x200E: (CameraError, "its card cannot be written", "take the lock off the card"),
+    0x200E: (CameraError, "its card is write-protected", "unlock the card"),
     0x200F: (
         CameraError,
         "it denies access",
-        "turn the mode dial to M and leave playback and menus on the camera",
+        f"{_M_DIAL}, and leave playback and menus on the camera",
     ),
-    0x2013: (CameraError, "its card is not there", "put a card in and close the lid"),
+    0x2013: (CameraError, "it has no card", "put a card in and close the lid"),
     0x2019: (CameraBusyError, "it is busy", "wait until its lamp is off, then try again"),
-    0x201B: (CameraProtocolError, "a value of the wrong form", "its model is not supported"),
+    0x201B: (CameraProtocolError, "the format of the value is wrong", _UNSUPPORTED),
     0x201C: (
         CameraProtocolError,
-        "it does not take this value now",
-        "turn the mode dial to M, and check the lens",
+        "it does not accept this value now",
+        f"{_M_DIAL}, and check the lens",
     ),
-    0x201D: (CameraProtocolError, "a parameter is wrong", "its model is not supported"),
-    0x201E: (CameraBusyError, "its session is open already", "switch it off and on again"),
+    0x201D: (CameraProtocolError, "a parameter is wrong", _UNSUPPORTED),
+    0x201E: (CameraBusyError, "its session is already open", "switch it off and on again"),
     0x201F: (CameraTimeoutError, "it cancelled the transaction", "try again"),
 }
 
@@ -152,50 +154,51 @@ _OUT_OF_FOCUS = (
 )
 _BATTERY = (CameraError, "its battery is low", "charge it or use a mains adapter")
 
-# By maker, since makers give one number several meanings.
-MAKERS: dict[str, dict[int, tuple[type[CameraError], str, str]]] = {
+# By maker, since makers use the same code with different meanings.
+_MAKERS: dict[str, dict[int, tuple[type[CameraError], str, str]]] = {
     "nikon": {
-        0xA001: (CameraError, "hardware error", "switch it off and on again"),
+        0xA001: (CameraError, "it reports a hardware error", "switch it off and on again"),
         0xA002: _OUT_OF_FOCUS,
-        0xA004: (CameraError, "it cannot do that now", "turn the mode dial to M"),
-        0xA005: (CameraError, "that property cannot be set now", "turn the mode dial to M"),
+        0xA004: (CameraError, "it cannot do that now", _M_DIAL),
+        0xA005: (CameraError, "the property cannot be set now", _M_DIAL),
         0xA008: (CameraError, "its shutter is set to bulb", "set another shutter time"),
         0xA009: (CameraError, "its mirror is up", "set the release mode to single"),
         0xA200: (CameraBusyError, "a bulb exposure is running", "wait until it has ended"),
         0xA201: (CameraBusyError, "a silent exposure is running", "wait until it has ended"),
     },
     "canon": {
-        0xA001: (CameraProtocolError, "unknown command", "its model is not supported"),
-        0xA005: (CameraError, "it refuses", "turn the mode dial to M"),
+        0xA001: (CameraProtocolError, "it does not support this command", _UNSUPPORTED),
+        0xA005: (CameraError, "it refuses", _M_DIAL),
         0xA006: (CameraError, "its lens is covered", "take the lens cap off"),
         0xA101: _BATTERY,
         0xA102: (CameraBusyError, "the picture is not ready", "try again"),
-        0xA104: (CameraError, "it cannot make the file", "check its card"),
+        0xA104: (CameraError, "it cannot write the file", "check its card"),
         0xA105: (CameraError, "its card is not ready", "check its card"),
     },
     "sony": {
         0xA101: (
             CameraError,
-            "it does not let a computer in",
+            "it does not accept control by a computer",
             "set USB connection to 'PC Remote' in its menu",
         ),
     },
 }
 
 
-def response_error(code: int, doing: str, who: str, maker: str = "") -> CameraError:
+def response_error(code: int, task: str, name: str, maker: str = "") -> CameraError:
     """Return the error for a response code.
 
     Args:
-        code: what the camera answered
-        doing: what was asked of it, such as "taking a picture"
-        who: the camera
-        maker: whose vendor codes it uses, a key of `MAKERS`
+        code: the response of the camera
+        task: what the camera was to do, such as "take a picture"
+        name: of the camera
+        maker: whose vendor codes it uses: nikon, canon or sony; "": none
     """
-    meaning = MAKERS.get(maker, {}).get(code) or _STANDARD.get(code)
+    meaning = _MAKERS.get(maker, {}).get(code) or _STANDARD.get(code)
     if meaning is None:
         return CameraProtocolError(
-            f"{who} answered 0x{code:04X} to {doing}", hint="see the camera's own display"
+            f"{name} did not {task}: response code 0x{code:04X}",
+            hint="see the camera's own display",
         )
-    kind, what, hint = meaning
-    return kind(f"{who}, {doing}: {what}", hint=hint)
+    kind, reason, hint = meaning
+    return kind(f"{name} did not {task}: {reason}", hint=hint)

@@ -1,20 +1,24 @@
-"""PTP's datasets, ISO 15740 section 5: a small packer and a parser that nonsense cannot hurt.
+"""Datasets of PTP (ISO 15740, section 5) and of makers: parsers, and packers of what we send.
 
-All numbers are little-endian (USB).  Whatever arrives, parsing ends in a value or in a
-`CameraProtocolError`; counts are checked against the bytes that are there before anything is built.
+All numbers are little-endian (USB).  Any bytes are parsed into a value or rejected with a
+`CameraProtocolError`; counts are checked against the bytes present before anything is allocated.
+
+Makers do not publish the layouts of their datasets; the parsers read the parts that others have
+found and that taking a picture needs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from camctl.errors import CameraProtocolError
+from drivers.ptp.codes import Event
 
 Value: TypeAlias = int | str | tuple[int, ...]
 
-# Data type codes, ISO 15740 table 3: bytes and sign; 0x4000 + n is an array of n.
+# Data type codes, ISO 15740 table 3: (bytes, signed); 0x4000 + n is an array of n.
 _INTEGERS: dict[int, tuple[int, bool]] = {
     0x0001: (1, True),
     0x0002: (1, False),
@@ -29,35 +33,35 @@ _INTEGERS: dict[int, tuple[int, bool]] = {
 }
 _ARRAY = 0x4000
 STRING = 0xFFFF
-UINT16, UINT32 = 0x0004, 0x0006
+UINT32 = 0x0006
 
 
 class Reader:
-    """Takes one field after another from the front of a dataset."""
+    """Reads the fields of a dataset from its start; `what` names the dataset in errors."""
 
     def __init__(self, data: bytes, what: str) -> None:
         self._data = data
         self._what = what
-        self.at = 0
+        self._position = 0
 
     @property
     def left(self) -> int:
         """Bytes not yet read."""
-        return len(self._data) - self.at
+        return len(self._data) - self._position
 
-    def nonsense(self, why: str) -> CameraProtocolError:
-        """Return the error for a dataset that cannot be."""
+    def invalid(self, reason: str) -> CameraProtocolError:
+        """Return the error for an invalid dataset."""
         return CameraProtocolError(
-            f"the camera's {self._what} makes no sense: {why}",
-            hint="switch it off and on again; if it stays so, the model is not supported",
+            f"the camera sent an invalid {self._what}: {reason}",
+            hint="switch it off and on again; if that does not help, the model is not supported",
         )
 
     def take(self, count: int) -> bytes:
         """Return the next `count` bytes."""
         if count > self.left:
-            raise self.nonsense(f"{count} bytes wanted, {self.left} left")
-        self.at += count
-        return self._data[self.at - count : self.at]
+            raise self.invalid(f"a field needs {count} bytes, {self.left} are left")
+        self._position += count
+        return self._data[self._position - count : self._position]
 
     def integer(self, size: int, *, signed: bool = False) -> int:
         """Return an integer of `size` bytes."""
@@ -76,17 +80,17 @@ class Reader:
         return self.integer(4)
 
     def peek_u16(self) -> int:
-        """Return the next two bytes without taking them."""
-        return int.from_bytes(self._data[self.at : self.at + 2], "little")
+        """Return the next two bytes and leave them to be read."""
+        return int.from_bytes(self._data[self._position : self._position + 2], "little")
 
     def string(self) -> str:
-        """Return a string: a count of UTF-16 units with the closing zero, then these."""
+        """Return a string, stored as a count of UTF-16 units and these, ending with a zero."""
         text = self.take(2 * self.u8()).decode("utf-16-le", "replace")
         text = text.split("\0", 1)[0]
         return "".join(c if c.isprintable() else "?" for c in text)
 
     def array(self, size: int, *, signed: bool = False) -> tuple[int, ...]:
-        """Return an array of integers of `size` bytes each, after its 32-bit count."""
+        """Return an array, stored as a 32-bit count and integers of `size` bytes each."""
         return self.integers(self.u32(), size, signed=signed)
 
     def integers(self, count: int, size: int, *, signed: bool = False) -> tuple[int, ...]:
@@ -106,28 +110,25 @@ class Reader:
 
     def _integer_type(self, data_type: int) -> tuple[int, bool]:
         if data_type not in _INTEGERS:
-            raise self.nonsense(f"data type 0x{data_type:04X}")
+            raise self.invalid(f"unknown data type 0x{data_type:04X}")
         return _INTEGERS[data_type]
 
 
 def pack_integer(value: int, data_type: int) -> bytes:
-    """Return `value` as a PTP integer; the caller got type and value from the camera itself."""
+    """Return `value` as a PTP integer of a known type."""
     size, signed = _INTEGERS[data_type]
     return value.to_bytes(size, "little", signed=signed)
 
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """Who a camera is and what it knows, ISO 15740 section 5.5.1; codes as numbers."""
+    """Identity of a camera and the codes that it supports, ISO 15740 section 5.5.1."""
 
     vendor_extension: int
     operations: frozenset[int]
-    events: frozenset[int]
     properties: tuple[int, ...]
-    image_formats: tuple[int, ...]
     make: str
     model: str
-    version: str
     serial: str
 
     @classmethod
@@ -137,28 +138,20 @@ class DeviceInfo:
         reader.u16()  # version of the standard
         extension = reader.u32()
         reader.u16()  # version of the extension
-        reader.string()  # what the extension is called
+        reader.string()  # name of the extension
         reader.u16()  # functional mode
-        operations, events, properties = (reader.array(2) for _ in range(3))
+        operations = frozenset(reader.array(2))
+        reader.array(2)  # events
+        properties = reader.array(2)
         reader.array(2)  # capture formats
-        formats = reader.array(2)
-        make, model, version, serial = (reader.string().strip() for _ in range(4))
-        return cls(
-            extension,
-            frozenset(operations),
-            frozenset(events),
-            properties,
-            formats,
-            make,
-            model,
-            version,
-            serial,
-        )
+        reader.array(2)  # image formats
+        make, model, _, serial = (reader.string().strip() for _ in range(4))
+        return cls(extension, operations, properties, make, model, serial)
 
 
 @dataclass(frozen=True)
 class ObjectInfo:
-    """What is known of an object on the card, ISO 15740 section 5.5.2."""
+    """Description of an object on the card, ISO 15740 section 5.5.2."""
 
     storage: int
     format: int
@@ -171,7 +164,7 @@ class ObjectInfo:
 
     @classmethod
     def parse(cls, data: bytes) -> ObjectInfo:
-        """Return the dataset of GetObjectInfo; cameras leave out what comes behind the name."""
+        """Return the dataset of GetObjectInfo; some cameras omit the fields after the name."""
         reader = Reader(data, "object information")
         storage = reader.u32()
         object_format = reader.u16()
@@ -189,7 +182,7 @@ class ObjectInfo:
 
 @dataclass(frozen=True)
 class StorageInfo:
-    """A card, ISO 15740 section 5.5.3, as far as a shot needs to know it."""
+    """Write access and free space of a card, ISO 15740 section 5.5.3."""
 
     is_writable: bool
     free_bytes: int
@@ -199,7 +192,7 @@ class StorageInfo:
     def parse(cls, data: bytes) -> StorageInfo:
         """Return the dataset of GetStorageInfo."""
         reader = Reader(data, "storage information")
-        reader.take(2 + 2)  # kind of storage, of file system
+        reader.take(2 + 2)  # types of storage and file system
         access = reader.u16()
         reader.take(8)  # capacity
         return cls(access == 0, reader.integer(8), reader.u32())
@@ -207,14 +200,14 @@ class StorageInfo:
 
 @dataclass(frozen=True)
 class PropertyDescription:
-    """A property as the camera describes it, ISO 15740 section 13.3.3.
+    """A camera's description of a property, ISO 15740 section 13.3.3.
 
     Attributes:
         code, data_type: PTP codes
-        is_writable: it can be set now
-        current: value now
-        choices: all values it can take, where it lists them
-        span: (minimum, maximum, step), where it has these instead
+        is_writable: True if it can be set now
+        current: current value
+        choices: all values that can be set, if the camera lists them
+        span: (minimum, maximum, step), if the camera gives a range
     """
 
     code: int
@@ -238,21 +231,117 @@ class PropertyDescription:
 def read_form(
     reader: Reader, data_type: int
 ) -> tuple[tuple[Value, ...], tuple[int, int, int] | None]:
-    """Return (choices, span) of the form that ends a property description."""
+    """Return (choices, span) from the form field at the end of a property description."""
     form = reader.u8() if reader.left else 0
     if form == 0:
         return (), None
     if form == 1:
         low, high, step = (reader.value(data_type) for _ in range(3))
         if not (isinstance(low, int) and isinstance(high, int) and isinstance(step, int)):
-            raise reader.nonsense("a range of what is no number")
+            raise reader.invalid("the limits of a range are not numbers")
         return (), (low, high, step)
     if form == 2:
         return read_choices(reader, data_type), None
-    raise reader.nonsense(f"form {form}")
+    raise reader.invalid(f"unknown form {form}")
 
 
 def read_choices(reader: Reader, data_type: int) -> tuple[Value, ...]:
-    """Return the values of an enumeration, after their 16-bit count."""
-    values: Sequence[Value] = [reader.value(data_type) for _ in range(reader.u16())]
-    return tuple(values)
+    """Return the values of an enumeration, stored after their 16-bit count."""
+    return tuple([reader.value(data_type) for _ in range(reader.u16())])
+
+
+# ---- makers
+
+_EOS_HEADER_BYTES = 8
+_EOS_LIST = 3  # form of a list of choices
+_SONY_FIRST_PROPERTY = 0x5000
+
+
+@dataclass(frozen=True)
+class EosEvents:
+    """The answer to one poll of Canon's events, in the order of its records.
+
+    Attributes:
+        values: (property, number) of properties that changed
+        choices: (property, numbers) of lists of choices that changed
+        added: handles of new objects
+    """
+
+    values: tuple[tuple[int, int], ...]
+    choices: tuple[tuple[int, tuple[int, ...]], ...]
+    added: tuple[int, ...]
+
+    @classmethod
+    def parse(cls, data: bytes) -> EosEvents:
+        """Return the data of operation 9116."""
+        values: list[tuple[int, int]] = []
+        choices: list[tuple[int, tuple[int, ...]]] = []
+        added: list[int] = []
+        for kind, body in _eos_records(data):
+            reader = Reader(body, "event record")
+            if kind == Event.EOS_PROPERTY_CHANGED and reader.left >= 8:
+                values.append((reader.u32(), reader.u32()))
+            elif kind == Event.EOS_CHOICES_CHANGED and reader.left >= 12:
+                code, form, count = reader.u32(), reader.u32(), reader.u32()
+                if form == _EOS_LIST:
+                    choices.append((code, reader.integers(count, 4)))
+            elif kind in (Event.EOS_OBJECT_ADDED, Event.EOS_OBJECT_ADDED_64) and reader.left >= 4:
+                added.append(reader.u32())
+        return cls(tuple(values), tuple(choices), tuple(added))
+
+    def update(self, known: dict[int, PropertyDescription], codes: frozenset[int]) -> None:
+        """Update the descriptions of the properties `codes` in `known`."""
+        for code, number in self.values:
+            if code in codes:
+                before = known.get(code) or PropertyDescription(code, UINT32, False, number)
+                known[code] = replace(before, current=number)
+        for code, numbers in self.choices:
+            if code in codes:
+                before = known.get(code) or PropertyDescription(code, UINT32, False, 0)
+                # A property that cannot be set in this mode lists no choice, or one.
+                known[code] = replace(before, choices=numbers, is_writable=len(numbers) > 1)
+
+
+def _eos_records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield (type, body) of each record up to the one of type 0, which ends the list."""
+    reader = Reader(data, "list of events")
+    while reader.left >= _EOS_HEADER_BYTES:
+        size, kind = reader.u32(), reader.u32()
+        if size < _EOS_HEADER_BYTES:
+            raise reader.invalid(f"a record of {size} bytes")
+        if kind == 0:
+            return
+        yield kind, reader.take(size - _EOS_HEADER_BYTES)
+
+
+def pack_eos_property(code: int, number: int) -> bytes:
+    """Return the data of operation 9110."""
+    return b"".join(part.to_bytes(4, "little") for part in (12, code, number))
+
+
+def parse_sony_properties(data: bytes) -> dict[int, PropertyDescription]:
+    """Return the descriptions in the data of operation 9209, by property."""
+    reader = Reader(data, "list of properties")
+    reader.take(8)  # their number, in a format that differs between bodies
+    found: dict[int, PropertyDescription] = {}
+    while reader.left >= 6:
+        code, data_type, can_set, is_enabled = reader.u16(), reader.u16(), reader.u8(), reader.u8()
+        reader.value(data_type)
+        current = reader.value(data_type)
+        choices, span = read_form(reader, data_type)
+        # Newer bodies append a second list: the choices that can be set now.  Property codes of
+        # Sony start at 5000, so that a smaller number here is the count of that list.
+        if choices and reader.left >= 2 and reader.peek_u16() < _SONY_FIRST_PROPERTY:
+            choices = read_choices(reader, data_type) or choices
+        writable = can_set == 1 and is_enabled == 1
+        found[code] = PropertyDescription(code, data_type, writable, current, choices, span)
+    return found
+
+
+def parse_nikon_events(data: bytes) -> tuple[tuple[int, int], ...]:
+    """Return (event, parameter) of each event in the data of operation 90C7."""
+    reader = Reader(data, "list of events")
+    count = reader.u16() if reader.left else 0
+    if count * 6 > reader.left:
+        raise reader.invalid(f"{count} events in {reader.left} bytes")
+    return tuple((reader.u16(), reader.u32()) for _ in range(count))

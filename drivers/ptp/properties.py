@@ -1,8 +1,7 @@
-"""The properties of one camera: described, read, set, and read back, in its own dialect."""
+"""The properties of one camera: described, read, set, and read back, in the camera's dialect."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 
@@ -15,26 +14,29 @@ from camctl.errors import (
     RefusedSettingError,
 )
 from drivers.ptp.codes import Op, Prop
-from drivers.ptp.datasets import PropertyDescription, Reader, pack_integer
-from drivers.ptp.dialects import Dialect, Scale, Source
-from drivers.ptp.dials import Dial, make_dial
-from drivers.ptp.session import Session
-from drivers.ptp.vendor_datasets import (
-    merge_eos,
+from drivers.ptp.datasets import (
+    EosEvents,
+    PropertyDescription,
+    Reader,
     pack_eos_property,
-    parse_eos_events,
+    pack_integer,
     parse_sony_properties,
 )
+from drivers.ptp.dialects import Dialect, Source
+from drivers.ptp.dials import Dial, Scale, make_dial
+from drivers.ptp.session import Session
 
-# How long a body may take to show a setting that it has accepted, and pauses between looks.
-READ_BACK_S = 3.0
-_LOOK_S = 0.02
-_MOST_STEPS = 200
+# How long bodies of Canon and Sony may take to show a setting that they have accepted, and the
+# pause between two readings.
+_READ_BACK_S, _READ_BACK_POLL_S = 3.0, 0.02
+# More than the settings of any dial: a dial that has not reached its setting then never will.
+_MAX_STEPS = 200
+_M_DIAL = "turn the mode dial to M"
 
 
 @contextmanager
-def _what_it_can() -> Iterator[None]:
-    """Pass over a property that a camera lists and then knows nothing of."""
+def _unsupported_ignored() -> Iterator[None]:
+    """Ignore the refusal of a property that a camera lists and does not support."""
     try:
         yield
     except (CameraBusyError, CameraDisconnectedError, CameraTimeoutError):
@@ -44,16 +46,16 @@ def _what_it_can() -> Iterator[None]:
 
 
 class Properties:
-    """What a camera can set and what it has set; `look` reads all of it.
+    """The properties of a camera that matter for exposures; `refresh` reads all of them.
 
     Args:
         session: open, in the mode that the dialect needs
-        dialect: how the camera speaks
-        who: how errors call it
+        dialect: of the camera
+        name: of the camera in error messages
     """
 
-    def __init__(self, session: Session, dialect: Dialect, who: str) -> None:
-        self._session, self._dialect, self._who = session, dialect, who
+    def __init__(self, session: Session, dialect: Dialect, name: str) -> None:
+        self._session, self._dialect, self._name = session, dialect, name
         scales = (*dialect.times, *dialect.gains, *dialect.f_numbers)
         presets = [code for code, _ in dialect.presets]
         self._codes = frozenset(
@@ -64,67 +66,77 @@ class Properties:
         self._stepped: set[int] = set()
 
     def description(self, code: int) -> PropertyDescription | None:
-        """Return a property as it was when last looked at; None where the camera has none."""
+        """Return a property as it was at the latest `refresh`; None if the camera has none."""
         return self._known.get(code)
 
     def take_added(self) -> list[int]:
-        """Return handles of new objects that came along with what was read; each once."""
+        """Return the handles of new objects in Canon's events since the last call."""
         added, self._added = self._added, []
         return added
 
-    def look(self) -> None:
-        """Read again what the properties are and can be."""
+    def refresh(self) -> None:
+        """Read the descriptions of the properties again."""
         source = self._dialect.source
-        if source is Source.ASKED:
+        if source is Source.EACH_PROPERTY:
             for code in sorted(self._codes.intersection(self._session.info.properties)):
-                with _what_it_can():
+                with _unsupported_ignored():
                     self._known[code] = self._session.description(code)
         elif source is Source.SONY_LIST:
-            answer = self._session.call(Op.SONY_PROPERTIES, doing="asking for its properties")
+            answer = self._session.call(Op.SONY_PROPERTIES, task="list its properties")
             self._known.update(parse_sony_properties(answer.data))
         else:
-            self._listen_eos()
-
-    def _listen_eos(self) -> None:
-        answer = self._session.call(Op.EOS_EVENTS, doing="asking for news")
-        news = parse_eos_events(answer.data)
-        merge_eos(self._known, news, self._codes)
-        self._added.extend(news.added)
+            answer = self._session.call(Op.EOS_EVENTS, task="report its events")
+            events = EosEvents.parse(answer.data)
+            events.update(self._known, self._codes)
+            self._added.extend(events.added)
 
     def number(self, code: int) -> int | None:
-        """Return the number that a property has now; None where the camera does not tell."""
-        if self._dialect.source is Source.ASKED:
+        """Return the current number of a property; None if the camera does not report it."""
+        if self._dialect.source is Source.EACH_PROPERTY:
             description = self._known.get(code)
             if description is None:
                 return None
-            answer = self._session.call(Op.GET_PROPERTY, code, doing=f"reading property {code:04X}")
+            answer = self._session.call(Op.GET_PROPERTY, code, task=f"report property {code:04X}")
             value = Reader(answer.data, "property").value(description.data_type)
         else:
-            self.look()
+            self.refresh()
             description = self._known.get(code)
             value = description.current if description else ""
         return value if isinstance(value, int) else None
 
-    def dial(self, name: str, scales: Iterable[Scale]) -> Dial | None:
-        """Return the first of these dials that the camera has; None where it has none."""
-        for scale in scales:
-            description = self._known.get(scale.code)
-            if description is None:
-                continue
-            listed = self._dialect.times_s if name == "time_s" else ()
-            dial = make_dial(name, scale, description, listed)
-            if dial is not None:
-                return dial
+    def battery_percent(self) -> int | None:
+        """Return the charge of the battery; None if the camera does not report it."""
+        with suppress(CameraError):
+            if Prop.BATTERY_LEVEL in self._session.info.properties:
+                charge = self._session.description(Prop.BATTERY_LEVEL).current
+                return charge if isinstance(charge, int) else None
+            if self._dialect.battery in self._known:
+                return self.number(self._dialect.battery)
         return None
 
-    def has_any(self, scales: Iterable[Scale]) -> bool:
-        """Return whether the camera has one of these properties at all."""
-        return any(scale.code in self._known for scale in scales)
+    # ---- modes
+
+    def set_presets(self) -> None:
+        """Set the dialect's presets, as far as the camera supports them."""
+        for code, number in self._dialect.presets:
+            description = self._known.get(code)
+            if (
+                description is not None
+                and description.is_writable
+                and description.current != number
+                and (not description.choices or number in description.choices)
+            ):
+                with _unsupported_ignored():
+                    self.write(description, number)
 
     def check_mode(self, code: int) -> None:
-        """Raise `CameraError` where the camera itself chooses the exposure.
+        """Set manual exposure if necessary.
 
-        `code` is the shutter's property.
+        Args:
+            code: property of the shutter time
+
+        Raises:
+            CameraError: the camera chooses the shutter time itself, and that cannot be changed
         """
         program, manual = self._dialect.program
         mode = self._known.get(program)
@@ -135,20 +147,36 @@ class Properties:
         if not in_manual and mode is not None and mode.is_writable:
             with suppress(CameraError):
                 self.write(mode, min(manual))
-                self.look()
+                self.refresh()
                 description = self._known.get(code)
                 if description is None or description.is_writable:
                     return
-        raise CameraError(
-            f"{self._who} chooses the shutter time itself", hint="turn the mode dial to M"
-        )
+        raise CameraError(f"{self._name} chooses the shutter time itself", hint=_M_DIAL)
+
+    # ---- dials
+
+    def dial(self, name: str, scales: Iterable[Scale]) -> Dial | None:
+        """Return the dial of the first of these properties that the camera has, or None."""
+        for scale in scales:
+            description = self._known.get(scale.code)
+            if description is None:
+                continue
+            listed = self._dialect.stepped_times if name == "time_s" else ()
+            dial = make_dial(name, scale, description, listed)
+            if dial is not None:
+                return dial
+        return None
+
+    def has_any(self, scales: Iterable[Scale]) -> bool:
+        """Return whether the camera has one of these properties."""
+        return any(scale.code in self._known for scale in scales)
 
     def set_dial(self, dial: Dial, value: float) -> float:
-        """Turn a dial; return the value read back, SI units.
+        """Set a dial; return the value read back, SI units.
 
         Raises:
-            RefusedSettingError: the camera took another value than the one that was set
-            CameraError: it does not take it now
+            RefusedSettingError: the camera applied another value
+            CameraError: the camera does not accept the value now
         """
         number = dial.number(value)
         before = self.number(dial.code)
@@ -157,19 +185,30 @@ class Properties:
             self._turn(dial, number)
             applied = self._read_back(dial.code, number)
             if applied == before and self._dialect.source is Source.SONY_LIST:
-                # Older bodies take a value without a word and ignore it.
+                # Older bodies of Sony acknowledge a value and ignore it; they have to be stepped.
                 self._stepped.add(dial.code)
                 self._turn(dial, number)
                 applied = self._read_back(dial.code, number)
         actual = None if applied is None else dial.value(applied)
         if actual is None:
             raise CameraProtocolError(
-                f"{self._who} does not say which {dial.name} it has set",
-                hint="turn the mode dial to M",
+                f"{self._name} does not report the {dial.name} that it has set", hint=_M_DIAL
             )
         if applied != number:
             raise RefusedSettingError(dial.name, value, actual)
         return actual
+
+    def write(self, description: PropertyDescription, number: int) -> None:
+        """Set a property; the result is not read back."""
+        code, task = description.code, f"set property {description.code:04X}"
+        if self._dialect.source is Source.EOS_EVENTS:
+            data = pack_eos_property(code, number)
+            self._session.call(Op.EOS_SET_PROPERTY, task=task, data=data)
+            return
+        is_sony = self._dialect.source is Source.SONY_LIST
+        operation = Op.SONY_SET_PROPERTY if is_sony else Op.SET_PROPERTY
+        data = pack_integer(number, description.data_type)
+        self._session.call(operation, code, task=task, data=data)
 
     def _turn(self, dial: Dial, number: int) -> None:
         description = self._known[dial.code]
@@ -181,75 +220,41 @@ class Properties:
         except (CameraBusyError, CameraTimeoutError):
             raise
         except CameraError as error:
-            self.look()
+            self.refresh()
             if not self._known[dial.code].is_writable:
                 raise CameraError(
-                    f"{self._who} does not let {dial.name} be set", hint="turn the mode dial to M"
+                    f"{self._name} does not allow {dial.name} to be set", hint=_M_DIAL
                 ) from error
             raise
 
-    def write(self, description: PropertyDescription, number: int) -> None:
-        """Set a property, without looking what became of it."""
-        code, doing = description.code, f"setting property {description.code:04X}"
-        if self._dialect.source is Source.EOS_EVENTS:
-            self._session.call(
-                Op.EOS_SET_PROPERTY, doing=doing, data=pack_eos_property(code, number)
-            )
-            return
-        operation = (
-            Op.SONY_SET_PROPERTY if self._dialect.source is Source.SONY_LIST else Op.SET_PROPERTY
-        )
-        self._session.call(
-            operation, code, doing=doing, data=pack_integer(number, description.data_type)
-        )
-
     def _step_to(self, dial: Dial, number: int) -> None:
-        """Turn a dial that only knows "one up" and "one down" until it shows `number`."""
+        """Step a dial up or down until it shows `number`."""
         up, down = (1).to_bytes(1, "little"), (0xFF).to_bytes(1, "little")
-        wanted, direction, distance = dial.value(number), up, float("inf")
-        assert wanted is not None
-        for _ in range(_MOST_STEPS):
+        goal, direction, distance = dial.value(number), up, float("inf")
+        assert goal is not None
+        for _ in range(_MAX_STEPS):
             shown = self.number(dial.code)
             if shown == number:
                 return
             now = dial.value(shown) if shown is not None else None
-            before, distance = distance, abs(now - wanted) if now is not None else distance
+            before, distance = distance, abs(now - goal) if now is not None else distance
             if distance > before:
                 direction = down if direction == up else up
             self._session.call(
-                Op.SONY_CONTROL, dial.code, doing="turning a dial", data=direction, repeatable=False
+                Op.SONY_CONTROL, dial.code, task="turn a dial", data=direction, repeatable=False
             )
 
     def _read_back(self, code: int, number: int) -> int | None:
-        deadline = time.monotonic() + (0 if self._dialect.source is Source.ASKED else READ_BACK_S)
+        """Return the number of a property: `number` if the camera shows it in time."""
+        clock = self._session.clock
+        is_delayed = self._dialect.source is not Source.EACH_PROPERTY
+        deadline_s = clock.now() + (_READ_BACK_S if is_delayed else 0.0)
         while True:
-            now = self.number(code)
-            if now == number or time.monotonic() > deadline:
-                return now
+            shown = self.number(code)
+            if shown == number or clock.now() > deadline_s:
+                return shown
             if Op.EOS_REQUEST_PROPERTY in self._session.info.operations:
-                # The record of the change may have been lost, or there was none to tell.
-                self._session.call(Op.EOS_REQUEST_PROPERTY, code, doing="reading a property")
-            time.sleep(_LOOK_S)
-
-    def preset(self) -> None:
-        """Set what the dialect wants to be set from the beginning, where the camera can."""
-        for code, number in self._dialect.presets:
-            description = self._known.get(code)
-            if (
-                description is not None
-                and description.is_writable
-                and description.current != number
-                and (not description.choices or number in description.choices)
-            ):
-                with _what_it_can():
-                    self.write(description, number)
-
-    def battery(self) -> int | None:
-        """Return the charge in per cent, where the camera tells."""
-        with suppress(CameraError):
-            if Prop.BATTERY_LEVEL in self._session.info.properties:
-                charge = self._session.description(Prop.BATTERY_LEVEL).current
-                return charge if isinstance(charge, int) else None
-            if self._dialect.battery in self._known:
-                return self.number(self._dialect.battery)
-        return None
+                # The record of the change may be lost, or none was sent.
+                task = f"report property {code:04X}"
+                self._session.call(Op.EOS_REQUEST_PROPERTY, code, task=task)
+            clock.sleep_until(clock.now() + _READ_BACK_POLL_S)

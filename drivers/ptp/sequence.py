@@ -1,37 +1,37 @@
-"""A list of exposures on one body: set, released, fetched while the next one runs.
+"""A sequence of exposures on one body: dials set, shutter released, files fetched.
 
-The order for each exposure: dials turned and read back, shutter released, the file of the exposure
-before fetched and handed over, then waited for the end of this one.  A camera that answers "busy"
-to a release while a picture waits in it gets its pictures fetched first from then on.
+For each exposure the dials are set and read back, the shutter is released, the file of the exposure
+before is fetched and its frame yielded, and then the end of this exposure is awaited.  If a camera
+answers "busy" to a release while a picture waits in it, pictures are fetched before the next
+release from then on.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 from camctl.camera import Frame, OriginalFile
-from camctl.clock import Clock
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
-from drivers.common.exif import exposure_time_s
+from drivers.common.still_camera import exposure_time_s
 from drivers.common.still_file import read_still
 from drivers.ptp.body import Body
 from drivers.ptp.dials import Dial
-from drivers.ptp.shooting import PendingExposure, Shooter, Shot
-from drivers.ptp.still_formats import KnownFormat, pixels_of
+from drivers.ptp.shooting import ExposureRequest, PendingExposure, Shooter, Shot
+from drivers.ptp.still_formats import KnownFormat, matched_pixels
 from drivers.ptp.transport import NORMAL_S
 
 # Labels and true times of one setting differ by up to 10 %, neighbouring settings by 26 %.
-_SAME_TIME = 1.2
-_LATE_S = 0.25  # that a bulb exposure may be off before it is no longer what was asked for
+_MAX_TIME_RATIO = 1.2
+# Largest error of a bulb exposure, s; the load of the computer decides how precisely it is held.
+_MAX_BULB_ERROR_S = 0.25
 
 
 @dataclass(frozen=True)
 class Dials:
-    """What sets the exposure; None where the camera has no such dial."""
+    """The dials that set the exposure; None if the camera does not have it."""
 
     time_s: Dial
     gain: Dial | None
@@ -39,110 +39,78 @@ class Dials:
 
 
 class ExposureSequence:
-    """What is under way between a body and the frames it gives.
+    """Takes exposures on a body and yields their frames.
 
     Args:
         body: the camera
-        shooter: releases and finds files
-        dials: its dials
-        who: how errors call it
-        clock: of timestamps
-        delete: delete files from the card once they have been fetched
+        shooter: releases exposures and finds their files
+        dials: of the camera
+        name: of the camera in error messages
+        delete: delete files from the card once their frames were taken
     """
 
     def __init__(
-        self, body: Body, shooter: Shooter, dials: Dials, who: str, clock: Clock, *, delete: bool
+        self, body: Body, shooter: Shooter, dials: Dials, name: str, *, delete: bool
     ) -> None:
         self._body, self._shooter, self._dials = body, shooter, dials
-        self._who, self._clock, self._delete = who, clock, delete
-        self._flight: PendingExposure | None = None
+        self._name, self._delete = name, delete
+        self._clock = body.session.clock
+        self._pending: PendingExposure | None = None
+        self._waiting: Shot | None = None  # its file is in the camera, its frame not yet yielded
+        self._fetched: list[Shot] = []
         self._overlaps = True
 
     def run(
         self, settings: Sequence[ExposureSetting], known: KnownFormat
     ) -> Generator[Frame, None, None]:
-        """Yield a frame for each setting; `known` is what its file must be.
+        """Yield a frame for each setting; `known` is the format of all frames.
 
         Raises:
-            CameraError: as `camctl.camera.Camera.shoot`; it names what was shot and not fetched
+            CameraError: as `camctl.camera.Camera.shoot`; lists what was taken and not fetched
         """
-        waiting: Shot | None = None
-        handed_over: list[Shot] = []
+        self._waiting, self._fetched = None, []
         if settings:
-            self.settle()
-            self._shooter.begin()
+            self.finish_pending()
+            self._shooter.ignore_existing()
         try:
             for index, setting in enumerate(settings):
-                # Holding the shutter of a bulb exposure leaves no time for anything else.
-                in_turn = not self._overlaps or self._is_bulb(setting)
-                if waiting is not None and in_turn:
-                    frame = self._frame(waiting, known)
-                    handed_over.append(waiting)
-                    waiting = None
-                    yield frame
-                applied = self._apply(setting)
-                flight = self._release(setting, applied, index, patient=waiting is None)
-                if flight is None and waiting is not None:
+                # While the computer holds the shutter of a bulb exposure it can fetch nothing.
+                if not self._overlaps or self._is_bulb(setting):
+                    yield from self._fetch_waiting(known)
+                request = ExposureRequest(setting, self._apply(setting), index)
+                pending = self._release(request, may_wait=self._waiting is None)
+                if pending is None:
                     self._overlaps = False
-                    frame = self._frame(waiting, known)
-                    handed_over.append(waiting)
-                    waiting = None
-                    yield frame
-                    flight = self._release(setting, applied, index, patient=True)
-                assert flight is not None
-                if waiting is not None:
-                    frame = self._frame(waiting, known)
-                    handed_over.append(waiting)
-                    waiting = None
-                    yield frame
-                waiting = self._wait(flight, known.format)
-                self._clear(handed_over)
-            if waiting is not None:
-                frame = self._frame(waiting, known)
-                handed_over.append(waiting)
-                waiting = None
-                yield frame
-                self._clear(handed_over)
+                    yield from self._fetch_waiting(known)
+                    pending = self._release(request, may_wait=True)
+                assert pending is not None
+                yield from self._fetch_waiting(known)
+                self._waiting = self._wait(pending, known.format)
+                self._delete_fetched()
+            yield from self._fetch_waiting(known)
+            self._delete_fetched()
         except CameraError as error:
-            self._say_what_is_left(error, waiting)
+            self._add_unfetched(error)
             raise
 
     def take(self, setting: ExposureSetting, wanted: str | None) -> Shot:
-        """Take one picture and return its file; `wanted` as `Shooter.wait` has it."""
-        self._shooter.begin()
-        flight = self._release(setting, self._apply(setting), 0, patient=True)
-        assert flight is not None
-        return self._wait(flight, wanted)
+        """Take one picture; return its file in the format `wanted`, see `Shooter.wait`."""
+        self._shooter.ignore_existing()
+        request = ExposureRequest(setting, self._apply(setting), 0)
+        pending = self._release(request, may_wait=True)
+        assert pending is not None
+        return self._wait(pending, wanted)
 
-    def _wait(self, flight: PendingExposure, wanted: str | None) -> Shot:
-        try:
-            shot = self._shooter.wait(flight, wanted)
-        except (CameraTimeoutError, CameraProtocolError):
-            raise  # it may still come
-        except CameraError:
-            self._flight = None
-            raise
-        self._flight = None
-        return shot
+    def finish_pending(self, limit_s: float = NORMAL_S) -> None:
+        """Wait for the end of a cancelled exposure, at most `limit_s` beyond its exposure time."""
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            self._shooter.wait_for_end(pending, limit_s)
 
-    def settle(self, limit_s: float = NORMAL_S) -> None:
-        """Wait until an exposure that was given up has ended, `limit_s` beyond it at most."""
-        flight, self._flight = self._flight, None
-        if flight is not None:
-            self._shooter.settle(flight, limit_s)
-
-    def _clear(self, handed_over: list[Shot]) -> None:
-        """Delete what the consumer has taken, where that is wanted; not while the shutter is open.
-
-        A frame counts as taken when the next one is asked for.
-        """
-        while handed_over:
-            shot = handed_over.pop()
-            if self._delete:
-                self._shooter.delete(shot)
+    # ---- exposures
 
     def _apply(self, setting: ExposureSetting) -> ExposureSetting:
-        """Turn the dials; return what the camera says they show."""
+        """Set the dials; return the setting read back."""
         dials, properties = self._dials, self._body.properties
         applied = setting
         if dials.gain is not None:
@@ -158,100 +126,126 @@ class ExposureSequence:
     def _is_bulb(self, setting: ExposureSetting) -> bool:
         return setting.time_s > self._dials.time_s.control.maximum * (1 + 1e-6)
 
-    def _release(
-        self, setting: ExposureSetting, applied: ExposureSetting, index: int, *, patient: bool
-    ) -> PendingExposure | None:
-        """Release; None where the camera wants the last picture to be fetched first."""
-        # Until the camera has said clearly that it took no picture, it may have taken one, which
-        # must not be mistaken for the next.
-        now_s = time.monotonic()
-        self._flight = self._shooter.flight(setting, applied, index, self._clock.now(), now_s)
+    def _release(self, request: ExposureRequest, *, may_wait: bool) -> PendingExposure | None:
+        """Release; None if the camera needs its last picture to be fetched first."""
+        # An exposure is pending until the camera has clearly refused it: after a time-out it may
+        # have been taken, and must not be mistaken for the next one.
+        self._pending = self._shooter.pending(request)
         try:
-            if self._is_bulb(setting):
-                self._flight = self._hold(setting, applied, index)
+            if self._is_bulb(request.setting):
+                self._pending = self._hold(request)
             else:
-                self._flight = self._shooter.release(setting, applied, index, patient=patient)
+                self._pending = self._shooter.release(request, may_wait=may_wait)
         except (CameraTimeoutError, CameraProtocolError):
             raise
         except CameraError:
-            self._flight = None
+            self._pending = None
             raise
-        return self._flight
+        return self._pending
 
-    def _hold(
-        self, setting: ExposureSetting, applied: ExposureSetting, index: int
-    ) -> PendingExposure:
-        body = self._body
-        released_s = self._clock.now()
-        body.open_bulb(self._dials.time_s)
-        began_s = time.monotonic()
-        flight = self._shooter.flight(setting, applied, index, released_s, began_s)
+    def _hold(self, request: ExposureRequest) -> PendingExposure:
+        """Take a bulb exposure: open the shutter, wait, close it."""
+        time_s = request.setting.time_s
+        self._body.open_bulb(self._dials.time_s)
+        pending = self._shooter.pending(request)
         try:
-            time.sleep(max(0.0, began_s + setting.time_s - time.monotonic()))
+            self._clock.sleep_until(pending.ends_s)
         finally:
-            body.close_bulb()
-        held_s = time.monotonic() - began_s
-        if abs(held_s - setting.time_s) > _LATE_S:
+            self._body.close_bulb()
+        held_s = self._clock.now() - pending.released_s
+        if abs(held_s - time_s) > _MAX_BULB_ERROR_S:
             raise CameraTimeoutError(
-                f"{self._who} kept its shutter open for {held_s:.2f} s instead of "
-                f"{setting.time_s:g} s",
-                hint="take load off this computer and resume",
+                f"{self._name} kept its shutter open for {held_s:.2f} s instead of {time_s:g} s",
+                hint="close other programs on this computer and resume",
             )
-        return replace(flight, held_s=held_s)
+        return replace(pending, held_s=held_s)
+
+    def _wait(self, pending: PendingExposure, wanted: str | None) -> Shot:
+        try:
+            shot = self._shooter.wait(pending, wanted)
+        except (CameraTimeoutError, CameraProtocolError):
+            raise  # the exposure stays pending: its file may still come
+        except CameraError:
+            self._pending = None
+            raise
+        self._pending = None
+        return shot
+
+    # ---- files
+
+    def _fetch_waiting(self, known: KnownFormat) -> Iterator[Frame]:
+        """Fetch the file that waits in the camera, if there is one, and yield its frame."""
+        if self._waiting is not None:
+            frame = self._frame(self._waiting, known)
+            self._fetched.append(self._waiting)
+            self._waiting = None
+            yield frame
+
+    def _delete_fetched(self) -> None:
+        """Delete the files whose frames were taken, if requested; not while the shutter is open.
+
+        A frame counts as taken when the caller asks for the next one.
+        """
+        while self._fetched:
+            shot = self._fetched.pop()
+            if self._delete:
+                self._shooter.delete(shot)
 
     def _frame(self, shot: Shot, known: KnownFormat) -> Frame:
         """Fetch a file and return it as a frame."""
-        busy_s = NORMAL_S + (self._flight.left_s if self._flight is not None else 0.0)
-        refusals = self._body.session.times_busy
+        busy_s, times_busy = NORMAL_S, self._body.session.times_busy
+        if self._pending is not None:
+            busy_s += max(0.0, self._pending.ends_s - self._clock.now())
         data, took_s = self._shooter.fetch(shot, busy_s=busy_s)
-        if self._flight is not None and self._body.session.times_busy > refusals:
-            # It serves nothing while it exposes: then a frame need not wait for the next exposure.
+        if self._pending is not None and self._body.session.times_busy > times_busy:
+            # It sends nothing during an exposure: then a frame need not wait for the next one.
             self._overlaps = False
         fetched_s = self._clock.now()
-        self._check_exposure(shot, data)
+        _check_exposure(shot, data)
         still = read_still(data, shot.info.name)
-        pixels, changed = pixels_of(still, known, shot.info.name)
-        flight = shot.flight
+        pixels, changes = matched_pixels(still, known, shot.info.name)
+        exposure, request = shot.exposure, shot.exposure.request
         details = {
             "object": shot.info.name,
             "handle": f"{shot.handle:08X}",
             "bytes": len(data),
             "download_s": round(took_s, 6),
-            "released_s": flight.released_s,
+            "released_s": exposure.released_s,
             "fetched_s": fetched_s,
-            **changed,
+            **changes,
         }
         if shot.others:
             details["other_files"] = list(shot.others)
-        if flight.held_s is not None:
-            details["bulb_held_s"] = round(flight.held_s, 3)
+        if exposure.held_s is not None:
+            details["bulb_held_s"] = round(exposure.held_s, 3)
         return Frame(
             pixels=pixels,
-            requested=flight.setting,
-            applied=flight.applied,
+            requested=request.setting,
+            applied=request.applied,
             timestamp_s=shot.ended_s,
-            index=flight.index,
+            index=request.index,
             black=known.record.black,
             white=known.record.white,
             original=OriginalFile(PurePath(shot.info.name).suffix.lower(), data),
             details=details,
         )
 
-    def _check_exposure(self, shot: Shot, data: bytes) -> None:
-        """Raise `CameraProtocolError` where the file itself says that it is of another exposure."""
-        said_s, time_s = exposure_time_s(data), shot.flight.applied.time_s
-        if said_s is not None and not 1 / _SAME_TIME < said_s / time_s < _SAME_TIME:
-            raise CameraProtocolError(
-                f"{shot.info.name} was exposed for {said_s:.6g} s by its own word, {time_s:.6g} s "
-                "were set",
-                hint="shoot it again; leave the camera's own buttons alone meanwhile",
-            )
-
-    def _say_what_is_left(self, error: CameraError, waiting: Shot | None) -> None:
+    def _add_unfetched(self, error: CameraError) -> None:
         """Add to an error which pictures were taken and are still in the camera."""
-        left = [] if waiting is None else [waiting.name]
-        if self._flight is not None:
-            left.append(f"an exposure of {self._flight.setting.time_s:.6g} s")
-        if left:
-            error.what = f"{error.what}; taken and not fetched: {' and '.join(left)}"
+        unfetched = [] if self._waiting is None else [self._waiting.name]
+        if self._pending is not None:
+            unfetched.append(f"an exposure of {self._pending.request.setting.time_s:.6g} s")
+        if unfetched:
+            error.what = f"{error.what}; taken and not fetched: {' and '.join(unfetched)}"
             error.args = (f"{error.what}; {error.hint}" if error.hint else error.what,)
+
+
+def _check_exposure(shot: Shot, data: bytes) -> None:
+    """Raise `CameraProtocolError` if the exposure time in the file is that of another exposure."""
+    stated_s, time_s = exposure_time_s(data), shot.exposure.request.applied.time_s
+    if stated_s is None or 1 / _MAX_TIME_RATIO < stated_s / time_s < _MAX_TIME_RATIO:
+        return
+    raise CameraProtocolError(
+        f"{shot.info.name} states an exposure time of {stated_s:.6g} s, but {time_s:.6g} s was set",
+        hint="shoot it again, and do not use the camera's own buttons during the capture",
+    )

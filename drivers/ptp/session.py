@@ -1,17 +1,17 @@
-"""PTP sessions: transactions that survive what USB and cameras do to them.
+"""PTP sessions: transactions that are repeated, recovered and reopened as USB and cameras require.
 
-A transaction is command, data (either way or none), response.  `Session.call` repeats what may be
-repeated, waits while the camera is busy, brings the pipes back to order after a stall, silence or
-nonsense, and opens the session again where the camera has lost it.
+A transaction is a command, data (in one direction or none) and a response.  `Session.call` repeats
+operations that may be repeated, waits while the camera is busy, recovers the pipes after a stall, a
+time-out or an invalid answer, and opens the session again if the camera has lost it.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from camctl.clock import Clock
 from camctl.errors import (
     CamctlError,
     CameraDisconnectedError,
@@ -29,24 +29,26 @@ from drivers.ptp.codes import (
     response_error,
 )
 from drivers.ptp.datasets import DeviceInfo, ObjectInfo, PropertyDescription, Reader, StorageInfo
-from drivers.ptp.transport import DATA, NORMAL_S, Container, HalfSentError, UsbTransport
+from drivers.ptp.transport import DATA, NORMAL_S, Container, IncompleteDataError, UsbTransport
 
-#: No dataset of the standard comes near; Sony's list of all properties has some 20 kB.
-_MOST_DATASET_BYTES = 1 << 22
-#: The largest file believed in; containers of 4 GB and more say FFFFFFFF.
-_MOST_OBJECT_BYTES = 1 << 31
-#: Of files whose size does not fit 32 bits, or is not known.
+#: Size of objects whose size does not fit 32 bits or is not known.
 UNKNOWN_SIZE = 0xFFFFFFFF
-_TRIES = 3
+
+# Far above any dataset; Sony's list of all properties, the largest, has some 20 kB.
+_MAX_DATASET_BYTES = 1 << 22
+# Above any picture; containers of 4 GB and more state FFFFFFFF.
+_MAX_OBJECT_BYTES = 1 << 31
+_ATTEMPTS = 3
+# Pauses between requests to a busy camera: doubled from the first to the longest.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.02, 0.5
-_SESSION = 1
-_CLOSING_S = 2.0
+_SESSION_ID = 1
+_CLOSE_TIMEOUT_S = 2.0
 _LAST_TRANSACTION = 0xFFFFFFFE
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a transaction brought: response code, its parameters, and data."""
+    """Response code and parameters of a transaction, and the data received with it."""
 
     code: int
     parameters: tuple[int, ...]
@@ -54,31 +56,34 @@ class Answer:
 
 
 class Session:
-    """One open session with one camera.
+    """A session with one camera.
 
     Args:
         transport: its pipes
-        who: how errors call it
-        silence_s: how long it may say nothing before that is an error
-        busy_s: how long it may say that it is busy before that is an error
+        name: of the camera in error messages
+        clock: for waiting while the camera is busy
+        silence_s: how long the camera may send nothing
+        busy_s: how long the camera may answer that it is busy
 
     Attributes:
-        maker: whose vendor codes it answers with, once that is known
-        times_recovered: how often the pipes had to be brought back to order
-        times_busy: how often it said that it was busy
-        last_transaction: number of the transaction that was begun last
-        after_reopening: called where the session had to be opened again
+        clock: the same clock
+        maker: whose vendor codes it answers with, once known
+        times_recovered: how often the pipes had to be recovered
+        times_busy: how often the camera answered that it was busy
+        last_transaction: number of the latest transaction
+        after_reopening: called after the session had to be opened again
     """
 
     def __init__(
         self,
         transport: UsbTransport,
-        who: str,
+        name: str,
+        clock: Clock,
         *,
         silence_s: float = NORMAL_S,
         busy_s: float = NORMAL_S,
     ) -> None:
-        self._transport, self._who = transport, who
+        self._transport, self._name, self.clock = transport, name, clock
         self._silence_s, self._busy_s = silence_s, busy_s
         self._transaction = self.last_transaction = 0
         self._is_open = self._is_reopening = False
@@ -90,37 +95,37 @@ class Session:
 
     @property
     def info(self) -> DeviceInfo:
-        """Who the camera says it is."""
+        """The camera's device information."""
         if self._info is None:
-            answer = self.call(Op.GET_DEVICE_INFO, doing="asking who it is")
+            answer = self.call(Op.GET_DEVICE_INFO, task="report its device information")
             self._info = DeviceInfo.parse(answer.data)
         return self._info
 
     def open(self) -> None:
-        """Open the session; one that somebody else left open is closed first.
+        """Open the session; one that another program left open is closed first.
 
-        Pipes that somebody left halted, or half read, are brought to order first.
+        Pipes that another program left halted or half read are recovered first.
         """
         self._transaction = 0
         try:
-            answer = self.attempt(Op.OPEN_SESSION, _SESSION)
+            answer = self.attempt(Op.OPEN_SESSION, _SESSION_ID)
         except CameraProtocolError:
-            answer = self.attempt(Op.OPEN_SESSION, _SESSION)
+            answer = self.attempt(Op.OPEN_SESSION, _SESSION_ID)
         if answer.code == SESSION_ALREADY_OPEN:
             self._transaction = 1
             self._attempt(Op.CLOSE_SESSION, ())
             self._transaction = 0
-            answer = self._attempt(Op.OPEN_SESSION, (_SESSION,))
+            answer = self._attempt(Op.OPEN_SESSION, (_SESSION_ID,))
         if answer.code != OK:
-            raise self._refused(answer.code, "opening a session")
+            raise self._refused(answer.code, "open a session")
         self._transaction = 1
         self._is_open = True
 
     def close(self) -> None:
-        """Close the session, as far as the camera still listens."""
+        """Close the session; errors are ignored."""
         if self._is_open:
             self._is_open = False
-            self._transport.silence_s = min(self._silence_s, _CLOSING_S)
+            self._transport.silence_s = min(self._silence_s, _CLOSE_TIMEOUT_S)
             with suppress(CamctlError):
                 self._attempt(Op.CLOSE_SESSION, ())
 
@@ -130,72 +135,69 @@ class Session:
         self,
         operation: int,
         *parameters: int,
-        doing: str,
+        task: str,
         data: bytes | None = None,
-        limit: int = _MOST_DATASET_BYTES,
+        limit: int = _MAX_DATASET_BYTES,
         repeatable: bool = True,
-        silence_s: float | None = None,
         busy_s: float | None = None,
     ) -> Answer:
-        """Do one operation and return its answer, which is OK.
+        """Perform an operation and return its answer, whose response code is OK.
 
         Args:
-            operation: what to do
+            operation: code
             parameters: up to five
-            doing: what it is called in errors
-            data: what to send with it
-            limit: data bytes that may come
-            repeatable: doing it again does no harm: twice after a stall or nonsense, once after
-                silence
-            silence_s: how long the camera may be silent; None: as long as usual
-            busy_s: how long it may be busy; None: as long as usual
+            task: the operation in error messages, such as "take a picture"
+            data: data to send with it
+            limit: most bytes of data that may be received
+            repeatable: True if it may be repeated: twice after a stall or an invalid answer, once
+                after a time-out
+            busy_s: how long the camera may be busy; None: the session's `busy_s`
 
         Raises:
-            CameraBusyError: it is busy for longer than `busy_s`
-            CameraError: what it answered otherwise; see `codes`
+            CameraBusyError: the camera stayed busy for `busy_s`
+            CameraError: any other response; see `drivers.ptp.codes.response_error`
         """
-        deadline = time.monotonic() + (self._busy_s if busy_s is None else busy_s)
-        pause_s, tries = _FIRST_PAUSE_S, _TRIES if repeatable else 1
+        deadline_s = self.clock.now() + (self._busy_s if busy_s is None else busy_s)
+        pause_s, attempts = _FIRST_PAUSE_S, _ATTEMPTS if repeatable else 1
         while True:
-            tries -= 1
+            attempts -= 1
             try:
-                answer = self.attempt(
-                    operation, *parameters, data=data, limit=limit, silence_s=silence_s
-                )
+                answer = self.attempt(operation, *parameters, data=data, limit=limit)
             except CameraDisconnectedError:
                 raise
             except CameraTimeoutError:
-                if tries <= 0:
+                if attempts <= 0:
                     raise
-                tries = 0  # after such a wait it is tried once more, and not twice
+                attempts = 0  # a time-out takes long: one more attempt, not two
                 continue
             except CameraError:
-                if tries <= 0:
+                if attempts <= 0:
                     raise
                 continue
             if answer.code == OK:
                 return answer
-            if answer.code == SESSION_NOT_OPEN and self._is_open and tries > 0:
+            if answer.code == SESSION_NOT_OPEN and self._is_open and attempts > 0:
                 self._reopen()
-            elif answer.code == DEVICE_BUSY and time.monotonic() < deadline:
-                tries += 1
+            elif answer.code == DEVICE_BUSY and self.clock.now() < deadline_s:
+                attempts += 1
                 self.times_busy += 1
-                time.sleep(pause_s)
+                self.clock.sleep_until(self.clock.now() + pause_s)
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
             else:
-                raise self._refused(answer.code, doing)
+                raise self._refused(answer.code, task)
 
     def attempt(
         self,
         operation: int,
         *parameters: int,
         data: bytes | None = None,
-        limit: int = _MOST_DATASET_BYTES,
+        limit: int = _MAX_DATASET_BYTES,
         silence_s: float | None = None,
     ) -> Answer:
-        """Do one operation once and return whatever the camera answers.
+        """Perform an operation once and return its answer, whatever the response code.
 
-        After a stall, silence or nonsense the pipes are in order again when the error is raised.
+        After a stall, a time-out or an invalid answer the pipes are recovered before the error is
+        raised.  `silence_s` is how long the camera may send nothing; None: as for the session.
         """
         self._transport.silence_s = self._silence_s if silence_s is None else silence_s
         try:
@@ -210,7 +212,7 @@ class Session:
         operation: int,
         parameters: tuple[int, ...],
         data: bytes | None = None,
-        limit: int = _MOST_DATASET_BYTES,
+        limit: int = _MAX_DATASET_BYTES,
     ) -> Answer:
         number = self._transaction
         if self._is_open:
@@ -219,20 +221,20 @@ class Session:
         self._transport.send_command(operation, number, parameters)
         if data is not None:
             self._transport.send_data(operation, number, data)
-        came = b""
+        received = b""
         container = self._transport.receive(number, limit=limit)
         if container.kind == DATA:
-            came = container.payload
+            received = container.payload
             container = self._transport.receive(number, limit=0)
         if container.kind == DATA:
             raise CameraProtocolError(
-                f"{self._who} sent data twice in one transaction", hint="try again"
+                f"{self._name} sent data twice in one transaction", hint="try again"
             )
-        return Answer(container.code, container.parameters, came)
+        return Answer(container.code, container.parameters, received)
 
     def _recover(self, error: CameraError) -> None:
         self.times_recovered += 1
-        if isinstance(error, HalfSentError):
+        if isinstance(error, IncompleteDataError):
             with suppress(CameraProtocolError):
                 self._transport.receive(self.last_transaction, limit=0)
                 return
@@ -244,10 +246,10 @@ class Session:
                 self._reopen()
 
     def _reopen(self) -> None:
-        """Open a session that the camera has lost, once: opening it may fail in the same way."""
+        """Open a session that the camera has lost; not while that is already being done."""
         if self._is_reopening:
             raise CameraDisconnectedError(
-                f"{self._who} keeps losing its session", hint="switch it off and on again"
+                f"{self._name} keeps losing its session", hint="switch it off and on again"
             )
         self._is_reopening, self._is_open = True, False
         try:
@@ -257,78 +259,63 @@ class Session:
         finally:
             self._is_reopening = False
 
-    def _refused(self, code: int, doing: str) -> CameraError:
-        return response_error(code, doing, self._who, self.maker)
-
-    def refused(self, answer: Answer, doing: str) -> CameraError:
-        """Return the error for an answer that is not OK."""
-        return self._refused(answer.code, doing)
+    def _refused(self, code: int, task: str) -> CameraError:
+        return response_error(code, task, self._name, self.maker)
 
     # ---- operations
 
     def event(self, wait_s: float) -> Container | None:
-        """Return the next event of the interrupt pipe, or None."""
+        """Return the next event of the interrupt pipe; None if none comes within `wait_s`."""
         return self._transport.event(wait_s)
 
     def handles(self, *, busy_s: float | None = None) -> frozenset[int]:
-        """Return all objects on all cards; `busy_s`: see `call`."""
+        """Return the handles of all objects on all cards; `busy_s` as in `call`."""
         answer = self.call(
-            Op.GET_OBJECT_HANDLES,
-            ALL_STORES,
-            0,
-            0,
-            doing="listing what is on its card",
-            busy_s=busy_s,
+            Op.GET_OBJECT_HANDLES, ALL_STORES, 0, 0, task="list its files", busy_s=busy_s
         )
         return frozenset(Reader(answer.data, "list of objects").array(4))
 
     def object_info(self, handle: int) -> ObjectInfo:
-        """Return what an object is."""
-        answer = self.call(Op.GET_OBJECT_INFO, handle, doing="asking about a picture")
+        """Return the description of an object."""
+        answer = self.call(Op.GET_OBJECT_INFO, handle, task="describe a file")
         return ObjectInfo.parse(answer.data)
 
     def object(self, handle: int, size: int, *, busy_s: float | None = None) -> bytes:
-        """Return an object of `size` bytes, which may be `UNKNOWN_SIZE`.
-
-        `busy_s`: see `call`.
+        """Return an object of `size` bytes, or `UNKNOWN_SIZE`; `busy_s` as in `call`.
 
         Raises:
-            CameraProtocolError: another number of bytes came, three times
+            CameraProtocolError: another number of bytes was received, three times
         """
-        for _ in range(_TRIES):
+        for _ in range(_ATTEMPTS):
             answer = self.call(
                 Op.GET_OBJECT,
                 handle,
-                doing="fetching a picture",
-                limit=min(size, _MOST_OBJECT_BYTES),
+                task="send a file",
+                limit=min(size, _MAX_OBJECT_BYTES),
                 busy_s=busy_s,
             )
             if len(answer.data) == size or size == UNKNOWN_SIZE:
                 return answer.data
         raise CameraProtocolError(
-            f"{self._who} sent {len(answer.data)} of {size} bytes of a picture",
+            f"{self._name} sent {len(answer.data)} of {size} bytes of a file",
             hint="it is still on the card: copy it from there, or resume",
         )
 
     def delete(self, handle: int) -> None:
         """Delete an object."""
-        self.call(Op.DELETE_OBJECT, handle, doing="deleting a picture", repeatable=False)
+        self.call(Op.DELETE_OBJECT, handle, task="delete a file", repeatable=False)
 
     def stores(self) -> tuple[StorageInfo, ...]:
-        """Return the cards that are in."""
-        answer = self.call(Op.GET_STORAGE_IDS, doing="looking for its card")
-        # The lower half of an identifier is 0 where a slot is empty.
+        """Return the cards in the camera."""
+        answer = self.call(Op.GET_STORAGE_IDS, task="list its cards")
+        # The lower half of an identifier is 0 for an empty slot.
         ids = [i for i in Reader(answer.data, "list of cards").array(4) if i & 0xFFFF]
         return tuple(
-            StorageInfo.parse(
-                self.call(Op.GET_STORAGE_INFO, number, doing="looking at its card").data
-            )
+            StorageInfo.parse(self.call(Op.GET_STORAGE_INFO, number, task="describe its card").data)
             for number in ids
         )
 
     def description(self, code: int) -> PropertyDescription:
-        """Return what a property is and can be."""
-        answer = self.call(
-            Op.GET_PROPERTY_DESCRIPTION, code, doing=f"asking about property {code:04X}"
-        )
+        """Return the description of a property."""
+        answer = self.call(Op.GET_PROPERTY_DESCRIPTION, code, task=f"describe property {code:04X}")
         return PropertyDescription.parse(answer.data)

@@ -1,4 +1,4 @@
-"""Which objects of a camera are pictures, and of what kind."""
+"""File formats of a still camera: which objects are pictures, and what a format's files contain."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import PurePath
 import numpy as np
 
 from camctl.camera import CameraInfo, Pixels
-from camctl.errors import CameraProtocolError, StorageError
-from camctl.profile import StillRecord, change_profile, load_profile
+from camctl.errors import CameraProtocolError
+from camctl.profile import StillRecord, load_profile
 from drivers.common.still_file import Still
 from drivers.ptp.body import Body
 from drivers.ptp.datasets import ObjectInfo
 
-#: What `format` can be, the most honest first: what `auto` prefers.
+#: Formats in the order in which "auto" prefers them: the fewest changes to the samples first.
 FORMATS = ("raw", "tiff", "jpeg")
 
 _SUFFIXES: dict[str, str] = {
@@ -41,47 +41,70 @@ _CODES: dict[int, str] = {
     0xB103: "raw",  # Canon CR2
     0xB108: "raw",  # Canon CR3
 }
+# The newest objects have the highest handles on all known cameras; this many are examined.
+_NEWEST_HANDLES = 12
+# Cameras measure the black level of each raw file on masked pixels; it varies by a few DN.
+_MAX_BLACK_DRIFT_DN = 32
 
 
 def format_of(info: ObjectInfo) -> str | None:
-    """Return which of `FORMATS` an object is, by its name and else by its code; None: no picture.
+    """Return the format of an object, one of `FORMATS`; None if it is not a picture.
 
-    Names come first, since makers give raw files the code of an undefined object, or of TIFF.
+    The suffix of its name decides before its format code, since makers give raw files the code of
+    an undefined object, or of TIFF.
     """
     suffix = PurePath(info.name).suffix.lower()
     return _SUFFIXES.get(suffix) or _CODES.get(info.format)
 
 
 def stem_of(info: ObjectInfo) -> str:
-    """Return the name that the files of one exposure share."""
+    """Return the part of an object's name that the files of one exposure share."""
     return PurePath(info.name).stem.upper()
 
 
-# The newest objects have the highest handles on all cameras seen; so many are asked what they are.
-_NEWEST = 12
-# Cameras measure the black level of each raw file on shaded pixels; it wanders by a few levels.
-_MOST_BLACK_DRIFT = 32
+@dataclass(frozen=True)
+class CardPicture:
+    """A picture on the card: its handle, its description, and its format, one of `FORMATS`."""
+
+    handle: int
+    info: ObjectInfo
+    format: str
+
+
+def newest_picture(body: Body, wanted: str | None) -> CardPicture | None:
+    """Return the newest picture on the card; None if there is none.
+
+    Args:
+        body: the camera
+        wanted: the format to look for; None: of the files of the newest exposure, the format that
+            stands first in `FORMATS`
+    """
+    found: list[CardPicture] = []
+    for handle in sorted(body.handles() or (), reverse=True)[:_NEWEST_HANDLES]:
+        try:
+            info = body.session.object_info(handle)
+        except CameraProtocolError:
+            continue
+        name = format_of(info)
+        if name is not None and (wanted is None or name == wanted):
+            found.append(CardPicture(handle, info, name))
+    if not found:
+        return None
+    last = max(found, key=lambda picture: (picture.info.captured, picture.handle))
+    siblings = [picture for picture in found if stem_of(picture.info) == stem_of(last.info)]
+    return min(siblings, key=lambda picture: FORMATS.index(picture.format))
 
 
 @dataclass(frozen=True)
 class KnownFormat:
-    """A format of a camera's files, and what is known of it."""
+    """A format of a camera's files, with their size, layout and levels."""
 
     format: str
     record: StillRecord
 
 
-def remember(info: CameraInfo, known: KnownFormat) -> str | None:
-    """Put what is known into the camera's profile; return a note where that cannot be written."""
-    try:
-        change_profile(info, lambda profile: profile.stills.update({known.format: known.record}))
-    except StorageError as error:
-        return f"its profile could not be kept: {error.what}"
-    return None
-
-
-def from_profile(info: CameraInfo, wanted: str | None) -> KnownFormat | None:
-    """Return what the profile knows of a format; of the best one where `wanted` is None."""
+def saved_format(info: CameraInfo, wanted: str | None) -> KnownFormat | None:
+    """Return a format from the camera's profile, or None; the preferred one if `wanted` is None."""
     stills = load_profile(info).stills
     for name in (wanted,) if wanted else FORMATS:
         if name in stills:
@@ -89,62 +112,51 @@ def from_profile(info: CameraInfo, wanted: str | None) -> KnownFormat | None:
     return None
 
 
-def newest(body: Body, wanted: str | None) -> tuple[int, ObjectInfo, str] | None:
-    """Return (handle, info, format) of the newest picture on the card; None where there is none.
+class FormatChangedError(CameraProtocolError):
+    """A file differs from the format that the camera's frames have; `record` describes the file."""
 
-    `wanted` is the format looked for; where it is None, the best one of the files that the newest
-    exposure left.
-    """
-    handles = body.handles()
-    found: list[tuple[str, int, ObjectInfo, str]] = []
-    for handle in sorted(handles or (), reverse=True)[:_NEWEST]:
-        try:
-            info = body.session.object_info(handle)
-        except CameraProtocolError:
-            continue
-        name = format_of(info)
-        if name is not None and (wanted is None or name == wanted):
-            found.append((info.captured, handle, info, name))
-    if not found:
-        return None
-    last = max(found, key=lambda item: item[:2])
-    family = [item for item in found if stem_of(item[2]) == stem_of(last[2])]
-    _, handle, info, name = min(family, key=lambda item: FORMATS.index(item[3]))
-    return handle, info, name
+    def __init__(self, what: str, record: StillRecord) -> None:
+        self.record = record
+        super().__init__(
+            what, hint="leave size, quality and ISO of the camera as they are, and shoot again"
+        )
 
 
-def pixels_of(still: Still, known: KnownFormat, name: str) -> tuple[Pixels, dict[str, int]]:
-    """Return a file's samples with the black and white level of `known`, and what was changed.
+def matched_pixels(still: Still, known: KnownFormat, name: str) -> tuple[Pixels, dict[str, int]]:
+    """Return a file's samples shifted to the black level of `known`, and details of the shift.
 
-    Where the black level of a raw file differs by a little, all samples are moved by that whole
-    number of levels; saturated ones stay saturated.
+    If the black level of a raw file differs by a few DN, all samples are shifted by that whole
+    number; saturated samples stay saturated.
+
+    Args:
+        still: contents of the file
+        known: format that the camera's frames have
+        name: of the file, for errors
 
     Raises:
-        CameraProtocolError: it is another kind of file than `known`
+        FormatChangedError: size, layout, bits or levels differ from those of `known`
     """
-    record, rows_columns = known.record, still.pixels.shape[:2]
-    same = (rows_columns, still.layout, still.bits) == (
+    record, shape = known.record, still.pixels.shape[:2]
+    same = (shape, still.layout, still.bits) == (
         (record.rows, record.columns),
         record.layout,
         record.bits,
     )
     drift = still.black - record.black
     white = still.white - drift
-    if not same or abs(drift) > _MOST_BLACK_DRIFT or white < record.white - _MOST_BLACK_DRIFT:
-        raise CameraProtocolError(
-            f"{name} has {rows_columns[1]} x {rows_columns[0]} samples ({still.layout}, "
-            f"{still.bits} bits, black {still.black}, white {still.white}), "
-            f"{record.columns} x {record.rows} ({record.layout}, {record.bits} bits, black "
-            f"{record.black}, white {record.white}) were expected",
-            hint="leave size, quality and ISO as they are; what is expected is now set right: "
-            "shoot again",
+    if not same or abs(drift) > _MAX_BLACK_DRIFT_DN or white < record.white - _MAX_BLACK_DRIFT_DN:
+        raise FormatChangedError(
+            f"{name} has {shape[1]} x {shape[0]} samples ({still.layout}, {still.bits} bits, black "
+            f"{still.black}, white {still.white}) instead of {record.columns} x {record.rows} "
+            f"({record.layout}, {record.bits} bits, black {record.black}, white {record.white})",
+            still.record,
         )
     if not drift and white >= record.white:
         return still.pixels, {}
     top = 2**record.bits - 1
-    moved = np.clip(still.pixels.astype(np.int32) - drift, 0, top)
-    moved[still.pixels >= still.white] = top
-    pixels: Pixels = moved.astype(np.uint8) if record.bits <= 8 else moved.astype(np.uint16)
+    shifted = np.clip(still.pixels.astype(np.int32) - drift, 0, top)
+    shifted[still.pixels >= still.white] = top
+    pixels: Pixels = shifted.astype(np.uint8) if record.bits <= 8 else shifted.astype(np.uint16)
     return pixels, {
         "black_in_file": still.black,
         "white_in_file": still.white,

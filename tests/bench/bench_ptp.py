@@ -19,6 +19,7 @@ import usb.core
 import usb.util
 import virtual_devices as rig
 
+from camctl.clock import RealClock
 from drivers.ptp.session import Session
 from drivers.ptp.transport import HEADER, UsbTransport
 
@@ -61,8 +62,9 @@ def main() -> int:
 
 
 def _ours(handle: int) -> float:
-    transport = UsbTransport(rig.usb_device(BIG), "the camera")
-    session = Session(transport, "the camera")
+    clock = RealClock()
+    transport = UsbTransport(rig.usb_device(BIG), "the camera", clock)
+    session = Session(transport, "the camera", clock)
     session.open()
     began = time.perf_counter()
     data = session.object(handle, OBJECT_BYTES)

@@ -48,10 +48,17 @@ def relative_errors(scene: Scene, sensor: Sensor, request: CaptureRequest) -> ND
     return np.concatenate(found)
 
 
-@pytest.mark.parametrize("name", ["standard", "machine-vision"])
 @pytest.mark.parametrize(
-    ("response", "dynamic_range", "count"),
-    [("log", 1000.0, 3), ("gamma", 1000.0, 3), ("linear", 256.0, 2)],
+    ("name", "response", "dynamic_range", "count"),
+    [
+        ("standard", "log", 1000.0, 3),
+        ("standard", "gamma", 1000.0, 3),
+        ("standard", "linear", 256.0, 2),
+        # No table has exposures for 12 bits: they are solved first.
+        ("machine-vision", "linear", 256.0, 2),
+        pytest.param("machine-vision", "log", 1000.0, 3, marks=pytest.mark.slow),
+        pytest.param("machine-vision", "gamma", 1000.0, 3, marks=pytest.mark.slow),
+    ],
 )
 def test_errors_are_as_large_as_the_sensor_predicts(
     name: str, response: str, dynamic_range: float, count: int

@@ -15,7 +15,7 @@ import pytest
 import serial
 import usb.backend.libusb1
 import usb.core
-from ptp_bench import virtual
+from ptp_bench import bench
 from v4l2_model import Model
 
 import drivers.coolpix.camera
@@ -23,6 +23,7 @@ from camctl.profile import list_profiles
 from drivers.common.usb import UDEV_RULES
 from drivers.v4l2 import backend as v4l2
 from drivers.v4l2.abi import Linux
+from sim.devices.clock import RealDeviceClock
 from sim.devices.ptp.camera import PtpCamera as VirtualStill
 from sim.devices.sierra.device import SierraDevice, make
 from sim.devices.usb.backend import VirtualBackend
@@ -55,9 +56,9 @@ def refusal(run: Run, *words: str) -> str:
         ("v4l2:/tmp", "it is a folder, not a camera; camctl cameras lists"),
         ("coolpix", "needs its serial port; give it, such as coolpix:/dev/ttyUSB0"),
         ("coolpix:/dev/ttyUSB9999", "there is no such port; camctl cameras --probe asks"),
-        ("coolpix:/dev/null", "it is no serial port; camctl cameras --probe asks"),
-        ("coolpix:nonsense://x", "'nonsense://x' is no serial port"),
-        ("coolpix:socket://localhost:1", "nobody listens there; start what serves the line"),
+        ("coolpix:/dev/null", "it is not a serial port; camctl cameras --probe asks"),
+        ("coolpix:nonsense://x", "'nonsense://x' is not a serial port"),
+        ("coolpix:socket://localhost:1", "no server listens at that address; start the program"),
     ],
 )
 @pytest.mark.parametrize("command", [("shoot",), ("calibrate", "delay")])
@@ -72,10 +73,10 @@ def test_no_such_camera(run: Run, command: tuple[str, ...], camera: str, said: s
         ("v4l2:/dev/video0", "size=wide", "invalid camera option size=wide; write WIDTHxHEIGHT"),
         ("v4l2:/dev/video0", "fps=fast", "option fps=fast; input should be a valid number"),
         ("v4l2:/dev/video0", "bits=many", "option bits=many; input should be a valid integer"),
-        ("ptp:1", "scene=room", "unknown option of a PTP camera 'scene'"),
-        ("ptp:1", "bulb=long", "a bulb time of 'long'; give seconds"),
-        ("coolpix:/dev/ttyUSB0", "sped=9600", "unknown option of the CoolPix 'sped'; did you mean"),
-        ("coolpix:/dev/ttyUSB0", "speed=1", "a speed of '1'; the camera knows"),
+        ("ptp:1", "scene=room", "unknown camera option 'scene'"),
+        ("ptp:1", "bulb=long", "invalid camera option bulb=long; input should be a valid number"),
+        ("coolpix:/dev/ttyUSB0", "sped=9600", "unknown camera option 'sped'; did you mean speed"),
+        ("coolpix:/dev/ttyUSB0", "speed=1", "invalid camera option speed=1; the camera has the"),
     ],
 )
 def test_unknown_options(run: Run, camera: str, option: str, said: str) -> None:
@@ -183,9 +184,9 @@ def test_a_webcam_whose_delay_varies_settles_and_says_so(run: Run, webcam: Model
 @pytest.fixture
 def still(monkeypatch: pytest.MonkeyPatch) -> Callable[..., VirtualStill]:
     def plugged(**config: Any) -> VirtualStill:
-        device, backend = virtual(**config)
-        monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda *_, **__: backend)
-        return device
+        pair = bench(clock=RealDeviceClock(), **config)
+        monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda *_, **__: pair.backend)
+        return pair.device
 
     return plugged
 
@@ -240,7 +241,7 @@ def test_what_a_person_must_see_to_at_the_camera(
 def test_another_still_camera_is_named(run: Run, still: Callable[..., VirtualStill]) -> None:
     still(files="tiff", serial="A77")
     said = refusal(run, "shoot", "--camera", "ptp:B")
-    assert said == "no still camera ptp:B; there are: ptp:A77"
+    assert said == "there is no still camera ptp:B; connected: ptp:A77"
 
 
 def test_a_still_camera_without_permission_names_the_rules(
@@ -287,7 +288,10 @@ def test_a_line_that_answers_nonsense_is_no_camera(
 def test_probing_finds_a_coolpix_and_looking_leaves_the_line_alone(
     run: Run, coolpix: SierraDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.coolpix.backend.ports", lambda: [coolpix.line.path])
+    monkeypatch.setattr("drivers.coolpix.backend.serial_ports", lambda: [coolpix.line.path])
+    # Long enough for a busy machine; the camera answers at once.
+    monkeypatch.setattr("drivers.coolpix.backend._PROBE_S", 60.0)
+    monkeypatch.setattr("drivers.coolpix.backend._PORT_TIMEOUT_S", 60.0)
     assert "coolpix" not in {each["driver"] for each in run("cameras", "--json").json}
     assert coolpix.camera is not None
     found = {each["driver"] for each in run("cameras", "--probe", "--json").json}

@@ -1,10 +1,17 @@
-"""A virtual PTP camera and our driver on it, for several test modules."""
+"""A virtual PTP camera with our driver on it, in virtual time unless a clock is given."""
 
-from contextlib import contextmanager
+from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from camctl.camera import Camera, Frame
 from camctl.controls import ExposureSetting
 from drivers.ptp.backend import PtpBackend
-from drivers.ptp.camera import PtpCamera
+from drivers.ptp.camera import PtpCamera, PtpOptions
+from sim.devices.clock import DeviceClock, VirtualDeviceClock
 from sim.devices.common import VirtualSensor
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera
 from sim.devices.ptp.config import PtpConfig
@@ -13,41 +20,65 @@ from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
 
 SHAPE = (24, 32)
-SILENCE_S = 0.5
+# Of a transfer in virtual time; USB 2.0 cameras reach about this.
+BYTES_PER_S = 40e6
 
 
-def exposer(scene="ramp", sensor="ideal-8"):
+@dataclass(frozen=True)
+class Bench:
+    """A virtual camera and the bus that it is plugged into."""
+
+    device: VirtualCamera
+    backend: VirtualBackend
+
+    @property
+    def usb_device(self) -> Any:
+        """The camera as pyusb shows it to a host."""
+        (found,) = PtpBackend(self.backend)._devices()
+        return found
+
+    def camera(self, **options: Any) -> PtpCamera:
+        """Return our camera, opened with these options (linear response unless given)."""
+        parsed = PtpOptions.parse({"response": "linear", **options})
+        return PtpCamera(self.usb_device, parsed, clock=self.device.clock).open()
+
+
+def virtual_sensor(scene: str = "ramp", sensor: str = "ideal-8") -> VirtualSensor:
+    """Return the sensor of the virtual cameras before a scene; it repeats its noise."""
     return VirtualSensor(load_scene(scene, SHAPE), load_sensor(sensor), seed=1, repeat_noise=True)
 
 
-def virtual(sensor="ideal-8", scene="ramp", **config):
-    """Return a virtual camera and the backend it is plugged into."""
-    device = VirtualCamera(PtpConfig(**config), exposer(scene, sensor))
-    return device, VirtualBackend([device])
-
-
-def usb_device(backend):
-    (device,) = PtpBackend(backend)._devices()
-    return device
-
-
-def open_quick(backend, **options):
-    """Return our camera with time-outs that fit a test."""
-    return PtpCamera(
-        usb_device(backend),
-        **{"silence_s": SILENCE_S, "capture_s": 1.0, "response": "linear", **options},
-    )
+def bench(
+    sensor: str = "ideal-8", scene: str = "ramp", clock: DeviceClock | None = None, **config: Any
+) -> Bench:
+    """Return a virtual camera with this configuration, plugged in."""
+    if clock is not None:
+        device = VirtualCamera(PtpConfig(**config), virtual_sensor(scene, sensor), clock)
+        return Bench(device, VirtualBackend([device]))
+    device = VirtualCamera(PtpConfig(**config), virtual_sensor(scene, sensor), VirtualDeviceClock())
+    return Bench(device, VirtualBackend([device], bytes_per_s=BYTES_PER_S))
 
 
 @contextmanager
-def camera_on(sensor="ideal-8", scene="ramp", options=None, **config):
-    """Yield (our camera, the virtual one)."""
-    device, backend = virtual(sensor, scene, **config)
-    with open_quick(backend, **(options or {})) as camera:
-        yield camera, device
+def camera_on(
+    sensor: str = "ideal-8",
+    scene: str = "ramp",
+    options: dict[str, Any] | None = None,
+    **config: Any,
+) -> Iterator[tuple[PtpCamera, VirtualCamera]]:
+    """Yield (our camera, the virtual one) in virtual time."""
+    pair = bench(sensor, scene, **config)
+    with pair.camera(**(options or {})) as camera:
+        yield camera, pair.device
 
 
-def settings_at(camera, *times_s):
+def settings_at(camera: Camera, *times_s: float) -> list[ExposureSetting]:
     """Return settings that the camera has near these times."""
     gain = camera.controls.gain.nearest(1.0)
     return [ExposureSetting(camera.controls.time_s.nearest(t), gain) for t in times_s]
+
+
+def shoot(camera: Camera, settings: list[ExposureSetting]) -> list[Frame]:
+    """Return all frames of one sequence."""
+    with closing(camera.shoot(settings)) as frames:
+        return list(frames)

@@ -109,15 +109,15 @@ def test_unknown_fault(camctl_camera): ...
 
 def test_fixture_gives_the_camera_of_the_marker_as_documented(pytester: pytest.Pytester) -> None:
     page = Path(__file__).parents[2] / "docs" / "ci.md"
-    (example,) = [
+    first, second = [
         block.partition("```")[0]
         for block in page.read_text("utf-8").split("```python\n")[1:]
         if "camctl_camera" in block
     ]
-    assert 8 <= len(example.splitlines()) <= 12
-    pytester.makepyfile(test_uses=USES, test_example=example)
+    assert 8 <= len(first.splitlines()) <= 12
+    pytester.makepyfile(test_uses=USES, test_first=first, test_second=second)
     result = pytester.runpytest_subprocess("-q", "--strict-markers", "-W", "error")
-    result.assert_outcomes(passed=13)
+    result.assert_outcomes(passed=17)
 
 
 def test_invalid_options_are_errors_of_one_line(pytester: pytest.Pytester) -> None:

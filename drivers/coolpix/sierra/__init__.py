@@ -1,1 +1,1 @@
-"""The Sierra serial protocol of still cameras, from the host side."""
+"""The Sierra serial protocol of still cameras, host side: `session`, `commands`, `packets`."""

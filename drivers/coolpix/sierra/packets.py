@@ -1,8 +1,8 @@
-"""What the Sierra protocol of still cameras puts on a serial line: packets and single bytes.
+"""Packets and single bytes of the Sierra protocol on a serial line.
 
-Facts: Eugene Crosser's description of the protocol (protocol.htm of photopc 3.07) and what the
-Sierra driver of libgphoto2 does.  A packet is type, subtype or sequence number, length (u16), up to
-2,048 bytes of data, and the sum of the data (u16), all little-endian; the rest are single bytes.
+Sources: Eugene Crosser's description of the protocol (protocol.htm of photopc 3.07) and the Sierra
+driver of libgphoto2.  A packet has a type, a subtype or sequence number, a length (u16), up to
+2,048 bytes of data, and the sum of the data (u16), all little-endian; all else is single bytes.
 """
 
 from __future__ import annotations
@@ -21,14 +21,17 @@ FIRST_COMMAND, NEXT_COMMAND = 0x53, 0x43
 SET_INTEGER, GET_INTEGER, ACT, SET_DATA, GET_DATA = range(5)
 
 MAX_DATA = 2048
+#: Speed at the start of a session, baud; then the codes of all speeds.
 FIRST_SPEED = 19_200
 SPEEDS = {9_600: 1, 19_200: 2, 38_400: 3, 57_600: 4, 115_200: 5}
 
 SESSION_OVER = (WRONG_SPEED, SESSION_ERROR, SESSION_END)
 _SINGLE_BYTES = (NUL, ENQ, ACK, DC1, NAK, *SESSION_OVER)
-_ANY_SUM = 0xFFFF  # the CoolPix 880 never computes one (libgphoto2)
+_ANY_SUM = 0xFFFF  # the CoolPix 880 computes no sum and sends this (libgphoto2)
 
+# Silence that ends an incomplete packet.
 _WITHIN_PACKET_S = 1.0
+# Silence that ends what is discarded, and most bytes discarded: far more than one packet.
 _QUIET_S = 0.1
 DRAIN_BYTES = 1 << 16
 
@@ -58,22 +61,22 @@ class Register(IntEnum):
 
 
 class Action(IntEnum):
-    """What a camera does without a register."""
+    """Actions of a camera."""
 
     TAKE_PICTURE = 2
     END_SESSION = 4
 
 
 class RefusedCommandError(CameraProtocolError):
-    """The camera understood a command and will not do it (DC1)."""
+    """The camera understood a command and refused it (DC1)."""
 
 
 class SessionOverError(CameraDisconnectedError):
-    """The camera has ended the session and fallen back to 19,200 baud."""
+    """The camera has ended the session and returned to 19,200 baud."""
 
 
 class Reply(NamedTuple):
-    """What came: a single byte or a packet; `kind` is None for what cannot be understood."""
+    """A single byte or a packet from the camera; `kind` is None if it was damaged."""
 
     kind: int | None
     sequence: int = 0
@@ -93,7 +96,7 @@ def checksum(data: bytes) -> int:
 
 
 def command_packet(payload: bytes, *, first: bool = False) -> bytes:
-    r"""Return the packet of a command; the `first` of a session is marked.
+    r"""Return the packet of a command; the `first` of a session has another subtype.
 
     >>> command_packet(b"\x02\x02\x00").hex(" ")
     '1b 43 03 00 02 02 00 04 00'
@@ -109,13 +112,12 @@ def setting(register: Register, value: int) -> bytes:
 
 
 def receive(link: SerialLink, silence_s: float) -> Reply | None:
-    """Return the next packet or single byte; None where the line stays silent for `silence_s`.
+    """Return the next packet or single byte; None if nothing comes for `silence_s`.
 
-    After what cannot be understood, all that is under way is let go by, so that the next byte
-    begins something.
+    After a damaged packet the line is drained, so that the next byte starts a packet again.
 
     Raises:
-        CameraDisconnectedError: the line has gone
+        CameraDisconnectedError: the line was disconnected
     """
     first = link.read(1, silence_s)
     if not first:
@@ -130,10 +132,10 @@ def receive(link: SerialLink, silence_s: float) -> Reply | None:
 
 
 def drain(link: SerialLink) -> None:
-    """Let go by what is under way, up to `DRAIN_BYTES`."""
+    """Discard what the camera still sends, up to `DRAIN_BYTES`."""
     left = DRAIN_BYTES
-    while left > 0 and (came := link.read(MAX_DATA, _QUIET_S)):
-        left -= len(came)
+    while left > 0 and (data := link.read(MAX_DATA, _QUIET_S)):
+        left -= len(data)
 
 
 def _packet(link: SerialLink, kind: int) -> Reply:

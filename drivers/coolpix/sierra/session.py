@@ -1,4 +1,4 @@
-"""A session with a still camera that speaks the Sierra protocol, from the host's side."""
+"""Sessions with a still camera that speaks the Sierra protocol, host side."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import itertools
 from collections.abc import Callable
 from typing import TypeVar
 
-from camctl.clock import Clock, RealClock
+from camctl.clock import Clock
 from camctl.errors import CameraProtocolError, CameraTimeoutError, UsageError
 from drivers.common.serial_link import SerialLink
-from drivers.coolpix.sierra.commands import BAD_ANSWERS, SILENCES, Commands
+from drivers.coolpix.sierra.commands import MAX_BAD_ANSWERS, MAX_SILENCES, Commands
 from drivers.coolpix.sierra.packets import (
     ACT,
     DRAIN_BYTES,
@@ -30,7 +30,9 @@ from drivers.coolpix.sierra.packets import (
     setting,
 )
 
+# How long a camera may take to answer the NUL that starts a session, or the end of one.
 _WAKE_S = 0.5
+# How long a camera may take to switch to another speed.
 _SWITCH_S = 0.05
 
 T = TypeVar("T")
@@ -39,15 +41,17 @@ T = TypeVar("T")
 class Sierra:
     """A session with a camera.
 
-    Whatever the line brings, a call ends: with its result, or with a typed error after a bounded
-    number of bad answers or after `timeout_s` seconds without a good one, in which the session has
-    been opened again once.
+    Each call ends with its result, or with a typed error after a limited number of bad answers or
+    after `timeout_s` without a valid one; before that, the session is opened again once.
 
     Args:
-        link: the line, whose speed the session sets
-        speed: the highest speed to ask for, baud
-        timeout_s: seconds without a valid answer after which a call gives up
-        clock: what that silence is counted on
+        link: the line; the session sets its speed
+        clock: measures the time without a valid answer
+        speed: the highest speed to use, baud
+        timeout_s: time without a valid answer after which a call fails
+
+    Attributes:
+        sessions: how often a session was opened
 
     Raises:
         UsageError: the protocol has no such speed
@@ -56,52 +60,47 @@ class Sierra:
     def __init__(
         self,
         link: SerialLink,
+        clock: Clock,
         *,
         speed: int = 115_200,
         timeout_s: float = 12.0,
-        clock: Clock | None = None,
     ) -> None:
         if speed not in SPEEDS:
-            raise UsageError(
-                f"a speed of {speed} baud",
-                hint=f"the camera knows {', '.join(map(str, SPEEDS))}",
-            )
+            raise UsageError(f"invalid speed {speed}: expected {', '.join(map(str, SPEEDS))} baud")
         self.link = link
         self.sessions = 0
-        self._clock = clock or RealClock()
+        self._clock = clock
         self._commands = Commands(link, timeout_s, self._clock)
-        self._wanted = speed
-
-    # ---- what a camera driver uses
+        self._highest_speed = speed
 
     def open(self) -> None:
-        """Begin a session, at the highest speed up to the wanted one that works.
+        """Open a session at the highest speed that works, up to the one requested.
 
         Raises:
-            CameraTimeoutError: nobody answers
-            CameraDisconnectedError: the line has gone
+            CameraTimeoutError: no camera answers
+            CameraDisconnectedError: the line was disconnected
         """
-        self._commands.is_patient_again()
-        self._begin()
+        self._commands.restart_timeout()
+        self._open_session()
 
     def reopen(self, link: SerialLink) -> None:
-        """Go on over another line; raises as `open`."""
+        """Open a session over a new line; raises as `open`."""
         self.link = self._commands.link = link
         self.open()
 
-    def hears(self) -> bool:
-        """Say whether a camera answers one NUL at 19,200 baud; it is in session then.
+    def answers(self) -> bool:
+        """Return whether a camera answers one NUL at 19,200 baud, which opens a session.
 
         Raises:
-            CameraDisconnectedError: the line has gone
+            CameraDisconnectedError: the line was disconnected
         """
-        self._commands.is_patient_again()
+        self._commands.restart_timeout()
         self.link.write(bytes((NUL,)))
-        self._commands.begins()
-        return self._is_answered_with_nak()
+        self._commands.mark_first()
+        return self._receives_nak()
 
     def get(self, register: Register, *, picture: int | None = None) -> int:
-        """Return an integer register, of the picture of that number where one is given.
+        """Return an integer register, of the picture of that number if one is given.
 
         Raises:
             RefusedCommandError: the camera has no such register, or cannot read it now
@@ -109,17 +108,19 @@ class Sierra:
         """
         data = self._of_picture(picture, bytes((GET_INTEGER, register)), 4)
         if len(data) != 4:
-            raise self._commands.nonsense(f"register {register} has {len(data)} bytes instead of 4")
+            raise self._commands.protocol_error(
+                f"register {register} has {len(data)} bytes instead of 4"
+            )
         return int.from_bytes(data, "little")
 
     def set(self, register: Register, value: int) -> None:
-        """Write an integer register; whether the camera took the value only `get` can tell.
+        """Write an integer register; only `get` shows whether the camera accepted the value.
 
         Raises:
-            RefusedCommandError: the camera will not
+            RefusedCommandError: the camera refused
             CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
-        self._exchange(lambda: self._commands.order(setting(register, value)))
+        self._exchange(lambda: self._commands.send(setting(register, value)))
 
     def read(
         self,
@@ -129,13 +130,13 @@ class Sierra:
         picture: int | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> bytes:
-        """Return a register of data, of the picture of that number where one is given.
+        """Return a register of data, of the picture of that number if one is given.
 
         Args:
-            register: which
-            limit: bytes from which the answer is nonsense
+            register: the register
+            limit: most bytes that may come
             picture: number of the picture, from 1
-            progress: takes the bytes that have come, after each packet
+            progress: called with the number of bytes received, after each packet
 
         Raises:
             RefusedCommandError: the camera has no such register, or cannot read it now
@@ -145,105 +146,105 @@ class Sierra:
 
     def text(self, register: Register, *, picture: int | None = None) -> str:
         """Return a register of data as printable text; raises as `read`."""
-        words = self.read(register, MAX_DATA, picture=picture).split(b"\0")[0].decode("latin-1")
-        return "".join(letter for letter in words if letter.isprintable()).strip()
+        text = self.read(register, MAX_DATA, picture=picture).split(b"\0")[0].decode("latin-1")
+        return "".join(letter for letter in text if letter.isprintable()).strip()
 
     def act(self, action: Action, *, wait_s: float = 0.0) -> None:
-        """Let the camera act, and wait until it says that it is done.
+        """Start an action, and wait until the camera reports its end.
 
-        An action whose answer is lost is not repeated: it may have been done.
+        An action whose answer is lost is not repeated, since it may have been performed.
 
         Args:
-            action: what to do
-            wait_s: seconds that it may take, beside `timeout_s`
+            action: the action
+            wait_s: how long it may take beyond `timeout_s`
 
         Raises:
-            RefusedCommandError: the camera will not or could not
+            RefusedCommandError: the camera refused, or could not
             SessionOverError: the camera has ended the session
-            CameraTimeoutError, CameraProtocolError: whether it was done is not known
-            CameraDisconnectedError: the line has gone
+            CameraTimeoutError, CameraProtocolError: it is unknown whether it was performed
+            CameraDisconnectedError: the line was disconnected
         """
-        self._commands.is_patient_again()
+        self._commands.restart_timeout()
         if self._has_ended():
-            raise self._commands.over()
+            raise self._commands.session_over_error()
         self._commands.act(bytes((ACT, action, 0)), wait_s)
 
     def close(self) -> None:
-        """End the session, so that the camera goes back to 19,200 baud and to its own buttons."""
-        self._commands.is_patient_again()
+        """End the session: the camera returns to 19,200 baud, and its buttons work again."""
+        self._commands.restart_timeout()
         self.link.write(command_packet(bytes((ACT, Action.END_SESSION, 0))))
         self._commands.receive(_WAKE_S)
         self.link.speed = FIRST_SPEED
 
     # ---- sessions
 
-    def _begin(self) -> None:
+    def _open_session(self) -> None:
         self._wake()
-        wanted = self._wanted if self.link.has_speed else FIRST_SPEED
-        faster = [speed for speed in SPEEDS if FIRST_SPEED < speed <= wanted]
-        for speed in sorted(faster, reverse=True) or [wanted]:
+        highest = self._highest_speed if self.link.has_speed else FIRST_SPEED
+        faster = [speed for speed in SPEEDS if FIRST_SPEED < speed <= highest]
+        for speed in sorted(faster, reverse=True) or [highest]:
             if speed == FIRST_SPEED or self._speed_works(speed):
                 break
         self.sessions += 1
 
     def _wake(self) -> None:
-        """Bring the camera to the beginning of a session, whatever it was about.
+        """Bring the camera to the start of a session.
 
-        One that is still in a session of somebody else listens at another speed, and returns to
-        19,200 baud when that session is ended or has been silent for seconds.
+        A camera that is still in another program's session listens at another speed, and returns
+        to 19,200 baud when that session ends or has been silent for some seconds.
         """
         for other in itertools.cycle(sorted(SPEEDS, reverse=True)):
             self.link.speed = FIRST_SPEED
-            for _ in range(SILENCES):
-                self.link.waiting(DRAIN_BYTES)
+            for _ in range(MAX_SILENCES):
+                self.link.read_waiting(DRAIN_BYTES)
                 self.link.write(bytes((NUL,)))
-                if self._is_answered_with_nak():
-                    self._commands.begins()
+                if self._receives_nak():
+                    self._commands.mark_first()
                     return
             self.link.speed = other
             self.link.write(command_packet(bytes((ACT, Action.END_SESSION, 0))))
             drain(self.link)
 
-    def _is_answered_with_nak(self) -> bool:
-        for _ in range(BAD_ANSWERS):
-            came = self.link.read(1, self._commands.patience(_WAKE_S))
-            if came == bytes((NAK,)):
-                self._commands.is_patient_again()
+    def _receives_nak(self) -> bool:
+        for _ in range(MAX_BAD_ANSWERS):
+            answer = self.link.read(1, self._commands.remaining_s(_WAKE_S))
+            if answer == bytes((NAK,)):
+                self._commands.restart_timeout()
                 return True
-            if not came:
+            if not answer:
                 return False
         drain(self.link)
         return False
 
     def _speed_works(self, speed: int) -> bool:
         try:
-            self._commands.order(setting(Register.SPEED, SPEEDS[speed]))
+            self._commands.send(setting(Register.SPEED, SPEEDS[speed]))
         except CameraProtocolError:
             return False
         self.link.speed = speed
         self._clock.sleep_until(self._clock.now() + _SWITCH_S)
         try:
-            self._commands.ask(bytes((GET_INTEGER, Register.PICTURES)), 4, silences=1)
+            self._commands.request(bytes((GET_INTEGER, Register.PICTURES)), 4, max_silences=1)
         except RefusedCommandError:
-            return True  # it was understood
+            return True  # a refusal, too, came at this speed
         except (CameraProtocolError, CameraTimeoutError, SessionOverError):
             self._wake()
             return False
         return True
 
-    def _exchange(self, once: Callable[[], T]) -> T:
-        """Return what `once` does, with the session opened again where it has broken off."""
-        self._commands.is_patient_again()
+    def _exchange(self, operation: Callable[[], T]) -> T:
+        """Return the result of `operation`, which is retried once in a new session."""
+        self._commands.restart_timeout()
         try:
             if self._has_ended():
-                raise self._commands.over()
-            return once()
+                raise self._commands.session_over_error()
+            return operation()
         except (SessionOverError, CameraTimeoutError):
-            self._begin()
-            return once()
+            self._open_session()
+            return operation()
 
     def _has_ended(self) -> bool:
-        return SESSION_END in self.link.waiting(DRAIN_BYTES)
+        return SESSION_END in self.link.read_waiting(DRAIN_BYTES)
 
     def _of_picture(
         self,
@@ -252,10 +253,10 @@ class Sierra:
         limit: int,
         progress: Callable[[int], None] | None = None,
     ) -> bytes:
-        # A new session has forgotten which picture was chosen: choosing belongs to each attempt.
-        def once() -> bytes:
+        # A new session does not keep the number of the picture, so each attempt sets it.
+        def request() -> bytes:
             if picture is not None:
-                self._commands.order(setting(Register.PICTURE, picture))
-            return self._commands.ask(payload, limit, progress)
+                self._commands.send(setting(Register.PICTURE, picture))
+            return self._commands.request(payload, limit, progress)
 
-        return self._exchange(once)
+        return self._exchange(request)

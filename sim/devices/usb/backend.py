@@ -115,10 +115,12 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
     Args:
         devices: plugged in at once, each into a port of its own, so that its `detach` and `attach`
             unplug it and plug it in again
+        bytes_per_s: speed of reads from IN endpoints, counted on the device's clock
     """
 
-    def __init__(self, devices: Iterable[UsbDevice] = ()) -> None:
+    def __init__(self, devices: Iterable[UsbDevice] = (), *, bytes_per_s: float = math.inf) -> None:
         super().__init__()
+        self._bytes_per_s = bytes_per_s
         self._connections: list[_Connection] = []
         self._addresses = count(1)
         for device in devices:
@@ -268,6 +270,7 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
             error = 0 if data else errno.ETIMEDOUT
         if error:
             _fail(error)
+        device.clock.sleep_until(device.clock.now() + len(data) / self._bytes_per_s)
         return len(data)
 
     intr_write = bulk_write

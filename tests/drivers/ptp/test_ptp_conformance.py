@@ -1,35 +1,36 @@
-"""The conformance suite on PTP cameras of all dialects, kinds of files and manners on the wire."""
+"""The conformance suite on PTP cameras of all dialects, file formats and transfer variants."""
 
-from typing import ClassVar
+from __future__ import annotations
+
+from typing import Any, ClassVar
 
 import pytest
-from ptp_bench import open_quick, virtual
+from ptp_bench import bench
 
+from camctl.camera import Camera
 from camctl.controls import Layout
 from camctl.testing.conformance import CameraConformance
 
 
+@pytest.mark.usefixtures("own_profiles")
 class PtpConformance(CameraConformance):
-    config: ClassVar[dict[str, object]] = {}
+    """A camera of the standard that saves JPEG; subclasses change the configuration."""
+
+    config: ClassVar[dict[str, Any]] = {}
     sensor = "ideal-8"
-    made = ("jpeg", 8, Layout.MONO)
+    saved: ClassVar[tuple[str, int, Layout]] = ("jpeg", 8, Layout.MONO)
 
-    @pytest.fixture(autouse=True)
-    def own_profile(self, tmp_path, monkeypatch):
-        monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path))
+    def open_camera(self) -> Camera:
+        return bench(self.sensor, **self.config).camera()
 
-    def open_camera(self):
-        _, backend = virtual(self.sensor, **self.config)
-        return open_quick(backend)
-
-    def middle_s(self, camera):
+    def middle_s(self, camera: Camera) -> float:
         return camera.controls.time_s.nearest(1 / 125)
 
-    def test_it_makes_the_files_that_this_is_about(self, camera):
+    def test_the_camera_saves_the_format_under_test(self, camera: Camera) -> None:
         (frame,) = self.shoot(camera, self.times(camera, [1]))
-        kind, bits, layout = self.made
-        suffix = {"jpeg": ".jpg", "tiff": ".tif", "dng": ".dng"}[kind]
-        assert frame.original.suffix == suffix
+        kind, bits, layout = self.saved
+        assert frame.original is not None
+        assert frame.original.suffix == {"jpeg": ".jpg", "tiff": ".tif", "dng": ".dng"}[kind]
         assert (camera.controls.bits, camera.controls.layout) == (bits, layout)
 
 
@@ -38,82 +39,82 @@ class TestPlainJpeg(PtpConformance):
 
 
 class TestPlainTiff(PtpConformance):
-    config: ClassVar = {"files": "tiff"}
-    made = ("tiff", 8, Layout.MONO)
+    config: ClassVar[dict[str, Any]] = {"files": "tiff"}
+    saved = ("tiff", 8, Layout.MONO)
 
 
 class TestPlainRaw(PtpConformance):
-    config: ClassVar = {"files": "dng"}
+    config: ClassVar[dict[str, Any]] = {"files": "dng"}
     sensor = "ideal-12"
-    made = ("dng", 12, Layout.MONO)
+    saved = ("dng", 12, Layout.MONO)
 
 
-class TestRange(PtpConformance):
-    config: ClassVar = {"time_form": "range"}
+class TestTimesAsRange(PtpConformance):
+    config: ClassVar[dict[str, Any]] = {"time_form": "range"}
 
 
 class TestNikonRaw(PtpConformance):
-    config: ClassVar = {"vendor": "nikon", "files": "dng"}
-    made = ("dng", 8, Layout.MONO)
+    config: ClassVar[dict[str, Any]] = {"vendor": "nikon", "files": "dng"}
+    saved = ("dng", 8, Layout.MONO)
 
 
 class TestNikonJpeg(PtpConformance):
-    config: ClassVar = {"vendor": "nikon"}
+    config: ClassVar[dict[str, Any]] = {"vendor": "nikon"}
 
 
 class TestNikonTiff(PtpConformance):
-    config: ClassVar = {"vendor": "nikon", "files": "tiff"}
-    made = ("tiff", 8, Layout.MONO)
+    config: ClassVar[dict[str, Any]] = {"vendor": "nikon", "files": "tiff"}
+    saved = ("tiff", 8, Layout.MONO)
 
 
 class TestCanonRaw(PtpConformance):
-    config: ClassVar = {"vendor": "canon", "files": "dng"}
-    made = ("dng", 8, Layout.MONO)
+    config: ClassVar[dict[str, Any]] = {"vendor": "canon", "files": "dng"}
+    saved = ("dng", 8, Layout.MONO)
 
 
 class TestCanonJpeg(PtpConformance):
-    config: ClassVar = {"vendor": "canon"}
+    config: ClassVar[dict[str, Any]] = {"vendor": "canon"}
 
 
 class TestCanonTiff(PtpConformance):
-    config: ClassVar = {"vendor": "canon", "files": "tiff"}
-    made = ("tiff", 8, Layout.MONO)
+    config: ClassVar[dict[str, Any]] = {"vendor": "canon", "files": "tiff"}
+    saved = ("tiff", 8, Layout.MONO)
 
 
 class TestSonyRaw(PtpConformance):
-    config: ClassVar = {"vendor": "sony", "files": "dng"}
-    made = ("dng", 8, Layout.MONO)
+    config: ClassVar[dict[str, Any]] = {"vendor": "sony", "files": "dng"}
+    saved = ("dng", 8, Layout.MONO)
 
 
 class TestSonyJpeg(PtpConformance):
-    config: ClassVar = {"vendor": "sony"}
+    config: ClassVar[dict[str, Any]] = {"vendor": "sony"}
 
 
 class TestSonyTiff(PtpConformance):
-    config: ClassVar = {"vendor": "sony", "files": "tiff"}
-    made = ("tiff", 8, Layout.MONO)
+    config: ClassVar[dict[str, Any]] = {"vendor": "sony", "files": "tiff"}
+    saved = ("tiff", 8, Layout.MONO)
 
 
-class TestAwkward(PtpConformance):
-    """Header split from data, no empty packets, folders announced, no event ever."""
+class TestUnusualTransfers(PtpConformance):
+    """Header in a transfer of its own, no empty packets, events for folders, none for files."""
 
-    config: ClassVar = {
+    config: ClassVar[dict[str, Any]] = {
         "files": "dng+jpeg",
         "split_header": True,
         "zlp": "never",
         "folder_event": True,
         "event_order": "never",
     }
-    made = ("dng", 8, Layout.MONO)
+    saved = ("dng", 8, Layout.MONO)
 
 
-class TestSlow(PtpConformance):
-    """Events before the response, and nothing served while it exposes."""
+class TestNoOverlap(PtpConformance):
+    """Events before the response, and no transfers during an exposure."""
 
-    config: ClassVar = {
+    config: ClassVar[dict[str, Any]] = {
         "files": "tiff",
         "event_order": "before",
         "folder_event": True,
         "overlap": False,
     }
-    made = ("tiff", 8, Layout.MONO)
+    saved = ("tiff", 8, Layout.MONO)

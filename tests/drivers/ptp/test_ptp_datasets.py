@@ -1,7 +1,10 @@
-"""PTP's datasets: right ones are understood, and nonsense ends in a typed error, at once."""
+"""Datasets and tables of PTP: valid data is parsed, and any other bytes end in a typed error."""
+
+from __future__ import annotations
 
 import struct
 import tracemalloc
+from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
@@ -12,54 +15,48 @@ from camctl.controls import Choices, Steps
 from camctl.errors import CameraError, CameraProtocolError
 from drivers.ptp.datasets import (
     DeviceInfo,
+    EosEvents,
     ObjectInfo,
     PropertyDescription,
     Reader,
     StorageInfo,
+    pack_eos_property,
     pack_integer,
+    parse_nikon_events,
+    parse_sony_properties,
 )
-from drivers.ptp.dialects import (
-    CANON_EOS,
-    NIKON,
-    SONY,
-    STANDARD,
-    dialect_of,
+from drivers.ptp.dialects import CANON_EOS, NIKON, SONY, STANDARD, Dialect, dialect_of
+from drivers.ptp.dials import (
+    Scale,
     eos_f_number,
     eos_gain,
     eos_time,
     hundredths,
     iso,
+    make_dial,
     ratio,
     sony_iso,
     ten_thousandths,
 )
-from drivers.ptp.dials import make_dial
-from drivers.ptp.still_formats import FORMATS, format_of
-from drivers.ptp.vendor_datasets import (
-    merge_eos,
-    pack_eos_property,
-    parse_eos_events,
-    parse_nikon_events,
-    parse_sony_properties,
-)
 
-PARSERS = {
+Parser = Callable[[bytes], object]
+PARSERS: dict[str, Parser] = {
     "device": DeviceInfo.parse,
     "object": ObjectInfo.parse,
     "storage": StorageInfo.parse,
     "property": PropertyDescription.parse,
     "handles": lambda data: Reader(data, "handles").array(4),
-    "canon": parse_eos_events,
+    "canon": EosEvents.parse,
     "sony": parse_sony_properties,
     "nikon": parse_nikon_events,
 }
 
 
-def text(words):
+def text(words: str) -> bytes:
     return bytes([len(words) + 1]) + words.encode("utf-16-le") + b"\0\0" if words else b"\0"
 
 
-def u16s(*values):
+def u16s(*values: int) -> bytes:
     return struct.pack(f"<I{len(values)}H", len(values), *values)
 
 
@@ -96,14 +93,14 @@ EOS = (
 SAMPLES = [DEVICE, OBJECT, PROPERTY, RANGE, SONY_LIST, EOS]
 
 
-def test_device_information_is_understood():
+def test_device_information_is_parsed() -> None:
     info = DeviceInfo.parse(DEVICE)
     assert (info.make, info.model, info.serial) == ("Nikon", "D7000", "123")
     assert info.operations == {0x1001, 0x1002}
     assert info.properties == (0x500D,)
 
 
-def test_object_information_is_understood():
+def test_object_information_is_parsed() -> None:
     info = ObjectInfo.parse(OBJECT)
     assert (info.name, info.size, info.rows, info.columns, info.parent) == (
         "A.JPG",
@@ -114,23 +111,23 @@ def test_object_information_is_understood():
     )
 
 
-def test_property_descriptions_are_understood():
+def test_property_descriptions_are_parsed() -> None:
     assert PropertyDescription.parse(PROPERTY).choices == (100, 166)
     assert PropertyDescription.parse(RANGE).span == (1, 300000, 1)
 
 
-def test_canon_news_is_understood():
-    news = parse_eos_events(EOS)
-    assert news.added == (0x91000001,)
-    known = {}
-    merge_eos(known, news, frozenset({0xD102}))
+def test_canon_events_are_parsed_and_applied() -> None:
+    events = EosEvents.parse(EOS)
+    assert events.added == (0x91000001,)
+    known: dict[int, PropertyDescription] = {}
+    events.update(known, frozenset({0xD102}))
     assert known[0xD102].current == 0x68
     assert known[0xD102].choices == (0x60, 0x68)
     assert known[0xD102].is_writable
     assert pack_eos_property(0xD102, 0x68) == bytes.fromhex("0c00000002d1000068000000")
 
 
-def test_sonys_second_list_is_what_can_be_set_now():
+def test_the_second_list_of_sony_holds_the_choices() -> None:
     found = parse_sony_properties(SONY_LIST)[0xD20D]
     assert (found.current, found.choices) == (0x1003C, (0x1001E,))
 
@@ -138,7 +135,7 @@ def test_sonys_second_list_is_what_can_be_set_now():
 @pytest.mark.parametrize("parser", PARSERS.values(), ids=PARSERS)
 @given(data=st.binary(max_size=400))
 @settings(max_examples=150)
-def test_any_bytes_are_parsed_or_refused(parser, data):
+def test_arbitrary_bytes_are_parsed_or_rejected(parser: Parser, data: bytes) -> None:
     with suppress(CameraProtocolError):
         parser(data)
 
@@ -146,7 +143,7 @@ def test_any_bytes_are_parsed_or_refused(parser, data):
 @pytest.mark.parametrize("parser", PARSERS.values(), ids=PARSERS)
 @given(data=st.data())
 @settings(max_examples=150)
-def test_damaged_datasets_are_parsed_or_refused(parser, data):
+def test_damaged_datasets_are_parsed_or_rejected(parser: Parser, data: st.DataObject) -> None:
     sample = bytearray(data.draw(st.sampled_from(SAMPLES)))
     for _ in range(data.draw(st.integers(1, 4))):
         sample[data.draw(st.integers(0, len(sample) - 1))] = data.draw(st.integers(0, 255))
@@ -155,7 +152,7 @@ def test_damaged_datasets_are_parsed_or_refused(parser, data):
         parser(bytes(sample))
 
 
-def test_a_count_of_four_billion_takes_no_memory():
+def test_a_count_of_four_billion_allocates_no_memory() -> None:
     tracemalloc.start()
     for parser in PARSERS.values():
         for fill in (b"\xff", b"\xfe"):
@@ -173,7 +170,9 @@ def test_a_count_of_four_billion_takes_no_memory():
     writable=st.booleans(),
 )
 @settings(max_examples=200)
-def test_any_description_makes_a_dial_or_none_or_a_typed_error(scale, choices, span, writable):
+def test_arbitrary_descriptions_give_a_dial_or_none_or_a_typed_error(
+    scale: Scale, choices: list[int], span: tuple[int, int, int] | None, writable: bool
+) -> None:
     current = choices[0] if choices else 0
     description = PropertyDescription(scale.code, 6, writable, current, tuple(choices), span)
     try:
@@ -216,7 +215,9 @@ def test_any_description_makes_a_dial_or_none_or_a_typed_error(scale, choices, s
         (sony_iso, 6400, 64.0),
     ],
 )
-def test_numbers_mean_what_the_tables_say(decode, number, value):
+def test_numbers_are_decoded_to_si_values(
+    decode: Callable[[int], float | None], number: int, value: float | None
+) -> None:
     assert decode(number) == value
 
 
@@ -226,35 +227,18 @@ def test_numbers_mean_what_the_tables_say(decode, number, value):
         (0, "camctl", set(), STANDARD),
         (0x0A, "", {0x90C8}, NIKON),
         (6, "Nikon Corporation", {0x90C8}, NIKON),
-        (6, "NIKON CORPORATION", set(), STANDARD),  # an old Coolpix knows the standard alone
+        (6, "NIKON CORPORATION", set(), STANDARD),  # an old Coolpix
         (0x0B, "Canon Inc.", {0x9114, 0x9110, 0x9116}, CANON_EOS),
         (0x0B, "Canon Inc.", {0x9008}, STANDARD),  # a PowerShot
         (0x11, "Sony Corporation", {0x9201, 0x9207, 0x9209}, SONY),
     ],
 )
-def test_a_dialect_is_chosen_by_what_a_camera_can_do(extension, make, operations, dialect):
+def test_the_dialect_follows_from_maker_extension_and_operations(
+    extension: int, make: str, operations: set[int], dialect: Dialect
+) -> None:
     assert dialect_of(extension, make, frozenset(operations)) is dialect
 
 
-@pytest.mark.parametrize(
-    ("name", "code", "expected"),
-    [
-        ("DSC_0001.NEF", 0x3000, "raw"),
-        ("IMG_1.CR2", 0x380D, "raw"),
-        ("A.DNG", 0x3811, "raw"),
-        ("B.TIF", 0x380D, "tiff"),
-        ("C.JPG", 0x3801, "jpeg"),
-        ("noname", 0x3801, "jpeg"),
-        ("MVI_1.MOV", 0x300D, None),
-        ("DCIM", 0x3001, None),
-    ],
-)
-def test_pictures_are_told_by_name_and_code(name, code, expected):
-    info = ObjectInfo(1, code, 10, 0, 0, 0, name, "")
-    assert format_of(info) == expected
-    assert expected is None or expected in FORMATS
-
-
 @given(value=st.integers(0, 0xFFFFFFFF))
-def test_numbers_are_packed_as_they_are_read(value):
+def test_packed_integers_are_read_back(value: int) -> None:
     assert Reader(pack_integer(value, 6), "number").value(6) == value

@@ -1,0 +1,109 @@
+"""USB devices through pyusb: errors of libusb, and identities with unreadable strings."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+from typing import Any
+
+import pytest
+import usb.core
+import usb.util
+
+from camctl.errors import (
+    CameraBusyError,
+    CameraDisconnectedError,
+    CameraError,
+    CameraNotFoundError,
+    CameraProtocolError,
+    CameraTimeoutError,
+)
+from drivers.common.usb import UDEV_RULES, StalledError, device_name, usb_error, usb_identity
+
+
+class Device:
+    """The descriptors of a device at 3:7 with strings 1 to 3."""
+
+    idVendor, idProduct = 0x04B0, 0x0428  # noqa: N815 - pyusb's names
+    iManufacturer, iProduct, iSerialNumber = 1, 2, 3  # noqa: N815
+    bus, address, port_numbers = 3, 7, (1, 4)
+
+
+class TestUsbErrors:
+    @pytest.mark.parametrize(
+        ("number", "kind", "message"),
+        [
+            (errno.EACCES, CameraNotFoundError, "the camera cannot be opened: no permission; run"),
+            (errno.EBUSY, CameraBusyError, "the camera is in use by another program; desktops"),
+            (errno.ENODEV, CameraDisconnectedError, "the camera was disconnected; plug it in"),
+            (errno.EPROTO, CameraDisconnectedError, "the camera lost its USB signal; plug it in"),
+            (errno.ETIMEDOUT, CameraTimeoutError, "the camera does not answer; switch it off"),
+            (errno.EPIPE, StalledError, "the camera refused a USB transfer (stall); try again"),
+            (errno.EOVERFLOW, CameraProtocolError, "the camera sent more than was requested; try"),
+            (None, CameraProtocolError, "the camera failed a USB transfer: it says; plug it in"),
+        ],
+    )
+    def test_each_error_has_a_type_and_one_line_with_a_remedy(
+        self, number: int | None, kind: type[CameraError], message: str
+    ) -> None:
+        error = usb_error(usb.core.USBError("it says", -1, number), "the camera")
+        assert type(error) is kind
+        assert str(error).startswith(message)
+        assert error.hint
+        assert "\n" not in str(error)
+
+    def test_udev_rules_name_the_class_of_still_cameras(self) -> None:
+        assert "060101" in UDEV_RULES
+        assert all(
+            line.startswith(("#", "ACTION", "SUBSYSTEM", "MODE", "LABEL", "TAG"))
+            for line in UDEV_RULES.strip().splitlines()
+        )
+
+
+class TestIdentity:
+    def read_strings(self, monkeypatch: pytest.MonkeyPatch, *strings: Any) -> None:
+        """Let pyusb read these strings; an exception is raised instead."""
+
+        def get_string(_: object, index: int) -> Any:
+            string = strings[index - 1]
+            if isinstance(string, Exception):
+                raise string
+            return string
+
+        monkeypatch.setattr(usb.util, "get_string", get_string)
+
+    def test_the_id_is_the_serial_number(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.read_strings(monkeypatch, "Maker\0\n", " Model ", "A77")
+        info = usb_identity(Device(), "ptp")
+        assert (info.id, info.make, info.model, info.serial) == ("ptp:A77", "Maker", "Model", "A77")
+
+    def test_a_serial_number_like_an_address_is_not_used_as_id(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        self.read_strings(monkeypatch, "Maker", "Model", "1:2")
+        assert usb_identity(Device(), "ptp").id == "ptp:003:007"
+
+    @pytest.mark.parametrize(
+        "error",
+        [usb.core.USBError("Pipe error", -9, errno.EPIPE), NotImplementedError()],
+        ids=["stall", "not supported"],
+    )
+    def test_unreadable_strings_are_replaced_by_numbers(
+        self, monkeypatch: pytest.MonkeyPatch, error: Exception
+    ) -> None:
+        self.read_strings(monkeypatch, error, error, error)
+        info = usb_identity(Device(), "ptp")
+        assert (info.id, info.serial) == ("ptp:003:007", "")
+        assert (info.make, info.model) == ("USB vendor 04b0", "product 0428")
+        assert device_name(Device()) == "the camera at USB 003:007"
+
+    def test_without_permission_the_strings_of_the_kernel_are_used(
+        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    ) -> None:
+        denied = ValueError("The device has no langid (permission issue, no string descriptors)")
+        self.read_strings(monkeypatch, denied, denied, denied)
+        monkeypatch.setattr("drivers.common.usb._SYSFS", tmp_path)
+        (tmp_path / "3-1.4").mkdir()
+        (tmp_path / "3-1.4" / "serial").write_text("A77\n")
+        info = usb_identity(Device(), "ptp")
+        assert (info.id, info.model) == ("ptp:A77", "product 0428")
