@@ -119,9 +119,10 @@ def longest_within(item: DeviceProperty, limit_s: float, times: dict[int, float 
     return max(within, key=lambda value: within[value]) if within else item.choices[0]
 
 
-def battery(code: int = Property.BATTERY_LEVEL) -> DeviceProperty:
+def battery() -> DeviceProperty:
     """Return the battery level, per cent."""
-    return DeviceProperty(code, Type.UINT8, CHARGE, limits=(0, 100, 1), is_writable=False)
+    code, limits = Property.BATTERY_LEVEL, (0, 100, 1)
+    return DeviceProperty(code, Type.UINT8, CHARGE, limits=limits, is_writable=False)
 
 
 def program(config: PtpConfig) -> DeviceProperty:

@@ -35,7 +35,7 @@ from sim.devices.ptp.protocol import (
 from sim.devices.ptp.store import FORMATS, PICTURE_FOLDER, STORE, Card
 from sim.devices.still_body import Exposure, ImageFile, StillBody
 
-_LOG_LENGTH = 256  # operations in the log, and in the counter: a host may go on for ever
+_LOG_LENGTH = 256  # operations in the log, and in the counter: a host may go on without end
 
 
 class Responder:
@@ -57,7 +57,6 @@ class Responder:
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.EXPOSURE_TIME,)
     program_code: ClassVar[int] = Property.EXPOSURE_PROGRAM
     compressions: ClassVar[Mapping[str, int]] = COMPRESSIONS
-    battery_code: ClassVar[int] = Property.BATTERY_LEVEL
     events: ClassVar[tuple[int, ...]] = (
         Event.OBJECT_ADDED,
         Event.OBJECT_REMOVED,
@@ -107,9 +106,8 @@ class Responder:
             return Reply(Response.OPERATION_NOT_SUPPORTED)
         if not self.session and code not in (Operation.GET_DEVICE_INFO, Operation.OPEN_SESSION):
             return Reply(Response.SESSION_NOT_OPEN)
-        self.properties[self.battery_code].value = (
-            LOW_CHARGE if self.body.faults.is_battery_low else CHARGE
-        )
+        charge = LOW_CHARGE if self.body.faults.is_battery_low else CHARGE
+        self.properties[Property.BATTERY_LEVEL].value = charge
         return handler(parameters, data)
 
     def close_session(self) -> None:

@@ -48,7 +48,7 @@ _STREAM_INTERFACE = 1
 _STREAM_ENDPOINT = STREAM_IN & 15
 _END_OF_FRAME, _END_OF_HEADER, _HEADER_BYTES = 0x02, 0x80, 2
 
-_LOG_LENGTH = 400  # frames: a host may stream for ever
+_LOG_LENGTH = 400  # frames: a host may stream without end
 _WB_AMPLITUDE, _WB_PERIOD_SLOTS = 0.2, 9.0  # of the light under automatic white balance
 _BACKLIGHT = 0.25  # more light for each step of backlight compensation
 
