@@ -143,7 +143,7 @@ def test_image_is_the_desired_response_to_the_scene(tmp_path: Path) -> None:
     slack = 0.5 + 65535 * 1e-6
     assert (image >= 65535 * constant_contrast(low) - slack).all()
     assert (image <= 65535 * constant_contrast(high) + slack).all()
-    # The intervals are narrow, so that this says something.
+    # The intervals are narrow, so that a wrong image would not pass.
     width = constant_contrast(high) - constant_contrast(low)
     assert np.median(width) < 1 / 1000
     assert width.max() < 1 / 8
@@ -340,7 +340,7 @@ def test_sum_that_does_not_fit_in_32_bits_is_refused_before_shooting(tmp_path: P
 
 
 class OtherFrames(WrappedCamera):
-    """A camera whose frames are changed on their way."""
+    """A camera whose frames a test changes."""
 
     def __init__(
         self, camera: SimulatedCamera, change: Callable[[FrameStream], Iterator[Frame]]
