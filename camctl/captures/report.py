@@ -88,7 +88,7 @@ class Achieved(_Model):
     """The quality that the applied exposures give, and how much of the picture is out of range.
 
     Attributes:
-        xi: number of the wanted levels that are missing
+        xi: number of desired levels that are missing
         effective_levels: number of equal steps in the desired response that would be as accurate
         levels: number of levels of the sum
         levels_distinct: number of them that differ

@@ -134,7 +134,7 @@ class CaptureRequest:
         if self.tolerance is not None:
             if self.levels_wanted is None:
                 raise UsageError(
-                    "a tolerance needs the number of levels wanted",
+                    "a tolerance needs the number of desired levels",
                     hint="give it with levels_wanted (--levels)",
                 )
             if self.time_budget_s is not None or self.response == AUTO:

@@ -144,7 +144,7 @@ class TestFaults:
 
     def test_a_wrong_exposure_is_found_and_shot_again(self, camctl):
         with rig.once_a_frame_is_kept(
-            rig.here() / "wrong", lambda: self.fault("wrong", factor=2.0)
+            rig.here() / "wrong", lambda: self.fault("wrong_exposure", factor=2.0)
         ):
             done = camctl("shoot", *rig.words_of(self.device), *LONG, "-o", "wrong")
         assert done.status == 0, done.err
@@ -154,7 +154,7 @@ class TestFaults:
 
     def test_an_exposure_that_stays_wrong_is_marked(self, camctl):
         def strike():
-            self.fault("wrong", factor=2.0)
+            self.fault("wrong_exposure", factor=2.0)
 
         folder = rig.here() / "marked"
         with rig.once_a_frame_is_kept(folder, strike), rig.once_a_frame_is_rejected(folder, strike):

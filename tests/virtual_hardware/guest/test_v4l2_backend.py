@@ -232,7 +232,7 @@ class TestFaults:
 
     def test_a_wrong_exposure_is_found_and_shot_again(self, camctl):
         with rig.once_a_frame_is_kept(
-            rig.here() / "wrong", lambda: self.fault("wrong", factor=2.0)
+            rig.here() / "wrong", lambda: self.fault("wrong_exposure", factor=2.0)
         ):
             done = camctl("shoot", *rig.words_of(rig.WEB), *LONG_BRACKET, "-o", "wrong")
         assert done.status == 0, done.err
@@ -256,7 +256,7 @@ class TestFaults:
         assert all(frame.ratio.agrees for frame in report.frames[1:])
 
     def test_lens_cap(self, camctl):
-        self.fault("wrong", factor=0.0, count=1000)
+        self.fault("wrong_exposure", factor=0.0, count=1000)
         done = camctl("shoot", *rig.words_of(rig.WEB), "-o", "cap")
         assert done.status == 1
         assert done.err.count("\n") == 1
