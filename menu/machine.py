@@ -280,16 +280,21 @@ def _clamp(index: int, length: int) -> int:
 
 
 def diagram() -> str:
-    """Return the tables as a Mermaid state diagram."""
-    lines = ["stateDiagram-v2", *(f'    state "{STATES[s].title}" as {s}' for s in State)]
-    lines.append(f"    [*] --> {Model().state}")
+    """Return the tables as a state diagram in the language of graphviz."""
+    lines = ["digraph menu {", "    node [shape=box, style=rounded, fontname=sans, fontsize=12]"]
+    lines.append("    edge [fontname=sans, fontsize=10]")
+    lines.append("    start [shape=point, width=0.15]")
+    lines += [f'    {state} [label="{STATES[state].title}"]' for state in State]
+    lines.append(f"    start -> {Model().state}")
     for state, row in TRANSITIONS.items():
         labels: dict[State, list[str]] = {}
         for symbol, target in row.items():
             if target is not state:
                 labels.setdefault(target, []).append(_label(symbol))
-        lines += [f"    {state} --> {target}: {', '.join(ls)}" for target, ls in labels.items()]
-    return "\n".join([*lines, f"    {State.QUIT} --> [*]", ""])
+        lines += [
+            f'    {state} -> {target} [label="{", ".join(ls)}"]' for target, ls in labels.items()
+        ]
+    return "\n".join([*lines, "}", ""])
 
 
 def _label(symbol: Symbol) -> str:
@@ -310,14 +315,14 @@ def states_page() -> str:
         [
             "# States of the menu",
             "",
-            "This page is generated: `python -m menu.machine > docs/menu-states.md`.",
+            "This page and its diagram are generated from the tables of the menu:",
+            "`python -m menu.machine > docs/menu-states.md` and `python docs/draw_menu_states.py`.",
             "",
             "An arrow names what causes the transition: a key in capitals, a button in brackets, "
             "or an",
             "event from the camera in small letters. A key that is not shown selects or scrolls.",
             "",
-            "```mermaid",
-            f"{diagram()}```",
+            "![state diagram of the menu](menu-states.svg)",
             "",
             "| screen | kind | keys | buttons |",
             "|---|---|---|---|",

@@ -34,6 +34,7 @@ from menu.messages import (
 from menu.model import RANGES, RESPONSES, Action, Model, State
 from menu.ports import Key, Summary
 
+DOCS = Path(__file__).parents[2] / "docs"
 PLAN = plan_of([ExposureSetting(0.0033), ExposureSetting(0.0327)])
 WORKING = {State.PREDICTING: Predict, State.PLANNING: MakePlan, State.SHOOTING: Shoot}
 Graph: TypeAlias = dict[Model, dict[Key | type[Event], Model]]
@@ -255,15 +256,21 @@ def test_menu_offers_all_responses_and_ranges() -> None:
 def test_diagram_has_every_state_and_every_transition() -> None:
     text = diagram()
     for state, row in TRANSITIONS.items():
-        assert f'    state "{STATES[state].title}" as {state}' in text
+        assert f'    {state} [label="{STATES[state].title}"]' in text
         for target in set(row.values()) - {state}:
-            assert f"    {state} --> {target}: " in text
-    assert "review --> shooting: [Shoot]" in text
-    assert "shooting --> cancelling: EXIT" in text
-    assert "shooting --> result: done" in text
+            assert f"    {state} -> {target} [label=" in text
+    assert 'review -> shooting [label="[Shoot]"]' in text
+    assert 'shooting -> cancelling [label="EXIT"]' in text
+    assert 'shooting -> result [label="done"]' in text
 
 
 def test_page_of_the_documentation_is_up_to_date() -> None:
     """Update it with: python -m menu.machine > docs/menu-states.md."""
-    page = Path(__file__).parents[2] / "docs" / "menu-states.md"
-    assert page.read_text(encoding="utf-8") == states_page()
+    assert (DOCS / "menu-states.md").read_text(encoding="utf-8") == states_page()
+
+
+def test_drawing_of_the_documentation_is_up_to_date() -> None:
+    """Update it with: python docs/draw_menu_states.py (needs graphviz)."""
+    drawing = (DOCS / "menu-states.svg").read_text(encoding="utf-8")
+    assert drawing.startswith(f"<!--\n{diagram()}-->\n<svg")
+    assert drawing.count('class="edge"') == diagram().count(" -> ")
