@@ -2,14 +2,20 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
+
+import camctl
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
+API = ROOT / "docs" / "api.md"
 _BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\]\((?!https?://)([^)#\s]+)(?:#[^)]*)?\)")
 
@@ -28,6 +34,17 @@ def commands() -> Iterator[tuple[str, list[str]]]:
                     words = shlex.split(part, comments=True)
                     if words and Path(words[0]).name == "camctl":
                         yield page.name, words[1:]
+
+
+def options_of(command: click.Command) -> set[str]:
+    """Return the options of a command and of all its subcommands."""
+    found = {option for each in command.params for option in (*each.opts, *each.secondary_opts)}
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            below = command.get_command(context, name)
+            found |= options_of(below) if below is not None else set()
+    return found
 
 
 def test_the_readme_fits_on_one_page() -> None:
@@ -73,3 +90,75 @@ def test_links_lead_to_files(page: Path) -> None:
         if not (page.parent / target).exists()
     ]
     assert missing == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_block_names_its_language(page: Path) -> None:
+    fences = re.findall(r"^```.*$", page.read_text("utf-8"), re.MULTILINE)
+    assert len(fences) % 2 == 0
+    assert "```" not in fences[::2]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_an_option_named_in_the_text_exists(page: Path) -> None:
+    from camctl.cli import cli
+
+    text = _BLOCK.sub("", page.read_text("utf-8"))
+    spans = re.findall(r"`((?:camctl |-)[^`\n]*)`", text)
+    used = {option for span in spans for option in re.findall(r"(?<!\S)--[a-z][a-z-]*", span)}
+    assert used <= options_of(cli) | {"--help"}
+
+
+def test_every_public_name_is_in_the_api_reference() -> None:
+    documented = re.findall(
+        r"^\.\. auto(?!module)\w+:: camctl\.(\w+)$", API.read_text("utf-8"), re.MULTILINE
+    )
+    assert sorted(documented) == [name for name in dir(camctl) if not name.startswith("_")]
+
+
+@pytest.mark.parametrize(
+    "page", ["api.md", "exposures.md", pytest.param("vision.md", marks=pytest.mark.slow)]
+)
+def test_a_python_example_runs(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    examples = blocks(ROOT / "docs" / page, "python")
+    assert examples
+    monkeypatch.chdir(tmp_path)
+    for example in examples:
+        exec(compile(example, page, "exec"), {})
+    assert "nan" not in capsys.readouterr().out
+
+
+#: Files of a reader's own, as the pages describe them.
+_IRRADIANCE = np.linspace(0, 1, 50)
+_FILES = {
+    "response.txt": (_IRRADIANCE, _IRRADIANCE**0.5),
+    "mine.txt": (_IRRADIANCE[1:], _IRRADIANCE[1:] ** 0.45),
+    "times.txt": (2.0 ** (np.arange(-39, 16) / 3),),
+}
+_NEEDS_A_DEVICE = ("v4l2:", "ptp", "coolpix:", "menu", "calibrate", "--resume")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", sorted({name for name, _ in commands()}))
+def test_the_commands_of_a_page_work(page: str, tmp_path: Path) -> None:
+    for name, columns in _FILES.items():
+        np.savetxt(tmp_path / name, np.column_stack(columns))
+    for name, source in (("my-street", "scenes/night-street"), ("my-sensor", "sensors/complete")):
+        (tmp_path / f"{name}.json").write_bytes((ROOT / "sim" / f"{source}.json").read_bytes())
+    for number, (name, words) in enumerate(commands()):
+        # A command that installs is run by .ci/run.
+        if name != page or not words or any(w.startswith(_NEEDS_A_DEVICE) for w in words):
+            continue
+        if words == ["shoot"]:  # two captures in one second would have one name
+            words = [*words, "-o", f"capture-{number}"]
+        done = subprocess.run(
+            [sys.executable, "-W", "error", "-m", "camctl", *words],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, f"{words}: {done.stderr}"
+        assert done.stdout, words
