@@ -171,7 +171,7 @@ def test_frames_before_a_failure_are_kept_and_resume_completes_them(
     with small_camera(faults=faults) as camera, pytest.raises(kind) as failure:
         capture(camera, GIVEN, tmp_path / "out")
     assert str(failure.value).endswith(
-        f"; 2 of 3 frames are kept; go on with: camctl shoot --resume {tmp_path / 'out'}"
+        f"; 2 of 3 frames are kept; continue with: camctl shoot --resume {tmp_path / 'out'}"
     )
     assert "\n" not in str(failure.value)
     kept = [np.load(tmp_path / "out" / "frames" / f"frame-0{k}.npy") for k in (1, 2)]
