@@ -20,28 +20,6 @@ from camctl.clock import Clock
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CameraBusyError, CameraDisconnectedError
 
-
-class Closing(ABC):
-    """A context manager whose end is its `close`."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Let go; a second call does nothing."""
-
-    def __enter__(self) -> Self:
-        """Return the object itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close it."""
-        self.close()
-
-
 Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 
