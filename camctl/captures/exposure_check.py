@@ -20,8 +20,8 @@ LARGEST_TOLERANCE = 0.5
 _SAMPLES, _BLOCKS = 1 << 16, 64
 #: Fewer common samples give no ratio.
 _LEAST_SAMPLES = 64
-#: The brightest samples are used that are this many: the light of the shorter frame must reach the
-#: first of these numbers of levels, or the next one where too few samples do.
+#: Only bright samples are compared: those that reach 16 levels in the shorter frame.  Where fewer
+#: than `_ENOUGH_SAMPLES` do, 4 levels are enough, then 1.
 _ENOUGH_SAMPLES = 2000
 _LEAST_LEVELS = (16, 4, 1)
 
@@ -80,7 +80,7 @@ class NeighbourCheck:
         light, then = self._middle[before], self._middle[after]
         high = 0.9 * float(self._middle[-1])
         one_level = float(self._middle[min(1, self._top)])
-        # Samples in range in both frames, as either frame alone tells; the brighter the better.
+        # Samples that are in range in both frames, as the first frame predicts or both frames show.
         in_range = (light >= self._measurable) & (light * expected <= 0.7 * high)
         below_white = (then <= high) & (light <= high)
         usable = [
