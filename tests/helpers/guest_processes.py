@@ -144,6 +144,8 @@ class Spawner:
         self._count += 1
         folder = self._folder / str(self._count)
         folder.mkdir()
+        for name in ("out", "err"):
+            (folder / name).touch()
         self._requests.send((function, arguments, folder))
         return Forked(self, self._requests.recv(), folder)
 
@@ -181,7 +183,7 @@ def _serve(requests: Connection) -> None:
 def _redirect(folder: Path) -> None:
     """Write standard output and error to files in `folder`."""
     for number, name in ((1, "out"), (2, "err")):
-        os.dup2(os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+        os.dup2(os.open(folder / name, os.O_WRONLY), number)
     sys.stdout = os.fdopen(1, "w", buffering=1, closefd=False)
     sys.stderr = os.fdopen(2, "w", buffering=1, closefd=False)
 
@@ -316,16 +318,16 @@ def _hold(hold: Callable[[str], object], address: str) -> None:
 
 
 @contextmanager
-def once(folder: Path, pattern: str, action: Callable[[], Any]) -> Iterator[None]:
-    """Run `action` in a thread as soon as `folder` holds a file of that pattern."""
+def once_a_frame_is_kept(directory: Path, action: Callable[[], Any]) -> Iterator[None]:
+    """Run `action` in a thread as soon as a capture has kept its first frame."""
     is_over = threading.Event()
 
     def watch() -> None:
         while not is_over.is_set():
-            if next(folder.glob(pattern), None) is not None:
+            if next((directory / "frames").glob("*.npy"), None) is not None:
                 action()
                 return
-            time.sleep(0.005)
+            time.sleep(0.002)
 
     thread = threading.Thread(target=watch)
     thread.start()
@@ -334,17 +336,3 @@ def once(folder: Path, pattern: str, action: Callable[[], Any]) -> Iterator[None
     finally:
         is_over.set()
         thread.join()
-
-
-@contextmanager
-def once_a_frame_is_kept(directory: Path, action: Callable[[], Any]) -> Iterator[None]:
-    """Run `action` in a thread as soon as a capture has kept its first frame."""
-    with once(directory / "frames", "*.npy", action):
-        yield
-
-
-@contextmanager
-def once_a_frame_is_rejected(directory: Path, action: Callable[[], Any]) -> Iterator[None]:
-    """Run `action` in a thread as soon as a capture has rejected a frame."""
-    with once(directory / "frames", "*-rejected-*.npy", action):
-        yield
