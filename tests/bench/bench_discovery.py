@@ -26,9 +26,7 @@ def main() -> int:
     began = time.perf_counter()
     found = list_backends()
     first_s = time.perf_counter() - began
-    real = [
-        camera.id for backend in found for camera in backend.cameras if camera.driver != "sim"
-    ]
+    real = [camera.id for backend in found for camera in backend.cameras if camera.driver != "sim"]
     later_s = []
     for _ in range(CALLS):
         began = time.perf_counter()

@@ -15,9 +15,9 @@ import pytest
 import usb.core
 from guest_processes import Forked, clock_in_step, spawner, wait_for
 
+from camctl import CaptureReport, read_report
 from camctl.backends import open_camera
 from camctl.camera import Camera, StreamingCamera
-from camctl import CaptureReport, read_report
 from camctl.captures.report import FrameRecord
 from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError
@@ -109,7 +109,7 @@ BRACKET = ("--ratios", "1,4,62.5", "--base", "0.002")
 SHORT_EXPOSURES_S = (0.002, 0.008, 0.032)
 SHORT_BRACKET = ("--ratios", "1,4,16", "--base", "0.002")
 
-# Requests to the hub that change nothing.
+# Commands of the hub that change nothing.
 _READ_ONLY = ("log", "state")
 
 
@@ -117,18 +117,18 @@ class RecordingHub(Hub):
     """A hub that remembers which devices a test has changed.
 
     Attributes:
-        changed: names of devices that were sent a request that may change them
+        changed: names of devices that were sent a command that may change them
     """
 
     def __init__(self, directory: Path) -> None:
         super().__init__(directory)
         self.changed: set[str] = set()
 
-    def do(self, device: str, verb: str, **arguments: Any) -> dict[str, Any]:
-        """Send a request; see `Hub.do`."""
-        if verb not in _READ_ONLY:
+    def do(self, device: str, command: str, **arguments: Any) -> dict[str, Any]:
+        """Send a command; see `Hub.do`."""
+        if command not in _READ_ONLY:
             self.changed.add(device)
-        return super().do(device, verb, **arguments)
+        return super().do(device, command, **arguments)
 
 
 @contextmanager
