@@ -1,4 +1,4 @@
-"""The laboratory's tests need the guest's devices: on the host they are not collected."""
+"""The tests in guest/ need the guest's devices: on the host they are not collected."""
 
 import os
 
