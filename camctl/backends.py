@@ -78,7 +78,7 @@ class BackendOptions(BaseModel):
 class CameraBackend(Protocol):
     """One way to reach cameras: a bus, a protocol, or a simulation.
 
-    A backend may have an attribute `about`, one line that says which cameras it reaches.
+    A backend may have an attribute `about`, one line about the cameras it reaches.
     """
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
@@ -216,9 +216,9 @@ class BackendListing:
 
     Attributes:
         name: the part of a camera id before the colon
-        about: one line that says which cameras it reaches
+        about: one line about the cameras it reaches
         cameras: the cameras that can be opened now
-        problem: one line that says why it could not look for cameras, else empty
+        problem: the reason, in one line, if it could not search for cameras, else empty
     """
 
     name: str
@@ -245,6 +245,6 @@ def list_backends(*, probe: bool = False) -> list[BackendListing]:
 def list_cameras(*, probe: bool = False) -> list[CameraInfo]:
     """Return the cameras that can be opened now; `probe`: see `CameraBackend.discover`.
 
-    A backend that cannot look for cameras is left out; `list_backends` says why.
+    Backends that cannot search for cameras are left out; `list_backends` gives the reasons.
     """
     return [camera for listing in list_backends(probe=probe) for camera in listing.cameras]

@@ -65,7 +65,7 @@ class SimulatedCamera(CameraBase):
             nothing out: an average over a bracket of interleaved exposures shows far less than one
             level, and a tolerance of more than 0.05 would distort it.
         repeat_noise: every frame has the noise of frame 0, so that it depends on its exposure
-            alone, as with `sim.devices.scenery.Exposer`
+            alone, as with `sim.devices.common.VirtualSensor`
 
     Attributes:
         scene, sensor: as given

@@ -17,7 +17,6 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 # Programs and helper modules: --doctest-modules would import them.
 collect_ignore = ["bench", "example_driver", "helpers", "oracle"]
-collect_ignore += ["virtual_hardware/machine.py", "virtual_hardware/run.py"]
 
 
 @pytest.fixture

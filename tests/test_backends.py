@@ -40,7 +40,7 @@ class Working:
 
 
 class Failing(Working):
-    """A backend that cannot look for cameras."""
+    """A backend that cannot search for cameras."""
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         raise CameraError("the bus does not answer", hint="restart it")
@@ -70,7 +70,7 @@ def test_list_backends_has_cameras_and_problems() -> None:
 
 
 @pytest.mark.usefixtures("installed")
-def test_list_cameras_leaves_out_backends_that_cannot_look() -> None:
+def test_list_cameras_leaves_out_backends_with_a_problem() -> None:
     assert [camera.id for camera in list_cameras()] == ["working:False"]
 
 

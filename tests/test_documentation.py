@@ -53,7 +53,9 @@ def test_a_command_of_the_documentation_is_valid(page: str, arguments: list[str]
     from camctl.cli import cli
 
     command: click.Command = cli
-    context, rest = click.Context(cli, info_name="camctl"), arguments
+    # With the settings: click keeps the help option that the first context of a command makes.
+    context = click.Context(cli, info_name="camctl", **cli.context_settings)
+    rest = arguments
     while rest and isinstance(command, click.Group):
         name, found, rest = command.resolve_command(context, rest)
         assert found is not None, f"{page}: {arguments}"

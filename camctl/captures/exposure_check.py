@@ -80,7 +80,7 @@ class NeighbourCheck:
         light, then = self._middle[before], self._middle[after]
         high = 0.9 * float(self._middle[-1])
         one_level = float(self._middle[min(1, self._top)])
-        # Samples that are in range in both frames, as the first frame predicts or both frames show.
+        # Samples in range in both frames, judged by either frame alone; the brighter the better.
         in_range = (light >= self._measurable) & (light * expected <= 0.7 * high)
         below_white = (then <= high) & (light <= high)
         usable = [

@@ -153,7 +153,7 @@ class FolderStore:
         """Name the command that completes the capture."""
         return (
             f"{done} of {count} frames are kept",
-            f"continue with: camctl shoot --resume {self.directory}",
+            f"go on with: camctl shoot --resume {self.directory}",
         )
 
     def frame(self, position: int) -> Pixels:

@@ -114,15 +114,15 @@ def meter(camera: Camera, *, spend_shutter: bool = False, small_aperture: bool =
             if time_s <= shortest:
                 best = (setting, bright, clipped)
                 break
-            wanted = math.sqrt(below * above) if below else time_s / _SHORTENING
+            target_s = math.sqrt(below * above) if below else time_s / _SHORTENING
         else:
             below, best = time_s, (setting, bright, clipped)
             if bright >= _MEASURED_SHARE * levels.size or time_s >= longest:
                 break
-            wanted = time_s * _headroom(levels, bright)
-            if above and wanted >= above:
-                wanted = math.sqrt(below * above)
-        next_s = controls.time_s.nearest(min(max(wanted, shortest), longest))
+            target_s = time_s * _headroom(levels, bright)
+            if above and target_s >= above:
+                target_s = math.sqrt(below * above)
+        next_s = controls.time_s.nearest(min(max(target_s, shortest), longest))
         if next_s in (below, above):
             break
         time_s = next_s
@@ -176,8 +176,8 @@ def light_histogram(
         for plane in planes(frame.pixels, controls.layout):
             above = np.clip(_sample(plane).astype(np.intp) - frame.black, 0, levels.size)
             found += np.bincount(above, minlength=levels.size + 1)
-        wanted_s = min(setting.time_s * levels.size / (2 * _READABLE_LEVELS), _LONGEST_HISTOGRAM_S)
-        longer_s = controls.time_s.nearest(max(wanted_s, setting.time_s))
+        target_s = min(setting.time_s * levels.size / (2 * _READABLE_LEVELS), _LONGEST_HISTOGRAM_S)
+        longer_s = controls.time_s.nearest(max(target_s, setting.time_s))
         readable = levels[min(_READABLE_LEVELS, levels.size) - 1] * scale
         last = readable <= 1 / dynamic_range or longer_s <= setting.time_s
         lower = 0.0 if last else readable

@@ -31,7 +31,7 @@ _BASES, _KEPT_BASES = 24, 4
 _NEIGHBOURS = 3
 #: Gains and apertures that extend the shutter times, at most.
 _GAINS, _APERTURES = 64, 8
-#: Relative difference from which a warning says that a requested exposure is not met.
+#: Relative difference between requested and applied exposure from which there is a warning.
 _WARNING_DIFFERENCE = 0.01
 #: Relative difference up to which two exposures are the same, in float64.
 _SAME = 1e-9

@@ -1,1 +1,1 @@
-"""Virtual hardware that shows a simulated sensor before a scene: webcam, still cameras."""
+"""Virtual hardware: a webcam and still cameras, each with a simulated sensor that sees a scene."""

@@ -1,4 +1,4 @@
-"""`python -m sim.devices`: see `sim.devices.hub`."""
+"""`python -m sim.devices`: run virtual devices; see `sim.devices.hub`."""
 
 import sys
 

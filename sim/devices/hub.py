@@ -1,14 +1,14 @@
-"""All virtual devices in one process, and a socket for what shall go wrong with them.
+"""All virtual devices of a configuration in one process, controlled through a socket.
 
     python -m sim.devices --dir DIRECTORY CONFIG.json
 
-CONFIG.json holds ``{"devices": [{"name": "cam0", "kind": "uvc", ...}]}``; what else stands there
-is the kind's own.  USB devices are plugged into the kernel's virtual controller, serial ones open
-their line; without one, or with ``"line": "pty"``, DIRECTORY/NAME is a link to a pseudo-terminal.
+CONFIG.json holds ``{"devices": [{"name": "cam0", "kind": "uvc", ...}]}``; the other options of a
+device depend on its kind.  USB devices are attached to the kernel's virtual host controller; a
+serial device opens its line or, without one, a pseudo-terminal that DIRECTORY/NAME links to.
 
-DIRECTORY/ctl is a UNIX socket that appears once all are attached.  It takes one JSON object a line,
-``{"device": "cam0", "do": "freeze", ...arguments}``, and answers with one: what the verb returns
-and ``"ok": true``, or ``"error"`` with a line of text.
+DIRECTORY/ctl is a UNIX socket that appears once all devices are attached.  A request is one JSON
+object per line, ``{"device": "cam0", "do": "freeze", ...arguments}``, and so is the reply: the
+result of the control command and ``"ok": true``, or ``"error"`` with one line of text.
 """
 
 from __future__ import annotations
@@ -22,56 +22,40 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from camctl.errors import CamctlError, CameraTimeoutError, DataError, UsageError, unknown_name
+from sim.devices.common import Controllable
 from sim.devices.usb.device import UsbDevice
 from sim.devices.usb.vhci import VhciPort
 
 CONTROL = "ctl"
-_LONGEST_LINE = 64 * 1024
-_ANSWER_S = 30.0
+_LONGEST_LINE = 64 * 1024  # bytes; no control command comes near
+_REPLY_S = 30.0  # a device may be rendering a picture
 
+MakeDevice: TypeAlias = Callable[[Mapping[str, Any]], Controllable]
 
-class VirtualDevice(Protocol):
-    """What the hub knows of a device."""
-
-    def attach(self) -> None:
-        """Plug it in."""
-        ...
-
-    def detach(self) -> None:
-        """Pull the plug."""
-        ...
-
-    def do(self, verb: str, **arguments: Any) -> dict[str, Any]:
-        """Do what a verb says; the answer can be written as JSON."""
-        ...
-
-
-Make: TypeAlias = Callable[[Mapping[str, Any]], VirtualDevice]
-
-#: Modules by kind; each has a function `make(config)`.
+#: Modules by kind of device; each has a function `make(config)`.
 KINDS: Mapping[str, str] = {
     "uvc": "sim.devices.uvc.camera",
     "ptp": "sim.devices.ptp.camera",
     "sierra": "sim.devices.sierra.device",
 }
-_SERIAL = ("sierra",)
+_SERIAL_KINDS = ("sierra",)
 
 
-def make_device(config: Mapping[str, Any], directory: Path) -> VirtualDevice:
-    """Return the device that a configuration describes, not attached yet.
+def make_device(config: Mapping[str, Any], directory: Path) -> Controllable:
+    """Return the device of a configuration, not attached yet.
 
     Raises:
-        UsageError, DataError: an unknown kind, or something of the kind's own that does not fit
+        UsageError, DataError: the kind is unknown, or an option of the device is invalid
     """
     kind = str(config.get("kind"))
     if kind not in KINDS:
         raise unknown_name("kind of virtual device", kind, KINDS)
-    if kind in _SERIAL and config.get("line", "pty") == "pty":
+    if kind in _SERIAL_KINDS and config.get("line", "pty") == "pty":
         config = {"link": str(directory / str(config["name"])), **config}
-    make: Make = import_module(KINDS[kind]).make
+    make: MakeDevice = import_module(KINDS[kind]).make
     device = make(config)
     if isinstance(device, UsbDevice) and device.port is None:
         device.port = VhciPort()
@@ -82,52 +66,54 @@ def read_config(path: Path) -> list[dict[str, Any]]:
     """Return the devices of a configuration file.
 
     Raises:
-        DataError: it cannot be read, or holds no list of named devices
+        DataError: it cannot be read, or has no list of devices with different names
     """
     try:
         devices = json.loads(path.read_text(encoding="utf-8"))["devices"]
         names = [device["name"] for device in devices]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(
-            f"{path}: no list of devices ({type(error).__name__}: {error})",
+            f"{path} has no list of devices ({type(error).__name__}: {error})",
             hint='write {"devices": [{"name": "cam0", "kind": "uvc"}]}',
         ) from error
     if len(set(names)) < len(names):
-        raise DataError(f"{path}: two devices of one name", hint="name them differently")
+        raise DataError(
+            f"{path} has two devices of the same name", hint="give each device its own name"
+        )
     return list(devices)
 
 
 class Hub:
-    """Asks a hub that runs in another process.
+    """A client of a hub that runs in another process.
 
     Args:
-        directory: its --dir
+        directory: the hub's --dir
     """
 
     def __init__(self, directory: str | Path) -> None:
         self._path = str(Path(directory) / CONTROL)
 
-    def do(self, device: str, verb: str, **arguments: Any) -> dict[str, Any]:
-        """Return what a device answers to a verb.
+    def do(self, device: str, command: str, **arguments: Any) -> dict[str, Any]:
+        """Return the result of a control command of a device.
 
         Raises:
-            UsageError: no such device or verb, or the verb failed
-            CameraTimeoutError: the hub does not answer
+            UsageError: no such device or command, or the command failed
+            CameraTimeoutError: the hub does not reply
         """
-        request = json.dumps({"device": device, "do": verb, **arguments}).encode() + b"\n"
+        request = json.dumps({"device": device, "do": command, **arguments}).encode() + b"\n"
         try:
-            with socket.socket(socket.AF_UNIX) as line:
-                line.settimeout(_ANSWER_S)
-                line.connect(self._path)
-                line.sendall(request)
-                answer = json.loads(line.makefile("rb").readline())
+            with socket.socket(socket.AF_UNIX) as connection:
+                connection.settimeout(_REPLY_S)
+                connection.connect(self._path)
+                connection.sendall(request)
+                reply = json.loads(connection.makefile("rb").readline())
         except (OSError, ValueError) as error:
             raise CameraTimeoutError(
-                f"no answer from the hub at {self._path}: {error}", hint="is it running?"
+                f"the hub at {self._path} does not reply: {error}", hint="is it running?"
             ) from error
-        if "error" in answer:
-            raise UsageError(f"{device} {verb}: {answer['error']}")
-        return {key: value for key, value in answer.items() if key != "ok"}
+        if "error" in reply:
+            raise UsageError(f"{device} {command}: {reply['error']}")
+        return {key: value for key, value in reply.items() if key != "ok"}
 
 
 class _Handler(socketserver.StreamRequestHandler):
@@ -135,34 +121,34 @@ class _Handler(socketserver.StreamRequestHandler):
 
     def handle(self) -> None:
         while line := self.rfile.readline(_LONGEST_LINE):
-            self.wfile.write(json.dumps(self.server.answer(line)).encode() + b"\n")
+            self.wfile.write(json.dumps(self.server.reply(line)).encode() + b"\n")
 
 
 class _Server(socketserver.ThreadingUnixStreamServer):
     daemon_threads = True
 
-    def __init__(self, path: Path, devices: Mapping[str, VirtualDevice]) -> None:
+    def __init__(self, path: Path, devices: Mapping[str, Controllable]) -> None:
         self._devices = devices
         super().__init__(str(path), _Handler)
 
-    def answer(self, line: bytes) -> dict[str, Any]:
+    def reply(self, line: bytes) -> dict[str, Any]:
         try:
             request = json.loads(line)
-            name, verb = str(request.pop("device")), str(request.pop("do"))
+            name, command = str(request.pop("device")), str(request.pop("do"))
             if name not in self._devices:
                 raise unknown_name("device", name, self._devices)
-            return {"ok": True, **self._devices[name].do(verb, **request)}
+            return {"ok": True, **self._devices[name].do(command, **request)}
         except CamctlError as error:
             return {"error": str(error)}
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            return {"error": f"{type(error).__name__}: {error}"}
+            return {"error": f"invalid request: {type(error).__name__}: {error}"}
 
 
 def run(directory: Path, config: Path, stop: threading.Event) -> None:
-    """Attach the devices of a configuration and answer the control socket until `stop` is set.
+    """Attach the devices of a configuration and serve the control socket until `stop` is set.
 
     Raises:
-        CamctlError: the configuration does not fit, or a device cannot be attached
+        CamctlError: the configuration is invalid, or a device cannot be attached
     """
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / CONTROL
@@ -171,12 +157,11 @@ def run(directory: Path, config: Path, stop: threading.Event) -> None:
     try:
         for device in devices.values():
             device.attach()
-        # The socket is bound under another name, so that it answers from the moment it is there.
+        # The socket is bound under another name, so that it replies from the moment it appears.
         part = directory / f".{CONTROL}.part"
         part.unlink(missing_ok=True)
         with _Server(part, devices) as server:
-            serving = threading.Thread(target=server.serve_forever, name="hub", daemon=True)
-            serving.start()
+            threading.Thread(target=server.serve_forever, name="hub", daemon=True).start()
             part.rename(path)
             stop.wait()
             path.unlink(missing_ok=True)
@@ -186,17 +171,19 @@ def run(directory: Path, config: Path, stop: threading.Event) -> None:
             device.detach()
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run a hub until it is interrupted or terminated; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m sim.devices", description="Virtual cameras.")
-    parser.add_argument("--dir", type=Path, required=True, help="for the control socket")
-    parser.add_argument("config", type=Path, help="a JSON file")
-    arguments = parser.parse_args(words)
+    parser = argparse.ArgumentParser(
+        prog="python -m sim.devices", description="Run virtual cameras until interrupted."
+    )
+    parser.add_argument("--dir", type=Path, required=True, help="folder for the control socket")
+    parser.add_argument("config", type=Path, help="JSON file that lists the devices")
+    options = parser.parse_args(arguments)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     try:
-        run(arguments.dir, arguments.config, stop)
+        run(options.dir, options.config, stop)
     except CamctlError as error:
         parser.exit(error.exit_status, f"{parser.prog}: {error}\n")
     return 0

@@ -1,4 +1,4 @@
-"""What is behind the protocol of any still camera: a shutter, a sensor, files and a card."""
+"""The parts of a still camera that no protocol changes: shutter, sensor, files, faults."""
 
 from __future__ import annotations
 
@@ -10,72 +10,70 @@ from functools import partial
 from typing import Any
 
 from sim.devices.clock import DeviceClock, ScheduledCall
-from sim.devices.scenery import Exposer
-from sim.devices.still_files import SUFFIXES, Exposed, encode, thumbnail
+from sim.devices.common import VirtualSensor
+from sim.devices.still_files import SUFFIXES, RawImage, encode, thumbnail
 
 CARD_BYTES = 256 * 1024 * 1024
-_LOG = 256  # exposures that are remembered
-BULB_MAX_S = 120.0  # a bulb exposure that nobody ends ends itself
+BULB_MAX_S = 120.0  # a bulb exposure that no host ends stops by itself
+_LOG_LENGTH = 256  # exposures: a host may go on without end
+_OVERHEAD_BYTES = 65536  # of headers, tags and thumbnail in a file, at most
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
-    """A file on the card.
+class ImageFile:
+    """An image file that the camera has made.
 
     Attributes:
-        kind: jpeg, tiff or dng
+        format: jpeg, tiff or dng
         name: on the card
-        data: the file
-        thumbnail: a small JPEG of it
+        data: the file's bytes
+        thumbnail: a small JPEG
         rows, columns: of the picture
-        bits: a pixel
-        time_s: what it was exposed for
+        bits: per pixel
     """
 
-    kind: str
+    format: str
     name: str
     data: bytes
     thumbnail: bytes
     rows: int
     columns: int
     bits: int
-    time_s: float
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """What the shutter is told.
+    """The settings of one exposure.
 
     Attributes:
-        time_s: how long; None: until it is released (bulb)
+        time_s: shutter time; None: until the shutter is closed (bulb)
         gain: linear, of the sensor
-        light: what the aperture lets through, 1 for the widest
-        kinds: the files to make
+        light: share of the light that the aperture lets through, 1 for the widest
+        formats: of the files to make
         quality: of JPEGs, 1 to 100
     """
 
     time_s: float | None
     gain: float
     light: float
-    kinds: tuple[str, ...]
+    formats: tuple[str, ...]
     quality: int = 95
 
 
 @dataclass
-class Faults:
-    """What is wrong with a still camera at the moment, whatever its protocol.
+class StillFaults:
+    """Faults of a still camera, whatever its protocol.
 
     Attributes:
-        wrong_factor: so many times the light ..
-        wrong_left: .. in so many next exposures
-        clamp_s: longer shutter times are cut to this without a word; None: they are not
-        is_card_full: no room for a picture
-        is_battery_low: too low to take one
+        light_factor, light_count: so many next exposures get so many times the light
+        longest_s: longer shutter times are silently cut to this; None: they are not
+        is_card_full: there is no room for a picture
+        is_battery_low: there is too little charge for a picture
     """
 
-    wrong_factor: float = 1.0
-    wrong_left: int = 0
-    clamp_s: float | None = None
+    light_factor: float = 1.0
+    light_count: int = 0
+    longest_s: float | None = None
     is_card_full: bool = False
     is_battery_low: bool = False
 
@@ -99,34 +97,35 @@ class BodyOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Shot:
-    """An exposure that is running: when it began, and what follows it."""
+    """A running exposure: its settings, what is called with its files, and when it began."""
 
     exposure: Exposure
-    done: Callable[[Sequence[Picture]], None]
+    done: Callable[[Sequence[ImageFile]], None]
     began_s: float
 
 
 class StillBody:
-    """Takes one picture at a time; what it does by itself it schedules on its clock.
+    """Takes one picture at a time.
 
     Args:
-        exposer: the sensor before its scene
-        lock: of the device; held in every call from outside, and while a picture is handed over
+        sensor: what is exposed
+        lock: of the device; held in every call from outside, and while files are delivered
         clock: on which exposures are timed
         options: see `BodyOptions`
 
     Attributes:
+        faults: see `StillFaults`
         taken: how many pictures were taken
         log: the last exposures, ready for JSON
     """
 
     def __init__(
-        self, exposer: Exposer, lock: threading.RLock, clock: DeviceClock, options: BodyOptions
+        self, sensor: VirtualSensor, lock: threading.RLock, clock: DeviceClock, options: BodyOptions
     ) -> None:
-        self.exposer = exposer
-        self.faults = Faults()
+        self.sensor = sensor
+        self.faults = StillFaults()
         self.taken = 0
-        self.log: deque[dict[str, Any]] = deque(maxlen=_LOG)
+        self.log: deque[dict[str, Any]] = deque(maxlen=_LOG_LENGTH)
         self._lock = lock
         self._clock = clock
         self._options = options
@@ -141,18 +140,18 @@ class StillBody:
 
     @property
     def largest_file(self) -> int:
-        """No file of one exposure is larger, bytes."""
-        rows, columns = self.exposer.shape[:2]
-        return max(self._options.object_bytes, rows * columns * 3 * 2 + 65536)
+        """Upper bound on the size of a file, bytes."""
+        rows, columns = self.sensor.shape[:2]
+        return max(self._options.object_bytes, rows * columns * 3 * 2 + _OVERHEAD_BYTES)
 
-    def mend(self) -> None:
+    def clear_faults(self) -> None:
         """End all faults."""
-        self.faults = Faults()
+        self.faults = StillFaults()
 
-    def release(self, exposure: Exposure, done: Callable[[Sequence[Picture]], None]) -> None:
-        """Open the shutter; `done` is called, with the lock held, when the files are on the card.
+    def release(self, exposure: Exposure, done: Callable[[Sequence[ImageFile]], None]) -> None:
+        """Open the shutter; `done` is called, with the lock held, when the files are ready.
 
-        Not to be called while it is exposing.
+        Not to be called while the camera is exposing.
         """
         assert not self.is_exposing
         self._is_idle.clear()
@@ -184,18 +183,18 @@ class StillBody:
                 return
 
     def state(self) -> dict[str, Any]:
-        """Return how many pictures were taken, and the last exposure, ready for JSON."""
+        """Return the number of pictures taken and the last exposure, ready for JSON."""
         return {"shots": self.taken, "exposure": self.log[-1] if self.log else None}
 
     def wait(self, timeout_s: float = 60.0) -> None:
-        """Wait until no exposure is running, and what was to follow it has been done.
+        """Wait until no exposure is running and the files of the last one are delivered.
 
         Raises:
             TimeoutError: an exposure is still running after `timeout_s`
         """
         deadline_s = self._clock.now() + timeout_s
         while self._clock.wait_for(self._is_idle, deadline_s):
-            with self._lock:  # held until the files have been handed over
+            with self._lock:  # held while files are delivered, which may begin another exposure
                 if self._is_idle.is_set():
                     return
         raise TimeoutError(f"the virtual camera is still exposing after {timeout_s:g} s")
@@ -203,45 +202,44 @@ class StillBody:
     def _read_out(self, shot: _Shot) -> None:
         time_s = shot.exposure.time_s
         assert time_s is not None
-        pictures = self._develop(shot.exposure, time_s)
+        files = self._make_files(shot.exposure, time_s)
         ended_s = shot.began_s + time_s
-        finish = partial(self._finish, shot, ended_s, pictures)
-        self._clock.call_at(ended_s + self._options.delay_s, finish)
+        deliver = partial(self._deliver, shot, ended_s, files)
+        self._clock.call_at(ended_s + self._options.delay_s, deliver)
 
-    def _finish(self, shot: _Shot, ended_s: float, pictures: Sequence[Picture]) -> None:
+    def _deliver(self, shot: _Shot, ended_s: float, files: Sequence[ImageFile]) -> None:
         with self._lock:
-            names = [picture.name for picture in pictures]
+            names = [file.name for file in files]
             times = {"began_s": shot.began_s, "ended_s": ended_s, "downloaded_s": None}
             self.log.append({**times, "names": names, **asdict(shot.exposure)})
             self._is_idle.set()
-            shot.done(pictures)
+            shot.done(files)
 
-    def _develop(self, exposure: Exposure, time_s: float) -> list[Picture]:
-        light, faults = exposure.light, self.faults
-        if faults.wrong_left > 0:
-            faults.wrong_left -= 1
-            light *= faults.wrong_factor
-        exposer = self.exposer
-        number = self.taken
+    def _make_files(self, exposure: Exposure, time_s: float) -> list[ImageFile]:
+        light = exposure.light
+        if self.faults.light_count > 0:
+            self.faults.light_count -= 1
+            light *= self.faults.light_factor
+        sensor, options = self.sensor, self._options
+        pixels = sensor.expose(time_s * light, exposure.gain, self.taken)
         self.taken += 1
-        pixels = exposer.expose(time_s * light, exposure.gain, number)
-        bits = exposer.sensor.bits
-        exposed = Exposed(pixels, exposer.layout, bits, exposer.black, exposer.white, time_s)
-        small = thumbnail(exposed)
+        image = RawImage(
+            pixels, sensor.layout, sensor.model.bits, sensor.black, sensor.white, time_s
+        )
+        small = thumbnail(image)
         rows, columns = pixels.shape[:2]
-        options = self._options
-        pictures = []
-        for kind in exposure.kinds:
-            data = encode(kind, exposed, grey=options.grey, quality=exposure.quality)
+        bits = image.bits * (3 if pixels.ndim == 3 else 1)
+        files = []
+        for form in exposure.formats:
+            data = encode(form, image, grey=options.grey, quality=exposure.quality)
             data += bytes(max(0, options.object_bytes - len(data)))
-            name = f"{options.stem}{self.taken:04d}.{SUFFIXES[kind]}"
-            depth = bits * (3 if pixels.ndim == 3 else 1)
-            pictures.append(Picture(kind, name, data, small, rows, columns, depth, time_s))
-        return pictures
+            name = f"{options.stem}{self.taken:04d}.{SUFFIXES[form]}"
+            files.append(ImageFile(form, name, data, small, rows, columns, bits))
+        return files
 
 
-class StillVerbs:
-    """Verbs for what can be wrong with any still camera."""
+class StillFaultCommands:
+    """Control commands that set the faults of a `StillBody`."""
 
     body: StillBody
 
@@ -253,10 +251,10 @@ class StillVerbs:
         """Have too little charge for a picture."""
         self.body.faults.is_battery_low = True
 
-    def do_wrong(self, factor: float = 2.0, count: int = 1) -> None:
-        """Expose the next pictures with so many times the light."""
-        self.body.faults.wrong_factor, self.body.faults.wrong_left = factor, count
+    def do_wrong_exposure(self, factor: float = 2.0, count: int = 1) -> None:
+        """Give the next `count` pictures `factor` times the light."""
+        self.body.faults.light_factor, self.body.faults.light_count = factor, count
 
     def do_clamp(self, max_s: float) -> None:
-        """Cut shutter times to `max_s` without a word."""
-        self.body.faults.clamp_s = max_s
+        """Silently cut shutter times to `max_s`."""
+        self.body.faults.longest_s = max_s

@@ -98,8 +98,8 @@ def slots() -> None:
         request = CaptureRequest("linear", 256.0, ratios=ratios, base_s=0.01)
         with SimulatedCamera(scene, sensor) as camera, tempfile.TemporaryDirectory() as folder:
             report = capture(camera, request, Path(folder) / "out")
-        spent, wanted = report.timing["shooting_s"] / sensor.frame_interval_s, 6 + delay
-        print(f"slots  delay {delay}: {spent:.3f} for n + d = {wanted}, ratio {spent / wanted:.3f}")
+        used, least = report.timing["shooting_s"] / sensor.frame_interval_s, 6 + delay
+        print(f"slots  delay {delay}: {used:.3f} for n + d = {least}, ratio {used / least:.3f}")
 
 
 def real_time() -> None:
@@ -118,11 +118,11 @@ def real_time() -> None:
         before = camera.frames_lost
         report = capture(camera, request, Path(folder) / "out")
         lost = camera.frames_lost - before
-        wanted = (len(ratios) + camera.sensor.delay_frames) * camera.sensor.frame_interval_s
+        expected = (len(ratios) + camera.sensor.delay_frames) * camera.sensor.frame_interval_s
     print(
         f"real   {len(ratios)} frames of 2 MP at 30 a second: {lost} lost, "
-        f"{report.timing['shooting_s']:.3f} s for n + d slots of {wanted:.3f} s, "
-        f"ratio {report.timing['shooting_s'] / wanted:.2f}"
+        f"{report.timing['shooting_s']:.3f} s for n + d slots of {expected:.3f} s, "
+        f"ratio {report.timing['shooting_s'] / expected:.2f}"
     )
 
 

@@ -69,7 +69,10 @@ CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))
         ({"mains_hz": -50.0}, "invalid mains frequency -50: expected a positive, finite number"),
         ({"compensation_stops": math.inf}, "invalid compensation inf: expected a finite number"),
         ({"tolerance": -1.0}, "invalid tolerance -1: expected a number of levels from 0"),
-        ({"tolerance": 1.0}, "a tolerance needs the number of desired levels; give it with"),
+        (
+            {"tolerance": 1.0},
+            "a tolerance needs the number of desired levels; give it with levels_wanted",
+        ),
         (
             {"tolerance": 1.0, "levels_wanted": 10.0, "time_budget_s": 1.0},
             "a tolerance cannot be combined with a time budget or an automatic response; leave",

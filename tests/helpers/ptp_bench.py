@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -13,9 +12,9 @@ from camctl.controls import ExposureSetting
 from drivers.ptp.backend import PtpBackend
 from drivers.ptp.camera import PtpCamera, PtpOptions
 from sim.devices.clock import DeviceClock, VirtualDeviceClock
+from sim.devices.common import VirtualSensor
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera
 from sim.devices.ptp.config import PtpConfig
-from sim.devices.scenery import Exposer
 from sim.devices.usb.backend import VirtualBackend
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
@@ -23,16 +22,6 @@ from sim.sensors.sensor import load_sensor
 SHAPE = (24, 32)
 # Of a transfer in virtual time; USB 2.0 cameras reach about this.
 BYTES_PER_S = 40e6
-
-
-class PacedBackend(VirtualBackend):
-    """A bus on which the bytes of a transfer take virtual time."""
-
-    def bulk_read(self, dev_handle: Any, ep: int, intf: int, buff: array[int], timeout: int) -> int:
-        count = super().bulk_read(dev_handle, ep, intf, buff, timeout)
-        clock = dev_handle.stay.device.clock
-        clock.sleep_until(clock.now() + count / BYTES_PER_S)
-        return count
 
 
 @dataclass(frozen=True)
@@ -54,9 +43,9 @@ class Bench:
         return PtpCamera(self.usb_device, parsed, clock=self.device.clock).open()
 
 
-def exposer(scene: str = "ramp", sensor: str = "ideal-8") -> Exposer:
+def virtual_sensor(scene: str = "ramp", sensor: str = "ideal-8") -> VirtualSensor:
     """Return the sensor of the virtual cameras before a scene; it repeats its noise."""
-    return Exposer(load_scene(scene, SHAPE), load_sensor(sensor), seed=1, repeat_noise=True)
+    return VirtualSensor(load_scene(scene, SHAPE), load_sensor(sensor), seed=1, repeat_noise=True)
 
 
 def bench(
@@ -64,10 +53,10 @@ def bench(
 ) -> Bench:
     """Return a virtual camera with this configuration, plugged in."""
     if clock is not None:
-        device = VirtualCamera(PtpConfig(**config), exposer(scene, sensor), clock)
+        device = VirtualCamera(PtpConfig(**config), virtual_sensor(scene, sensor), clock)
         return Bench(device, VirtualBackend([device]))
-    device = VirtualCamera(PtpConfig(**config), exposer(scene, sensor), VirtualDeviceClock())
-    return Bench(device, PacedBackend([device]))
+    device = VirtualCamera(PtpConfig(**config), virtual_sensor(scene, sensor), VirtualDeviceClock())
+    return Bench(device, VirtualBackend([device], bytes_per_s=BYTES_PER_S))
 
 
 @contextmanager

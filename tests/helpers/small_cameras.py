@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import CameraInfo, FrameStream
+from camctl.captures.report import CaptureReport
 from camctl.clock import Clock
 from camctl.controls import Control, ExposureControls, ExposureSetting
 from sim.camera import Faults, SimulatedCamera
@@ -80,3 +82,12 @@ class WrappedCamera:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def sum_of_frames(directory: Path, report: CaptureReport) -> NDArray[np.int64]:
+    """Return the sum of the frames on disk, clipped at white."""
+    total = np.zeros((), np.int64)
+    for frame in report.frames:
+        assert frame.file is not None
+        total = total + np.minimum(np.load(directory / frame.file), frame.white).astype(np.int64)
+    return total

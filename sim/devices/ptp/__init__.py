@@ -1,1 +1,1 @@
-"""A virtual PTP still camera."""
+"""A virtual PTP still camera with three makers' extensions."""

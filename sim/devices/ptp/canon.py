@@ -1,7 +1,7 @@
-"""A camera that speaks Canon's EOS extension of PTP, as libgphoto2 describes it.
+"""A camera with Canon's EOS extension of PTP, as libgphoto2 describes it.
 
-Properties are set by an operation of its own and read by polling for records of what has changed:
-size, kind and data, the list ended by a record of kind 0.
+Properties are set by a vendor operation and read by polling for records of changes.  A record has
+size, type and data; a record of type 0 ends the list.
 """
 
 from __future__ import annotations
@@ -12,30 +12,30 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.codes import Event, Operation, Property, Response, Type
 from sim.devices.ptp.config import Identity
-from sim.devices.ptp.datasets import (
-    DeviceProperty,
+from sim.devices.ptp.properties import DeviceProperty, battery
+from sim.devices.ptp.protocol import (
+    Event,
     Handler,
+    Operation,
+    Property,
     Reply,
-    StoredObject,
+    Response,
+    Type,
     pack_list,
     unpack_number,
 )
-from sim.devices.ptp.properties import battery
 from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.store import STORE, stored
-from sim.devices.still_body import Picture
+from sim.devices.ptp.store import STORE, StoredObject, stored
+from sim.devices.still_body import ImageFile
 
 BULB = 0x0C
 CARD, HOST = 2, 4  # capture destinations
-_HOST_HANDLE = 0x9000_0001  # of a picture that waits for the host
-_ONE_SECOND = 0x38
+_HOST_HANDLE = 0x9000_0001  # of a picture in memory whose destination is the host
 _STEPS_A_STOP = 8
-_F1 = 0x08
-_ISO_100 = 0x48
+_ONE_SECOND, _F1, _ISO_100 = 0x38, 0x08, 0x48  # codes
 _PROGRAM_MANUAL, _PROGRAM_AUTOMATIC = 3, 0
-# Thirds of a stop in eighths, as Canon counts them: 0, 3, 5.
+# Thirds of a stop, rounded to eighths as in Canon's codes.
 _THIRDS = (0, 3, 5)
 SHUTTER_CODES = tuple(code for code in range(0x10, 0xA1) if code % _STEPS_A_STOP in _THIRDS)
 _TENTH_OF_SECOND = 0x53
@@ -53,12 +53,12 @@ def code_of_iso(iso: int) -> int:
 
 
 def code_of_f_number(hundredths: int) -> int:
-    """Return the code of an f-number: eighths of a stop of light, two stops to a doubling."""
+    """Return the code of an f-number, in hundredths: eighths of a stop of light from f/1."""
     return _F1 + round(2 * _STEPS_A_STOP * math.log2(hundredths / 100))
 
 
 class CanonResponder(Responder):
-    """Codes in eighths of a stop; records that are polled for."""
+    """A camera whose settings are codes in eighths of a stop and whose events are polled."""
 
     identity: ClassVar[Identity] = Identity(
         0x04A9, 0x323A, "Canon Inc.", "EOS 5D (virtual)", 0x0B, 1
@@ -76,7 +76,7 @@ class CanonResponder(Responder):
     events: ClassVar[tuple[int, ...]] = ()
 
     def make_properties(self) -> list[DeviceProperty]:
-        """Return the battery, and Canon's own."""
+        """Return the battery level and Canon's properties."""
         config = self.config
         is_manual = config.mode == "manual"
         codes = (*([BULB] if config.bulb else []), *SHUTTER_CODES)
@@ -104,14 +104,14 @@ class CanonResponder(Responder):
         return items
 
     def listed_properties(self) -> list[int]:
-        """Return the battery alone: Canon's are known from the records."""
+        """Return the battery level only: hosts learn Canon's properties from the records."""
         return [Property.BATTERY_LEVEL]
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return the standard's without its capture, and Canon's."""
+        """Return the standard operations without captures, and Canon's."""
         self._records: deque[bytes] = deque(maxlen=_WAITING_RECORDS)
         self._changed: set[int] = set()
-        self._is_remote = self._has_events = False
+        self._is_remote = self._is_polled = False
         card, when_ready = self.card, self.when_ready
         return {
             **super().make_operations(),
@@ -126,20 +126,20 @@ class CanonResponder(Responder):
             Operation.EOS_SET_EVENT_MODE: self._set_event_mode,
             Operation.EOS_GET_EVENTS: self._get_events,
             Operation.EOS_TRANSFER_COMPLETE: self._transfer_complete,
-            Operation.EOS_HOST_CAPACITY: self._nothing,
-            Operation.EOS_KEEP_ON: self._nothing,
+            Operation.EOS_HOST_CAPACITY: self._accept,
+            Operation.EOS_KEEP_ON: self._accept,
             Operation.EOS_BULB_START: self._bulb_start,
             Operation.EOS_BULB_END: self._bulb_end,
             Operation.EOS_REQUEST_PROPERTY: self._request_property,
         }
 
     def close_session(self) -> None:
-        """Leave remote mode too."""
+        """End the session and remote mode."""
         super().close_session()
-        self._is_remote = self._has_events = False
+        self._is_remote = self._is_polled = False
 
     def turn_dial(self, mode: str) -> None:
-        """Turn the mode dial; Canon counts its modes in its own way."""
+        """Turn the mode dial; Canon numbers the modes differently."""
         super().turn_dial(mode)
         is_manual = mode == "manual"
         self.properties[self.program_code].value = (
@@ -152,38 +152,38 @@ class CanonResponder(Responder):
 
     def exposure_time_s(self) -> float | None:
         """Return the time that is set."""
-        return self.time_of(Property.EOS_SHUTTER, self.number(Property.EOS_SHUTTER))
+        return self.time_of(Property.EOS_SHUTTER, self.properties.number(Property.EOS_SHUTTER))
 
     def gain(self) -> float:
         """Return the linear gain of the sensitivity that is set."""
         if Property.EOS_ISO not in self.properties:
             return 1.0
-        return float(2.0 ** ((self.number(Property.EOS_ISO) - _ISO_100) / _STEPS_A_STOP))
+        return float(2.0 ** ((self.properties.number(Property.EOS_ISO) - _ISO_100) / _STEPS_A_STOP))
 
     def light(self) -> float:
-        """Return the light of the aperture that is set, 1 for the widest."""
+        """Return the share of the light that the aperture lets through, 1 for the widest."""
         aperture = self.properties.get(Property.EOS_APERTURE)
         if aperture is None:
             return 1.0
-        closed = self.number(Property.EOS_APERTURE) - min(aperture.choices)
-        return float(2.0 ** (-closed / _STEPS_A_STOP))
+        steps = self.properties.number(Property.EOS_APERTURE) - min(aperture.choices)
+        return float(2.0 ** (-steps / _STEPS_A_STOP))
 
-    def tell_changed(self, codes: Iterable[int]) -> None:
-        """Keep what has changed for the next poll."""
+    def announce_changed(self, codes: Iterable[int]) -> None:
+        """Record changed properties for the next poll."""
         self._changed.update(codes)
 
-    def added(self, pictures: Sequence[Picture]) -> None:
-        """Put pictures where they are to go, and keep the records."""
-        if self.number(Property.EOS_DESTINATION) == HOST:
-            self.card.memory = {_HOST_HANDLE + i: stored(p, 0) for i, p in enumerate(pictures)}
+    def store(self, files: Sequence[ImageFile]) -> None:
+        """Put files where the destination property says, and record them for the next poll."""
+        if self.properties.number(Property.EOS_DESTINATION) == HOST:
+            self.card.memory = {_HOST_HANDLE + i: stored(file, 0) for i, file in enumerate(files)}
             kind, items = Event.EOS_REQUEST_TRANSFER, self.card.memory
         else:
-            handles = [self.card.add(picture) for picture in pictures]
+            handles = [self.card.add(file) for file in files]
             kind, items = Event.EOS_OBJECT_ADDED, {h: self.card.objects[h] for h in handles}
-        if not self.is_silent:
+        if self.sends_events:
             self._records.extend(_object_record(kind, handle, o) for handle, o in items.items())
 
-    def _nothing(self, parameters: Sequence[int], data: bytes) -> Reply:
+    def _accept(self, parameters: Sequence[int], data: bytes) -> Reply:
         return Reply()
 
     def _get_storage_info(self, parameters: Sequence[int], data: bytes) -> Reply:
@@ -208,14 +208,14 @@ class CanonResponder(Responder):
         return Reply()
 
     def _set_event_mode(self, parameters: Sequence[int], data: bytes) -> Reply:
-        self._has_events = bool(parameters and parameters[0])
-        if self._has_events:
+        self._is_polled = bool(parameters and parameters[0])
+        if self._is_polled:
             self._changed.update(self.properties)
         return Reply()
 
     def _get_events(self, parameters: Sequence[int], data: bytes) -> Reply:
         records = []
-        if self._has_events:
+        if self._is_polled:
             for code in sorted(self._changed):
                 records += _property_records(self.properties[code])
             records += self._records
@@ -230,7 +230,7 @@ class CanonResponder(Responder):
         return Reply()
 
     def _set_eos_property(self, parameters: Sequence[int], data: bytes) -> Reply:
-        """Take size, code and value, each as 32 bits."""
+        """Set a property; the data are size, code and value of 32 bits each."""
         if not self._is_remote:
             return Reply(Response.ACCESS_DENIED)
         if len(data) != 12 or unpack_number(Type.UINT32, data[:4]) != len(data):
@@ -243,7 +243,7 @@ class CanonResponder(Responder):
         if not self._is_remote:
             return Reply(Response.ACCESS_DENIED)
         if self.exposure_time_s() is None:
-            return Reply(Response.GENERAL_ERROR)  # bulb has operations of its own
+            return Reply(Response.GENERAL_ERROR)  # there are other operations for bulb
         return _with_result(self.release())
 
     def _bulb_start(self, parameters: Sequence[int], data: bytes) -> Reply | None:
@@ -264,7 +264,7 @@ class CanonResponder(Responder):
 
 
 def _with_result(reply: Reply | None) -> Reply | None:
-    """Return a reply with Canon's own result in its parameter: 0 for success."""
+    """Return a reply with Canon's result code as parameter: 0 for success."""
     return Reply(reply.code, (int(reply.code != Response.OK),)) if reply else None
 
 
@@ -273,7 +273,7 @@ def _record(kind: int, body: bytes) -> bytes:
 
 
 def _property_records(item: DeviceProperty) -> list[bytes]:
-    """Return what it is now, and what it may be where there is a list; all in 32 bits."""
+    """Return records of the value and, if there is a list, of the allowed values; 32 bits each."""
     records = [_record(Event.EOS_PROPERTY_CHANGED, struct.pack("<II", item.code, int(item.value)))]
     if item.choices:
         choices = item.choices if item.is_writable else ()

@@ -1,4 +1,4 @@
-"""What a virtual PTP camera is like: its configuration and the settings on its dials."""
+"""The options, the identity and the faults of a virtual PTP camera."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
+from camctl.errors import UsageError
+from sim.devices.common import Controllable, DeviceConfig
 from sim.devices.still_body import CARD_BYTES
 
-# The dial of a camera with thirds of a stop, as it is labelled; seconds.
+# The labels of a shutter dial in thirds of a stop, seconds.
 _PARTS_OF_SECOND = (
     *(8000, 5000, 3200, 2500, 2000, 1600, 1250, 1000, 800, 640, 500, 400, 320, 250, 200, 160, 125),
     *(100, 80, 60, 50, 40, 30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3),
@@ -20,65 +22,65 @@ DIAL_S = (
     *(Fraction(1, part) for part in _PARTS_OF_SECOND),
     *(Fraction(tenths, 10) for tenths in _TENTHS),
 )
+_LARGEST_TERM = 0xFFFF  # numerator and denominator of a shutter time have 16 bits each
+
+# Property 5004: its numbers are the maker's own; these are Nikon's and Sony's.
+COMPRESSIONS = {"jpeg": 2, "tiff": 3, "dng": 4, "dng+jpeg": 7}
+SONY_COMPRESSIONS = {"jpeg": 0x03, "tiff": 0x04, "dng": 0x10, "dng+jpeg": 0x13}
 
 
-_LARGEST = 0xFFFF  # numerator and denominator go over the wire in 16 bits each
-
-
-def _fraction(value: object) -> object:
+def _parse_time(value: object) -> object:
     if isinstance(value, str | int):
         return Fraction(value)
     if isinstance(value, float):
-        return Fraction(value).limit_denominator(_LARGEST)
+        return Fraction(value).limit_denominator(_LARGEST_TERM)
     return value
 
 
-def _fits(value: Fraction) -> Fraction:
-    if not 0 < value.numerator <= _LARGEST or value.denominator > _LARGEST:
-        raise ValueError(f"a shutter time of {value} s is not a fraction of numbers up to 65535")
+def _check_time(value: Fraction) -> Fraction:
+    if not 0 < value.numerator <= _LARGEST_TERM or value.denominator > _LARGEST_TERM:
+        raise ValueError(f"shutter time {value} s is not a fraction of numbers from 1 to 65535")
     return value
 
 
-def _several(value: object) -> object:
+def _as_tuple(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
 
-Seconds = Annotated[Fraction, BeforeValidator(_fraction), AfterValidator(_fits)]
+_ShutterTime = Annotated[Fraction, BeforeValidator(_parse_time), AfterValidator(_check_time)]
 
 
-class PtpConfig(BaseModel):
-    """What a virtual PTP camera is like; all but what it looks at, which is the exposer's.
+class PtpConfig(DeviceConfig):
+    """The options of a virtual PTP camera.
 
     Attributes:
-        serial: its serial number
-        vendor: whose properties and operations it has; none: the standard's alone
-        files: kinds that it can make; several are chosen between by property 5004, and
-            "dng+jpeg" makes both of one exposure
-        delay_s: from the end of an exposure until its file is there
-        overlap: files can be fetched and properties set while it exposes; else it is busy
-        object_bytes: files are padded to this size
-        card_bytes: what its card holds
+        serial: serial number
+        vendor: the maker whose properties and operations it has; none: the standard's only
+        files: the compression settings; property 5004 selects one of several, and "dng+jpeg"
+            writes two files per exposure
+        delay_s: from the end of an exposure until its files are on the card
+        overlap: during an exposure files can be read and properties set; else the camera is busy
+        object_bytes: files shorter than this are padded
+        card_bytes: capacity of the card
         quality: of JPEGs
-        zlp: "always": a transfer of a multiple of the packet size ends with an empty packet;
-            "never": it does not
-        split_header: the header of a data phase comes as a transfer of its own
-        folder_event: the folder is announced as a new object too
-        event_order: events come "after" the response, "before" it, or "never"
+        zlp: "always": a transfer of whole packets ends with an empty packet; "never": it does not
+        split_header: the header of a data phase is sent as a transfer of its own
+        folder_event: the folder of a picture is announced as a new object, too
+        event_order: events are sent "after" or "before" the response, or "never"
         times: shutter times, seconds or "1/60"
-        time_form: whether property 500D has a list ("enum") or 1..600000 ("range")
+        time_form: allowed values of property 500D: a list ("enum") or 1..600000 ("range")
         isos: sensitivities; 100 is gain 1
-        f_numbers: 100 f; the first that is widest has all the light; none: the lens is not ours
-        bulb: exposures as long as the host wants
-        mode: of the dial: "manual" or "auto", where the shutter time is not the host's to set
-        absolute: Sony: a shutter time can be set and need not be stepped to
+        f_numbers: apertures in hundredths, the widest lets all the light through; none: the host
+            cannot set the aperture
+        bulb: exposures that the host begins and ends
+        mode: of the dial: "manual", or "auto", where the host cannot set the shutter time
+        absolute: Sony: the shutter time can be set, not only stepped
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     serial: str = Field(default="PTP0001", min_length=1, max_length=32)
     vendor: Literal["none", "nikon", "canon", "sony"] = "none"
     files: Annotated[
-        tuple[Literal["jpeg", "tiff", "dng", "dng+jpeg"], ...], BeforeValidator(_several)
+        tuple[Literal["jpeg", "tiff", "dng", "dng+jpeg"], ...], BeforeValidator(_as_tuple)
     ] = Field(default=("jpeg",), min_length=1)
     delay_s: float = Field(default=0.0, ge=0, le=60)
     overlap: bool = True
@@ -89,7 +91,7 @@ class PtpConfig(BaseModel):
     split_header: bool = False
     folder_event: bool = False
     event_order: Literal["after", "before", "never"] = "after"
-    times: tuple[Seconds, ...] = Field(default=DIAL_S, min_length=1)
+    times: tuple[_ShutterTime, ...] = Field(default=DIAL_S, min_length=1)
     time_form: Literal["enum", "range"] = "enum"
     isos: tuple[Annotated[int, Field(ge=1, le=0xFFFF)], ...] = (100, 200, 400, 800)
     f_numbers: tuple[Annotated[int, Field(ge=1, le=0xFFFF)], ...] = (280, 400, 560, 800)
@@ -98,19 +100,14 @@ class PtpConfig(BaseModel):
     absolute: bool = True
 
 
-# Property 5004: what each number stands for is the maker's own; these are Nikon's, and Sony's.
-COMPRESSIONS = {"jpeg": 2, "tiff": 3, "dng": 4, "dng+jpeg": 7}
-SONY_COMPRESSIONS = {"jpeg": 0x03, "tiff": 0x04, "dng": 0x10, "dng+jpeg": 0x13}
-
-
-def kinds_of(choice: str) -> tuple[str, ...]:
-    """Return the files that one of `PtpConfig.files` makes."""
-    return tuple(choice.split("+"))
+def file_formats(compression: str) -> tuple[str, ...]:
+    """Return the formats of the files that one of `PtpConfig.files` writes."""
+    return tuple(compression.split("+"))
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Who a camera says it is, on USB and in its device info."""
+    """A camera's identity in its USB descriptors and its device info."""
 
     vendor_id: int
     product_id: int
@@ -122,16 +119,16 @@ class Identity:
 
 @dataclass
 class WireFaults:
-    """What is wrong with the cable and the firmware at the moment.
+    """Faults of the cable and of the protocol.
 
     Attributes:
-        busy: operations that are answered Device_Busy; -1: all of them
+        busy: so many operations are answered Device_Busy; -1: all of them
         is_hanging: operations are not answered
-        stalls: operations that stall the bulk endpoints
-        truncations: objects of which half is sent ..
-        answers_truncated: .. and a response after it, as if nothing had happened
-        garbage: replies that are rubbish
-        unplug_after: bytes of the next object after which the plug is pulled; -1: none
+        stalls: so many operations stall the bulk endpoints
+        truncations: of so many objects only half is sent ..
+        answers_truncated: .. and then a response, as if the object were complete
+        garbage: so many replies are random bytes
+        unplug_after: bytes of the next object after which the camera is unplugged; None: it is not
     """
 
     busy: int = 0
@@ -140,16 +137,16 @@ class WireFaults:
     truncations: int = 0
     answers_truncated: bool = False
     garbage: int = 0
-    unplug_after: int = -1
+    unplug_after: int | None = None
 
 
-class WireVerbs:
-    """Verbs that set `faults`."""
+class WireFaultCommands(Controllable):
+    """Control commands that set `WireFaults`."""
 
     faults: WireFaults
 
     def do_busy(self, count: int = 5) -> None:
-        """Answer the next operations, or all (-1), Device_Busy."""
+        """Answer the next `count` operations, or all (-1), with Device_Busy."""
         self.faults.busy = count
 
     def do_hang(self) -> None:
@@ -157,13 +154,25 @@ class WireVerbs:
         self.faults.is_hanging = True
 
     def do_stall(self, count: int = 1) -> None:
-        """Stall instead of doing the next operations."""
+        """Stall instead of executing the next `count` operations."""
         self.faults.stalls = count
 
     def do_truncate(self, count: int = 1, answers: bool = False) -> None:
-        """Send half of the next objects, and after that nothing, or a response."""
+        """Send half of the next `count` objects; then a response if `answers`, else nothing."""
         self.faults.truncations, self.faults.answers_truncated = count, answers
 
     def do_garbage(self, count: int = 1) -> None:
-        """Reply rubbish."""
+        """Send random bytes instead of the next `count` replies."""
         self.faults.garbage = count
+
+    def do_unplug(self, after_bytes: int | None = None) -> None:
+        """Unplug the camera; with `after_bytes`, once so much of the next object has been sent."""
+        if after_bytes is None:
+            self.detach()
+        elif after_bytes < 0:
+            raise UsageError(
+                f"invalid after_bytes {after_bytes}: expected 0 or more",
+                hint="leave it out to unplug the camera now",
+            )
+        else:
+            self.faults.unplug_after = after_bytes

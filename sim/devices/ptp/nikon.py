@@ -1,4 +1,4 @@
-"""A camera that speaks Nikon's extension of PTP, as libgphoto2's published codes describe it."""
+"""A camera with Nikon's extension of PTP, as libgphoto2 describes it."""
 
 from __future__ import annotations
 
@@ -7,22 +7,30 @@ from collections import deque
 from collections.abc import Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.codes import Event, Operation, Property, Response, Type
 from sim.devices.ptp.config import Identity
-from sim.devices.ptp.datasets import DeviceProperty, Handler, Reply, pack_list
-from sim.devices.ptp.properties import to_units
+from sim.devices.ptp.properties import DeviceProperty, to_units
+from sim.devices.ptp.protocol import (
+    Event,
+    Handler,
+    Operation,
+    Property,
+    Reply,
+    Response,
+    Type,
+    pack_list,
+)
 from sim.devices.ptp.responder import Responder
 from sim.devices.ptp.store import stored
-from sim.devices.still_body import Picture
+from sim.devices.still_body import ImageFile
 
 BULB = 0xFFFF_FFFF
-IN_MEMORY = 0xFFFF_0001  # handle of a picture that is not on the card
+IN_MEMORY = 0xFFFF_0001  # handle of the first picture in memory
 _WAITING_EVENTS = 64
 _TO_CARD, _TO_MEMORY = 0, 1
 
 
 class NikonResponder(Responder):
-    """Shutter times as exact fractions, captures into memory, events that are polled for."""
+    """A camera with exact fractions as shutter times, captures into memory, and polled events."""
 
     identity: ClassVar[Identity] = Identity(
         0x04B0, 0x0428, "Nikon Corporation", "D7000 (virtual)", 0x0A, 100
@@ -34,7 +42,10 @@ class NikonResponder(Responder):
     events: ClassVar[tuple[int, ...]] = (*Responder.events, Event.NIKON_OBJECT_IN_MEMORY)
 
     def make_properties(self) -> list[DeviceProperty]:
-        """Return the standard's, and the shutter time as numerator << 16 | denominator."""
+        """Return the standard properties, and the shutter time as a fraction.
+
+        The fraction is numerator << 16 | denominator.
+        """
         items = super().make_properties()
         standard = next(item for item in items if item.code == Property.EXPOSURE_TIME)
         fractions = [
@@ -43,7 +54,7 @@ class NikonResponder(Responder):
         ]
         if self.config.bulb:
             fractions.append((BULB, BULB))
-        # Several fractions may be one number of units: 500D then stands for the first of them.
+        # Several fractions may round to one value of 500D, which then stands for the first.
         self._units_of = dict(fractions)
         self._fraction_of = {units: fraction for fraction, units in reversed(fractions)}
         standard.choices, standard.limits = tuple(sorted(self._fraction_of)), None
@@ -57,13 +68,13 @@ class NikonResponder(Responder):
         return [*items, exact]
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return the standard's and Nikon's."""
+        """Return the standard operations and Nikon's."""
         self._polled: deque[tuple[int, int]] = deque(maxlen=_WAITING_EVENTS)
         return {
             **super().make_operations(),
             Operation.NIKON_CAPTURE: self._capture,
-            Operation.NIKON_DRIVE_FOCUS: self._nothing,
-            Operation.NIKON_SET_CONTROL_MODE: self._nothing,
+            Operation.NIKON_DRIVE_FOCUS: self._accept,
+            Operation.NIKON_SET_CONTROL_MODE: self._accept,
             Operation.NIKON_CHECK_EVENTS: self._check_events,
             Operation.NIKON_DEVICE_READY: self._device_ready,
             Operation.NIKON_GET_VENDOR_CODES: self._vendor_codes,
@@ -72,7 +83,7 @@ class NikonResponder(Responder):
         }
 
     def time_of(self, code: int, value: int) -> float | None:
-        """Return a fraction's value, whichever property it is in."""
+        """Return the time of a value of either shutter property."""
         if code == Property.EXPOSURE_TIME:
             value = self._fraction_of.get(value, BULB)
         elif code != Property.NIKON_EXPOSURE_TIME:
@@ -80,26 +91,26 @@ class NikonResponder(Responder):
         return None if value == BULB else (value >> 16) / (value & 0xFFFF)
 
     def exposure_time_s(self) -> float | None:
-        """Return the fraction that is set."""
+        """Return the shutter time that is set; None: bulb."""
         code = Property.NIKON_EXPOSURE_TIME
-        return self.time_of(code, self.number(code))
+        return self.time_of(code, self.properties.number(code))
 
     def after_set(self, code: int) -> tuple[int, ...]:
-        """Keep the two shutter times together."""
+        """Update the other shutter property."""
         exact = self.properties[Property.NIKON_EXPOSURE_TIME]
         standard = self.properties[Property.EXPOSURE_TIME]
         if code == Property.EXPOSURE_TIME:
-            exact.value = self._fraction_of[self.number(code)]
+            exact.value = self._fraction_of[self.properties.number(code)]
         elif code == Property.NIKON_EXPOSURE_TIME:
-            standard.value = self._units_of[self.number(code)]
+            standard.value = self._units_of[self.properties.number(code)]
         else:
             return (code,)
         return self.shutter_codes
 
-    def tell(self, event: int, *parameters: int) -> None:
-        """Send an event, and keep it for who polls."""
-        super().tell(event, *parameters)
-        if not self.is_silent:
+    def announce(self, event: int, *parameters: int) -> None:
+        """Send an event, and keep it for the next poll."""
+        super().announce(event, *parameters)
+        if self.sends_events:
             self._polled.append((event, parameters[0] if parameters else 0))
 
     def _start(self, standard: DeviceProperty) -> int:
@@ -108,23 +119,23 @@ class NikonResponder(Responder):
             standard.value = standard.default = standard.choices[0]
         return int(standard.value)
 
-    def _nothing(self, parameters: Sequence[int], data: bytes) -> Reply:
+    def _accept(self, parameters: Sequence[int], data: bytes) -> Reply:
         return Reply()
 
     def _capture(self, parameters: Sequence[int], data: bytes) -> Reply | None:
-        return self.release(is_bulb=self.exposure_time_s() is None, added=self._into_memory)
+        return self.release(is_bulb=self.exposure_time_s() is None, store=self._keep_in_memory)
 
     def _capture_to(self, parameters: Sequence[int], data: bytes) -> Reply | None:
         if len(parameters) < 2 or parameters[1] not in (_TO_CARD, _TO_MEMORY):
             return Reply(Response.INVALID_PARAMETER)
-        added = self._into_memory if parameters[1] == _TO_MEMORY else self.added
-        return self.release(is_bulb=self.exposure_time_s() is None, added=added)
+        store = self._keep_in_memory if parameters[1] == _TO_MEMORY else self.store
+        return self.release(is_bulb=self.exposure_time_s() is None, store=store)
 
-    def _into_memory(self, pictures: Sequence[Picture]) -> None:
-        self.card.memory = {IN_MEMORY + i: stored(p, 0) for i, p in enumerate(pictures)}
+    def _keep_in_memory(self, files: Sequence[ImageFile]) -> None:
+        self.card.memory = {IN_MEMORY + i: stored(file, 0) for i, file in enumerate(files)}
         for handle in self.card.memory:
-            self.tell(Event.NIKON_OBJECT_IN_MEMORY, handle)
-        self.tell(Event.CAPTURE_COMPLETE, 0)
+            self.announce(Event.NIKON_OBJECT_IN_MEMORY, handle)
+        self.announce(Event.CAPTURE_COMPLETE, 0)
 
     def _terminate(self, parameters: Sequence[int], data: bytes) -> Reply:
         if not self.body.is_exposing:

@@ -1,58 +1,143 @@
-"""The properties that ISO 15740 gives a still camera, clause 13."""
+"""Device properties, and those that ISO 15740, clause 13, defines for a still camera."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
 
-from sim.devices.ptp.codes import Property, Type
 from sim.devices.ptp.config import COMPRESSIONS, PtpConfig
-from sim.devices.ptp.datasets import DeviceProperty
+from sim.devices.ptp.protocol import Property, Reply, Response, Type, pack_value
 
 UNITS_PER_S = 10_000  # of property 500D
-# What a unit of 1e-4 s cannot say: a real camera that says 1 exposes for 1/8000 s.
-TRUE_TIME_S = {1: 1 / 8000}
+# Times that units of 1e-4 s round: real cameras expose for 1/8000 s at the value 1.
+_ROUNDED_TIMES_S = {1: 1 / 8000}
 CHARGE, LOW_CHARGE = 87, 3  # per cent
 MANUAL, AUTOMATIC = 1, 2  # property 500E
-_RANGE_S = 60
+_LONGEST_S = 60  # of a range of shutter times
+_RANGE, _ENUMERATION = 1, 2  # forms of a property's description
+
+
+@dataclass
+class DeviceProperty:
+    """A device property.
+
+    Attributes:
+        code: property code
+        kind: data type
+        value, default: in the property's own units
+        choices: allowed values; empty: see `limits`
+        limits: (minimum, maximum, step) of allowed values; None: any value is allowed
+        is_writable: a host may set it
+    """
+
+    code: int
+    kind: Type
+    value: int | str
+    choices: tuple[int, ...] = ()
+    limits: tuple[int, int, int] | None = None
+    is_writable: bool = True
+    default: int | str = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.default = self.value
+
+    def allows(self, value: int) -> bool:
+        """Return whether `value` is an allowed value."""
+        if self.choices:
+            return value in self.choices
+        if self.limits is not None:
+            least, most, step = self.limits
+            return least <= value <= most and (value - least) % step == 0
+        return True
+
+    def packed(self) -> bytes:
+        """Return the value as bytes."""
+        return pack_value(self.kind, self.value)
+
+    def description(self) -> bytes:
+        """Return the property description dataset."""
+        head = struct.pack("<HHB", self.code, self.kind, self.is_writable)
+        return head + pack_value(self.kind, self.default) + self.packed() + self.form()
+
+    def form(self) -> bytes:
+        """Return the form at the end of the description: the allowed values."""
+        if self.choices:
+            choices = b"".join(pack_value(self.kind, choice) for choice in self.choices)
+            return struct.pack("<BH", _ENUMERATION, len(self.choices)) + choices
+        if self.limits is not None:
+            return bytes([_RANGE]) + b"".join(pack_value(self.kind, v) for v in self.limits)
+        return b"\0"
+
+
+class PropertyTable(dict[int, DeviceProperty]):
+    """The properties of a camera by code, and the operations that read them."""
+
+    def __init__(self, properties: Sequence[DeviceProperty]) -> None:
+        super().__init__({item.code: item for item in properties})
+
+    def number(self, code: int) -> int:
+        """Return the value of a numeric property."""
+        value = self[code].value
+        assert isinstance(value, int)
+        return value
+
+    def requested(self, parameters: Sequence[int]) -> DeviceProperty | None:
+        """Return the property that an operation's first parameter names, if there is one."""
+        return self.get(parameters[0]) if parameters else None
+
+    def get_description(self, parameters: Sequence[int], data: bytes) -> Reply:
+        """GetDevicePropDesc (property)."""
+        item = self.requested(parameters)
+        return Reply(data=item.description()) if item else Reply(Response.PROPERTY_NOT_SUPPORTED)
+
+    def get_value(self, parameters: Sequence[int], data: bytes) -> Reply:
+        """GetDevicePropValue (property)."""
+        item = self.requested(parameters)
+        return Reply(data=item.packed()) if item else Reply(Response.PROPERTY_NOT_SUPPORTED)
 
 
 def to_units(time_s: Fraction) -> int:
-    """Return a time as property 500D says it."""
+    """Return a time as the value of property 500D."""
     return max(1, round(time_s * UNITS_PER_S))
 
 
 def true_time_s(units: int) -> float:
-    """Return how long a camera exposes whose property 500D is `units`."""
-    return TRUE_TIME_S.get(units, units / UNITS_PER_S)
+    """Return the exposure time of a value of property 500D."""
+    return _ROUNDED_TIMES_S.get(units, units / UNITS_PER_S)
 
 
 def longest_within(item: DeviceProperty, limit_s: float, times: dict[int, float | None]) -> int:
-    """Return the value for the longest shutter time up to `limit_s`; `times` of its choices."""
+    """Return the value for the longest shutter time up to `limit_s`.
+
+    `times` are the shutter times of the property's choices; None: the choice is no time.
+    """
     if item.limits is not None:
         return max(item.limits[0], int(limit_s * UNITS_PER_S))
     within = {value: time_s for value, time_s in times.items() if time_s and time_s <= limit_s}
     return max(within, key=lambda value: within[value]) if within else item.choices[0]
 
 
-def battery(code: int = Property.BATTERY_LEVEL) -> DeviceProperty:
-    """Return the charge in per cent."""
-    return DeviceProperty(code, Type.UINT8, CHARGE, limits=(0, 100, 1), is_writable=False)
+def battery() -> DeviceProperty:
+    """Return the battery level, per cent."""
+    code, limits = Property.BATTERY_LEVEL, (0, 100, 1)
+    return DeviceProperty(code, Type.UINT8, CHARGE, limits=limits, is_writable=False)
 
 
 def program(config: PtpConfig) -> DeviceProperty:
-    """Return the mode dial, which a host cannot turn."""
+    """Return the exposure program: the mode dial, which a host cannot set."""
     mode = MANUAL if config.mode == "manual" else AUTOMATIC
     choices = (MANUAL, AUTOMATIC)
     return DeviceProperty(Property.EXPOSURE_PROGRAM, Type.UINT16, mode, choices, is_writable=False)
 
 
 def shutter(config: PtpConfig) -> DeviceProperty:
-    """Return property 500D, with a list or a range."""
+    """Return the exposure time (500D), as an enumeration or a range."""
     is_manual = config.mode == "manual"
     code, tenth = Property.EXPOSURE_TIME, UNITS_PER_S // 10
     if config.time_form == "range":
-        limits = (1, _RANGE_S * UNITS_PER_S, 1)
+        limits = (1, _LONGEST_S * UNITS_PER_S, 1)
         return DeviceProperty(code, Type.UINT32, tenth, limits=limits, is_writable=is_manual)
     choices = tuple(dict.fromkeys(to_units(time_s) for time_s in config.times))
     value = min(choices, key=lambda units: abs(units - tenth))
@@ -60,14 +145,14 @@ def shutter(config: PtpConfig) -> DeviceProperty:
 
 
 def sensitivity(config: PtpConfig) -> list[DeviceProperty]:
-    """Return property 500F, where there is one."""
+    """Return the exposure index (500F), if the camera has one."""
     if not config.isos:
         return []
     return [DeviceProperty(Property.EXPOSURE_INDEX, Type.UINT16, config.isos[0], config.isos)]
 
 
 def aperture(config: PtpConfig) -> list[DeviceProperty]:
-    """Return property 5007, wide open at first, where there is one."""
+    """Return the f-number (5007), initially the widest, if the camera has one."""
     if not config.f_numbers:
         return []
     widest = min(config.f_numbers)
@@ -77,7 +162,10 @@ def aperture(config: PtpConfig) -> list[DeviceProperty]:
 def compression(
     config: PtpConfig, codes: Mapping[str, int], *, is_always_there: bool = False
 ) -> list[DeviceProperty]:
-    """Return property 5004, where there is a choice; `codes` are what the maker calls each."""
+    """Return the compression setting (5004), if there is more than one or `is_always_there`.
+
+    `codes` are the maker's numbers for the entries of `PtpConfig.files`.
+    """
     if len(config.files) < 2 and not is_always_there:
         return []
     choices = tuple(codes[choice] for choice in config.files)
@@ -85,7 +173,7 @@ def compression(
 
 
 def standard_properties(config: PtpConfig) -> list[DeviceProperty]:
-    """Return what a camera without a maker's own properties has."""
+    """Return the properties of a camera without a maker's extension."""
     clock = DeviceProperty(Property.DATE_TIME, Type.STRING, "20240101T120000", is_writable=False)
     return [
         battery(),

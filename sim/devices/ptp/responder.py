@@ -1,6 +1,6 @@
-"""A PTP still camera without its cable: sessions, properties, captures, after ISO 15740.
+"""A PTP still camera without its transport: sessions, properties and captures (ISO 15740).
 
-The words are the standard's: the camera is the responder, the host the initiator.
+In the standard's terms the camera is the responder and the host the initiator.
 """
 
 from __future__ import annotations
@@ -9,50 +9,54 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.codes import Event, Format, Operation, Property, Response
-from sim.devices.ptp.config import COMPRESSIONS, Identity, PtpConfig, kinds_of
-from sim.devices.ptp.datasets import (
-    DeviceInfo,
-    DeviceProperty,
-    Handler,
-    Reply,
-    unpack_number,
-)
+from sim.devices.ptp.config import COMPRESSIONS, Identity, PtpConfig, file_formats
 from sim.devices.ptp.properties import (
     AUTOMATIC,
     CHARGE,
     LOW_CHARGE,
     MANUAL,
+    DeviceProperty,
+    PropertyTable,
     longest_within,
     standard_properties,
     true_time_s,
 )
+from sim.devices.ptp.protocol import (
+    DeviceInfo,
+    Event,
+    Format,
+    Handler,
+    Operation,
+    Property,
+    Reply,
+    Response,
+    unpack_number,
+)
 from sim.devices.ptp.store import FORMATS, PICTURE_FOLDER, STORE, Card
-from sim.devices.still_body import Exposure, Picture, StillBody
+from sim.devices.still_body import Exposure, ImageFile, StillBody
 
-_LOG = 256  # entries that are kept, and operations that are counted: a host may go on for ever
+_LOG_LENGTH = 256  # operations in the log, and in the counter: a host may go on without end
 
 
 class Responder:
-    """The standard's camera; makers' cameras derive from it.
+    """A camera without a maker's extension; the makers' cameras derive from it.
 
     Args:
         body: shutter and sensor; its lock is held in every call from outside
-        config: what the camera is like
-        announce: sends an event, with its parameters
-        answer: sends the reply of the operation that was answered None
+        config: options of the camera
+        send_event: sends an event with its parameters
+        send_reply: sends the reply to an operation for which `execute` returned None
     """
 
     identity: ClassVar[Identity] = Identity(0x1209, 0x0001, "camctl", "Virtual PTP camera")
-    # Operations of the standard that a maker's cameras do not have.
+    # Standard operations that the maker's cameras do not have.
     missing: ClassVar[frozenset[int]] = frozenset()
-    # Operations whose data the host sends.
+    # Operations with a data phase from the host.
     takes_data: ClassVar[frozenset[int]] = frozenset({Operation.SET_PROPERTY_VALUE})
-    # The properties that are the shutter time.
+    # Properties that hold the shutter time.
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.EXPOSURE_TIME,)
     program_code: ClassVar[int] = Property.EXPOSURE_PROGRAM
     compressions: ClassVar[Mapping[str, int]] = COMPRESSIONS
-    battery_code: ClassVar[int] = Property.BATTERY_LEVEL
     events: ClassVar[tuple[int, ...]] = (
         Event.OBJECT_ADDED,
         Event.OBJECT_REMOVED,
@@ -65,24 +69,24 @@ class Responder:
         self,
         body: StillBody,
         config: PtpConfig,
-        announce: Callable[[int, Sequence[int]], None],
-        answer: Callable[[Reply], None],
+        send_event: Callable[[int, Sequence[int]], None],
+        send_reply: Callable[[Reply], None],
     ) -> None:
         self.body = body
         self.config = config
         self.card = Card(config.card_bytes, body.note_download)
         self.session = 0
-        self.is_silent = config.event_order == "never"
-        self.operations_seen: Counter[str] = Counter()
-        self.log: deque[dict[str, object]] = deque(maxlen=_LOG)
-        self.properties = {item.code: item for item in self.make_properties()}
+        self.sends_events = config.event_order != "never"
+        self.operation_counts: Counter[str] = Counter()
+        self.log: deque[dict[str, object]] = deque(maxlen=_LOG_LENGTH)
+        self.properties = PropertyTable(self.make_properties())
         self.operations: dict[int, Handler] = {
             code: handler
             for code, handler in self.make_operations().items()
             if code not in self.missing
         }
-        self._announce = announce
-        self._answer = answer
+        self._send_event = send_event
+        self._send_reply = send_reply
         self._transaction = 0
         self._captured_by = 0
         self._open_capture = 0
@@ -90,9 +94,9 @@ class Responder:
     def execute(
         self, code: int, transaction: int, parameters: Sequence[int], data: bytes
     ) -> Reply | None:
-        """Do an operation; None: it is answered later."""
-        if len(self.operations_seen) < _LOG:
-            self.operations_seen[f"{code:04X}"] += 1
+        """Execute an operation and return its reply; None: the reply is sent later."""
+        if len(self.operation_counts) < _LOG_LENGTH:
+            self.operation_counts[f"{code:04X}"] += 1
         self.log.append(
             {"operation": f"{code:04X}", "parameters": list(parameters), "data": data[:64].hex()}
         )
@@ -102,13 +106,12 @@ class Responder:
             return Reply(Response.OPERATION_NOT_SUPPORTED)
         if not self.session and code not in (Operation.GET_DEVICE_INFO, Operation.OPEN_SESSION):
             return Reply(Response.SESSION_NOT_OPEN)
-        self.properties[self.battery_code].value = (
-            LOW_CHARGE if self.body.faults.is_battery_low else CHARGE
-        )
+        charge = LOW_CHARGE if self.body.faults.is_battery_low else CHARGE
+        self.properties[Property.BATTERY_LEVEL].value = charge
         return handler(parameters, data)
 
     def close_session(self) -> None:
-        """Forget the session, as when the cable is pulled."""
+        """End the session."""
         self.session = 0
 
     def turn_dial(self, mode: str) -> None:
@@ -117,16 +120,16 @@ class Responder:
         self.properties[self.program_code].value = MANUAL if is_manual else AUTOMATIC
         for code in self.shutter_codes:
             self.properties[code].is_writable = is_manual
-        self.tell_changed((self.program_code, *self.shutter_codes))
+        self.announce_changed((self.program_code, *self.shutter_codes))
 
-    # What makers do in their own way.
+    # The makers' cameras override these.
 
     def make_properties(self) -> list[DeviceProperty]:
-        """Return the properties that it has, as they are after switching on."""
+        """Return the camera's properties with their values at power-on."""
         return standard_properties(self.config)
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return what it can do."""
+        """Return the camera's operations by code."""
         card, when_ready = self.card, self.when_ready
         operations: dict[int, Handler] = {
             Operation.GET_DEVICE_INFO: self._get_device_info,
@@ -143,8 +146,8 @@ class Responder:
             Operation.GET_THUMB: when_ready(card.get_thumb),
             Operation.DELETE_OBJECT: when_ready(card.delete),
             Operation.INITIATE_CAPTURE: self._initiate_capture,
-            Operation.GET_PROPERTY_DESCRIPTION: self._describe_property,
-            Operation.GET_PROPERTY_VALUE: self._get_property,
+            Operation.GET_PROPERTY_DESCRIPTION: self.properties.get_description,
+            Operation.GET_PROPERTY_VALUE: self.properties.get_value,
             Operation.SET_PROPERTY_VALUE: self._set_property,
         }
         if self.config.bulb:
@@ -153,51 +156,51 @@ class Responder:
         return operations
 
     def time_of(self, code: int, value: int) -> float | None:
-        """Return what a value of a property means as a shutter time, s; None where it is none."""
+        """Return the shutter time that a value of a property stands for; None: it is no time."""
         return true_time_s(value) if code == Property.EXPOSURE_TIME else None
 
     def exposure_time_s(self) -> float | None:
         """Return the shutter time that is set; None: bulb."""
-        return self.time_of(Property.EXPOSURE_TIME, self.number(Property.EXPOSURE_TIME))
+        code = Property.EXPOSURE_TIME
+        return self.time_of(code, self.properties.number(code))
 
     def gain(self) -> float:
         """Return the linear gain of the sensitivity that is set."""
         code = Property.EXPOSURE_INDEX
-        return self.number(code) / 100 if code in self.properties else 1.0
+        return self.properties.number(code) / 100 if code in self.properties else 1.0
 
     def light(self) -> float:
-        """Return the light that the aperture lets through, 1 for the widest."""
-        if Property.F_NUMBER not in self.properties:
+        """Return the share of the light that the aperture lets through, 1 for the widest."""
+        code = Property.F_NUMBER
+        if code not in self.properties:
             return 1.0
-        return float((min(self.config.f_numbers) / self.number(Property.F_NUMBER)) ** 2)
+        return float((min(self.config.f_numbers) / self.properties.number(code)) ** 2)
 
     def after_set(self, code: int) -> tuple[int, ...]:
-        """Bring others in line with a property that was set; return all that changed."""
+        """Update properties that depend on one that was set; return all that have changed."""
         return (code,)
 
-    def tell_changed(self, codes: Iterable[int]) -> None:
-        """Tell the host of properties that have changed."""
+    def announce_changed(self, codes: Iterable[int]) -> None:
+        """Announce changed properties to the host."""
         for code in codes:
-            self.tell(Event.PROPERTY_CHANGED, code)
+            self.announce(Event.PROPERTY_CHANGED, code)
 
-    def added(self, pictures: Sequence[Picture]) -> None:
-        """Put pictures on the card and tell the host of them."""
+    def store(self, files: Sequence[ImageFile]) -> None:
+        """Put files on the card and announce them to the host."""
         if self.config.folder_event:
-            self.tell(Event.OBJECT_ADDED, PICTURE_FOLDER)
-        for handle in [self.card.add(picture) for picture in pictures]:
-            self.tell(Event.OBJECT_ADDED, handle)
-        self.tell(Event.CAPTURE_COMPLETE, self._captured_by)
+            self.announce(Event.OBJECT_ADDED, PICTURE_FOLDER)
+        for handle in [self.card.add(file) for file in files]:
+            self.announce(Event.OBJECT_ADDED, handle)
+        self.announce(Event.CAPTURE_COMPLETE, self._captured_by)
 
-    # Tools for makers.
+    def listed_properties(self) -> list[int]:
+        """Return the properties in the device info."""
+        return sorted(self.properties)
 
-    def number(self, code: int) -> int:
-        """Return the value of a property that is a number."""
-        value = self.properties[code].value
-        assert isinstance(value, int)
-        return value
+    # The makers' cameras call these.
 
     def when_ready(self, handler: Handler) -> Handler:
-        """Return `handler`, which a camera without overlap does not do while it exposes."""
+        """Return `handler` for a camera that is busy during exposures unless it has overlap."""
 
         def handle(parameters: Sequence[int], data: bytes) -> Reply | None:
             if self.body.is_exposing and not self.config.overlap:
@@ -206,91 +209,94 @@ class Responder:
 
         return handle
 
-    def tell(self, event: int, *parameters: int) -> None:
-        """Send an event, unless this camera never does."""
-        if not self.is_silent:
-            self._announce(event, parameters)
+    def announce(self, event: int, *parameters: int) -> None:
+        """Send an event, unless this camera sends none."""
+        if self.sends_events:
+            self._send_event(event, parameters)
 
     def set_number(self, item: DeviceProperty, value: int) -> Response:
-        """Set a property as a host wants it."""
+        """Set a numeric property for the host."""
         if not item.is_writable:
             return Response.ACCESS_DENIED
         if self.body.is_exposing and not self.config.overlap:
             return Response.DEVICE_BUSY
         if not item.allows(value):
             return Response.INVALID_VALUE
-        limit_s, time_s = self.body.faults.clamp_s, self.time_of(item.code, value)
+        limit_s, time_s = self.body.faults.longest_s, self.time_of(item.code, value)
         if limit_s is not None and time_s is not None and time_s > limit_s:
             times = {choice: self.time_of(item.code, choice) for choice in item.choices}
             value = longest_within(item, limit_s, times)
         if value != item.value:
             item.value = value
-            self.tell_changed(self.after_set(item.code))
+            self.announce_changed(self.after_set(item.code))
         return Response.OK
 
     def release(
         self,
         *,
         is_bulb: bool = False,
-        kinds: tuple[str, ...] = (),
-        added: Callable[[Sequence[Picture]], None] | None = None,
+        formats: tuple[str, ...] = (),
+        store: Callable[[Sequence[ImageFile]], None] | None = None,
     ) -> Reply | None:
-        """Take a picture with what is set: files of `kinds`, handed to `added`."""
+        """Take a picture with the settings in force.
+
+        Args:
+            is_bulb: until the host ends it
+            formats: of the files; none: by the compression setting
+            store: called with the files; `self.store` if not given
+        """
         body, faults = self.body, self.body.faults
-        kinds = kinds or self._kinds()
+        formats = formats or self._selected_formats()
         if body.is_exposing:
             return Reply(Response.DEVICE_BUSY)
         if faults.is_battery_low:
             return Reply(Response.GENERAL_ERROR)
-        if faults.is_card_full or self.card.free_bytes < body.largest_file * len(kinds):
-            self.tell(Event.STORE_FULL, STORE)
+        if faults.is_card_full or self.card.free_bytes < body.largest_file * len(formats):
+            self.announce(Event.STORE_FULL, STORE)
             return Reply(Response.STORE_FULL)
         time_s = None if is_bulb else self.exposure_time_s()
-        exposure = Exposure(time_s, self.gain(), self.light(), kinds, self.config.quality)
+        exposure = Exposure(time_s, self.gain(), self.light(), formats, self.config.quality)
         self._captured_by = self._transaction
-        deliver = added or self.added
+        deliver = store or self.store
         if self.config.event_order != "before" or time_s is None:
             body.release(exposure, deliver)
             return Reply()
 
-        def deliver_and_answer(pictures: Sequence[Picture]) -> None:
-            deliver(pictures)
-            self._answer(Reply())
+        def deliver_and_reply(files: Sequence[ImageFile]) -> None:
+            deliver(files)
+            self._send_reply(Reply())
 
-        body.release(exposure, deliver_and_answer)
+        body.release(exposure, deliver_and_reply)
         return None
 
-    def _kinds(self) -> tuple[str, ...]:
+    def _selected_formats(self) -> tuple[str, ...]:
         if Property.COMPRESSION not in self.properties:
-            return kinds_of(self.config.files[0])
-        wanted = self.number(Property.COMPRESSION)
-        return next(
-            kinds_of(choice) for choice in self.config.files if self.compressions[choice] == wanted
-        )
+            return file_formats(self.config.files[0])
+        value = self.properties.number(Property.COMPRESSION)
+        return next(file_formats(c) for c in self.config.files if self.compressions[c] == value)
 
-    # The standard's operations.
+    def _all_formats(self) -> set[str]:
+        return {form for each in self.config.files for form in file_formats(each)}
+
+    # Standard operations.
 
     def _get_device_info(self, parameters: Sequence[int], data: bytes) -> Reply:
-        who = self.identity
-        formats = sorted({FORMATS[k] for choice in self.config.files for k in kinds_of(choice)})
+        identity = self.identity
+        formats = sorted(FORMATS[form] for form in self._all_formats())
         info = DeviceInfo(
-            vendor_extension=who.extension,
-            vendor_version=who.extension_version,
+            vendor_extension=identity.extension,
+            vendor_version=identity.extension_version,
             operations=sorted(self.operations),
             events=self.events,
             properties=self.listed_properties(),
             capture_formats=formats,
             image_formats=[Format.FOLDER, *formats],
-            make=who.make,
-            model=who.model,
+            make=identity.make,
+            model=identity.model,
             version="1.0",
             serial=self.config.serial,
         )
         return Reply(data=info.packed())
-
-    def listed_properties(self) -> list[int]:
-        """Return the properties that the device info names."""
-        return sorted(self.properties)
 
     def _open_session(self, parameters: Sequence[int], data: bytes) -> Reply:
         if self.session:
@@ -304,18 +310,8 @@ class Responder:
         self.close_session()
         return Reply()
 
-    def _describe_property(self, parameters: Sequence[int], data: bytes) -> Reply:
-        item = self.properties.get(parameters[0]) if parameters else None
-        if item is None:
-            return Reply(Response.PROPERTY_NOT_SUPPORTED)
-        return Reply(data=item.description())
-
-    def _get_property(self, parameters: Sequence[int], data: bytes) -> Reply:
-        item = self.properties.get(parameters[0]) if parameters else None
-        return Reply(data=item.packed()) if item else Reply(Response.PROPERTY_NOT_SUPPORTED)
-
     def _set_property(self, parameters: Sequence[int], data: bytes) -> Reply:
-        item = self.properties.get(parameters[0]) if parameters else None
+        item = self.properties.requested(parameters)
         if item is None:
             return Reply(Response.PROPERTY_NOT_SUPPORTED)
         value = unpack_number(item.kind, data)
@@ -326,7 +322,7 @@ class Responder:
         return Reply(self.set_number(item, value))
 
     def _initiate_capture(self, parameters: Sequence[int], data: bytes) -> Reply | None:
-        # Real cameras fail in odd ways without their two parameters; this one says so.
+        # Real cameras fail in various ways without both parameters; this one reports an error.
         if len(parameters) < 2:
             return Reply(Response.INVALID_PARAMETER)
         storage, form = parameters[:2]
@@ -334,11 +330,8 @@ class Responder:
             return Reply(Response.INVALID_STORAGE)
         if not form:
             return self.release()
-        wanted = tuple(kind for kind in ("jpeg", "tiff", "dng") if FORMATS[kind] == form)
-        offered = {kind for choice in self.config.files for kind in kinds_of(choice)}
-        if not wanted or wanted[0] not in offered:
-            return Reply(Response.INVALID_FORMAT)
-        return self.release(kinds=wanted)
+        formats = tuple(name for name in self._all_formats() if FORMATS[name] == form)
+        return self.release(formats=formats) if formats else Reply(Response.INVALID_FORMAT)
 
     def _initiate_open_capture(self, parameters: Sequence[int], data: bytes) -> Reply | None:
         if len(parameters) < 2:

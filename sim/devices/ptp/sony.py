@@ -1,7 +1,7 @@
-"""A camera that speaks Sony's extension of PTP, as libgphoto2 describes it.
+"""A camera with Sony's extension of PTP, as libgphoto2 describes it.
 
-A handshake opens it; all properties are read at once; the shutter button is pressed and let go by
-control codes; a picture is fetched from memory under one fixed handle.
+A handshake is required; all properties are read at once; control codes press and release the
+shutter button; a picture is read from memory under one fixed handle.
 """
 
 from __future__ import annotations
@@ -11,35 +11,37 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.codes import Event, Operation, Property, Response, Type
 from sim.devices.ptp.config import SONY_COMPRESSIONS, Identity
-from sim.devices.ptp.datasets import (
-    DeviceProperty,
+from sim.devices.ptp.properties import DeviceProperty, aperture, battery, compression, program
+from sim.devices.ptp.protocol import (
+    Event,
     Handler,
+    Operation,
+    Property,
     Reply,
-    StoredObject,
+    Response,
+    Type,
     pack_list,
     pack_value,
     unpack_number,
 )
-from sim.devices.ptp.properties import aperture, battery, compression, program
 from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.store import stored
-from sim.devices.still_body import Picture
+from sim.devices.ptp.store import StoredObject, stored
+from sim.devices.still_body import ImageFile
 
 BULB = 0
-IN_MEMORY = 0xFFFF_C001  # handle of the oldest picture that waits in memory
-_MEMORY = 16  # pictures that it holds
-_READY = 0x8000  # added to how many there are
-_PRESSED, _LET_GO = 2, 1
+IN_MEMORY = 0xFFFF_C001  # handle of the oldest picture in memory
+_MEMORY_FILES = 16
+_READY = 0x8000  # added to the number of files in memory, in property D215
+_PRESSED, _RELEASED = 2, 1  # states of a button
 _VERSION = 0xC8
-_FOCUS_BY_HAND = 1
-_BY_HOST = 1  # property D25A: whose settings count, the dials' or the host's
+_MANUAL_FOCUS = 1
+_BY_DIALS, _BY_HOST = 0, 1  # property D25A: what sets the exposure
 _HANDSHAKE = (1, 2, 3)
 
 
 class SonyResponder(Responder):
-    """Shutter times as numerator << 16 | denominator, set or stepped to."""
+    """A camera with shutter times as numerator << 16 | denominator, which are set or stepped."""
 
     identity: ClassVar[Identity] = Identity(
         0x054C, 0x094E, "Sony Corporation", "ILCE-6000 (virtual)", 0x11, 100
@@ -60,9 +62,9 @@ class SonyResponder(Responder):
     events: ClassVar[tuple[int, ...]] = (Event.SONY_OBJECT_ADDED, Event.SONY_PROPERTY_CHANGED)
 
     def make_properties(self) -> list[DeviceProperty]:
-        """Return the battery, the standard's aperture, and Sony's own."""
+        """Return the battery level, standard properties, and Sony's."""
         config = self.config
-        # Longest first, bulb before them: a step up the dial is the next shorter time.
+        # Bulb, then the longest first: a step up the dial is the next shorter time.
         longest_first = sorted(config.times, reverse=True)
         times = [time_s.numerator << 16 | time_s.denominator for time_s in longest_first]
         start = min(times, key=lambda value: abs(_seconds(value) - 0.1))
@@ -77,10 +79,10 @@ class SonyResponder(Responder):
             battery(),
             *compression(config, self.compressions, is_always_there=True),
             *aperture(config),
-            DeviceProperty(Property.FOCUS_MODE, Type.UINT16, _FOCUS_BY_HAND, is_writable=False),
+            DeviceProperty(Property.FOCUS_MODE, Type.UINT16, _MANUAL_FOCUS, is_writable=False),
             program(config),
             shutter,
-            DeviceProperty(Property.SONY_PRIORITY, Type.INT8, 0, (0, _BY_HOST)),
+            DeviceProperty(Property.SONY_PRIORITY, Type.INT8, _BY_DIALS, (_BY_DIALS, _BY_HOST)),
             DeviceProperty(Property.SONY_OBJECT_IN_MEMORY, Type.UINT16, 0, is_writable=False),
         ]
         if config.isos:
@@ -90,13 +92,13 @@ class SonyResponder(Responder):
         return items
 
     def listed_properties(self) -> list[int]:
-        """Return the battery alone: the others are known after the handshake."""
+        """Return the battery level only: hosts learn the others after the handshake."""
         return [Property.BATTERY_LEVEL]
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return the standard's without its capture, and Sony's."""
-        self._steps: list[int] = []
-        self._waiting: deque[StoredObject] = deque()
+        """Return the standard operations without captures, and Sony's."""
+        self._steps: list[int] = []  # of the handshake, that have been done
+        self._memory: deque[StoredObject] = deque()
         return {
             **super().make_operations(),
             Operation.GET_OBJECT: self.when_ready(self._get_object),
@@ -108,39 +110,39 @@ class SonyResponder(Responder):
         }
 
     def close_session(self) -> None:
-        """Forget the handshake too."""
+        """End the session, which needs another handshake."""
         super().close_session()
         self._steps = []
 
     def time_of(self, code: int, value: int) -> float | None:
-        """Return a fraction's value."""
+        """Return the time of a value of the shutter property."""
         return _seconds(value) if code == Property.SONY_SHUTTER and value != BULB else None
 
     def exposure_time_s(self) -> float | None:
-        """Return the time that is set."""
-        return self.time_of(Property.SONY_SHUTTER, self.number(Property.SONY_SHUTTER))
+        """Return the shutter time that is set; None: bulb."""
+        return self.time_of(Property.SONY_SHUTTER, self.properties.number(Property.SONY_SHUTTER))
 
     def gain(self) -> float:
         """Return the linear gain of the sensitivity that is set."""
         code = Property.SONY_ISO
-        return self.number(code) / 100 if code in self.properties else 1.0
+        return self.properties.number(code) / 100 if code in self.properties else 1.0
 
-    def tell_changed(self, codes: Iterable[int]) -> None:
-        """Tell of properties with Sony's own event."""
+    def announce_changed(self, codes: Iterable[int]) -> None:
+        """Announce changed properties by Sony's event."""
         for code in codes:
-            self.tell(Event.SONY_PROPERTY_CHANGED, code)
+            self.announce(Event.SONY_PROPERTY_CHANGED, code)
 
-    def added(self, pictures: Sequence[Picture]) -> None:
-        """Keep pictures in memory until they are fetched."""
-        self._waiting.extend(stored(picture, 0) for picture in pictures)
+    def store(self, files: Sequence[ImageFile]) -> None:
+        """Keep files in memory until the host has read them."""
+        self._memory.extend(stored(file, 0) for file in files)
         self._show_oldest()
-        self.tell(Event.SONY_OBJECT_ADDED, IN_MEMORY)
+        self.announce(Event.SONY_OBJECT_ADDED, IN_MEMORY)
 
     def _show_oldest(self) -> None:
-        self.card.memory = {IN_MEMORY: self._waiting[0]} if self._waiting else {}
-        count = len(self._waiting)
+        self.card.memory = {IN_MEMORY: self._memory[0]} if self._memory else {}
+        count = len(self._memory)
         self.properties[Property.SONY_OBJECT_IN_MEMORY].value = _READY + count if count else 0
-        self.tell_changed([Property.SONY_OBJECT_IN_MEMORY])
+        self.announce_changed([Property.SONY_OBJECT_IN_MEMORY])
 
     def _get_object(self, parameters: Sequence[int], data: bytes) -> Reply:
         reply = self.card.get_object(parameters, data)
@@ -149,7 +151,7 @@ class SonyResponder(Responder):
         return Reply(data=reply.data, sent=self._fetched)
 
     def _fetched(self) -> None:
-        self.body.note_download(self._waiting.popleft().name)
+        self.body.note_download(self._memory.popleft().name)
         self._show_oldest()
 
     @property
@@ -157,7 +159,7 @@ class SonyResponder(Responder):
         return tuple(self._steps) == _HANDSHAKE
 
     def _connect(self, parameters: Sequence[int], data: bytes) -> Reply:
-        """Take a step of the handshake: 1, 2, and 3 after the info was asked for."""
+        """Do a step of the handshake: 1, 2, and after SONY_GET_INFO step 3."""
         step = parameters[0] if parameters else 0
         if step == 1:
             self._steps = []
@@ -174,23 +176,26 @@ class SonyResponder(Responder):
         return Reply(data=struct.pack("<H", _VERSION) + lists)
 
     def _get_properties(self, parameters: Sequence[int], data: bytes) -> Reply:
-        """Return all: number, 0, then for each code, type, access, state, default, now, form."""
+        """Return all properties.
+
+        Their number and 0; then for each code, type, access, state, default, value and form.
+        """
         if not self._is_connected:
             return Reply(Response.ACCESS_DENIED)
-        listed = [self.properties[code] for code in sorted(self.properties)]
-        return Reply(data=struct.pack("<II", len(listed), 0) + b"".join(map(_described, listed)))
+        items = [self.properties[code] for code in sorted(self.properties)]
+        return Reply(data=struct.pack("<II", len(items), 0) + b"".join(map(_description, items)))
 
     def _set_sony_property(self, parameters: Sequence[int], data: bytes) -> Reply:
         if not self._is_connected:
             return Reply(Response.ACCESS_DENIED)
-        item = self.properties.get(parameters[0]) if parameters else None
+        item = self.properties.requested(parameters)
         if item is None:
             return Reply(Response.PROPERTY_NOT_SUPPORTED)
         value = unpack_number(item.kind, data)
         if value is None:
             return Reply(Response.INVALID_VALUE_FORMAT)
         if item.code == Property.SONY_SHUTTER and not self.config.absolute:
-            return Reply()  # older bodies say yes and do nothing
+            return Reply()  # older cameras accept the value and ignore it
         return Reply(self.set_number(item, value))
 
     def _control(self, parameters: Sequence[int], data: bytes) -> Reply | None:
@@ -207,17 +212,17 @@ class SonyResponder(Responder):
         steps = unpack_number(Type.INT8, data[:1])
         if steps is None:
             return Reply(Response.INVALID_VALUE_FORMAT)
-        place = item.choices.index(self.number(code)) + steps
+        place = item.choices.index(self.properties.number(code)) + steps
         last = len(item.choices) - 1
         return Reply(self.set_number(item, item.choices[min(max(place, 0), last)]))
 
     def _press(self, button: int | None) -> Reply | None:
-        if button == _LET_GO:
+        if button == _RELEASED:
             self.body.end_bulb()
             return Reply()
         if button != _PRESSED:
             return Reply(Response.INVALID_VALUE)
-        if len(self._waiting) >= _MEMORY:
+        if len(self._memory) >= _MEMORY_FILES:
             return Reply(Response.DEVICE_BUSY)
         return self.release(is_bulb=self.exposure_time_s() is None)
 
@@ -226,7 +231,7 @@ def _seconds(value: int) -> float:
     return (value >> 16) / ((value & 0xFFFF) or 1)
 
 
-def _described(item: DeviceProperty) -> bytes:
+def _description(item: DeviceProperty) -> bytes:
     is_enabled = 1
     head = struct.pack("<HHBB", item.code, item.kind, item.is_writable, is_enabled)
     return head + pack_value(item.kind, item.default) + item.packed() + item.form()

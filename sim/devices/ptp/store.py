@@ -1,46 +1,94 @@
-"""The card of a PTP camera: folders, files, handles; ISO 15740, clause 10.4 to 10.13."""
+"""The card of a PTP camera: folders, files and handles (ISO 15740, clauses 10.4 to 10.13)."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
-from sim.devices.ptp.codes import Format, Response, Type
-from sim.devices.ptp.datasets import Reply, StoredObject, pack_list, pack_storage_info
-from sim.devices.still_body import Picture
+from sim.devices.ptp.protocol import Format, Reply, Response, Type, pack_list, pack_text
+from sim.devices.still_body import ImageFile
 
 STORE = 0x0001_0001
 ROOT_FOLDER, PICTURE_FOLDER = 0x1000_0001, 0x1000_0002
 ALL = 0xFFFF_FFFF
-_FREE_IMAGES = 999  # a number for people: it counts nothing
+_FREE_IMAGES = 999  # in the storage info; not computed
 _FIRST_PICTURE = 0x2000_0001
 FORMATS = {"jpeg": Format.JPEG, "tiff": Format.TIFF, "dng": Format.DNG}
+_JFIF = 0x3808  # format of thumbnails
+_DATE = "20240101T120000"  # of all files
 
 
-def stored(picture: Picture, parent: int = PICTURE_FOLDER) -> StoredObject:
-    """Return a picture as an object of PTP."""
+@dataclass(frozen=True, eq=False)
+class StoredObject:
+    """A file or a folder on the card.
+
+    Attributes:
+        name: file name
+        format: see `Format`
+        data: of a file
+        parent: handle of its folder; 0 in the root
+        rows, columns, bits: of the picture in it; bits per pixel
+        thumbnail: a small JPEG, or empty
+    """
+
+    name: str
+    format: int
+    data: bytes = b""
+    parent: int = 0
+    rows: int = 0
+    columns: int = 0
+    bits: int = 0
+    thumbnail: bytes = b""
+
+    def info(self, storage: int) -> bytes:
+        """Return the object info dataset."""
+        thumb_format = _JFIF if self.thumbnail else 0
+        return (
+            struct.pack("<IHHI", storage, self.format, 0, len(self.data))
+            + struct.pack("<HIII", thumb_format, len(self.thumbnail), 0, 0)
+            + struct.pack(
+                "<IIIIHII",
+                self.columns,
+                self.rows,
+                self.bits,
+                self.parent,
+                self.format == Format.FOLDER,
+                0,
+                0,
+            )
+            + pack_text(self.name)
+            + pack_text(_DATE)
+            + pack_text(_DATE)
+            + pack_text("")
+        )
+
+
+def stored(file: ImageFile, parent: int = PICTURE_FOLDER) -> StoredObject:
+    """Return an image file as an object in a folder."""
     return StoredObject(
-        picture.name,
-        FORMATS[picture.kind],
-        picture.data,
+        file.name,
+        FORMATS[file.format],
+        file.data,
         parent,
-        picture.rows,
-        picture.columns,
-        picture.bits,
-        picture.thumbnail,
+        file.rows,
+        file.columns,
+        file.bits,
+        file.thumbnail,
     )
 
 
 class Card:
-    """What is stored, and the operations that ask for it.
+    """The stored objects, and the operations that read and delete them.
 
     Args:
         capacity: bytes
-        fetched: called with the name of a file that was sent to its end
+        fetched: called with the name of a file whose last byte has been sent
 
     Attributes:
-        objects: by handle; what is on the card
-        memory: by handle; what waits in the camera's memory and is in no list
+        objects: on the card, by handle
+        memory: in the camera's memory, by handle; they are not listed
     """
 
     def __init__(self, capacity: int, fetched: Callable[[str], None]) -> None:
@@ -55,31 +103,34 @@ class Card:
 
     @property
     def free_bytes(self) -> int:
-        """Room that is left."""
+        """Free bytes."""
         return max(0, self.capacity - sum(len(item.data) for item in self.objects.values()))
 
     @property
     def count(self) -> int:
-        """How many pictures it has."""
+        """Number of pictures."""
         return sum(item.format != Format.FOLDER for item in self.objects.values())
 
-    def add(self, picture: Picture) -> int:
-        """Store a picture and return its handle."""
+    def add(self, file: ImageFile) -> int:
+        """Store a file and return its handle."""
         handle = self._next
         self._next += 1
-        self.objects[handle] = stored(picture)
+        self.objects[handle] = stored(file)
         return handle
 
     def find(self, handle: int) -> StoredObject | None:
-        """Return what has this handle, be it on the card or in memory."""
+        """Return the object with this handle, on the card or in memory."""
         return self.objects.get(handle) or self.memory.get(handle)
 
     def packed(self) -> bytes:
-        """Return the storage info dataset."""
-        return pack_storage_info(self.capacity, self.free_bytes, _FREE_IMAGES)
+        """Return the storage info dataset: a removable card with folders, read and write."""
+        removable_ram, hierarchical, read_write = 4, 2, 0
+        kinds = struct.pack("<HHH", removable_ram, hierarchical, read_write)
+        sizes = struct.pack("<QQI", self.capacity, self.free_bytes, _FREE_IMAGES)
+        return kinds + sizes + pack_text("card") + pack_text("VIRT")
 
     def get_storage_ids(self, parameters: Sequence[int], data: bytes) -> Reply:
-        """GetStorageIDs: one."""
+        """GetStorageIDs: one card."""
         return Reply(data=pack_list([STORE], Type.UINT32))
 
     def get_storage_info(self, parameters: Sequence[int], data: bytes) -> Reply:
@@ -89,7 +140,7 @@ class Card:
         return Reply(data=self.packed())
 
     def get_number(self, parameters: Sequence[int], data: bytes) -> Reply:
-        """GetNumObjects (storage, format, folder): in the response's parameter."""
+        """GetNumObjects (storage, format, folder); the number is the response's parameter."""
         listed = self._listed(parameters)
         return Reply(listed) if isinstance(listed, Response) else Reply(parameters=(len(listed),))
 
@@ -112,7 +163,7 @@ class Card:
         return self.get_part((*parameters[:1], 0, ALL), data, is_whole=True)
 
     def get_part(self, parameters: Sequence[int], data: bytes, *, is_whole: bool = False) -> Reply:
-        """GetPartialObject (handle, first byte, most bytes); says how many it sends."""
+        """GetPartialObject (handle, first byte, most bytes); the response has the bytes sent."""
         if len(parameters) < 3:
             return Reply(Response.INVALID_PARAMETER if parameters else Response.INVALID_HANDLE)
         handle, first, most = parameters[:3]

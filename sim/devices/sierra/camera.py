@@ -1,4 +1,4 @@
-"""A Nikon CoolPix 990 behind its registers: what they say and what writing them does."""
+"""The virtual CoolPix 990 without its line: values and effects of its registers and actions."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from sim.devices.sierra.registers import (
+from sim.devices.sierra.config import (
     APERTURES,
     AUTOMATIC_US,
-    CARD_THERE,
+    CARD_PRESENT,
     CHARGE,
     FOLDER_PATH,
-    KEPT,
     LOW_CHARGE,
     QUALITIES,
     QUALITY_OF,
+    STORED,
     Action,
     Register,
+    SierraConfig,
 )
-from sim.devices.still_body import Exposure, Picture, StillBody
+from sim.devices.still_body import Exposure, ImageFile, StillBody
 
 _US_PER_S = 1_000_000
 _TEXTS = {
@@ -31,8 +32,8 @@ _TEXTS = {
 }
 
 
-class Refused(Exception):  # noqa: N818 - not an error of ours: the camera says no
-    """The camera does not do that: INVALID on the line."""
+class RefusedError(Exception):
+    """The camera refuses a command: INVALID on the line."""
 
 
 class SierraCamera:
@@ -40,105 +41,97 @@ class SierraCamera:
 
     Args:
         body: shutter and sensor
-        serial: serial number
-        files: kinds that it can make
-        times_us: shutter times
-        card_bytes: what the card holds
+        config: options of the camera
 
     Attributes:
         pictures: on the card, oldest first
-        asked_for: the picture that is being sent
+        downloading: the picture that is being sent
     """
 
-    def __init__(
-        self,
-        body: StillBody,
-        serial: str,
-        files: Sequence[str],
-        times_us: Sequence[int],
-        card_bytes: int,
-    ) -> None:
+    def __init__(self, body: StillBody, config: SierraConfig) -> None:
         self.body = body
-        self.pictures: list[Picture] = []
-        self._serial = serial
-        self._files = tuple(files)
-        self._times_us = tuple(sorted(times_us))
-        self._card_bytes = card_bytes
-        self._quality = QUALITY_OF[files[0]]
+        self.pictures: list[ImageFile] = []
+        self.downloading: ImageFile | None = None
+        self._config = config
+        self._times_us = tuple(sorted(config.times_us))
+        self._quality = QUALITY_OF[config.files[0]]
         self._shutter_us = AUTOMATIC_US
         self._is_automatic = True
         self._aperture = 0
-        self._current = 0  # picture; 0 is the newest
-        self._kept = dict(KEPT)
+        self._selected = 0  # number of a picture; 0 is the newest
+        self._stored = dict(STORED)
         self._folder: tuple[str, ...] = FOLDER_PATH
-        self._chosen_folder = 0
-        self.asked_for: Picture | None = None
+        self._listed_folder = 0  # number of the subfolder whose name register 84 gives; 0: none
 
     # Registers.
 
     def read(self, number: int) -> int:
-        """Return a register that is a number (Refused: there is none)."""
+        """Return the value of a numeric register (RefusedError: there is none)."""
         readers: dict[int, Callable[[], int]] = {
             Register.QUALITY: lambda: self._quality,
             Register.SHUTTER: lambda: 0 if self._is_automatic else self._shutter_us,
-            Register.PICTURE: lambda: self._current or len(self.pictures),
+            Register.PICTURE: lambda: self._selected or len(self.pictures),
             Register.APERTURE: lambda: self._aperture,
             Register.TAKEN: lambda: len(self.pictures) * (self._folder == FOLDER_PATH),
             Register.LEFT: lambda: self._free_bytes // self.body.largest_file,
-            Register.SIZE: lambda: len(self._picture().data),
-            Register.THUMBNAIL_SIZE: lambda: len(self._picture().thumbnail),
+            Register.SIZE: lambda: len(self._selected_picture().data),
+            Register.THUMBNAIL_SIZE: lambda: len(self._selected_picture().thumbnail),
             Register.BATTERY: lambda: LOW_CHARGE if self.body.faults.is_battery_low else CHARGE,
             Register.MEMORY_LEFT: lambda: self._free_bytes,
             Register.LOCKED: lambda: 0,
-            Register.CARD: lambda: CARD_THERE,
+            Register.CARD: lambda: CARD_PRESENT,
             Register.FOLDERS: lambda: len(self._folder) < len(FOLDER_PATH),
         }
         if number in readers:
             return int(readers[number]())
-        if number in self._kept:
-            return self._kept[number]
-        raise Refused
+        if number in self._stored:
+            return self._stored[number]
+        raise RefusedError
 
     def write(self, number: int, value: int | None) -> None:
-        """Set a register that is a number; None where the host sent no value (Refused)."""
+        """Set a numeric register; `value` is None if the host sent none.
+
+        Raises:
+            RefusedError: no such register, no value, or a value that the register does not accept
+        """
         if number == Register.FOLDERS:
-            self._chosen_folder = value or 0
+            self._listed_folder = value or 0
             return
         if value is None:
-            raise Refused
+            raise RefusedError
         if number == Register.QUALITY:
-            if value not in QUALITIES or QUALITIES[value][0] not in self._files:
-                raise Refused
+            if value not in QUALITIES or QUALITIES[value][0] not in self._config.files:
+                raise RefusedError
             self._quality = value
         elif number == Register.SHUTTER:
             self._set_shutter(value)
         elif number == Register.APERTURE:
             if value and value not in APERTURES:
-                raise Refused
+                raise RefusedError
             self._aperture = value
         elif number == Register.PICTURE:
-            self._current = value
-        elif number in self._kept:
-            self._kept[number] = value
+            self._selected = value
+        elif number in self._stored:
+            self._stored[number] = value
         else:
-            raise Refused
+            raise RefusedError
 
     def read_text(self, number: int) -> bytes:
-        """Return a register that is a text or a file (Refused: there is none)."""
+        """Return a text, a file or a record from a register (RefusedError: there is none)."""
         if number == Register.IMAGE:
-            self.asked_for = self._picture()
-            return self.asked_for.data
+            self.downloading = self._selected_picture()
+            return self.downloading.data
         if number == Register.THUMBNAIL:
-            return self._picture().thumbnail
+            return self._selected_picture().thumbnail
         if number == Register.PICTURE_INFO:
-            return self._info(self._picture())
-        # Names end with a NUL, which libgphoto2 takes for granted.
+            return self._info(self._selected_picture())
+        # Names end with a NUL, which libgphoto2 requires.
         return self._name(number).encode("ascii") + b"\0"
 
     def write_text(self, number: int, text: bytes) -> None:
-        r"""Change the folder: "\" is the top (Refused: no such folder or register)."""
+        r"""Change the folder: "\" is the root (RefusedError: no such folder or register)."""
         if number != Register.FOLDER:
-            raise Refused
+            raise RefusedError
         name = text.rstrip(b"\0 ").decode("ascii", "replace")
         depth = len(self._folder)
         if name == "\\":
@@ -148,43 +141,43 @@ class SierraCamera:
         elif depth < len(FOLDER_PATH) and name == FOLDER_PATH[depth]:
             self._folder = FOLDER_PATH[: depth + 1]
         else:
-            raise Refused
+            raise RefusedError
 
     # Actions.
 
     def act(self, number: int) -> None:
-        """Do what takes no time (Refused: no such action)."""
+        """Execute an action other than a capture (RefusedError: no such action)."""
         if number == Action.DELETE_ALL:
             self.pictures.clear()
         elif number == Action.DELETE:
-            self.pictures.remove(self._picture())
+            self.pictures.remove(self._selected_picture())
         elif number not in (Action.END, Action.SCREEN):
-            raise Refused
+            raise RefusedError
 
     def check_ready(self) -> None:
-        """Refuse to take a picture where the card is full or the battery low."""
+        """Raise RefusedError where the card is full or the battery is low."""
         if self.body.faults.is_battery_low or self._free_bytes < self.body.largest_file:
-            raise Refused
+            raise RefusedError
 
     def capture(self, done: Callable[[], None]) -> None:
         """Take a picture; `done` is called when it is on the card."""
-        kind, quality = QUALITIES[self._quality]
+        form, quality = QUALITIES[self._quality]
 
-        def store(pictures: Sequence[Picture]) -> None:
-            self.pictures.extend(pictures)
-            self._current = 0
+        def store(files: Sequence[ImageFile]) -> None:
+            self.pictures.extend(files)
+            self._selected = 0
             done()
 
         f_number = APERTURES[self._aperture or 1]
         light = (APERTURES[1] / f_number) ** 2
         time_s = self._shutter_us / _US_PER_S
-        self.body.release(Exposure(time_s, 1.0, light, (kind,), quality), store)
+        self.body.release(Exposure(time_s, 1.0, light, (form,), quality), store)
 
     def downloaded(self) -> None:
-        """Hear that what was asked for last has been taken to its end."""
-        if self.asked_for is not None:
-            self.body.note_download(self.asked_for.name)
-            self.asked_for = None
+        """Record that the host has acknowledged all of the last answer."""
+        if self.downloading is not None:
+            self.body.note_download(self.downloading.name)
+            self.downloading = None
 
     def state(self) -> dict[str, Any]:
         """Return the settings in force, ready for JSON."""
@@ -199,43 +192,43 @@ class SierraCamera:
     def _free_bytes(self) -> int:
         if self.body.faults.is_card_full:
             return 0
-        return max(0, self._card_bytes - sum(len(picture.data) for picture in self.pictures))
+        return max(0, self._config.card_bytes - sum(len(file.data) for file in self.pictures))
 
     def _set_shutter(self, value: int) -> None:
-        """Take the nearest time that there is: the register says afterwards which."""
+        """Set the nearest shutter time that the camera has; the register then holds it."""
         self._is_automatic = value == 0
         if self._is_automatic:
             self._shutter_us = AUTOMATIC_US
             return
-        limit_s = self.body.faults.clamp_s
+        limit_s = self.body.faults.longest_s
         if limit_s is not None and value > limit_s * _US_PER_S:
             value = max(1, int(limit_s * _US_PER_S))
         self._shutter_us = min(self._times_us, key=lambda time_us: abs(math.log(time_us / value)))
 
-    def _picture(self) -> Picture:
-        place = self._current or len(self.pictures)
-        if not 1 <= place <= len(self.pictures):
-            raise Refused
-        return self.pictures[place - 1]
+    def _selected_picture(self) -> ImageFile:
+        number = self._selected or len(self.pictures)
+        if not 1 <= number <= len(self.pictures):
+            raise RefusedError
+        return self.pictures[number - 1]
 
-    def _info(self, picture: Picture) -> bytes:
-        """Return sizes of file, thumbnail and sound, quality, lock, date and kind of film."""
+    def _info(self, picture: ImageFile) -> bytes:
+        """Return sizes of file, thumbnail and sound, quality, lock, date, and two zeros."""
         sizes = (len(picture.data), len(picture.thumbnail), 0)
-        return struct.pack("<8I", *sizes, QUALITY_OF[picture.kind], 0, KEPT[2], 0, 0)
+        return struct.pack("<8I", *sizes, QUALITY_OF[picture.format], 0, STORED[2], 0, 0)
 
     def _name(self, number: int) -> str:
         if number == Register.FILE_NAME:
-            return self._picture().name
+            return self._selected_picture().name
         if number == Register.SERIAL:
-            return self._serial
+            return self._config.serial
         if number == Register.FOLDER:
             return self._folder_name()
         if number in _TEXTS:
             return _TEXTS[Register(number)]
-        raise Refused
+        raise RefusedError
 
     def _folder_name(self) -> str:
-        """Return the name of the folder that register 83 chose, else of the one that is open."""
-        if self._chosen_folder and len(self._folder) < len(FOLDER_PATH):
+        """Return the subfolder that register 83 selected, else the current folder."""
+        if self._listed_folder and len(self._folder) < len(FOLDER_PATH):
             return FOLDER_PATH[len(self._folder)]
         return self._folder[-1] if self._folder else "\\"

@@ -1,9 +1,9 @@
-"""A Nikon CoolPix 990 on a serial line: packets of the Sierra protocol.
+"""A Nikon CoolPix 990 on a serial line: packets and commands of the Sierra protocol.
 
-Written after the descriptions that photopc and libgphoto2 publish.  A packet is kind, subkind,
-length, data, sum of the data; numbers are little endian.  A command is answered by ACK, NAK (send
-it again), INVALID, or by data packets, each of which waits for the host's ACK.  An action is
-acknowledged, and ENQ says that it is done.
+Written after the descriptions that photopc and libgphoto2 publish.  A packet has type, subtype,
+length, data and the sum of the data; numbers are little endian.  A command is answered by ACK, by
+NAK (send it again), by INVALID, or by data packets, each of which waits for the host's ACK.  An
+action is acknowledged, and ENQ follows when it is done.
 """
 
 from __future__ import annotations
@@ -16,63 +16,74 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from camctl.errors import unknown_name
 from sim.devices.clock import DeviceClock, RealDeviceClock, ScheduledCall
-from sim.devices.scenery import Exposer, checked, split_config
-from sim.devices.sierra.camera import Refused, SierraCamera
-from sim.devices.sierra.config import LineFaults, SierraConfig
+from sim.devices.common import VirtualSensor
+from sim.devices.sierra.camera import RefusedError, SierraCamera
+from sim.devices.sierra.config import (
+    SPEEDS,
+    START_SPEED,
+    Action,
+    LineFaultCommands,
+    LineFaults,
+    Register,
+    SierraConfig,
+)
 from sim.devices.sierra.line import Line, TerminalLine
 from sim.devices.sierra.protocol_memory import MemoryLine
-from sim.devices.sierra.registers import SPEEDS, START_SPEED, Action, Register
-from sim.devices.still_body import BodyOptions, StillBody, StillVerbs
+from sim.devices.still_body import BodyOptions, StillBody, StillFaultCommands
 
 NUL, DATA, LAST, ENQ, ACK, NAK, COMMAND = 0x00, 0x02, 0x03, 0x05, 0x06, 0x15, 0x1B
 INVALID, SESSION_ERROR = 0x11, 0xFC
-FIRST, NEXT = 0x53, 0x43  # second byte of a command: of the first in a session, of others
-PACKET = 2048  # bytes of data in one
+FIRST, NEXT = 0x53, 0x43  # subtype of the first command of a session, and of the others
+PACKET = 2048  # most data bytes of a packet
 
-_HEAD, _SUM = 4, 2
+_HEADER, _SUM = 4, 2  # bytes
 _SET_NUMBER, _GET_NUMBER, _ACTION, _SET_TEXT, _GET_TEXT = range(5)
-_HALF_PACKET_S = 0.5  # silence after which the beginning of a packet is forgotten
-_LATE_BYTES = 4096  # that may come while a picture is taken
+_PARTIAL_PACKET_S = 0.5  # silence after which the beginning of a packet is discarded
+_MOST_QUEUED_BYTES = 4096  # that are kept of what a host sends during an exposure
+_GARBAGE_BYTES = 23
 
 
-class SierraDevice(StillVerbs):
-    """See the module; `config` says what camera it is, `exposer` what it sees."""
+class SierraDevice(LineFaultCommands, StillFaultCommands):
+    """The camera on its line; `make` builds one from a configuration.
+
+    Args:
+        config: see `SierraConfig`
+        sensor: what is exposed
+        clock: on which it times exposures, silence and bytes; real time if not given
+    """
 
     def __init__(
-        self, config: SierraConfig, exposer: Exposer, clock: DeviceClock | None = None
+        self, config: SierraConfig, sensor: VirtualSensor, clock: DeviceClock | None = None
     ) -> None:
+        self.config = config
         self.lock = threading.RLock()
         self.clock = clock if clock is not None else RealDeviceClock()
-        self.config = config
         self.line: Line
         if config.line == "memory":
             self.line = MemoryLine(self.received, self.clock)
         else:
             self.line = TerminalLine(config.line, config.link, self.received)
         options = BodyOptions("DSCN", delay_s=config.delay_s, grey=False)
-        self.body = StillBody(exposer, self.lock, self.clock, options)
-        self.camera = SierraCamera(
-            self.body, config.serial, config.files, config.times_us, config.card_bytes
-        )
+        self.body = StillBody(sensor, self.lock, self.clock, options)
+        self.camera = SierraCamera(self.body, config)
         self.faults = LineFaults()
         self.speed = START_SPEED
-        self._rubbish = random.Random(0)
-        self._is_open = False  # a session
+        self._random = random.Random(0)
+        self._is_session_open = False
         self._buffer = bytearray()
-        self._outgoing: deque[bytes] = deque()
-        self._heard_s = self.clock.now()
-        self._timer: ScheduledCall | None = None  # of silence
-        self._timer_s = math.inf
+        self._outgoing: deque[bytes] = deque()  # data packets; the first one waits for its ACK
         self._packets = 0
+        self._heard_s = self.clock.now()
+        self._timer: ScheduledCall | None = None
+        self._timer_s = math.inf
 
     def attach(self) -> None:
-        """Plug it in (CameraNotFoundError: the node cannot be opened)."""
+        """Plug the camera in (CameraNotFoundError: the line cannot be opened)."""
         self.line.open()
 
     def detach(self) -> None:
-        """Pull the plug."""
+        """Unplug the camera."""
         self.line.close()
         with self.lock:
             self._end_session()
@@ -80,74 +91,74 @@ class SierraDevice(StillVerbs):
     # What the host sends.
 
     def received(self, data: bytes) -> None:
-        """Take bytes as they come."""
+        """Process bytes from the host."""
         with self.lock:
             self._heard_s = self.clock.now()
             host_speed = self.line.host_speed
             if self.faults.is_hanging or (host_speed is not None and host_speed != self.speed):
-                return  # at another speed all is noise
-            if not self.body.is_exposing or len(self._buffer) < _LATE_BYTES:
+                return  # at another speed no byte can be recognised
+            if not self.body.is_exposing or len(self._buffer) < _MOST_QUEUED_BYTES:
                 self._buffer += data
-            self._work()
+            self._process_buffer()
             self._watch_silence()
 
-    def _work(self) -> None:
-        """Take packets from the buffer, one after another, while no picture is taken."""
+    def _process_buffer(self) -> None:
+        """Process packets one after another, unless a picture is being taken."""
         while self._buffer and not self.body.is_exposing:
-            kind = self._buffer[0]
-            if kind not in (COMMAND, DATA, LAST):
+            first = self._buffer[0]
+            if first not in (COMMAND, DATA, LAST):
                 del self._buffer[0]
-                self._take_byte(kind)
+                self._process_byte(first)
                 continue
-            if len(self._buffer) < _HEAD:
+            if len(self._buffer) < _HEADER:
                 return
             size = int.from_bytes(self._buffer[2:4], "little")
             if size > PACKET:
                 self._buffer.clear()
                 self._send(bytes([NAK]))
                 return
-            if len(self._buffer) < _HEAD + size + _SUM:
+            if len(self._buffer) < _HEADER + size + _SUM:
                 return
-            packet = bytes(self._buffer[: _HEAD + size + _SUM])
+            packet = bytes(self._buffer[: _HEADER + size + _SUM])
             del self._buffer[: len(packet)]
-            self._take_packet(packet)
+            self._process_packet(packet)
 
-    def _take_byte(self, byte: int) -> None:
+    def _process_byte(self, byte: int) -> None:
         if byte == NUL:
             self._outgoing.clear()
-            self._is_open = True
+            self._is_session_open = True
             self._send(bytes([NAK]))
         elif byte == ACK and self._outgoing:
             self._outgoing.popleft()
             if not self._outgoing:
                 self.camera.downloaded()
-            self._send_next()
+            self._send_data_packet()
         elif byte == NAK:
-            self._send_next()
+            self._send_data_packet()
 
-    def _take_packet(self, packet: bytes) -> None:
+    def _process_packet(self, packet: bytes) -> None:
         self._packets += 1
-        data = packet[_HEAD:-_SUM]
+        data = packet[_HEADER:-_SUM]
         if self.faults.naks > 0:
             self.faults.naks -= 1
             self._send(bytes([NAK]))
         elif sum(data) & 0xFFFF != int.from_bytes(packet[-_SUM:], "little"):
             self._send(bytes([NAK]))
         elif packet[0] != COMMAND:
-            self._send(bytes([INVALID]))  # nothing that a host sends here takes two packets
-        elif packet[1] == FIRST or (packet[1] == NEXT and self._is_open):
-            self._is_open = True
+            self._send(bytes([INVALID]))  # no command here takes more than one packet
+        elif packet[1] == FIRST or (packet[1] == NEXT and self._is_session_open):
+            self._is_session_open = True
             self._outgoing.clear()
-            self.camera.asked_for = None
-            self._take_command(data)
+            self.camera.downloading = None
+            self._execute(data)
         else:
             self._send(bytes([SESSION_ERROR]))
 
-    def _take_command(self, data: bytes) -> None:
+    def _execute(self, data: bytes) -> None:
         try:
             code, number, rest = data[0], data[1], data[2:]
             _COMMANDS[code](self, number, rest)
-        except (IndexError, KeyError, Refused):
+        except (IndexError, KeyError, RefusedError):
             self._send(bytes([INVALID]))
 
     # Commands.
@@ -162,8 +173,8 @@ class SierraDevice(StillVerbs):
 
     def _set_speed(self, value: int | None) -> None:
         speed = SPEEDS.get(value or 0)
-        if self.faults.has_no_speed or speed is None or speed > self.config.speed_limit:
-            raise Refused
+        if self.faults.is_speed_fixed or speed is None or speed > self.config.speed_limit:
+            raise RefusedError
         self._send(bytes([ACK]))  # at the old speed
         self.speed = speed
 
@@ -192,26 +203,26 @@ class SierraDevice(StillVerbs):
     def _captured(self) -> None:
         self._heard_s = self.clock.now()
         self._send(bytes([ENQ]))
-        self._work()
+        self._process_buffer()
         self._watch_silence()
 
-    # What the host gets.
+    # What the camera sends.
 
     def _answer(self, data: bytes) -> None:
-        """Queue data packets; each but the first waits for an ACK."""
+        """Queue data packets; each but the first is sent after an ACK."""
         parts = [data[at : at + PACKET] for at in range(0, len(data), PACKET)] or [b""]
         for place, part in enumerate(parts):
             kind = LAST if place == len(parts) - 1 else DATA
             head = struct.pack("<BBH", kind, place & 0xFF, len(part))
             self._outgoing.append(head + part + struct.pack("<H", sum(part) & 0xFFFF))
-        self._send_next()
+        self._send_data_packet()
 
-    def _send_next(self) -> None:
-        """Send the packet that is due, for the first time or again."""
+    def _send_data_packet(self) -> None:
+        """Send the first queued packet, for the first time or again."""
         if not self._outgoing:
             return
         packet = self._outgoing[0]
-        if self.faults.truncations > 0 and len(packet) > _HEAD + 4 + _SUM:
+        if self.faults.truncations > 0 and len(packet) > _HEADER + 4 + _SUM:
             self.faults.truncations -= 1
             packet = packet[: len(packet) // 2]
         self._send(packet)
@@ -219,21 +230,23 @@ class SierraDevice(StillVerbs):
     def _send(self, data: bytes) -> None:
         if self.faults.garbage > 0:
             self.faults.garbage -= 1
-            data = self._rubbish.randbytes(23)
+            data = self._random.randbytes(_GARBAGE_BYTES)
         self.line.send(data, self.speed if self.config.is_paced else 0)
 
+    # Silence of the host.
+
     def _silence_ends_s(self) -> float:
-        """Return when something is given up if the host stays silent; infinite: nothing is."""
+        """Return when the device stops waiting for the host; infinite: it does not wait."""
         if self.body.is_exposing:
             return math.inf
         if self._buffer:
-            return self._heard_s + min(_HALF_PACKET_S, self.config.silence_s)
-        if self._is_open or self.speed != START_SPEED:
+            return self._heard_s + min(_PARTIAL_PACKET_S, self.config.silence_s)
+        if self._is_session_open or self.speed != START_SPEED:
             return self._heard_s + self.config.silence_s
         return math.inf
 
     def _watch_silence(self) -> None:
-        """Schedule `_end_silence`, unless it is scheduled for an earlier time already."""
+        """Schedule `_end_silence`, unless it is scheduled for that time or an earlier one."""
         ends_s = self._silence_ends_s()
         if ends_s < self._timer_s:
             if self._timer is not None:
@@ -242,12 +255,12 @@ class SierraDevice(StillVerbs):
             self._timer = self.clock.call_at(ends_s, self._end_silence)
 
     def _end_silence(self) -> None:
-        """Forget half a packet, and the session, if the host has been silent for long enough."""
+        """Discard part of a packet, and the session, if the host has been silent for too long."""
         with self.lock:
             self._timer, self._timer_s = None, math.inf
             now_s = self.clock.now()
             if now_s >= self._silence_ends_s():
-                if self._buffer and now_s >= self._heard_s + _HALF_PACKET_S:
+                if self._buffer and now_s >= self._heard_s + _PARTIAL_PACKET_S:
                     self._buffer.clear()
                     if not self.faults.is_hanging:
                         self._send(bytes([NAK]))
@@ -257,65 +270,29 @@ class SierraDevice(StillVerbs):
 
     def _end_session(self) -> None:
         self.speed = START_SPEED
-        self._is_open = False
+        self._is_session_open = False
         self._buffer.clear()
         self._outgoing.clear()
 
-    # Verbs.
-
-    def do(self, verb: str, **arguments: Any) -> dict[str, Any]:
-        """Do what a verb says: unplug, plug, state, or one of its own (UsageError: no such)."""
-        work = getattr(self, f"do_{verb}", None)
-        if work is None:
-            raise unknown_name("verb", verb, [n[3:] for n in dir(self) if n.startswith("do_")])
-        result: dict[str, Any] | None = work(**arguments)
-        return result or {}
-
-    def do_unplug(self) -> None:
-        """Pull the plug."""
-        self.detach()
-
-    def do_plug(self) -> None:
-        """Plug it in again."""
-        self.attach()
+    # Control commands.
 
     def do_ok(self) -> None:
         """End all faults."""
         self.faults = LineFaults()
-        self.body.mend()
-
-    def do_nak(self, count: int = 1) -> None:
-        """Answer the next packets NAK."""
-        self.faults.naks = count
-
-    def do_garbage(self, count: int = 1) -> None:
-        """Answer rubbish."""
-        self.faults.garbage = count
-
-    def do_truncate(self, count: int = 1) -> None:
-        """Send half of the next data packets."""
-        self.faults.truncations = count
-
-    def do_hang(self) -> None:
-        """Answer nothing."""
-        self.faults.is_hanging = True
-
-    def do_no_speed(self) -> None:
-        """Refuse to change the speed."""
-        self.faults.has_no_speed = True
+        self.body.clear_faults()
 
     def do_break(self) -> None:
-        """Behave as after a break on the line: no session, 19,200 bits a second."""
+        """Behave as after a break on the line: no session, 19,200 bits per second."""
         with self.lock:
             self._end_session()
 
-    def do_state(self) -> dict[str, Any]:
+    def state(self) -> dict[str, Any]:
         """Return settings in force and counters, ready for JSON."""
         with self.lock:
             return {
                 "path": self.line.path,
                 "speed": self.speed,
-                "session": self._is_open,
+                "session": self._is_session_open,
                 "packets": self._packets,
                 "is_exposing": self.body.is_exposing,
                 **self.body.state(),
@@ -338,10 +315,10 @@ _COMMANDS: Mapping[int, Callable[[SierraDevice, int, bytes], None]] = {
 
 
 def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> SierraDevice:
-    """Return the camera that a configuration describes: `Scenery` and `SierraConfig` in one.
+    """Return the camera of a configuration (`SierraConfig`).
 
     Raises:
-        UsageError, DataError: something in it is unknown or out of range
+        UsageError, DataError: an option is unknown or invalid
     """
-    exposer, own = split_config(config)
-    return SierraDevice(checked(SierraConfig, own), exposer, clock)
+    options = SierraConfig.parse(config)
+    return SierraDevice(options, options.load_sensor(), clock)

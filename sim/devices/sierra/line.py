@@ -20,7 +20,7 @@ _SPEEDS = {
 _POLL_S = 0.05
 BITS_A_BYTE = 10  # start, eight, stop
 BYTES_AT_ONCE = 256  # of a line with a speed
-_UNREAD_S = 1.0  # what a host does not take for so long is lost
+_UNREAD_S = 1.0  # after so long, bytes that the host does not read are lost
 
 
 class Line(Protocol):
@@ -38,11 +38,11 @@ class Line(Protocol):
         ...
 
     def open(self) -> None:
-        """Plug it in (CameraNotFoundError: the node cannot be opened)."""
+        """Open the camera's end (CameraNotFoundError: it cannot be opened)."""
         ...
 
     def close(self) -> None:
-        """Pull the plug: the host's next read or write fails."""
+        """Close the camera's end: the host's next read or write fails."""
         ...
 
     def send(self, data: bytes, speed: int = 0) -> None:
@@ -50,14 +50,14 @@ class Line(Protocol):
         ...
 
 
-class TerminalLine:
-    """A pseudo-terminal or a device node; what the host sends is passed on by a thread.
+class TerminalLine(Line):
+    """A pseudo-terminal or a device node; a thread reads what the host sends.
 
     Args:
         node: a device node (/dev/ttyGS0), or "pty": a new pseudo-terminal, whose host's end is
             `path` while it is open
         link: a symbolic link to keep at the host's end of a pseudo-terminal
-        received: takes the bytes that the host sends
+        received: called with the bytes that the host sends
     """
 
     def __init__(self, node: str, link: str | None, received: Callable[[bytes], None]) -> None:
@@ -79,7 +79,7 @@ class TerminalLine:
         return None
 
     def open(self) -> None:
-        """Plug it in (CameraNotFoundError: the node cannot be opened)."""
+        """Open the line; see `Line.open`."""
         if self._node == "pty":
             self._file, self._host_end = os.openpty()
             tty.setraw(self._host_end)
@@ -94,7 +94,7 @@ class TerminalLine:
         self._thread.start()
 
     def close(self) -> None:
-        """Pull the plug: the host's next read or write fails."""
+        """Close the line; see `Line.close`."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
@@ -111,7 +111,7 @@ class TerminalLine:
     def send(self, data: bytes, speed: int = 0) -> None:
         """Send bytes to the host; see `Line.send`.
 
-        What the host does not take for a second is lost, as on a line without handshake.
+        Bytes that the host does not read for a second are lost, as on a line without handshake.
         """
         rest = memoryview(data)
         unread_s = 0.0

@@ -1,7 +1,7 @@
-"""A serial line inside this process: pyserial opens it by a URL such as memory://1.
+"""A serial line inside this process, which pyserial opens by a URL such as memory://1.
 
-pyserial looks for the module protocol_NAME of a URL NAME://... in the packages that are registered
-with it, and opens the class `Serial` of that module.
+For a URL NAME://... pyserial imports the module protocol_NAME from one of the packages registered
+with it and opens the class `Serial` of that module; hence the name of this module.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from itertools import count
 import serial
 
 from sim.devices.clock import DeviceClock
-from sim.devices.sierra.line import BITS_A_BYTE, BYTES_AT_ONCE
+from sim.devices.sierra.line import BITS_A_BYTE, BYTES_AT_ONCE, Line
 
 if __package__ not in serial.protocol_handler_packages:
     serial.protocol_handler_packages.append(__package__)
 
-_lines: dict[str, MemoryLine] = {}  # those that are plugged in, by URL
+_lines: dict[str, MemoryLine] = {}  # open lines by URL
 _numbers = count(1)
 
 
-class MemoryLine:
-    """A camera's line without terminal, thread and real time; see `sim.devices.sierra.line.Line`.
+class MemoryLine(Line):
+    """A camera's line that needs no terminal, no thread and no real time.
 
-    With a virtual clock, a host and the camera at this line run in one virtual time.
+    With a virtual clock, the camera and a host on this line run in one virtual time.
 
     Args:
-        received: takes the bytes that the host sends, in the host's thread
+        received: called with the bytes that the host sends, in the host's thread
         clock: on which the host's time-outs and the line's speed are counted
 
     Attributes:
@@ -50,18 +50,18 @@ class MemoryLine:
         return None if self.host is None else int(self.host.baudrate)
 
     def open(self) -> None:
-        """Plug it in."""
+        """Open the camera's end."""
         _lines[self.path] = self
 
     def close(self) -> None:
-        """Pull the plug: the host's next read or write fails."""
+        """Close the camera's end; see `Line.close`."""
         host, self.host = self.host, None
         if host is not None:
             host.hang_up()
         _lines.pop(self.path, None)
 
     def send(self, data: bytes, speed: int = 0) -> None:
-        """Send bytes to the host at `speed` bits a second, or at once (0)."""
+        """Send bytes to the host; see `Line.send`."""
         if self.host is None:
             return
         if not speed:
@@ -85,17 +85,17 @@ class Serial(serial.SerialBase):  # type: ignore[misc]  # pyserial has no types
         super().__init__(*arguments, **options)
 
     def open(self) -> None:
-        """Open the line (SerialException: no such line, or another host has it open)."""
+        """Open the host's end (SerialException: no such line, or another host has it open)."""
         line = _lines.get(self.port)
         if line is None:
-            raise serial.SerialException(f"cannot open {self.port}: nothing is plugged in there")
+            raise serial.SerialException(f"cannot open {self.port}: no camera is there")
         if line.host is not None:
             raise serial.SerialException(f"cannot open {self.port}: another host has it open")
         self._line, line.host = line, self
         self.is_open = True
 
     def close(self) -> None:
-        """Close the line; a second call does nothing."""
+        """Close the host's end; a second call does nothing."""
         if self._line is not None:
             self._line.host = None
         self._line = None
@@ -124,30 +124,25 @@ class Serial(serial.SerialBase):  # type: ignore[misc]  # pyserial has no types
         return data
 
     def write(self, data: bytes) -> int:
-        """Send bytes to the camera, which answers before this returns unless its line is paced."""
+        """Send bytes to the camera, which processes them before this returns."""
         self._connected().received(bytes(data))
         return len(data)
 
-    def reset_input_buffer(self) -> None:
-        """Forget what has arrived and has not been read."""
-        with self._lock:
-            self._buffer.clear()
-
     def arrive(self, data: bytes) -> None:
-        """Take bytes from the camera."""
+        """Receive bytes from the camera."""
         with self._lock:
             self._buffer += data
         self._arrived.set()
 
     def hang_up(self) -> None:
-        """Fail from now on: the camera has been unplugged."""
+        """End the connection: the camera has been unplugged."""
         self._line = None
         self._arrived.set()
 
     def _connected(self) -> MemoryLine:
         if self._line is None:
-            raise serial.SerialException(f"nothing is plugged in at {self.port}")
+            raise serial.SerialException(f"the camera at {self.port} has been unplugged")
         return self._line
 
     def _reconfigure_port(self) -> None:
-        """Take settings as they are; `MemoryLine.host_speed` reads the speed."""
+        """Accept all settings; only the speed has an effect (`MemoryLine.host_speed`)."""

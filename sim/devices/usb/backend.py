@@ -1,4 +1,4 @@
-"""Virtual devices behind pyusb, in this process: no kernel, no libusb, no privileges.
+"""A pyusb backend for virtual devices in this process: no kernel, no libusb, no privileges.
 
 ::
 
@@ -6,10 +6,9 @@
     found = usb.core.find(backend=backend)
 
 Errors are those that pyusb's libusb backend raises: `USBTimeoutError` with ETIMEDOUT, and
-`USBError` with EPIPE (stall), ENODEV (unplugged), EBUSY (claimed by another), EACCES (no
-permission), EOVERFLOW (a packet larger than the buffer).  A read that times out in the middle of
-a transfer returns what it has got, as with libusb.  Time-outs are counted on the device's clock
-(`sim.devices.clock`).
+`USBError` with EPIPE (stall), ENODEV (unplugged), EBUSY (claimed by another program), EOVERFLOW (a
+packet larger than the buffer).  A read that times out in the middle of a transfer returns the bytes
+it has, as with libusb.  Time-outs are counted on the device's clock (`sim.devices.clock`).
 """
 
 from __future__ import annotations
@@ -26,14 +25,13 @@ from typing import NoReturn
 import usb.backend
 from usb.core import USBError, USBTimeoutError
 
-from sim.devices.usb.device import IN, Refusal, UsbDevice
-from sim.devices.usb.endpoints import Read, parse_configuration, parse_device
+from sim.devices.usb.device import IN, ControlFailure, UsbDevice
+from sim.devices.usb.endpoints import Descriptor, Read, parse_configuration, parse_device
 
-BUS = 250  # beyond what a machine has
+BUS = 250  # no machine has so many
 
-# libusb's error codes and texts for what can happen here.
+# libusb's error codes and texts.
 _LIBUSB_ERRORS = {
-    errno.EACCES: (-3, "Access denied (insufficient permissions)"),
     errno.ENODEV: (-4, "No such device (it may have been disconnected)"),
     errno.ENOENT: (-5, "Entity not found"),
     errno.EBUSY: (-6, "Resource busy"),
@@ -50,99 +48,106 @@ def _fail(number: int) -> NoReturn:
 
 
 def _deadline_s(device: UsbDevice, timeout: int) -> float:
-    """Return when a time-out given in ms ends, 0 for none, on the device's clock."""
+    """Return when a time-out in ms ends on the device's clock; 0 is no time-out."""
     return device.clock.now() + timeout / 1000 if timeout else math.inf
 
 
-class _Stay:
-    """A device from one plugging in to the unplugging: after it all is ENODEV."""
+class _Connection:
+    """A device from being plugged in to being unplugged."""
 
     def __init__(self, device: UsbDevice, address: int) -> None:
         self.device = device
         self.address = address
-        self.gone = threading.Event()
-        self.claims: dict[int, object] = {}  # interface -> handle
+        self.unplugged = threading.Event()
+        self.claims: dict[int, _Handle] = {}  # by interface
+
+    @property
+    def configuration(self) -> Descriptor:
+        """The configuration descriptor, parsed."""
+        return parse_configuration(self.device.configuration_descriptor)
 
 
 class _Handle:
-    def __init__(self, stay: _Stay) -> None:
-        self.stay = stay
+    """A connection that a host has opened."""
+
+    def __init__(self, connection: _Connection) -> None:
+        self.connection = connection
+
+    def device(self) -> UsbDevice:
+        """Return the device (ENODEV: it has been unplugged)."""
+        if self.connection.unplugged.is_set():
+            _fail(errno.ENODEV)
+        return self.connection.device
+
+    def claimed_device(self, interface: int) -> UsbDevice:
+        """Return the device (ENODEV: unplugged, EBUSY: another handle has the interface)."""
+        device = self.device()
+        if self.connection.claims.get(interface, self) is not self:
+            _fail(errno.EBUSY)
+        return device
 
 
 class BackendPort:
-    """A place of a `VirtualBackend` that one device is plugged into."""
+    """A port of a `VirtualBackend`."""
 
     def __init__(self, backend: VirtualBackend) -> None:
         self._backend = backend
-        self._stay: _Stay | None = None
+        self._connection: _Connection | None = None
 
     def attach(self, device: UsbDevice) -> None:
-        """Plug the device in, at an address of its own."""
+        """Plug the device in, at a new address."""
         self.detach()
-        self._stay = self._backend.add(device)
+        self._connection = self._backend.add(device)
         device.connect()
 
     def detach(self) -> None:
-        """Pull the plug."""
-        if self._stay is not None:
-            self._backend.remove(self._stay)
-            self._stay.gone.set()
-            self._stay.device.disconnect()
-            self._stay = None
+        """Unplug the device."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            self._backend.remove(connection)
+            connection.unplugged.set()
+            connection.device.disconnect()
 
 
 class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
     """The devices that `usb.core.find` finds with it.
 
     Args:
-        devices: plugged in at once; each gets a port of its own, so that its `detach` and `attach`
+        devices: plugged in at once, each into a port of its own, so that its `detach` and `attach`
             unplug it and plug it in again
-
-    Attributes:
-        forbidden: devices that the user may not open (EACCES)
+        bytes_per_s: speed of reads from IN endpoints, counted on the device's clock
     """
 
-    def __init__(self, devices: Iterable[UsbDevice] = ()) -> None:
+    def __init__(self, devices: Iterable[UsbDevice] = (), *, bytes_per_s: float = math.inf) -> None:
         super().__init__()
-        self.forbidden: set[UsbDevice] = set()
-        self._stays: list[_Stay] = []
+        self._bytes_per_s = bytes_per_s
+        self._connections: list[_Connection] = []
         self._addresses = count(1)
         for device in devices:
             device.port = BackendPort(self)
             device.attach()
 
-    def add(self, device: UsbDevice) -> _Stay:
-        """List a device at the next address."""
-        stay = _Stay(device, next(self._addresses) % 127 + 1)
-        self._stays.append(stay)
-        return stay
+    def add(self, device: UsbDevice) -> _Connection:
+        """Connect a device at the next address."""
+        connection = _Connection(device, next(self._addresses) % 127 + 1)
+        self._connections.append(connection)
+        return connection
 
-    def remove(self, stay: _Stay) -> None:
-        """List it no longer."""
-        self._stays.remove(stay)
+    def remove(self, connection: _Connection) -> None:
+        """Disconnect a device."""
+        self._connections.remove(connection)
 
-    def hold(self, device: UsbDevice) -> None:
-        """Claim all interfaces of a device as another process would (EBUSY for all others)."""
-        stay = next(s for s in self._stays if s.device is device)
-        another = object()
-        parsed = parse_configuration(device.configuration_descriptor)
-        stay.claims = dict.fromkeys(range(parsed.fields["bNumInterfaces"]), another)
+    # pyusb calls these; parameters have the names of its interface.
 
-    def let_go(self, device: UsbDevice) -> None:
-        """End `hold`."""
-        next(s for s in self._stays if s.device is device).claims.clear()
+    def enumerate_devices(self) -> Iterator[_Connection]:
+        """Yield the devices that are plugged in."""
+        yield from tuple(self._connections)
 
-    # What pyusb calls.
+    def get_parent(self, dev: _Connection) -> None:
+        """Return None: there is no hub between host and device."""
 
-    def enumerate_devices(self) -> Iterator[_Stay]:
-        """Yield what is plugged in."""
-        yield from tuple(self._stays)
-
-    def get_parent(self, dev: _Stay) -> None:
-        """Return the hub: there is none."""
-
-    def get_device_descriptor(self, dev: _Stay) -> SimpleNamespace:
-        """Return the device descriptor's fields and where the device is."""
+    def get_device_descriptor(self, dev: _Connection) -> SimpleNamespace:
+        """Return the device descriptor's fields, and bus and address."""
         return SimpleNamespace(
             **parse_device(dev.device.device_descriptor),
             bus=BUS,
@@ -152,105 +157,94 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
             port_numbers=(dev.address,),
         )
 
-    def get_configuration_descriptor(self, dev: _Stay, config: int) -> SimpleNamespace:
-        """Return the configuration's fields."""
+    def get_configuration_descriptor(self, dev: _Connection, config: int) -> SimpleNamespace:
+        """Return the configuration descriptor's fields."""
         if config:
             raise IndexError(config)
-        return parse_configuration(dev.device.configuration_descriptor).as_namespace()
+        return dev.configuration.as_namespace()
 
     def get_interface_descriptor(
-        self, dev: _Stay, intf: int, alt: int, config: int
+        self, dev: _Connection, intf: int, alt: int, config: int
     ) -> SimpleNamespace:
-        """Return an interface's fields."""
-        parsed = parse_configuration(dev.device.configuration_descriptor)
-        return parsed.alternate(intf, alt).as_namespace()
+        """Return an interface descriptor's fields."""
+        return dev.configuration.alternate(intf, alt).as_namespace()
 
     def get_endpoint_descriptor(
-        self, dev: _Stay, ep: int, intf: int, alt: int, config: int
+        self, dev: _Connection, ep: int, intf: int, alt: int, config: int
     ) -> SimpleNamespace:
-        """Return an endpoint's fields."""
-        parsed = parse_configuration(dev.device.configuration_descriptor)
-        return parsed.alternate(intf, alt).parts[ep].as_namespace()
+        """Return an endpoint descriptor's fields."""
+        return dev.configuration.alternate(intf, alt).children[ep].as_namespace()
 
-    def open_device(self, dev: _Stay) -> _Handle:
-        """Open it."""
-        if dev.gone.is_set():
-            _fail(errno.ENODEV)
-        if dev.device in self.forbidden:
-            _fail(errno.EACCES)
-        return _Handle(dev)
+    def open_device(self, dev: _Connection) -> _Handle:
+        """Open a device."""
+        handle = _Handle(dev)
+        handle.device()
+        return handle
 
     def close_device(self, dev_handle: _Handle) -> None:
-        """Close it; its claims end."""
-        stay = dev_handle.stay
-        stay.claims = {n: owner for n, owner in stay.claims.items() if owner is not dev_handle}
+        """Close a device; the claims of this handle end."""
+        connection = dev_handle.connection
+        others = {n: owner for n, owner in connection.claims.items() if owner is not dev_handle}
+        connection.claims = others
 
     def set_configuration(self, dev_handle: _Handle, config_value: int) -> None:
         """Set the configuration; EBUSY while an interface is claimed, as under Linux."""
-        if dev_handle.stay.claims:
+        if dev_handle.connection.claims:
             _fail(errno.EBUSY)
-        self._ask(dev_handle, 0, 9, config_value, 0, 0, b"", 1000)
+        self._request(dev_handle, (0, 9, config_value, 0, 0))
 
     def get_configuration(self, dev_handle: _Handle) -> int:
-        """Return the only configuration's value: the host has set it when it was plugged in."""
-        if dev_handle.stay.gone.is_set():
-            _fail(errno.ENODEV)
-        parsed = parse_configuration(dev_handle.stay.device.configuration_descriptor)
-        return parsed.fields["bConfigurationValue"]
+        """Return the value of the only configuration, which a host sets when it finds a device."""
+        dev_handle.device()
+        return dev_handle.connection.configuration.fields["bConfigurationValue"]
 
     def set_interface_altsetting(self, dev_handle: _Handle, intf: int, altsetting: int) -> None:
         """Set an alternate setting."""
-        self._ask(dev_handle, 1, 11, altsetting, intf, 0, b"", 1000)
+        self._request(dev_handle, (1, 11, altsetting, intf, 0))
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """Claim it for this handle."""
-        stay = dev_handle.stay
-        if stay.gone.is_set():
-            _fail(errno.ENODEV)
-        if stay.claims.setdefault(intf, dev_handle) is not dev_handle:
+        """Claim an interface for this handle."""
+        dev_handle.device()
+        if dev_handle.connection.claims.setdefault(intf, dev_handle) is not dev_handle:
             _fail(errno.EBUSY)
 
     def release_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """Release it."""
-        if dev_handle.stay.gone.is_set():
-            _fail(errno.ENODEV)
-        if dev_handle.stay.claims.get(intf) is not dev_handle:
+        """Release an interface."""
+        dev_handle.device()
+        if dev_handle.connection.claims.get(intf) is not dev_handle:
             _fail(errno.ENOENT)
-        del dev_handle.stay.claims[intf]
+        del dev_handle.connection.claims[intf]
 
     def is_kernel_driver_active(self, dev_handle: _Handle, intf: int) -> bool:
-        """Return False: no kernel driver knows of these devices."""
-        if dev_handle.stay.gone.is_set():
-            _fail(errno.ENODEV)
+        """Return False: the kernel does not see these devices."""
+        dev_handle.device()
         return False
 
     def detach_kernel_driver(self, dev_handle: _Handle, intf: int) -> None:
-        """Fail: there is none."""
+        """Fail: there is no kernel driver."""
         _fail(errno.ENOENT)
 
     def attach_kernel_driver(self, dev_handle: _Handle, intf: int) -> None:
-        """Fail: there is none."""
+        """Fail: there is no kernel driver."""
         _fail(errno.ENOENT)
 
     def clear_halt(self, dev_handle: _Handle, ep: int) -> None:
         """Clear an endpoint's halt."""
-        self._ask(dev_handle, 2, 1, 0, ep, 0, b"", 1000)
+        self._request(dev_handle, (2, 1, 0, ep, 0))
 
     def reset_device(self, dev_handle: _Handle) -> None:
-        """Reset the device: it keeps its address, and forgets what it was sending."""
-        stay = dev_handle.stay
-        if stay.gone.is_set():
-            _fail(errno.ENODEV)
-        stay.device.disconnect()
-        stay.device.connect()
+        """Reset the device: it keeps its address and discards what it was sending."""
+        device = dev_handle.device()
+        device.disconnect()
+        device.connect()
 
     def bulk_write(
         self, dev_handle: _Handle, ep: int, intf: int, data: array[int], timeout: int
     ) -> int:
-        """Write to an OUT endpoint; return the bytes written."""
-        self._check_claim(dev_handle, intf)
+        """Write to an OUT endpoint; return the number of bytes written."""
+        device = dev_handle.claimed_device(intf)
         raw = data.tobytes()
-        if error := dev_handle.stay.device.write(ep, raw):
+        if error := device.write(ep, raw):
             _fail(error)
         return len(raw)
 
@@ -258,7 +252,7 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
         self, dev_handle: _Handle, ep: int, intf: int, buff: array[int], timeout: int
     ) -> int:
         """Read from an IN endpoint into `buff`; `timeout` in ms, 0 for none."""
-        self._check_claim(dev_handle, intf)
+        device = dev_handle.claimed_device(intf)
         ended = threading.Event()
         result: list[tuple[int, bytes]] = []
 
@@ -266,7 +260,6 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
             result.append((error, data))
             ended.set()
 
-        device = dev_handle.stay.device
         read = Read(ep & 15, len(buff) * buff.itemsize, done)
         device.read(read)
         if not device.clock.wait_for(ended, _deadline_s(device, timeout)):
@@ -277,6 +270,7 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
             error = 0 if data else errno.ETIMEDOUT
         if error:
             _fail(error)
+        device.clock.sleep_until(device.clock.now() + len(data) / self._bytes_per_s)
         return len(data)
 
     intr_write = bulk_write
@@ -292,40 +286,29 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
         data: array[int],
         timeout: int,
     ) -> int:
-        """Send a control request; return the bytes moved."""
+        """Send a control request; return the number of bytes moved."""
         size = len(data) * data.itemsize
         sent = b"" if bmRequestType & IN else data.tobytes()
         setup = (bmRequestType, bRequest, wValue, wIndex, size)
-        answer = self._ask(dev_handle, *setup, sent, timeout)
+        reply = self._request(dev_handle, setup, sent, timeout)
         if not bmRequestType & IN:
             return size
-        memoryview(data).cast("B")[: len(answer)] = answer
-        return len(answer)
+        memoryview(data).cast("B")[: len(reply)] = reply
+        return len(reply)
 
-    def _ask(
+    def _request(
         self,
         handle: _Handle,
-        request_type: int,
-        request: int,
-        value: int,
-        index: int,
-        length: int,
-        data: bytes,
-        timeout: int,
+        setup: tuple[int, int, int, int, int],
+        data: bytes = b"",
+        timeout: int = 1000,
     ) -> bytes:
-        stay = handle.stay
-        if stay.gone.is_set():
-            _fail(errno.ENODEV)
-        answer = stay.device.request(request_type, request, value, index, length, data)
-        if answer is Refusal.SILENCE:
-            is_gone = stay.device.clock.wait_for(stay.gone, _deadline_s(stay.device, timeout))
-            _fail(errno.ENODEV if is_gone else errno.ETIMEDOUT)
-        if isinstance(answer, Refusal):
+        device = handle.device()
+        reply = device.request(*setup, data)
+        if reply is ControlFailure.NO_REPLY:
+            unplugged = handle.connection.unplugged
+            is_unplugged = device.clock.wait_for(unplugged, _deadline_s(device, timeout))
+            _fail(errno.ENODEV if is_unplugged else errno.ETIMEDOUT)
+        if isinstance(reply, ControlFailure):
             _fail(errno.EPIPE)
-        return answer
-
-    def _check_claim(self, handle: _Handle, intf: int) -> None:
-        if handle.stay.gone.is_set():
-            _fail(errno.ENODEV)
-        if handle.stay.claims.get(intf, handle) is not handle:
-            _fail(errno.EBUSY)
+        return reply

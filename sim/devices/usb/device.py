@@ -1,9 +1,9 @@
-"""A USB device without a transport: descriptors, endpoint 0, and what waits on its other endpoints.
+"""A USB device without a transport: descriptors, control requests, bulk and interrupt endpoints.
 
-Endpoints behave as on the bus: a transfer is cut into packets of the endpoint's size, a short or
-empty packet ends the host's read, and a read that asks for more than a device sent goes on
-waiting where the last packet was a full one.  All of that is in `UsbDevice`; a transport
-(`sim.devices.usb.backend`, `sim.devices.usb.vhci`) passes reads, writes and control requests to it.
+Endpoints behave as on the bus: a transfer is cut into packets of the endpoint's size, and a short
+or empty packet ends the host's read.  A read for more bytes than the device has sent goes on
+waiting if the last packet was a full one.  A transport (`sim.devices.usb.backend`,
+`sim.devices.usb.vhci`) passes the host's reads, writes and control requests to the device.
 """
 
 from __future__ import annotations
@@ -12,17 +12,18 @@ import errno
 import struct
 import threading
 from enum import Enum, IntEnum
-from typing import Any, Protocol
+from typing import Protocol
 
-from camctl.errors import UsageError, unknown_name
+from camctl.errors import UsageError
 from sim.devices.clock import DeviceClock, RealDeviceClock
-from sim.devices.usb.endpoints import Pipe, Read, Transfer, endpoints
+from sim.devices.common import Controllable
+from sim.devices.usb.endpoints import Pipe, Read, Transfer, parse_configuration
 
 IN = 0x80
 
 
 class Speed(IntEnum):
-    """Speed of a device, in the numbers of the kernel's `enum usb_device_speed`."""
+    """Speed of a device, as numbered by the kernel's `enum usb_device_speed`."""
 
     LOW = 1
     FULL = 2
@@ -30,51 +31,56 @@ class Speed(IntEnum):
     SUPER = 5
 
 
-class Refusal(Enum):
-    """What a control request can be answered with instead of bytes.
+class ControlFailure(Enum):
+    """How a control request fails.
 
     Attributes:
-        STALL: the request is refused
-        SILENCE: no answer at all, until the host gives up
+        STALL: the device refuses the request
+        NO_REPLY: the device does not reply until the host gives up
     """
 
     STALL = "stall"
-    SILENCE = "silence"
+    NO_REPLY = "no reply"
 
 
-STALL = Refusal.STALL
-SILENCE = Refusal.SILENCE
+STALL = ControlFailure.STALL
+NO_REPLY = ControlFailure.NO_REPLY
 
-Answer = bytes | Refusal
+ControlReply = bytes | ControlFailure
 
 
 class Port(Protocol):
-    """Where a device is plugged in: one side of a transport."""
+    """A port of a transport, which one device is plugged into."""
 
     def attach(self, device: UsbDevice) -> None:
         """Plug the device in."""
 
     def detach(self) -> None:
-        """Pull the plug; what the host waits for fails with ENODEV."""
+        """Unplug the device; what the host waits for fails with ENODEV."""
 
 
-class UsbDevice:
-    """A USB device; subclasses say what it is and answer what it is asked.
+class UsbDevice(Controllable):
+    """A USB device; a subclass adds its descriptors and its behaviour.
 
-    A subclass sets the four descriptions before `__init__` of this class runs or passes over to
-    it, overrides `control`, `received`, `halt_cleared`, `attached` and `detached`, calls `send`,
-    `stall` and `flush` from any thread, and defines each of its verbs as a method `do_VERB`.
+    A subclass sets `speed`, both descriptors and `strings` before it calls `__init__` of this
+    class.  It overrides `control`, `received`, `halt_cleared`, `attached` and `detached`, and may
+    call `send`, `stall` and `flush` from any thread.
+
+    Args:
+        port: where `attach` plugs it in
+        clock: on which it schedules what it does by itself, and on which a host in this process
+            waits; real time if not given
 
     Attributes:
+        port, clock: as given
         speed: see `Speed`
         device_descriptor: 18 bytes
         configuration_descriptor: with all interfaces and endpoints
-        strings: string descriptors from index 1 on are strings[1:]; strings[0] is not used
+        strings: string descriptors by index; index 0 is not used
         zero_length: numbers of the IN endpoints that end a transfer of whole packets with an
-            empty one; all of them unless a subclass takes some out
-        clock: on which it schedules what it does by itself, and hosts in this process wait
-        lock: held while the device is asked or sends; a subclass may use it for its own state
-        port: where it is plugged in by `attach`
+            empty packet; a subclass may remove some
+        lock: held in each call from a transport and while the device sends; a subclass may use it
+            for its own state
     """
 
     speed: Speed = Speed.HIGH
@@ -87,46 +93,46 @@ class UsbDevice:
         self.clock = clock if clock is not None else RealDeviceClock()
         self.port = port
         self.is_attached = False
-        self.endpoints = tuple(endpoints(self.configuration_descriptor))
-        self._pipes = {e.address & 15: Pipe(e.packet) for e in self.endpoints if e.address & IN}
+        self._pipes = {
+            each["bEndpointAddress"] & 15: Pipe(each["wMaxPacketSize"] & 0x7FF)
+            for each in parse_configuration(self.configuration_descriptor).endpoints()
+            if each["bEndpointAddress"] & IN
+        }
         self.zero_length = set(self._pipes)
         self._halted_out: set[int] = set()
         self._configuration = 0
 
-    # For subclasses to override.
+    # A subclass overrides these.
 
     def control(
         self, request_type: int, request: int, value: int, index: int, length: int, data: bytes
-    ) -> Answer:
-        """Answer a class or vendor request; b"" where the host sends data and it was taken."""
+    ) -> ControlReply:
+        """Return the reply to a class or vendor request; b"" accepts data from the host."""
         return STALL
 
     def received(self, endpoint: int, data: bytes) -> None:
-        """Take an OUT transfer; long ones may come in pieces, all but the last of whole packets."""
+        """Process an OUT transfer; a long one may come in pieces of whole packets."""
 
     def halt_cleared(self, endpoint: int) -> None:
-        """Hear that the host has cleared the halt of an endpoint (bit 7 set: IN)."""
+        """Called when the host has cleared the halt of an endpoint (bit 7 set: IN)."""
 
     def attached(self) -> None:
-        """Hear that it has been plugged in."""
+        """Called when the device has been plugged in."""
 
     def detached(self) -> None:
-        """Hear that it has been unplugged; queues and halts have been cleared."""
+        """Called when the device has been unplugged; queues and halts are cleared already."""
 
-    def state(self) -> dict[str, Any]:
-        """Return the settings in force and counters, ready for JSON."""
-        return {}
-
-    # For subclasses to call.
+    # A subclass calls these.
 
     def send(self, endpoint: int, data: bytes) -> None:
-        """Queue an IN transfer; empty data is a zero-length packet.  Lost while unplugged."""
+        """Queue an IN transfer; empty data is an empty packet.  Lost while unplugged."""
         with self.lock:
             if not self.is_attached:
                 return
             pipe = self._pipes[endpoint]
-            tail = not data or (endpoint in self.zero_length and len(data) % pipe.packet == 0)
-            pipe.transfers.append(Transfer(memoryview(data), tail))
+            is_whole = len(data) % pipe.packet == 0
+            has_empty_packet = not data or (endpoint in self.zero_length and is_whole)
+            pipe.transfers.append(Transfer(memoryview(data), has_empty_packet))
             pipe.pump()
 
     def stall(self, endpoint: int) -> None:
@@ -140,64 +146,37 @@ class UsbDevice:
                 self._halted_out.add(endpoint)
 
     def pending(self, endpoint: int) -> int:
-        """Return how many IN transfers the host has not read to their end."""
+        """Return how many IN transfers the host has not read completely."""
         with self.lock:
             return len(self._pipes[endpoint & 15].transfers)
 
     def flush(self, endpoint: int) -> None:
-        """Forget what waits to be read from an IN endpoint."""
+        """Discard what has been sent to an IN endpoint and not been read."""
         with self.lock:
             self._pipes[endpoint & 15].transfers.clear()
 
-    # For people and tests.
-
     def attach(self) -> None:
-        """Plug it in where it was or is meant to be."""
+        """Plug the device into its port (UsageError: it has none)."""
         if self.port is None:
-            raise UsageError("a device without a port", hint="give it one")
+            raise UsageError("the virtual device has no port", hint="set device.port")
         self.port.attach(self)
 
     def detach(self) -> None:
-        """Pull the plug."""
+        """Unplug the device."""
         if self.port is not None:
             self.port.detach()
 
-    def do(self, verb: str, **arguments: Any) -> dict[str, Any]:
-        """Do what a verb says: unplug, plug, state, or one of the device's own.
-
-        Raises:
-            UsageError: it has no such verb
-        """
-        work = getattr(self, f"do_{verb}", None)
-        if work is None:
-            verbs = [name[3:] for name in dir(self) if name.startswith("do_")]
-            raise unknown_name("verb", verb, verbs)
-        result: dict[str, Any] | None = work(**arguments)
-        return result or {}
-
-    def do_unplug(self) -> None:
-        """Pull the plug."""
-        self.detach()
-
-    def do_plug(self) -> None:
-        """Plug it in again."""
-        self.attach()
-
-    def do_state(self) -> dict[str, Any]:
-        """Return `state`."""
-        return self.state()
-
-    # For transports.
+    # A transport calls these.
 
     def connect(self) -> None:
-        """Say that the host can see the device."""
+        """Begin to answer a host."""
         with self.lock:
             self.is_attached = True
             self._configuration = 0
         self.attached()
 
     def disconnect(self) -> None:
-        """Say that the host is gone: waiting reads end with ENODEV."""
+        """End all waiting reads with ENODEV: the host is no longer connected."""
         with self.lock:
             if not self.is_attached:
                 return
@@ -211,7 +190,7 @@ class UsbDevice:
         self.detached()
 
     def read(self, read: Read) -> None:
-        """Take a read of the host; its `done` is called now or later, once."""
+        """Begin a read of the host; its `done` is called once, now or later."""
         with self.lock:
             pipe = self._pipes.get(read.endpoint)
             if pipe is None or not self.is_attached:
@@ -221,7 +200,7 @@ class UsbDevice:
             pipe.pump()
 
     def cancel(self, read: Read) -> None:
-        """End a read with ECONNRESET and what it has got, unless it is done already."""
+        """End a read with ECONNRESET and the bytes it has, unless it has ended already."""
         with self.lock:
             pipe = self._pipes.get(read.endpoint)
             if pipe is not None and read in pipe.reads:
@@ -229,7 +208,7 @@ class UsbDevice:
                 read.finish(errno.ECONNRESET)
 
     def write(self, endpoint: int, data: bytes) -> int:
-        """Hand over an OUT transfer; return an errno, 0 for success."""
+        """Pass an OUT transfer to the device; return an errno, 0 for success."""
         with self.lock:
             if not self.is_attached:
                 return errno.ENODEV
@@ -240,20 +219,17 @@ class UsbDevice:
 
     def request(
         self, request_type: int, request: int, value: int, index: int, length: int, data: bytes
-    ) -> Answer:
-        """Answer a control request: standard ones here, all others by `control`.
-
-        For a request with data for the host, at most `length` bytes.
-        """
+    ) -> ControlReply:
+        """Return the reply to a control request; at most `length` bytes of data for the host."""
         with self.lock:
             if request_type & 0x60:
-                answer = self.control(request_type, request, value, index, length, data)
+                reply = self.control(request_type, request, value, index, length, data)
             else:
-                answer = self._standard(request_type, request, value, index)
-        return answer[:length] if isinstance(answer, bytes) and request_type & IN else answer
+                reply = self._standard(request_type, request, value, index)
+        return reply[:length] if isinstance(reply, bytes) and request_type & IN else reply
 
-    def _standard(self, request_type: int, request: int, value: int, index: int) -> Answer:
-        """Answer a request of USB 2.0, table 9-4."""
+    def _standard(self, request_type: int, request: int, value: int, index: int) -> ControlReply:
+        """Return the reply to a standard request (USB 2.0, table 9-4)."""
         match request_type, request:
             case (0x80, 6):
                 return self._descriptor(value >> 8, value & 0xFF)
@@ -289,7 +265,7 @@ class UsbDevice:
         self._halted_out.discard(endpoint)
         self.halt_cleared(endpoint)
 
-    def _descriptor(self, kind: int, index: int) -> Answer:
+    def _descriptor(self, kind: int, index: int) -> ControlReply:
         match kind:
             case 1:
                 return self.device_descriptor

@@ -1,6 +1,6 @@
-"""USB descriptors as fields: the device's, and a configuration's tree of interfaces and endpoints.
+"""Parsed USB descriptors, and the queues of IN endpoints.
 
-Layouts and field names are those of USB 2.0, section 9.6.
+Layouts and field names of descriptors are those of USB 2.0, section 9.6.
 """
 
 from __future__ import annotations
@@ -32,30 +32,36 @@ _ENDPOINT = (
     "<BBBBHB",
     "bLength bDescriptorType bEndpointAddress bmAttributes wMaxPacketSize bInterval",
 )
+_INTERFACE_TYPE, _ENDPOINT_TYPE = 4, 5  # bDescriptorType
 
 
 @dataclass
-class Part:
-    """A descriptor with what lies below it.
+class Descriptor:
+    """A descriptor and those below it.
 
     Attributes:
         fields: by their names in the specification
-        extra: class descriptors that follow it, as they came
-        parts: alternate settings of a configuration, endpoints of an alternate setting
+        extra: class descriptors that follow it, unparsed
+        children: alternate settings of a configuration, endpoints of an alternate setting
     """
 
     fields: dict[str, int]
     extra: bytes = b""
-    parts: list[Part] = field(default_factory=list)
+    children: list[Descriptor] = field(default_factory=list)
 
-    def alternate(self, interface: int, alternate: int) -> Part:
+    def alternate(self, interface: int, alternate: int) -> Descriptor:
         """Return an alternate setting by the indices of interface and setting (IndexError)."""
-        numbers = sorted({part.fields["bInterfaceNumber"] for part in self.parts})
-        of_it = [p for p in self.parts if p.fields["bInterfaceNumber"] == numbers[interface]]
-        return of_it[alternate]
+        numbers = sorted({child.fields["bInterfaceNumber"] for child in self.children})
+        number = numbers[interface]
+        settings = [c for c in self.children if c.fields["bInterfaceNumber"] == number]
+        return settings[alternate]
+
+    def endpoints(self) -> list[dict[str, int]]:
+        """Return the fields of all endpoints of a configuration."""
+        return [endpoint.fields for child in self.children for endpoint in child.children]
 
     def as_namespace(self) -> SimpleNamespace:
-        """Return what pyusb reads: the fields, and extra_descriptors as a list of bytes."""
+        """Return the attributes that pyusb reads from a descriptor."""
         extra = list(self.extra)
         return SimpleNamespace(**self.fields, extra_descriptors=extra, bRefresh=0, bSynchAddress=0)
 
@@ -66,20 +72,20 @@ def parse_device(data: bytes) -> dict[str, int]:
 
 
 @lru_cache(maxsize=64)
-def parse_configuration(data: bytes) -> Part:
+def parse_configuration(data: bytes) -> Descriptor:
     """Return a configuration descriptor with its interfaces and endpoints."""
-    first, *others = descriptors(data)
-    whole = last = Part(_fields(first, _CONFIGURATION))
+    first, *others = split_descriptors(data)
+    configuration = last = Descriptor(_fields(first, _CONFIGURATION))
     for each in others:
-        if each[1] == 4:
-            last = Part(_fields(each, _INTERFACE))
-            whole.parts.append(last)
-        elif each[1] == 5:
-            last = Part(_fields(each, _ENDPOINT))
-            whole.parts[-1].parts.append(last)
+        if each[1] == _INTERFACE_TYPE:
+            last = Descriptor(_fields(each, _INTERFACE))
+            configuration.children.append(last)
+        elif each[1] == _ENDPOINT_TYPE:
+            last = Descriptor(_fields(each, _ENDPOINT))
+            configuration.children[-1].children.append(last)
         else:
             last.extra += each
-    return whole
+    return configuration
 
 
 def _fields(data: bytes, layout: tuple[str, str]) -> dict[str, int]:
@@ -87,28 +93,13 @@ def _fields(data: bytes, layout: tuple[str, str]) -> dict[str, int]:
     return dict(zip(names.split(), struct.unpack_from(pattern, data), strict=True))
 
 
-@dataclass(frozen=True)
-class Endpoint:
-    """An endpoint of the configuration descriptor.
-
-    Attributes:
-        address: with the direction in bit 7
-        attributes: bits 0 and 1 are 2 for bulk, 3 for interrupt
-        packet: most bytes of a packet
-    """
-
-    address: int
-    attributes: int
-    packet: int
-
-
 @dataclass(eq=False)
 class Read:
-    """A read of the host that waits for its data.
+    """A read of the host from an IN endpoint.
 
     Attributes:
         endpoint: number without direction
-        length: most bytes it takes
+        length: size of the host's buffer, bytes
         done: called once with an errno (0 for success) and the bytes; with the device locked
     """
 
@@ -116,33 +107,33 @@ class Read:
     length: int
     done: Callable[[int, bytes], None]
     _parts: list[memoryview] = field(default_factory=list)
-    _got: int = 0
+    _received: int = 0
 
-    def take(self, part: memoryview) -> None:
-        """Add bytes."""
+    def append(self, part: memoryview) -> None:
+        """Add bytes to the buffer."""
         self._parts.append(part)
-        self._got += len(part)
+        self._received += len(part)
 
     @property
     def room(self) -> int:
-        """Bytes it still takes."""
-        return self.length - self._got
+        """Free bytes in the buffer."""
+        return self.length - self._received
 
     def finish(self, error: int = 0) -> None:
-        """Hand over what came."""
+        """End the read: call `done` with the bytes received."""
         self.done(error, b"".join(self._parts))
 
 
 @dataclass
 class Transfer:
-    """Bytes on their way to the host; `tail` is the empty packet that ends them."""
+    """Bytes that the device has sent; `rest` are those that the host has not read."""
 
     rest: memoryview
-    tail: bool
+    has_empty_packet: bool  # at its end
 
 
 class Pipe:
-    """An IN endpoint: what the host reads and what the device has sent."""
+    """The queues of an IN endpoint: reads of the host, and transfers of the device."""
 
     def __init__(self, packet: int) -> None:
         self.packet = packet
@@ -151,7 +142,7 @@ class Pipe:
         self.is_halted = False
 
     def pump(self) -> None:
-        """Give each read what has been sent, in order."""
+        """Match reads with what has been sent, in order."""
         while self.reads and (self.is_halted or self.transfers):
             if self.is_halted:
                 self.reads.popleft().finish(errno.EPIPE)
@@ -159,10 +150,10 @@ class Pipe:
                 self._fill(self.reads[0])
 
     def _fill(self, read: Read) -> None:
-        """Move bytes of the first transfer into the read, which may end it."""
+        """Move bytes of the first transfer into the first read, which may end either of them."""
         transfer = self.transfers[0]
         if len(transfer.rest) > read.room and read.room % self.packet:
-            # A packet larger than what is left of the host's buffer is lost (babble).
+            # A packet that is larger than the rest of the host's buffer is lost (babble).
             cut = min(len(transfer.rest), -(-read.room // self.packet) * self.packet)
             transfer.rest = transfer.rest[cut:]
             if not transfer.rest:
@@ -171,28 +162,20 @@ class Pipe:
             return
         size = min(read.room, len(transfer.rest))
         is_short = size == len(transfer.rest) and size % self.packet != 0
-        read.take(transfer.rest[:size])
+        read.append(transfer.rest[:size])
         transfer.rest = transfer.rest[size:]
         if is_short:
-            transfer.tail = False
-        elif transfer.tail and not transfer.rest and read.room:
-            transfer.tail, is_short = False, True
-        if not transfer.rest and not transfer.tail:
+            transfer.has_empty_packet = False
+        elif transfer.has_empty_packet and not transfer.rest and read.room:
+            transfer.has_empty_packet, is_short = False, True
+        if not transfer.rest and not transfer.has_empty_packet:
             self.transfers.popleft()
         if is_short or not read.room:
             self.reads.popleft().finish()
 
 
-def descriptors(data: bytes) -> Iterator[bytes]:
-    """Yield the descriptors that lie one after another; a length that cannot be ends them."""
+def split_descriptors(data: bytes) -> Iterator[bytes]:
+    """Yield concatenated descriptors one by one, up to the first with an invalid length."""
     while len(data) >= 2 and 2 <= data[0] <= len(data):
         yield data[: data[0]]
         data = data[data[0] :]
-
-
-def endpoints(configuration: bytes) -> Iterator[Endpoint]:
-    """Yield the endpoints of a configuration descriptor."""
-    for each in descriptors(configuration):
-        if each[1] == 5:
-            _, _, address, attributes, packet, _ = struct.unpack_from("<BBBBHB", each)
-            yield Endpoint(address, attributes & 3, packet & 0x7FF)

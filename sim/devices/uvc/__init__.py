@@ -1,1 +1,1 @@
-"""A virtual webcam (USB Video Class)."""
+"""A virtual webcam on USB (USB Video Class)."""

@@ -1,17 +1,18 @@
-"""A webcam on USB (USB Video Class, bulk streaming) with a simulated sensor before a scene.
+"""A webcam on USB (USB Video Class, bulk streaming) with a simulated sensor.
 
-It streams by itself from a `sim.streaming_device.SimulatedDevice`: frame slots of one interval,
-controls that land late, at most a few finished frames for a slow host.  A control that
-is written in slot k is in force from slot k + 1 + delay on.  Exposures end with their slot: a time
-beyond the frame interval can be set and read back, and is cut to the interval without a word.
+It streams from a `sim.streaming_device.SimulatedDevice`: slots of one frame interval, a control
+delay, and few finished frames for a slow host.  A control that is written in slot k is in force
+from slot k + 1 + delay on.  An exposure ends with its slot: a shutter time longer than the frame
+interval can be set and is read back unchanged, but is silently cut to the interval.
 
-What formats hold: yuyv and mjpg luma of 8 bits (of deeper sensors the upper ones); grey, y10, y12,
-y16 and Bayer formats the sensor's own numbers, in the low bits of a word.  With ``luma: full``
-yuyv is lossless for a mono sensor of 8 bits; ``limited`` maps 0..255 to 16..235.
+Contents of the formats: yuyv and mjpg have luma of 8 bits (the upper ones of deeper sensors); grey,
+y10, y12, y16 and the Bayer formats have the sensor's digital numbers, in the low bits of a word.
+With ``luma: full`` yuyv is lossless for a mono sensor of 8 bits; ``limited`` maps 0..255 to
+16..235.
 
-Automatics are on at first and really change the picture while they are: exposure is metered,
-frames come at half their rate in the dark's favour (ae_priority), white balance lets the light
-wander by a fifth, and each step of backlight compensation adds a quarter of it.
+After power-on all automatic modes are on, and each changes the picture: exposure is metered,
+ae_priority halves the frame rate, white balance makes the light vary by a fifth, and each step of
+backlight compensation adds a quarter of the light.
 """
 
 from __future__ import annotations
@@ -26,41 +27,39 @@ from typing import Any
 
 from camctl.errors import UsageError
 from sim.devices.clock import DeviceClock
-from sim.devices.scenery import Exposer, checked, split_config
-from sim.devices.usb.device import SILENCE, STALL, Answer, UsbDevice
-from sim.devices.uvc.config import UvcConfig, check_format
-from sim.devices.uvc.controls import CAN_GET_AND_SET, INFO, LENGTH, SET, Controls
+from sim.devices.common import VirtualSensor
+from sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
+from sim.devices.uvc.controls import CAN_GET_AND_SET, CONTROLS, INFO, LENGTH, SET, Controls
 from sim.devices.uvc.descriptors import (
-    CONTROLS,
     FORMATS,
+    INTERVALS_PER_S,
     STREAM_IN,
     Transfer,
+    UvcConfig,
+    check_format,
     configuration_descriptor,
     device_descriptor,
 )
-from sim.devices.uvc.stream import Exposed, Mode, Stream
-from sim.scenes.scene import DEFAULT_SCENE, load_scene
+from sim.devices.uvc.stream import FrameExposure, Stream, StreamMode
 
 _PROBE, _COMMIT = 1, 2
 _PROBE_BYTES = 26  # of UVC 1.0 (4.3.1.1)
 _STREAM_INTERFACE = 1
+_STREAM_ENDPOINT = STREAM_IN & 15
 _END_OF_FRAME, _END_OF_HEADER, _HEADER_BYTES = 0x02, 0x80, 2
-_STREAM = STREAM_IN & 15
 
-_INTERVALS_PER_S = 10_000_000
-_LOG = 400
-_WANDER, _WANDER_SLOTS = 0.2, 9.0  # of the light, while white balance is automatic
+_LOG_LENGTH = 400  # frames: a host may stream without end
+_WB_AMPLITUDE, _WB_PERIOD_SLOTS = 0.2, 9.0  # of the light under automatic white balance
 _BACKLIGHT = 0.25  # more light for each step of backlight compensation
 
 
 class UvcCamera(UsbDevice):
-    """The webcam; `make` builds one of a configuration.
+    """The webcam; `make` builds one from a configuration.
 
     Args:
         config: see `UvcConfig`
-        exposers: the sensor before its scene for each (rows, columns), the default first
-        seed: of the jitter of its delay
-        clock: the time that it streams in
+        sensors: for each frame size, (rows, columns); the default first
+        clock: the time in which it streams
     """
 
     device_descriptor = device_descriptor()
@@ -68,60 +67,58 @@ class UvcCamera(UsbDevice):
     def __init__(
         self,
         config: UvcConfig,
-        exposers: Mapping[tuple[int, int], Exposer],
-        seed: int,
+        sensors: Mapping[tuple[int, int], VirtualSensor],
         clock: DeviceClock | None = None,
     ) -> None:
         self.config = config
-        self._sizes = tuple(exposers)
-        self._exposers = exposers
-        self._intervals = tuple(round(_INTERVALS_PER_S / rate) for rate in config.fps)
+        self._sizes = tuple(sensors)
+        self._sensors = sensors
+        self._intervals = tuple(round(INTERVALS_PER_S / rate) for rate in config.fps)
         self.strings = ("", "camctl", "virtual webcam", config.serial)
-        curve = next(iter(exposers.values())).sensor.curve
+        curve = next(iter(sensors.values())).model.curve
         self.configuration_descriptor = configuration_descriptor(
             config.formats, self._sizes, self._intervals, Transfer.of(curve)
         )
         super().__init__(clock=clock)
         self.controls = Controls(self._write_exposure)
-        self._wrong_factor, self._wrong_left = 1.0, 0
-        self._truncated = self._rubbish = 0
+        self._light_factor, self._light_count = 1.0, 0
+        self._truncations = self._garbage = 0
         self._is_hanging = self._is_frozen = False
-        self._seed = seed
-        self._chosen = (1, 1, self._intervals[0])  # format and frame number, interval
-        self._committed = self._chosen
+        self._probed = (1, 1, self._intervals[0])  # number of format and of frame, interval
+        self._committed = self._probed
         self._stream: Stream | None = None
         self._frame_id = 0
-        self._log: deque[dict[str, Any]] = deque(maxlen=_LOG)
-        self._writes: deque[dict[str, Any]] = deque(maxlen=_LOG)
+        self._log: deque[dict[str, Any]] = deque(maxlen=_LOG_LENGTH)
+        self._writes: deque[dict[str, Any]] = deque(maxlen=_LOG_LENGTH)
         self._sent = self._late = 0
 
-    # What the host asks.
+    # Requests of the host.
 
     def control(
         self, request_type: int, request: int, value: int, index: int, length: int, data: bytes
-    ) -> Answer:
-        """Answer a class request to a control, a probe or a commit."""
+    ) -> ControlReply:
+        """Return the reply to a class request for a control, a probe or a commit."""
         if self._is_hanging:
-            return SILENCE
+            return NO_REPLY
         if request_type & 0x60 != 0x20:
             return STALL
         interface, entity, selector = index & 255, index >> 8, value >> 8
         if interface == _STREAM_INTERFACE:
             return self._negotiate(request, selector, data)
-        return self.controls.answer(request, entity, selector, data)
+        return self.controls.reply(request, entity, selector, data)
 
     def halt_cleared(self, endpoint: int) -> None:
-        """Stop streaming: hosts clear the halt of a bulk endpoint for that."""
+        """Stop streaming: that is how hosts stop a bulk stream."""
         if endpoint == STREAM_IN:
             self._stop()
 
     def detached(self) -> None:
-        """Forget all that was set, as a camera without current does."""
+        """Reset all controls, as by loss of power."""
         with self.lock:
             self._stop()
             self.controls.reset()
 
-    def _negotiate(self, request: int, selector: int, data: bytes) -> Answer:
+    def _negotiate(self, request: int, selector: int, data: bytes) -> ControlReply:
         if selector not in (_PROBE, _COMMIT):
             return STALL
         if request == INFO:
@@ -133,7 +130,7 @@ class UvcCamera(UsbDevice):
         if len(data) < 8:
             return STALL
         _, form, frame, interval = struct.unpack_from("<HBBI", data)
-        self._chosen = (
+        self._probed = (
             min(max(form, 1), len(self.config.formats)),
             min(max(frame, 1), len(self._sizes)),
             min(self._intervals, key=lambda each: abs(each - interval)),
@@ -143,9 +140,9 @@ class UvcCamera(UsbDevice):
         return b""
 
     def _probe(self) -> bytes:
-        form, frame, interval = self._chosen
+        form, frame, interval = self._probed
         rows, columns = self._sizes[frame - 1]
-        size = rows * columns * FORMATS[self.config.formats[form - 1]].bytes_a_pixel
+        size = rows * columns * FORMATS[self.config.formats[form - 1]].pixel_bytes
         payload = size + _HEADER_BYTES
         return struct.pack("<HBBI5HII", 1, form, frame, interval, 0, 0, 0, 0, 0, size, payload)
 
@@ -153,20 +150,20 @@ class UvcCamera(UsbDevice):
 
     def _start(self) -> None:
         self._stop()
-        self._committed = self._chosen
+        self._committed = self._probed
         form, frame, interval = self._committed
-        mode = Mode(
+        mode = StreamMode(
             format=self.config.formats[form - 1],
-            interval_s=interval / _INTERVALS_PER_S,
+            interval_s=interval / INTERVALS_PER_S,
             delay=self.config.delay,
             jitter=self.config.jitter,
             is_limited=self.config.luma == "limited",
-            seed=self._seed,
+            seed=self.config.seed,
+            setting=self.controls.exposure,
         )
-        exposer = self._exposers[self._sizes[frame - 1]]
         self._log.clear()
         self._writes.clear()
-        self._stream = Stream(self, exposer, mode, self.controls.exposure, self.clock)
+        self._stream = Stream(self, self._sensors[self._sizes[frame - 1]], mode, self.clock)
         self._stream.start()
 
     def _stop(self) -> None:
@@ -183,63 +180,65 @@ class UvcCamera(UsbDevice):
             )
 
     def light(self, slot: int) -> float:
-        """Return how many times the light a slot gets, by automatics and by faults."""
+        """Return the factor on a slot's light by automatic modes and faults."""
         with self.lock:
             light = 1 + _BACKLIGHT * self.controls.values["backlight"]
             if self.controls.values["wb_auto"]:
-                light *= 1 + _WANDER * math.sin(slot / _WANDER_SLOTS)
-            if self._wrong_left > 0:
-                self._wrong_left -= 1
-                light *= self._wrong_factor
+                light *= 1 + _WB_AMPLITUDE * math.sin(slot / _WB_PERIOD_SLOTS)
+            if self._light_count > 0:
+                self._light_count -= 1
+                light *= self._light_factor
             return light
 
-    def is_left_out(self, slot: int) -> bool:
-        """Say whether automatic exposure has halved the frame rate and this slot is the other."""
+    def is_skipped(self, slot: int) -> bool:
+        """Return whether a slot gives no frame: every other one at half the frame rate."""
         is_slowed = self.controls.values["ae_priority"] == 1 and self.controls.is_metering
         return is_slowed and slot % 2 == 1
 
     def brightness(self) -> int:
-        """Return what the brightness control adds to luma."""
+        """Return the offset that the brightness control adds to luma."""
         return self.controls.values["brightness"] - CONTROLS["brightness"].default
 
-    def write_outputs(self, stream: Stream, exposed: Exposed, level: float, data: bytes) -> None:
-        """Send a frame as one payload, or what a fault makes of it, unless the host is too slow."""
+    def send_frame(
+        self, stream: Stream, exposure: FrameExposure, level: float, data: bytes
+    ) -> None:
+        """Send a frame as one payload, unless the host has not read the one before."""
         with self.lock:
             if stream is not self._stream:
                 return
-            interval_s = self._committed[2] / _INTERVALS_PER_S
-            self.controls.meter(level, exposed.time_s, interval_s)
+            interval_s = self._committed[2] / INTERVALS_PER_S
+            self.controls.meter(level, exposure.time_s, interval_s)
             is_late = self.pending(STREAM_IN) > 0
             is_sent = not (is_late or self._is_frozen)
-            self._log.append({**asdict(exposed), "is_sent": is_sent})
+            self._log.append({**asdict(exposure), "is_sent": is_sent})
             self._late += is_late
             if is_sent:
                 self._sent += 1
-                self.send(_STREAM, self._payload(data))
+                self.send(_STREAM_ENDPOINT, self._payload(data))
 
     def _payload(self, data: bytes) -> bytes:
         flags = _END_OF_HEADER | _END_OF_FRAME | self._frame_id
         self._frame_id ^= 1
         payload = bytes([_HEADER_BYTES, flags]) + data
-        if self._truncated > 0:
-            self._truncated -= 1
+        if self._truncations > 0:
+            self._truncations -= 1
             payload = payload[: len(payload) // 2]
-        if self._rubbish > 0:
-            self._rubbish -= 1
+        if self._garbage > 0:
+            self._garbage -= 1
             payload = random.Random(self._sent).randbytes(len(payload))
         return payload
 
-    # Verbs.
+    # Control commands.
 
     def do_ok(self) -> None:
         """End all faults."""
         with self.lock:
             self._is_hanging = self._is_frozen = False
-            self._truncated = self._rubbish = self._wrong_left = 0
-            self.controls.clamp_s = math.inf
+            self._truncations = self._garbage = self._light_count = 0
+            self.controls.longest_s = math.inf
 
     def do_freeze(self) -> None:
-        """Send no more frames, without a word."""
+        """Silently send no more frames."""
         self._is_frozen = True
 
     def do_thaw(self) -> None:
@@ -247,30 +246,30 @@ class UvcCamera(UsbDevice):
         self._is_frozen = False
 
     def do_hang(self) -> None:
-        """Answer no control request."""
+        """Do not reply to control requests."""
         self._is_hanging = True
 
     def do_clamp(self, max_s: float) -> None:
-        """Cut shutter times that are written from now on to `max_s`, without a word."""
+        """Silently cut shutter times that are written from now on to `max_s`."""
         if not max_s > 0:
-            raise UsageError(f"shutter times up to {max_s} s", hint="give seconds above 0")
-        self.controls.clamp_s = max_s
+            raise UsageError(f"invalid max_s {max_s}: expected seconds above 0")
+        self.controls.longest_s = max_s
 
-    def do_wrong(self, factor: float = 2.0, count: int = 1) -> None:
-        """Give the next frames so many times the light."""
+    def do_wrong_exposure(self, factor: float = 2.0, count: int = 1) -> None:
+        """Give the next `count` frames `factor` times the light."""
         with self.lock:
-            self._wrong_factor, self._wrong_left = factor, count
+            self._light_factor, self._light_count = factor, count
 
     def do_truncate(self, count: int = 1) -> None:
-        """Send half of the next frames."""
-        self._truncated = count
+        """Send half of the next `count` frames."""
+        self._truncations = count
 
     def do_garbage(self, count: int = 1) -> None:
-        """Send rubbish instead of the next frames, headers and all."""
-        self._rubbish = count
+        """Send random bytes instead of the next `count` frames and their headers."""
+        self._garbage = count
 
     def do_log(self) -> dict[str, Any]:
-        """Return the last frames of this or the last stream (see `Exposed`), and writes.
+        """Return the frames of the stream (see `FrameExposure`), and exposures written to it.
 
         A write has its exposure and the first slot that had not begun when it came.
         """
@@ -278,12 +277,12 @@ class UvcCamera(UsbDevice):
             return {"frames": list(self._log), "writes": list(self._writes)}
 
     def do_delay(self, frames: int, jitter: int = 0) -> None:
-        """Be so many frames late, and at random up to `jitter` more, from the next stream on."""
-        late = {"delay": frames, "jitter": jitter}
-        self.config = checked(UvcConfig, {**self.config.model_dump(), **late})
+        """Change the control delay and its jitter, frames, from the next stream on."""
+        changes = {"delay": frames, "jitter": jitter}
+        self.config = UvcConfig.parse({**self.config.model_dump(), **changes})
 
     def state(self) -> dict[str, Any]:
-        """Return controls, what is streamed, and how many frames went out and were too late."""
+        """Return controls, stream mode, and how many frames were sent and were too late to be."""
         with self.lock:
             form, frame, interval = self._committed
             rows, columns = self._sizes[frame - 1]
@@ -292,28 +291,23 @@ class UvcCamera(UsbDevice):
                 "is_streaming": self._stream is not None,
                 "format": self.config.formats[form - 1],
                 "size": f"{columns}x{rows}",
-                "fps": _INTERVALS_PER_S / interval,
+                "fps": INTERVALS_PER_S / interval,
                 "sent": self._sent,
                 "late": self._late,
             }
 
 
 def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> UvcCamera:
-    """Return the webcam that a configuration describes.
+    """Return the webcam of a configuration (`UvcConfig`).
 
     Raises:
-        UsageError, DataError: something in it is unknown or out of range
+        UsageError, DataError: an option is unknown or invalid
     """
-    exposer, own = split_config(config)
-    camera = checked(UvcConfig, own)
-    for name in camera.formats:
-        check_format(name, exposer)
-    exposers = {exposer.shape: exposer}
-    seed = int(config.get("seed", 0))
-    for shape in camera.sizes:
-        scene = load_scene(
-            str(config.get("scene", DEFAULT_SCENE)), shape, usual=exposer.sensor.shape
-        )
-        repeat = bool(config.get("repeat_noise", False))
-        exposers[shape] = Exposer(scene, exposer.sensor, seed=seed, repeat_noise=repeat)
-    return UvcCamera(camera, exposers, seed, clock)
+    options = UvcConfig.parse(config)
+    sensor = options.load_sensor()
+    for name in options.formats:
+        check_format(name, sensor)
+    sensors = {sensor.shape: sensor}
+    for size in options.sizes:
+        sensors[size] = options.load_sensor(size)
+    return UvcCamera(options, sensors, clock)

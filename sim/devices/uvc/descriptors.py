@@ -1,4 +1,4 @@
-"""What a virtual webcam says of itself: USB Video Class 1.0 descriptors, formats and controls.
+"""Options, pixel formats and descriptors (USB Video Class 1.0) of a virtual webcam.
 
 Section numbers are those of "USB Device Class Definition for Video Devices", revision 1.1; format
 identifiers are those that Linux's uvcvideo maps to V4L2 pixel formats.
@@ -10,14 +10,21 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Annotated, Any, Literal
 
+from pydantic import BeforeValidator, Field
+
+from camctl.backends import FrameShape
 from camctl.controls import Layout
+from camctl.errors import UsageError, unknown_name
+from sim.devices.common import DeviceConfig, VirtualSensor
+from sim.devices.uvc.controls import CAMERA, CONTROLS, PROCESSING
 
-CAMERA, PROCESSING, OUTPUT = 1, 2, 3  # entities: camera terminal, processing unit, output
+OUTPUT = 3  # entity: output terminal
 STREAM_IN = 0x81
 PACKET = 512
 _GUID_TAIL = bytes.fromhex("00001000800000aa00389b71")
-_UNITS_A_SECOND = 10_000_000  # of frame intervals
+INTERVALS_PER_S = 10_000_000  # frame intervals are in units of 100 ns
 
 
 @dataclass(frozen=True)
@@ -26,19 +33,19 @@ class Format:
 
     Attributes:
         code: first four bytes of its identifier; empty for Motion JPEG
-        bytes_a_pixel: of a frame; of a JPEG at most
-        bits: a sample may have
-        layout: of the sensor it goes with; None: any, its luma is sent
+        pixel_bytes: bytes per pixel; of a JPEG at most
+        bits: largest bit depth of a sample
+        layout: pixel layout of the sensors that have this format; None: any, the luma is sent
     """
 
     code: bytes
-    bytes_a_pixel: int
+    pixel_bytes: int
     bits: int
     layout: Layout | None = None
 
 
-#: By the names that a configuration gives them.  Samples of more than 8 bits are little-endian
-#: words that hold the sensor's number itself, in their low bits.
+#: By name.  Samples of more than 8 bits are little-endian words with the sensor's digital number in
+#: their low bits.
 FORMATS: Mapping[str, Format] = {
     "yuyv": Format(b"YUY2", 2, 8),
     "grey": Format(b"Y8  ", 1, 8, Layout.MONO),
@@ -54,56 +61,59 @@ FORMATS: Mapping[str, Format] = {
 }
 
 
-@dataclass(frozen=True)
-class ControlSpec:
-    """A control of an entity (sections 4.2.2.1 and 4.2.2.3).
+def _as_tuple(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+_FrameRate = Annotated[float, Field(ge=1, le=240)]
+
+
+class UvcConfig(DeviceConfig):
+    """The options of a virtual webcam; a list may be given as a single value.
 
     Attributes:
-        entity, selector, bit: where it is, and its bit in the entity's bmControls
-        size: bytes
-        minimum, maximum, step, default: its range; for a bitmap `step` is the choices
-        is_bitmap: a choice of one bit
+        serial: serial number
+        formats: names in `FORMATS`, the default first
+        sizes: of frames, in addition to `size`, which is the default
+        fps: frame rates, the default first
+        delay: control delay of exposure and gain, frames
+        jitter: up to so many frames are added to the delay at random
+        luma: range of yuyv
     """
 
-    entity: int
-    selector: int
-    bit: int
-    size: int
-    minimum: int
-    maximum: int
-    step: int
-    default: int
-    is_bitmap: bool = False
-
-    def pack(self, value: int) -> bytes:
-        """Return a value as the wire has it."""
-        return value.to_bytes(self.size, "little")
-
-    def allows(self, value: int) -> bool:
-        """Say whether the control can be set to a value."""
-        if self.is_bitmap:
-            return value.bit_count() == 1 and bool(value & self.step)
-        return self.minimum <= value <= self.maximum
+    serial: str = Field(default="UVC00001", min_length=1, max_length=60, pattern=r"^[ -~]+$")
+    formats: Annotated[tuple[str, ...], BeforeValidator(_as_tuple), Field(min_length=1)] = (
+        "yuyv",
+        "mjpg",
+    )
+    sizes: Annotated[tuple[FrameShape, ...], BeforeValidator(_as_tuple)] = ()
+    fps: Annotated[tuple[_FrameRate, ...], BeforeValidator(_as_tuple), Field(min_length=1)] = (
+        10.0,
+    )
+    delay: int = Field(default=2, ge=0, le=30)
+    jitter: int = Field(default=0, ge=0, le=30)
+    luma: Literal["full", "limited"] = "limited"
 
 
-MANUAL, APERTURE_PRIORITY = 1, 8  # of ae_mode's bitmap
-CONTROLS: Mapping[str, ControlSpec] = {
-    "ae_mode": ControlSpec(
-        CAMERA, 0x02, 1, 1, 1, 8, MANUAL | APERTURE_PRIORITY, APERTURE_PRIORITY, is_bitmap=True
-    ),
-    "ae_priority": ControlSpec(CAMERA, 0x03, 2, 1, 0, 1, 1, 1),
-    "exposure": ControlSpec(CAMERA, 0x04, 3, 4, 1, 100_000, 1, 157),  # 100 us
-    "backlight": ControlSpec(PROCESSING, 0x01, 8, 2, 0, 2, 1, 1),
-    "brightness": ControlSpec(PROCESSING, 0x02, 0, 2, 0, 255, 1, 128),
-    "gain": ControlSpec(PROCESSING, 0x04, 9, 2, 0, 240, 1, 0),  # linear gain 1 + value / 16
-    "mains": ControlSpec(PROCESSING, 0x05, 10, 1, 0, 2, 1, 1),
-    "wb_temperature": ControlSpec(PROCESSING, 0x0A, 6, 2, 2800, 6500, 10, 4000),
-    "wb_auto": ControlSpec(PROCESSING, 0x0B, 12, 1, 0, 1, 1, 1),
-}
+def check_format(name: str, sensor: VirtualSensor) -> None:
+    """Raise UsageError for a pixel format that is unknown or cannot hold the sensor's pixels."""
+    if name not in FORMATS:
+        raise unknown_name("pixel format", name, FORMATS)
+    form, bits = FORMATS[name], sensor.model.bits
+    if form.layout is None:
+        is_suitable = not sensor.layout.is_mosaic
+    else:
+        is_suitable = form.layout is sensor.layout and bits <= form.bits
+    if not is_suitable:
+        raise UsageError(
+            f"the pixel format {name} cannot hold the pixels of a sensor of {bits} bits,"
+            f" {sensor.layout}",
+            hint="choose another format or sensor",
+        )
 
 
 class Transfer(IntEnum):
-    """How brightness follows light, in the colour matching descriptor (3.9.2.6)."""
+    """Transfer characteristics in the colour matching descriptor (3.9.2.6)."""
 
     UNSPECIFIED = 0
     LINEAR = 6
@@ -111,7 +121,7 @@ class Transfer(IntEnum):
 
     @classmethod
     def of(cls, curve: object) -> Transfer:
-        """Return that of a sensor's curve (`sim.sensors.sensor.Sensor.curve`)."""
+        """Return the characteristics of a sensor's curve (`sim.sensors.sensor.Sensor.curve`)."""
         return {"linear": cls.LINEAR, "srgb": cls.SRGB}.get(str(curve), cls.UNSPECIFIED)
 
 
@@ -123,42 +133,42 @@ def _u32(value: int) -> bytes:
     return value.to_bytes(4, "little")
 
 
-def _bits(entity: int) -> int:
+def _control_bits(entity: int) -> int:
     return sum(1 << control.bit for control in CONTROLS.values() if control.entity == entity)
 
 
 def device_descriptor() -> bytes:
-    """Return the 18 bytes of a device of interface associations (USB 2.0, 9.6.1)."""
+    """Return the 18 bytes of a device with interface associations (USB 2.0, 9.6.1)."""
     linux_foundation, webcam, release = 0x1D6B, 0x0102, 0x0100
     fields = (18, 1, 0x200, 0xEF, 2, 1, 64, linux_foundation, webcam, release, 1, 2, 3, 1)
     return struct.pack("<BBHBBBBHHHBBBB", *fields)
 
 
 def _control_interface() -> bytes:
-    """Return camera terminal, processing unit and output terminal behind their header (3.7.2)."""
-    units = bytes([18, 0x24, 2, CAMERA, *_u16(0x0201), *bytes(8), 3]) + _bits(CAMERA).to_bytes(
-        3, "little"
-    )
-    units += bytes([11, 0x24, 5, PROCESSING, CAMERA, 0, 0, 2, *_u16(_bits(PROCESSING)), 0])
+    """Return the header, camera terminal, processing unit and output terminal (3.7.2)."""
+    units = bytes([18, 0x24, 2, CAMERA, *_u16(0x0201), *bytes(8), 3])
+    units += _control_bits(CAMERA).to_bytes(3, "little")
+    units += bytes([11, 0x24, 5, PROCESSING, CAMERA, 0, 0, 2])
+    units += bytes([*_u16(_control_bits(PROCESSING)), 0])
     units += bytes([9, 0x24, 3, OUTPUT, *_u16(0x0101), 0, PROCESSING, 0])
     header = bytes([13, 0x24, 1, *_u16(0x100), *_u16(13 + len(units))])
     return header + _u32(48_000_000) + bytes([1, 1]) + units
 
 
 def _frames(
-    subtype: int, depth: int, sizes: Sequence[tuple[int, int]], intervals: Sequence[int]
+    subtype: int, pixel_bytes: int, sizes: Sequence[tuple[int, int]], intervals: Sequence[int]
 ) -> bytes:
     """Return the frame descriptors of one format (Uncompressed payload 3.1.2, MJPEG 3.1.2)."""
-    found = b""
+    frames = b""
     for number, (rows, columns) in enumerate(sizes, 1):
-        size = rows * columns * depth
-        found += bytes([26 + 4 * len(intervals), 0x24, subtype, number, 0])
-        found += _u16(columns) + _u16(rows)
-        for interval in (max(intervals), min(intervals)):  # least and most bits a second
-            found += _u32(min(size * 8 * _UNITS_A_SECOND // interval, 2**32 - 1))
-        found += _u32(size) + _u32(intervals[0]) + bytes([len(intervals)])
-        found += b"".join(map(_u32, sorted(intervals)))  # hosts rely on the order (3.1.2)
-    return found
+        size = rows * columns * pixel_bytes
+        frames += bytes([26 + 4 * len(intervals), 0x24, subtype, number, 0])
+        frames += _u16(columns) + _u16(rows)
+        for interval in (max(intervals), min(intervals)):  # lowest and highest bit rate
+            frames += _u32(min(size * 8 * INTERVALS_PER_S // interval, 2**32 - 1))
+        frames += _u32(size) + _u32(intervals[0]) + bytes([len(intervals)])
+        frames += b"".join(map(_u32, sorted(intervals)))  # hosts rely on the order (3.1.2)
+    return frames
 
 
 def _streaming_interface(
@@ -172,12 +182,12 @@ def _streaming_interface(
     for number, name in enumerate(formats, 1):
         form = FORMATS[name]
         if form.code:
-            depth = form.bytes_a_pixel
             body += bytes([27, 0x24, 4, number, len(sizes)]) + form.code + _GUID_TAIL
-            body += bytes([8 * depth, 1, 0, 0, 0, 0]) + _frames(5, depth, sizes, intervals)
+            body += bytes([8 * form.pixel_bytes, 1, 0, 0, 0, 0])
+            body += _frames(5, form.pixel_bytes, sizes, intervals)
         else:
             body += bytes([11, 0x24, 6, number, len(sizes), 1, 1, 0, 0, 0, 0])
-            body += _frames(7, form.bytes_a_pixel, sizes, intervals)
+            body += _frames(7, form.pixel_bytes, sizes, intervals)
         body += colours
     head = bytes([13 + len(formats), 0x24, 1, len(formats)])
     head += _u16(13 + len(formats) + len(body)) + bytes([STREAM_IN, 0, OUTPUT, 0, 0, 0, 1])
@@ -190,13 +200,13 @@ def configuration_descriptor(
     intervals: Sequence[int],
     transfer: Transfer,
 ) -> bytes:
-    """Return the one configuration: video control, and video streaming on a bulk endpoint.
+    """Return the configuration: video control, and video streaming on a bulk endpoint.
 
     Args:
         formats: names in `FORMATS`
         sizes: (rows, columns)
-        intervals: from frame to frame, 100 ns; the first is the default
-        transfer: what all formats claim
+        intervals: between frames, 100 ns; the first is the default
+        transfer: of all formats
     """
     body = bytes([8, 0x0B, 0, 2, 0x0E, 3, 0, 2])
     body += bytes([9, 4, 0, 0, 0, 0x0E, 1, 0, 2]) + _control_interface()

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from camctl.controls import Layout
 from drivers.common.still_camera import exposure_time_s
-from sim.devices.still_files import Exposed, encode
+from sim.devices.still_files import RawImage, encode
 
 GREY = np.arange(64, dtype=np.uint8).reshape(8, 8)
 
 
 def file_of(kind: str, time_s: float) -> bytes:
-    return encode(kind, Exposed(GREY, Layout.MONO, 8, 0, 255, time_s))
+    return encode(kind, RawImage(GREY, Layout.MONO, 8, 0, 255, time_s))
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "tiff"])

@@ -37,9 +37,9 @@ from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
 from drivers.coolpix.settings import CANDIDATES_US
 from drivers.coolpix.sierra.packets import Action, Register
 from sim.devices.clock import RealDeviceClock
-from sim.devices.sierra.camera import Refused
+from sim.devices.sierra.camera import RefusedError
+from sim.devices.sierra.config import SHUTTER_US
 from sim.devices.sierra.device import SierraDevice
-from sim.devices.sierra.registers import SHUTTER_US
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 SETTINGS = [ExposureSetting(0.002), ExposureSetting(0.008)]
@@ -118,7 +118,7 @@ class TestPictures:
         with coolpix_on(device) as camera:
             frames = shoot(camera)
         for frame, setting in zip(frames, SETTINGS, strict=True):
-            exposed = device.body.exposer.expose(setting.time_s)
+            exposed = device.body.sensor.expose(setting.time_s)
             assert np.array_equal(frame.pixels[..., 0], exposed)
             assert frame.original is not None
             assert frame.original.suffix == ".tif"
@@ -160,7 +160,7 @@ class TestPictures:
             notes = "\n".join(camera.controls.notes)
         assert (plain.applied.f_number, small.applied.f_number) == (None, 7.0)
         assert np.array_equal(plain.pixels, again.pixels)
-        light = device.body.exposer.expose(0.008 * (2.5 / 7.0) ** 2)
+        light = device.body.sensor.expose(0.008 * (2.5 / 7.0) ** 2)
         assert np.array_equal(small.pixels[..., 0], light)
         assert "its apertures low, medium and high are assumed to be f/2.5, f/4, f/7" in notes
         assert "its aperture is set to f/2.5" in notes
@@ -269,7 +269,7 @@ class TestFaults:
             second = next(frames)
             frames.close()
         assert [f.applied.time_s for f in (first, second)] == [0.002, 0.008]
-        assert np.array_equal(second.pixels[..., 0], device.body.exposer.expose(0.008))
+        assert np.array_equal(second.pixels[..., 0], device.body.sensor.expose(0.008))
         assert len(device.camera.pictures) == 3
 
     def test_an_incomplete_download_is_repeated(self, device: SierraDevice) -> None:
@@ -277,7 +277,7 @@ class TestFaults:
             learn_format(camera)
             do_once(camera, "read", Register.PICTURE_DATA, lambda: device.do("truncate", count=1))
             (frame,) = shoot(camera, SETTINGS[:1])
-        assert np.array_equal(frame.pixels[..., 0], device.body.exposer.expose(0.002))
+        assert np.array_equal(frame.pixels[..., 0], device.body.sensor.expose(0.002))
         assert len(device.camera.pictures) == 2
 
     def test_a_camera_that_refuses_all_speeds_is_used_at_the_first(
@@ -331,7 +331,7 @@ class TestFaults:
         self, device: SierraDevice, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         def refuse() -> None:
-            raise Refused
+            raise RefusedError
 
         with coolpix_on(device) as camera:
             learn_format(camera)
@@ -440,7 +440,7 @@ class TestDisconnection:
                 device.camera._quality = 0x13
                 device.camera._set_shutter(0)
                 device.camera._aperture = 3
-                device.camera._current = 0
+                device.camera._selected = 0
 
         with coolpix_on(device) as camera:
             learn_format(camera)
@@ -449,7 +449,7 @@ class TestDisconnection:
             frames = shoot(camera)
         assert [frame.applied.time_s for frame in frames] == [0.002, 0.008]
         for frame, setting in zip(frames, SETTINGS, strict=True):
-            exposed = device.body.exposer.expose(setting.time_s)
+            exposed = device.body.sensor.expose(setting.time_s)
             assert np.array_equal(frame.pixels[..., 0], exposed)
         assert len(device.camera.pictures) == taken + 2
 
@@ -506,14 +506,14 @@ class TestRealTime:
             frames = shoot(camera)
             assert "at 115200 baud" in camera.controls.notes[0]
         for frame, setting in zip(frames, SETTINGS, strict=True):
-            exposed = device.body.exposer.expose(setting.time_s)
+            exposed = device.body.sensor.expose(setting.time_s)
             assert np.array_equal(frame.pixels[..., 0], exposed)
 
     def test_a_socket(self, device: SierraDevice) -> None:
         with served(device.line.path) as url, coolpix_on(device, url) as camera:
             (frame,) = shoot(camera, SETTINGS[:1])
             assert "at 19200 baud" in camera.controls.notes[0]
-        assert np.array_equal(frame.pixels[..., 0], device.body.exposer.expose(0.002))
+        assert np.array_equal(frame.pixels[..., 0], device.body.sensor.expose(0.002))
 
     def test_a_url_that_logs_the_traffic(
         self, device: SierraDevice, capsys: pytest.CaptureFixture[str]

@@ -14,10 +14,10 @@ from camctl.errors import CameraProtocolError
 from drivers.coolpix.pictures import CardPicture, download, is_next, wait_for_picture
 from drivers.coolpix.sierra.packets import RefusedCommandError, Register
 from drivers.coolpix.sierra.session import Sierra
-from sim.devices.still_files import Exposed, encode
+from sim.devices.still_files import RawImage, encode
 
 GREY = np.arange(64, dtype=np.uint8).reshape(8, 8)
-JPEG = encode("jpeg", Exposed(GREY, Layout.MONO, 8, 0, 255, 0.5))
+JPEG = encode("jpeg", RawImage(GREY, Layout.MONO, 8, 0, 255, 0.5))
 PICTURE = CardPicture(3, "DSCN0003.JPG")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import usb.core
-from ptp_bench import bench, camera_on, exposer, settings_at, shoot
+from ptp_bench import bench, camera_on, settings_at, shoot, virtual_sensor
 
 from camctl.camera import OriginalFile
 from camctl.controls import Choices, Control, ExposureSetting, Layout
@@ -28,7 +28,7 @@ from camctl.profile import StillRecord, change_profile, load_profile
 from drivers.ptp.backend import PtpBackend
 from drivers.ptp.camera import PtpCamera, PtpOptions
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera
-from sim.devices.ptp.datasets import Reply
+from sim.devices.ptp.protocol import Reply
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 VENDORS = ["none", "nikon", "canon", "sony"]
@@ -64,7 +64,7 @@ class TestFiles:
     def test_raw_samples_are_those_of_the_sensor(self, vendor: str) -> None:
         with camera_on("ideal-12", vendor=vendor, files="dng") as (camera, _):
             (frame,) = shoot(camera, settings_at(camera, 1 / 250))
-            exposed = exposer(sensor="ideal-12").expose(frame.applied.time_s, 1.0, 0)
+            exposed = virtual_sensor(sensor="ideal-12").expose(frame.applied.time_s, 1.0, 0)
             assert np.array_equal(frame.pixels, exposed)
             assert camera.controls.response is None
 

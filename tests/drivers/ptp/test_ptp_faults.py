@@ -24,7 +24,7 @@ from camctl.errors import (
 from drivers.ptp.camera import PtpCamera
 from drivers.ptp.transport import CAPTURE_S, NORMAL_S
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera
-from sim.devices.ptp.datasets import Reply
+from sim.devices.ptp.protocol import Reply
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 VENDORS = ["none", "nikon", "canon", "sony"]

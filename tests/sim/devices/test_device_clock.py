@@ -2,6 +2,7 @@
 
 import math
 import threading
+from functools import partial
 
 import pytest
 
@@ -11,8 +12,12 @@ from sim.devices.clock import RealDeviceClock, VirtualDeviceClock
 def test_scheduled_calls_are_made_at_their_times_and_in_their_order() -> None:
     clock = VirtualDeviceClock(10.0)
     made: list[tuple[str, float]] = []
+
+    def record(name: str) -> None:
+        made.append((name, clock.now()))
+
     for name, time_s in (("late", 13.0), ("first", 11.0), ("second", 11.0), ("after", 15.5)):
-        clock.call_at(time_s, lambda name=name: made.append((name, clock.now())))  # type: ignore[misc]  # mypy cannot infer this lambda
+        clock.call_at(time_s, partial(record, name))
     assert made == []
     clock.sleep_until(15.0)
     assert made == [("first", 11.0), ("second", 11.0), ("late", 13.0)]

@@ -1,4 +1,6 @@
-"""The process that holds virtual devices, and the socket that tells it what shall go wrong."""
+"""The process that holds virtual devices, and the socket for its control commands."""
+
+from __future__ import annotations
 
 import json
 import os
@@ -6,45 +8,46 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from camctl.errors import CameraTimeoutError, DataError, UsageError
-from sim.devices import hub as hub_module
-from sim.devices.hub import CONTROL, Hub, make_device, read_config, run
+from sim.devices.hub import CONTROL, KINDS, Hub, make_device, read_config, run
 from sim.devices.ptp.camera import PtpCamera
 from sim.devices.usb.vhci import VhciPort
 from sim.devices.uvc.camera import UvcCamera
 
-SEEN = {"scene": "ramp", "sensor": "ideal-8", "size": "40x30"}
-LINE = {"name": "coolpix", "kind": "sierra", "line": "pty", **SEEN}
+SCENE = {"scene": "ramp", "sensor": "ideal-8", "size": "40x30"}
+COOLPIX = {"name": "coolpix", "kind": "sierra", "line": "pty", **SCENE}
 
 
-def written(directory, devices):
+def write_config(directory: Path, devices: Sequence[dict[str, Any]]) -> Path:
     path = directory / "config.json"
     path.write_text(json.dumps({"devices": devices}))
     return path
 
 
 @pytest.fixture
-def directory(tmp_path):
-    """A hub with one serial camera, in a thread."""
-    config, stop = written(tmp_path, [LINE]), threading.Event()
+def directory(tmp_path: Path) -> Iterator[Path]:
+    """The directory of a hub with one serial camera, which runs in a thread."""
+    config, stop = write_config(tmp_path, [COOLPIX]), threading.Event()
     thread = threading.Thread(target=run, args=(tmp_path, config, stop))
     thread.start()
     while thread.is_alive() and not (tmp_path / CONTROL).exists():
         stop.wait(0.01)
     yield tmp_path
     stop.set()
-    thread.join(10)
-    assert not thread.is_alive()
+    thread.join()
     assert not (tmp_path / CONTROL).exists()
 
 
-def test_a_device_does_what_it_is_told(directory):
+def test_a_control_command_is_executed(directory: Path) -> None:
     hub = Hub(directory)
     assert hub.do("coolpix", "state")["session"] is False
     assert hub.do("coolpix", "nak", count=2) == {}
@@ -53,77 +56,81 @@ def test_a_device_does_what_it_is_told(directory):
 
 
 @pytest.mark.parametrize(
-    ("device", "verb", "arguments", "words"),
+    ("device", "command", "arguments", "message"),
     [
-        ("coolpixx", "state", {}, "did you mean coolpix"),
-        ("coolpix", "explode", {}, "explode"),
-        ("coolpix", "nak", {"number": 2}, "number"),
+        ("coolpixx", "state", {}, "unknown device 'coolpixx'; did you mean coolpix"),
+        ("coolpix", "explode", {}, "unknown control command 'explode'"),
+        ("coolpix", "nak", {"number": 2}, "invalid arguments of the control command nak"),
     ],
 )
-def test_what_it_cannot_do_is_one_line(directory, device, verb, arguments, words):
-    with pytest.raises(UsageError, match=words) as info:
-        Hub(directory).do(device, verb, **arguments)
-    assert "\n" not in str(info.value)
+def test_an_invalid_command_is_an_error_of_one_line(
+    directory: Path, device: str, command: str, arguments: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message) as caught:
+        Hub(directory).do(device, command, **arguments)
+    assert "\n" not in str(caught.value)
 
 
-def test_rubbish_on_the_socket_is_answered_and_the_line_goes_on(directory):
-    with socket.socket(socket.AF_UNIX) as line:
-        line.settimeout(5)
-        line.connect(str(directory / CONTROL))
-        answers = line.makefile("rb")
-        for rubbish in (b"{", b"[]", b"3", b"null", b"\xff\xfe", b'{"device": 1}', b""):
-            line.sendall(rubbish + b"\n")
-            assert "error" in json.loads(answers.readline())
-        line.sendall(b'{"device": "coolpix", "do": "state"}\n')
-        assert json.loads(answers.readline())["ok"] is True
-        answers.close()
+def test_an_invalid_request_does_not_end_the_connection(directory: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.connect(str(directory / CONTROL))
+        with connection.makefile("rb") as replies:
+            for request in (b"{", b"[]", b"3", b"null", b"\xff\xfe", b'{"device": 1}', b""):
+                connection.sendall(request + b"\n")
+                assert "invalid request" in json.loads(replies.readline())["error"]
+            connection.sendall(b'{"device": "coolpix", "do": "state"}\n')
+            assert json.loads(replies.readline())["ok"] is True
 
 
-def test_one_that_keeps_its_line_open_keeps_nobody_out(directory):
+def test_an_idle_connection_does_not_block_others(directory: Path) -> None:
     with socket.socket(socket.AF_UNIX) as idle:
         idle.connect(str(directory / CONTROL))
-        assert Hub(directory).do("coolpix", "state")
+        assert Hub(directory).do("coolpix", "state")["session"] is False
 
 
-def test_no_hub_is_a_timeout_in_one_line(tmp_path):
-    with pytest.raises(CameraTimeoutError, match="is it running"):
+def test_without_a_hub_a_command_is_a_timeout_of_one_line(tmp_path: Path) -> None:
+    with pytest.raises(CameraTimeoutError, match=r"does not reply: .*; is it running") as caught:
         Hub(tmp_path).do("cam0", "state")
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
     "text", ["", "{}", "[]", '{"devices": 3}', '{"devices": [{"kind": "uvc"}]}', '{"devices": [3]}']
 )
-def test_configurations_that_list_no_devices(tmp_path, text):
+def test_a_configuration_without_a_list_of_devices_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "c.json"
     path.write_text(text)
-    with pytest.raises(DataError, match="no list of devices"):
+    with pytest.raises(DataError, match="has no list of devices"):
         read_config(path)
 
 
-def test_two_of_one_name(tmp_path):
-    with pytest.raises(DataError, match="two devices of one name"):
-        read_config(written(tmp_path, [LINE, LINE]))
+def test_two_devices_of_the_same_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="has two devices of the same name"):
+        read_config(write_config(tmp_path, [COOLPIX, COOLPIX]))
 
 
 @given(st.binary(max_size=60))
-def test_any_file_is_read_or_refused(tmp_path_factory, data):
+def test_arbitrary_bytes_are_not_a_configuration(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes
+) -> None:
     path = tmp_path_factory.getbasetemp() / "any.json"
     path.write_bytes(data)
     with pytest.raises(DataError):
         read_config(path)
 
 
-def test_usb_kinds_go_to_the_kernels_controller(tmp_path):
-    web = make_device({"name": "w", "kind": "uvc", **SEEN}, tmp_path)
-    still = make_device({"name": "s", "kind": "ptp", **SEEN}, tmp_path)
-    assert isinstance(web, UvcCamera)
+def test_each_usb_device_has_a_port_of_the_kernels_controller(tmp_path: Path) -> None:
+    webcam = make_device({"name": "w", "kind": "uvc", **SCENE}, tmp_path)
+    still = make_device({"name": "s", "kind": "ptp", **SCENE}, tmp_path)
+    assert isinstance(webcam, UvcCamera)
     assert isinstance(still, PtpCamera)
-    assert isinstance(web.port, VhciPort)
-    assert web.port is not still.port
+    assert isinstance(webcam.port, VhciPort)
+    assert isinstance(still.port, VhciPort)
+    assert webcam.port is not still.port
 
 
-def test_a_serial_device_is_linked_by_its_name(tmp_path):
-    device = make_device({k: v for k, v in LINE.items() if k != "line"}, tmp_path)
+def test_a_serial_device_without_a_line_has_a_link_with_its_name(tmp_path: Path) -> None:
+    device = make_device({k: v for k, v in COOLPIX.items() if k != "line"}, tmp_path)
     device.attach()
     try:
         assert (tmp_path / "coolpix").is_symlink()
@@ -131,24 +138,24 @@ def test_a_serial_device_is_linked_by_its_name(tmp_path):
         device.detach()
 
 
-def test_an_unknown_kind(tmp_path):
-    with pytest.raises(UsageError, match="did you mean uvc"):
-        make_device({"name": "w", "kind": "uvcc", **SEEN}, tmp_path)
+def test_an_unknown_kind_of_device_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="unknown kind of virtual device 'uvcc'; did you mean uvc"):
+        make_device({"name": "w", "kind": "uvcc", **SCENE}, tmp_path)
 
 
-def test_all_kinds_have_a_module_that_makes_them():
-    for module in hub_module.KINDS.values():
-        assert callable(__import__(module, fromlist=["make"]).make)
+@pytest.mark.parametrize("module", KINDS.values())
+def test_the_module_of_a_kind_makes_devices(module: str) -> None:
+    assert callable(import_module(module).make)
 
 
 @pytest.mark.skipif(
     Path("/sys/devices/platform/vhci_hcd.0").exists(), reason="this kernel has the controller"
 )
-def test_without_the_kernels_controller_the_next_step_is_named(tmp_path):
-    config = written(tmp_path, [LINE, {"name": "w", "kind": "uvc", **SEEN}])
-    words = [sys.executable, "-m", "sim.devices", "--dir", str(tmp_path), str(config)]
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+def test_without_the_kernels_controller_the_error_says_how_to_load_it(tmp_path: Path) -> None:
+    config = write_config(tmp_path, [COOLPIX, {"name": "w", "kind": "uvc", **SCENE}])
+    command = [sys.executable, "-m", "sim.devices", "--dir", str(tmp_path), str(config)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 1
-    assert "modprobe vhci-hcd" in ended.stderr
+    assert "this kernel has no virtual USB controller; run modprobe vhci-hcd" in ended.stderr
     assert ended.stderr.count("\n") == 1
-    assert not (tmp_path / "coolpix").is_symlink()  # the devices before it have been put away
+    assert not (tmp_path / "coolpix").is_symlink()  # devices that were attached are detached

@@ -1,183 +1,199 @@
-"""What goes wrong with the virtual PTP camera when it is told to, and how that ends."""
+"""Faults of the virtual PTP camera, and arbitrary input from a host."""
+
+from __future__ import annotations
 
 import errno
 import io
 import struct
 import threading
-import time
+from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ptp_initiator import BUSY, OK, Initiator, camera, numbers
+from ptp_initiator import BUSY, OK, Initiator, connected, make_camera, numbers
 
 from camctl.errors import UsageError
-from sim.devices.ptp import camera as ptp
-from sim.devices.usb.device import Port
+from sim.devices.clock import RealDeviceClock
+from sim.devices.usb.device import Port, UsbDevice
 
-SESSION = 0x2003
+NO_SESSION = 0x2003
 
 
 class Socket(Port):
-    """Where a device is plugged in, in these tests."""
+    """A port that a device is plugged into."""
 
-    def __init__(self, device):
+    def __init__(self, device: UsbDevice) -> None:
         self.device = device
 
-    def attach(self, device):
+    def attach(self, device: UsbDevice) -> None:
         device.connect()
 
-    def detach(self):
+    def detach(self) -> None:
         self.device.disconnect()
 
 
-def test_busy_for_a_while():
-    with camera() as (device, host):
-        device.do("busy", count=2)
-        codes = [host.ask(0x1004)[0] for _ in range(3)]
-        assert codes == [BUSY, BUSY, OK]
-        device.do("busy", count=-1)
-        assert host.ask(0x100E, 0, 0)[0] == BUSY
-        host.good(0x1001)
-        device.do("ok")
-        host.good(0x1004)
+def test_busy_for_some_operations_or_until_ok() -> None:
+    device, host = connected()
+    device.do("busy", count=2)
+    assert [host.response(0x1004) for _ in range(3)] == [BUSY, BUSY, OK]
+    device.do("busy", count=-1)
+    assert host.response(0x100E, 0, 0) == BUSY
+    host.do(0x1001)
+    device.do("ok")
+    host.do(0x1004)
 
 
-def test_a_hang_ends_with_ok():
-    with camera() as (device, host):
-        device.do("hang")
-        host.write(1, 0x1004)
-        assert host.read(timeout_s=0.1) is None
-        device.do("ok")
-        host.good(0x1004)
+def test_a_hanging_camera_answers_nothing_until_ok() -> None:
+    device, host = connected()
+    device.do("hang")
+    host.write(1, 0x1004)
+    assert host.read(timeout_s=60.0) is None
+    device.do("ok")
+    host.do(0x1004)
 
 
-def test_a_stall_wants_its_halt_cleared():
-    with camera() as (device, host):
-        device.do("stall")
-        host.write(1, 0x1004)
-        assert host.read()[0] == errno.EPIPE
-        assert host.write(1, 0x1004) == errno.EPIPE
-        status = device.request(0xA1, 0x67, 0, 0, 64, b"")
-        length, code, *halted = struct.unpack("<HHII", status)
-        assert (length, code, halted) == (12, 0x201F, [0x81, 0x02])
-        for endpoint in halted:
-            assert device.request(0x02, 1, 0, endpoint, 0, b"") == b""
-        assert device.request(0xA1, 0x67, 0, 0, 64, b"")[2:4] == struct.pack("<H", OK)
-        host.good(0x1004)
+def test_a_stall_lasts_until_the_halts_are_cleared() -> None:
+    device, host = connected()
+    device.do("stall")
+    host.write(1, 0x1004)
+    assert host.must_read()[0] == errno.EPIPE
+    assert host.write(1, 0x1004) == errno.EPIPE
+    status = device.request(0xA1, 0x67, 0, 0, 64, b"")
+    assert isinstance(status, bytes)
+    length, code, *halted = struct.unpack("<HHII", status)
+    assert (length, code, halted) == (12, 0x201F, [0x81, 0x02])
+    for endpoint in halted:
+        assert device.request(0x02, 1, 0, endpoint, 0, b"") == b""
+    assert device.request(0xA1, 0x67, 0, 0, 64, b"") == struct.pack("<HH", 4, OK)
+    host.do(0x1004)
 
 
 @pytest.mark.parametrize("answers", [False, True])
-def test_half_an_object(answers):
-    with camera(object_bytes=10_000) as (device, host):
-        host.good(0x100E, 0, 0)
-        handle = host.added()
-        device.do("truncate", answers=answers)
-        host.write(1, 0x1009, struct.pack("<I", handle))
-        error, data = host.read()
-        assert error == 0
-        assert struct.unpack_from("<I", data) == (10_012,)
-        assert 4000 < len(data) < 6000
-        after = host.read(timeout_s=0.1)
-        assert (after is not None) == answers
-        host.transaction += 1
-        assert len(host.good(0x1009, handle)) == 10_000
-        # Nobody has it until it was sent whole.
-        assert device.do("log")["shots"][0]["downloaded_s"] is not None
+def test_half_of_an_object_is_sent(answers: bool) -> None:
+    device, host = connected(object_bytes=10_000)
+    host.do(0x100E, 0, 0)
+    handle = host.added_object()
+    device.do("truncate", answers=answers)
+    host.write(1, 0x1009, struct.pack("<I", handle))
+    error, data = host.must_read()
+    assert error == 0
+    assert struct.unpack_from("<I", data) == (10_012,)
+    assert 4000 < len(data) < 6000
+    response = host.read()
+    assert (response is not None) == answers
+    # By its response the camera counts the object as read.
+    assert (device.do("log")["shots"][0]["downloaded_s"] is not None) == answers
+    host.transaction += 1
+    assert len(host.get(0x1009, handle)) == 10_000
+    assert device.do("log")["shots"][0]["downloaded_s"] is not None
 
 
-def test_rubbish_instead_of_an_answer():
-    with camera() as (device, host):
-        device.do("garbage")
-        host.write(1, 0x1004)
-        error, data = host.read()
-        assert error == 0
-        assert struct.unpack_from("<IHHI", data)[0] != len(data)
-        host.transaction += 1
-        host.good(0x1004)
+def test_random_bytes_instead_of_a_reply() -> None:
+    device, host = connected()
+    device.do("garbage")
+    host.write(1, 0x1004)
+    error, data = host.must_read()
+    assert error == 0
+    assert struct.unpack_from("<IHHI", data)[0] != len(data)
+    host.transaction += 1
+    host.do(0x1004)
 
 
-def test_no_room_and_no_power():
-    with camera() as (device, host):
-        device.do("card_full")
-        assert host.ask(0x100E, 0, 0)[0] == 0x200C
-        assert host.event()[0] == 0x400A
-        device.do("ok")
-        device.do("battery_low")
-        assert host.ask(0x100E, 0, 0)[0] == 0x2002
-        assert host.good(0x1015, 0x5001) == b"\x03"
-        device.do("ok")
-        host.good(0x100E, 0, 0)
+def test_a_full_card_and_an_empty_battery_refuse_captures() -> None:
+    device, host = connected()
+    device.do("card_full")
+    assert host.response(0x100E, 0, 0) == 0x200C
+    assert host.event()[0] == 0x400A
+    device.do("ok")
+    device.do("battery_low")
+    assert host.response(0x100E, 0, 0) == 0x2002
+    assert host.get(0x1015, 0x5001) == b"\x03"
+    device.do("ok")
+    host.do(0x100E, 0, 0)
 
 
-def test_a_wrong_exposure():
-    with camera(files="tiff", repeat_noise=True) as (device, host):
-        host.good(0x1016, 0x500D, data=struct.pack("<I", 100))
-        right = device.body.exposer.expose(0.01)
-        twice = device.body.exposer.expose(0.02)
-        device.do("wrong", factor=2.0, count=1)
-        for expected in (twice, right):
-            assert np.array_equal(tifffile.imread(io.BytesIO(host.shoot())), expected)
+def test_one_wrong_exposure() -> None:
+    device, host = connected(files="tiff", repeat_noise=True)
+    host.do(0x1016, 0x500D, data=struct.pack("<I", 100))
+    device.do("wrong_exposure", factor=2.0, count=1)
+    for time_s in (0.02, 0.01):
+        picture = tifffile.imread(io.BytesIO(host.shoot()))
+        assert np.array_equal(picture, device.body.sensor.expose(time_s))
 
 
 @pytest.mark.parametrize("form", ["enum", "range"])
-def test_silent_clamping(form):
-    with camera(time_form=form) as (device, host):
-        device.do("clamp", max_s=0.005)
-        host.good(0x1016, 0x500D, data=struct.pack("<I", 1000))
-        assert host.good(0x1015, 0x500D) == struct.pack("<I", 50)
+def test_shutter_times_are_silently_cut(form: str) -> None:
+    device, host = connected(time_form=form)
+    device.do("clamp", max_s=0.005)
+    host.do(0x1016, 0x500D, data=struct.pack("<I", 1000))
+    assert host.get(0x1015, 0x500D) == struct.pack("<I", 50)
 
 
-def test_no_events_until_ok():
-    with camera() as (device, host):
-        device.do("no_events")
-        host.good(0x100E, 0, 0)
-        device.body.wait()
-        assert host.events.empty()
-        device.do("ok")
-        host.shoot()
+def test_no_events_until_ok() -> None:
+    device, host = connected()
+    device.do("no_events")
+    host.do(0x100E, 0, 0)
+    device.body.wait()
+    assert not host.events
+    device.do("ok")
+    host.shoot()
 
 
-def test_unplugged_and_plugged_in_again():
-    with camera() as (device, host):
-        device.port = Socket(device)
-        host.good(0x100E, 0, 0)
-        device.do("unplug")
-        assert host.read()[0] == errno.ENODEV
-        assert host.write(1, 0x1004) == errno.ENODEV
-        device.do("plug")
-        device.body.wait()
-        again = Initiator(device)
-        assert again.ask(0x1004)[0] == SESSION
-        again.good(0x1002, 1)
-        # What it was exposing is on its card all the same.
-        (handle,) = numbers(again.good(0x1007, 0xFFFFFFFF, 0x3801, 0))
-        assert again.good(0x1009, handle)[:2] == b"\xff\xd8"
+def test_a_camera_that_was_unplugged_has_no_session_but_its_pictures() -> None:
+    device, host = connected()
+    device.port = Socket(device)
+    host.do(0x100E, 0, 0)
+    device.do("unplug")
+    assert host.must_read()[0] == errno.ENODEV
+    assert host.write(1, 0x1004) == errno.ENODEV
+    device.do("plug")
+    device.body.wait()
+    again = Initiator(device)
+    assert again.response(0x1004) == NO_SESSION
+    again.do(0x1002, 1)
+    # The exposure that was running is on the card.
+    (handle,) = numbers(again.get(0x1007, 0xFFFFFFFF, 0x3801, 0))
+    assert again.get(0x1009, handle)[:2] == b"\xff\xd8"
 
 
 @pytest.mark.parametrize("after", [0, 5000])
-def test_unplugged_in_the_middle_of_an_object(after):
-    with camera(object_bytes=100_000) as (device, host):
-        device.port = Socket(device)
-        host.good(0x100E, 0, 0)
-        handle = host.added()
-        device.do("unplug", after_bytes=after)
-        host.write(1, 0x1009, struct.pack("<I", handle))
-        error, data = host.read()
-        assert error == errno.ENODEV
-        assert len(data) == after // 512 * 512
-        assert not device.is_attached
+def test_unplugged_in_the_middle_of_an_object(after: int) -> None:
+    device, host = connected(object_bytes=100_000)
+    device.port = Socket(device)
+    host.do(0x100E, 0, 0)
+    handle = host.added_object()
+    device.do("unplug", after_bytes=after)
+    host.write(1, 0x1009, struct.pack("<I", handle))
+    error, data = host.must_read()
+    assert error == errno.ENODEV
+    assert len(data) == after // 512 * 512
+    assert not device.is_attached
 
 
-def test_a_negative_number_of_bytes():
-    with camera() as (device, _), pytest.raises(UsageError, match="unplug after -1 bytes"):
+def test_a_camera_is_unplugged_even_if_the_host_reads_nothing() -> None:
+    device, host = connected(object_bytes=100_000)
+    device.port = Socket(device)
+    host.do(0x100E, 0, 0)
+    handle = host.added_object()
+    device.do("unplug", after_bytes=5000)
+    host.write(1, 0x1009, struct.pack("<I", handle))
+    host.sleep(1.9)
+    assert device.is_attached
+    host.sleep(0.2)
+    assert not device.is_attached
+
+
+def test_a_negative_number_of_bytes_before_unplugging_is_refused() -> None:
+    device, _ = connected()
+    with pytest.raises(UsageError, match="invalid after_bytes -1: expected 0 or more"):
         device.do("unplug", after_bytes=-1)
 
 
-def test_a_host_that_reads_nothing_fills_no_memory():
-    device = ptp.make({"scene": "ramp", "sensor": "ideal-8", "size": "48x32"})
+def test_the_queues_for_a_host_that_reads_nothing_are_limited() -> None:
+    device = make_camera()
     device.connect()
     device.write(2, struct.pack("<IHHII", 16, 1, 0x1002, 0, 1))
     for transaction in range(1, 500):
@@ -189,87 +205,97 @@ def test_a_host_that_reads_nothing_fills_no_memory():
     assert device.pending(3) <= 64
 
 
-codes = st.sampled_from(
+def container(kind: int, code: int, body: bytes) -> bytes:
+    return struct.pack("<IHHI", 12 + len(body), kind, code, 7) + body
+
+
+OPERATIONS = st.sampled_from(
     [*range(0x1000, 0x101D), *range(0x90C0, 0x90CB), *range(0x9101, 0x9128), *range(0x9201, 0x920D)]
 )
 PROPERTIES = (0x500D, 0x5004, 0xD100, 0xD102, 0xD20D, 0xD2C1, 0xD2C2)
 HANDLES = (0x00010001, 0x10000001, 0x20000001, 0xFFFF0001, 0xFFFFC001, 0xFFFFFFFF)
-small = st.sampled_from([*range(5), *PROPERTIES, *HANDLES])
-
-
-def container(kind, code, body):
-    return struct.pack("<IHHI", 12 + len(body), kind, code, 7) + body
-
-
-commands = st.builds(
+PARAMETERS = st.sampled_from([*range(5), *PROPERTIES, *HANDLES])
+COMMANDS = st.builds(
     lambda code, parameters: container(1, code, struct.pack(f"<{len(parameters)}I", *parameters)),
-    codes,
-    st.lists(st.one_of(small, st.integers(0, 2**32 - 1)), max_size=5),
+    OPERATIONS,
+    st.lists(st.one_of(PARAMETERS, st.integers(0, 2**32 - 1)), max_size=5),
 )
-phases = st.builds(lambda code, body: container(2, code, body), codes, st.binary(max_size=40))
-pieces = st.lists(
+DATA_PHASES = st.builds(
+    lambda code, body: container(2, code, body), OPERATIONS, st.binary(max_size=40)
+)
+HEADERS = st.builds(
+    struct.Struct("<IHHI").pack, st.integers(0, 2**32 - 1), OPERATIONS, OPERATIONS, PARAMETERS
+)
+TRANSFERS = st.lists(
     st.one_of(
-        commands,
-        phases,
-        st.tuples(commands, phases).map(b"".join),
+        COMMANDS,
+        DATA_PHASES,
+        st.tuples(COMMANDS, DATA_PHASES).map(b"".join),
         st.binary(max_size=80),
-        st.builds(struct.Struct("<IHHI").pack, st.integers(0, 2**32 - 1), codes, codes, small),
+        HEADERS,
     ),
     max_size=30,
 )
-requests = st.tuples(
-    st.integers(0, 255), st.integers(0, 255), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF)
+REQUESTS = st.lists(
+    st.tuples(
+        st.integers(0, 255), st.integers(0, 255), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF)
+    ),
+    max_size=5,
 )
 
 
 @pytest.mark.parametrize("vendor", ["none", "nikon", "canon", "sony"])
-@given(said=pieces, asked=st.lists(requests, max_size=5), handshake=st.booleans())
+@given(transfers=TRANSFERS, requests=REQUESTS, has_handshake=st.booleans())
 @settings(max_examples=60)
-def test_whatever_a_host_sends_it_goes_on(vendor, said, asked, handshake):
-    device = ptp.make(
-        {"scene": "ramp", "sensor": "ideal-8", "size": "8x8", "vendor": vendor, "bulb": True,
-         "times": ["1/1000", "1/500"], "files": ["jpeg", "dng+jpeg"]}
-    )  # fmt: skip
+def test_after_any_transfers_and_requests_a_reset_makes_the_camera_usable(
+    vendor: str, transfers: list[bytes], requests: list[tuple[int, ...]], has_handshake: bool
+) -> None:
+    options: dict[str, Any] = {
+        "size": "8x8",
+        "vendor": vendor,
+        "bulb": True,
+        "times": ["1/1000", "1/500"],
+        "files": ["jpeg", "dng+jpeg"],
+    }
+    device = make_camera(**options)
     host = Initiator(device)
-    host.good(0x1002, 1)
-    if handshake and vendor == "canon":
-        host.good(0x9114, 1)
-        host.good(0x9115, 1)
-    if handshake and vendor == "sony":
+    host.do(0x1002, 1)
+    if has_handshake and vendor == "canon":
+        host.do(0x9114, 1)
+        host.do(0x9115, 1)
+    if has_handshake and vendor == "sony":
         for code, step in ((0x9201, 1), (0x9201, 2), (0x9201, 3)):
-            host.good(code, step)
-    for piece in said:
-        device.write(2, piece)
-        assert len(device._waiting) <= 2 * 64 * 1024
+            host.do(code, step)
+    for transfer in transfers:
+        device.write(2, transfer)
+        assert len(device._buffer) <= 2 * 64 * 1024
         assert device.pending(1) <= 16
-    for kind, request, value, index in asked:
+    for kind, request, value, index in requests:
         device.request(kind, request, value, index, 64, b"")
     device.body.end_bulb()
     device.body.wait()
-    # The class request for a reset, and clearing halts, bring any of this to an end.
     device.request(0x21, 0x66, 0, 0, 0, b"")
     for endpoint in (0x81, 0x02):
         device.request(0x02, 1, 0, endpoint, 0, b"")
-    host.good(0x1001)
-    host.good(0x1002, 1)
-    host.good(0x1004)
+    host.do(0x1001)
+    host.do(0x1002, 1)
+    host.do(0x1004)
 
 
-def test_verbs_from_another_thread_while_a_host_is_at_work():
-    with camera() as (device, host):
-        stop = threading.Event()
+def test_control_commands_in_another_thread_during_captures_in_real_time() -> None:
+    device, host = connected(clock=RealDeviceClock())
+    stop = threading.Event()
 
-        def pester():
-            while not stop.is_set():
-                device.do("state")
-                device.do("log")
-                time.sleep(0.001)
+    def pester() -> None:
+        while not stop.wait(0.001):
+            device.do("state")
+            device.do("log")
 
-        thread = threading.Thread(target=pester)
-        thread.start()
-        try:
-            for _ in range(5):
-                assert host.shoot()[:2] == b"\xff\xd8"
-        finally:
-            stop.set()
-            thread.join()
+    thread = threading.Thread(target=pester)
+    thread.start()
+    try:
+        for _ in range(5):
+            assert host.shoot()[:2] == b"\xff\xd8"
+    finally:
+        stop.set()
+        thread.join()

@@ -1,9 +1,10 @@
-"""The virtual CoolPix 990 as a host sees it at the other end of a serial line."""
+"""The virtual CoolPix 990 as a host sees it, on a line in memory and in virtual time."""
+
+from __future__ import annotations
 
 import io
 import struct
-import time
-from contextlib import contextmanager
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,339 +12,407 @@ import pytest
 import serial
 import tifffile
 
-from camctl.errors import CameraNotFoundError, UsageError
+from camctl.errors import UsageError
+from sim.devices.clock import VirtualDeviceClock
 from sim.devices.sierra import device as sierra
 
-ACK, NAK, ENQ, INVALID, SESSION = b"\x06", b"\x15", b"\x05", b"\x11", b"\xfc"
+ACK, NAK, ENQ, INVALID, SESSION_ERROR = b"\x06", b"\x15", b"\x05", b"\x11", b"\xfc"
+FIRST, NEXT = b"\x1b\x53", b"\x1b\x43"  # type and subtype of a command
+LAST = b"\x03"  # type of the last data packet
+CAPTURE, DELETE, DELETE_ALL = 2, 7, 1  # actions
 
 
 class Host:
-    """A host for the Sierra protocol as small as can be."""
+    """A small host for the Sierra protocol."""
 
-    def __init__(self, device):
-        self.port = serial.Serial(device.line.path, 19200, timeout=3)
-        self.first = True
+    def __init__(self, device: sierra.SierraDevice) -> None:
+        self.port: Any = serial.serial_for_url(device.line.path, 19200, timeout=3)
+        self.device = device
+        self.has_session = False
 
-    def nul(self):
+    def send_nul(self) -> bytes:
+        """Send the byte that opens a session; return the answer."""
         self.port.write(b"\0")
-        return self.port.read()
+        return bytes(self.port.read())
 
     @staticmethod
-    def packet(head, data, wrong=0):
-        total = (sum(data) + wrong) & 0xFFFF
+    def packet(head: bytes, data: bytes, sum_error: int = 0) -> bytes:
+        total = (sum(data) + sum_error) & 0xFFFF
         return head + struct.pack("<H", len(data)) + data + struct.pack("<H", total)
 
-    def command(self, *data, head=None):
-        """Send a command; return the first byte that comes."""
-        head = head or (b"\x1b\x53" if self.first else b"\x1b\x43")
-        self.first = False
+    def command(self, *data: int) -> bytes:
+        """Send a command; return the first byte of the answer."""
+        head = NEXT if self.has_session else FIRST
+        self.has_session = True
         self.port.write(self.packet(head, bytes(data)))
-        return self.port.read()
+        return bytes(self.port.read())
 
-    def rest(self, kind):
-        """Return (place, data) of the data packet whose first byte was read."""
-        place, length = struct.unpack("<BH", self.port.read(3))
+    def data_packet(self) -> tuple[int, bytes]:
+        """Return (number, data) of the data packet whose first byte has been read."""
+        number, length = struct.unpack("<BH", self.port.read(3))
         data = self.port.read(length)
         assert int.from_bytes(self.port.read(2), "little") == sum(data) & 0xFFFF
-        assert kind in (b"\x02", b"\x03")
-        return place, data
+        return number, data
 
-    def text(self, register):
-        """Return a text register, or None where it is refused."""
+    def text(self, register: int) -> bytes | None:
+        """Return a text register, or None if it is refused."""
         kind = self.command(4, register)
         if kind == INVALID:
             return None
-        data, places = b"", []
+        data, numbers = b"", []
         while True:
-            place, part = self.rest(kind)
-            places.append(place)
+            number, part = self.data_packet()
+            numbers.append(number)
             data += part
             self.port.write(ACK)
-            if kind == b"\x03":
-                assert places == [i % 256 for i in range(len(places))]
+            if kind == LAST:
+                assert numbers == [i % 256 for i in range(len(numbers))]
                 return data
-            kind = self.port.read()
+            kind = bytes(self.port.read())
 
-    def number(self, register):
-        kind = self.command(1, register)
-        if kind == INVALID:
-            return None
-        assert kind == b"\x03"
-        _, data = self.rest(kind)
+    def file(self, register: int = 14) -> bytes:
+        """Return the file in a register."""
+        data = self.text(register)
+        assert data is not None
+        return data
+
+    def number(self, register: int) -> int:
+        """Return a numeric register, which must not be refused."""
+        assert self.command(1, register) == LAST
+        _, data = self.data_packet()
         self.port.write(ACK)
         return int.from_bytes(data, "little")
 
-    def set(self, register, value):
+    def set(self, register: int, value: int) -> bytes:
+        """Set a numeric register; return the answer."""
         return self.command(0, register, *struct.pack("<I", value))
 
-    def speed(self, number, baud):
+    def set_speed(self, number: int, baud: int) -> bytes:
+        """Change the speed of both ends; return the answer."""
         answer = self.set(17, number)
         if answer == ACK:
             self.port.baudrate = baud
         return answer
 
-    def capture(self):
-        assert self.command(2, 2, 0) == ACK
-        assert self.port.read() == ENQ
+    def act(self, action: int) -> None:
+        """Execute an action, which must succeed."""
+        assert self.command(2, action, 0) == ACK
+        assert bytes(self.port.read()) == ENQ
+
+    def sleep(self, time_s: float) -> None:
+        clock = self.device.clock
+        clock.sleep_until(clock.now() + time_s)
 
 
-@contextmanager
-def coolpix(**config):
+def connected(**config: Any) -> tuple[sierra.SierraDevice, Host]:
+    """Return a camera in virtual time that sees a ramp, and its host."""
     config = {"scene": "ramp", "sensor": "ideal-8", "size": "48x32", **config}
-    device = sierra.make({"repeat_noise": True, **config})
+    device = sierra.make({"repeat_noise": True, "line": "memory", **config}, VirtualDeviceClock())
     device.attach()
-    host = Host(device)
-    try:
-        yield device, host
-    finally:
-        host.port.close()
-        device.body.wait()
-        device.detach()
+    return device, Host(device)
 
 
-def test_a_nul_is_answered_at_19200_alone():
-    with coolpix() as (_, host):
-        assert host.nul() == NAK
-        host.port.baudrate = 38400
-        host.port.timeout = 0.2
-        assert host.nul() == b""
+def test_a_nul_is_answered_at_the_start_speed_only() -> None:
+    _, host = connected()
+    assert host.send_nul() == NAK
+    host.port.baudrate = 38400
+    assert host.send_nul() == b""
 
 
 @pytest.mark.parametrize(("number", "baud"), [(1, 9600), (3, 38400), (4, 57600), (5, 115200)])
-def test_the_speed_register(number, baud):
-    with coolpix() as (device, host):
-        assert host.nul() == NAK
-        assert host.speed(number, baud) == ACK
-        assert device.speed == baud
-        assert host.text(27) == b"E990\0"
+def test_the_speed_register_changes_the_speed(number: int, baud: int) -> None:
+    device, host = connected()
+    assert host.send_nul() == NAK
+    assert host.set_speed(number, baud) == ACK
+    assert device.do("state")["speed"] == baud
+    assert host.text(27) == b"E990\0"
 
 
-def test_a_speed_that_it_does_not_have():
-    with coolpix(speed_limit=57600) as (device, host):
-        assert host.set(17, 5) == INVALID
-        assert host.set(17, 9) == INVALID
-        device.do("no_speed")
-        assert host.set(17, 4) == INVALID
-        device.do("ok")
-        assert host.set(17, 4) == ACK
+def test_speeds_that_the_camera_does_not_have_are_refused() -> None:
+    device, host = connected(speed_limit=57600)
+    assert host.set(17, 5) == INVALID
+    assert host.set(17, 9) == INVALID
+    device.do("no_speed")
+    assert host.set(17, 4) == INVALID
+    device.do("ok")
+    assert host.set(17, 4) == ACK
 
 
-def test_silence_ends_the_session_and_the_speed():
-    with coolpix(silence_s=0.2) as (device, host):
-        host.speed(5, 115200)
-        time.sleep(0.6)
-        assert device.speed == 19200
-        host.port.baudrate = 19200
-        assert host.command(1, 16) == SESSION
-        assert host.nul() == NAK
-        assert host.number(16) == 90
+def test_silence_ends_the_session_and_resets_the_speed() -> None:
+    device, host = connected(silence_s=5.0)
+    host.set_speed(5, 115200)
+    host.sleep(4.9)
+    assert host.number(16) == 90
+    host.sleep(4.9)
+    assert device.do("state")["speed"] == 115200
+    host.sleep(0.1)
+    assert device.do("state")["speed"] == 19200
+    host.port.baudrate = 19200
+    assert host.command(1, 16) == SESSION_ERROR
+    assert host.send_nul() == NAK
+    assert host.number(16) == 90
 
 
-def test_a_break_ends_the_session():
-    with coolpix() as (device, host):
-        host.speed(5, 115200)
-        device.do("break")
-        host.port.baudrate = 19200
-        assert host.command(1, 16) == SESSION
+def test_a_break_ends_the_session() -> None:
+    device, host = connected()
+    host.set_speed(5, 115200)
+    device.do("break")
+    host.port.baudrate = 19200
+    assert host.command(1, 16) == SESSION_ERROR
 
 
 @pytest.mark.parametrize(("aperture", "light"), [(0, 1), (1, 1), (2, (2.5 / 4) ** 2)])
-def test_a_picture_has_the_exposure_of_the_registers(aperture, light):
-    with coolpix() as (device, host):
-        assert host.set(1, 0x23) == ACK
-        assert host.set(3, 8000) == ACK
-        assert host.number(3) == 8000
-        assert host.set(5, aperture) == ACK
-        host.capture()
-        data = host.text(14)
-        assert len(data) == host.number(12)
-        picture = tifffile.imread(io.BytesIO(data))
-        expected = device.body.exposer.expose(0.008 * light)
-        assert picture.shape == (32, 48, 3)
-        assert all(np.array_equal(picture[..., i], expected) for i in range(3))
+def test_a_picture_has_the_exposure_of_the_registers(aperture: int, light: float) -> None:
+    device, host = connected()
+    assert host.set(1, 0x23) == ACK
+    assert host.set(3, 8000) == ACK
+    assert host.number(3) == 8000
+    assert host.set(5, aperture) == ACK
+    host.act(CAPTURE)
+    data = host.file()
+    assert len(data) == host.number(12)
+    picture = tifffile.imread(io.BytesIO(data))
+    expected = device.body.sensor.expose(0.008 * light)
+    assert picture.shape == (32, 48, 3)
+    assert all(np.array_equal(picture[..., i], expected) for i in range(3))
 
 
-def test_a_shutter_time_snaps_and_says_so():
-    with coolpix() as (_, host):
-        for wanted, there in ((9000, 8000), (12000, 16666), (1, 1000), (99_000_000, 8_000_000)):
-            assert host.set(3, wanted) == ACK
-            assert host.number(3) == there
-        assert host.set(3, 0) == ACK
-        assert host.number(3) == 0
-    with coolpix(times_us=[500, 12345]) as (_, host):
-        host.set(3, 10_000)
-        assert host.number(3) == 12345
+@pytest.mark.parametrize(
+    ("requested", "applied"),
+    [(9000, 8000), (12000, 16666), (1, 1000), (99_000_000, 8_000_000), (0, 0)],
+)
+def test_a_shutter_time_is_rounded_and_read_back(requested: int, applied: int) -> None:
+    _, host = connected()
+    assert host.set(3, requested) == ACK
+    assert host.number(3) == applied
 
 
-def test_silent_clamping_and_wrong_exposures():
-    with coolpix() as (device, host):
-        device.do("clamp", max_s=0.01)
-        assert host.set(3, 500_000) == ACK
-        assert host.number(3) == 8000
-        device.do("ok")
-        device.do("wrong", factor=2.0)
-        host.set(1, 0x23)
-        host.capture()
-        picture = tifffile.imread(io.BytesIO(host.text(14)))
-        assert np.array_equal(picture[..., 0], device.body.exposer.expose(0.016))
+def test_a_camera_may_have_other_shutter_times() -> None:
+    _, host = connected(times_us=[500, 12345])
+    host.set(3, 10_000)
+    assert host.number(3) == 12345
 
 
-def test_names_folders_and_what_is_said_of_a_picture():
-    with coolpix(serial="SN1") as (_, host):
-        host.capture()
-        assert host.text(79) == b"DSCN0001.JPG\0"
-        assert host.text(25) == b"SN1\0"
-        sizes = struct.unpack("<8I", host.text(47))
-        assert sizes[:3] == (host.number(12), host.number(13), 0)
-        assert cv2.imdecode(np.frombuffer(host.text(15), np.uint8), 1).shape == (32, 48, 3)
-        assert host.number(10) == 1
-        assert host.command(3, 84, *b"\\") == ACK
-        assert (host.number(10), host.number(83)) == (0, 1)
-        host.set(83, 1)
-        assert host.text(84) == b"DCIM\0"
-        assert host.command(3, 84, *b"DCIM") == ACK
-        assert host.text(84) == b"100NIKON\0"
-        assert host.command(3, 84, *b"nothing") == INVALID
-        assert host.command(3, 84, *b"100NIKON") == ACK
-        assert (host.number(10), host.number(83)) == (1, 0)
+def test_shutter_times_are_silently_cut() -> None:
+    device, host = connected()
+    device.do("clamp", max_s=0.01)
+    assert host.set(3, 500_000) == ACK
+    assert host.number(3) == 8000
 
 
-def test_choosing_and_deleting_pictures():
-    with coolpix() as (device, host):
-        for time_us in (4000, 8000):
-            host.set(3, time_us)
-            host.capture()
-        assert host.number(4) == 2
-        newest = host.text(14)
-        assert host.set(4, 1) == ACK
-        assert host.text(79) == b"DSCN0001.JPG\0"
-        assert host.text(14) != newest
-        assert host.command(2, 7, 0) == ACK
-        assert host.port.read() == ENQ
-        assert device.do("state")["pictures"] == 1
-        assert host.text(14) == newest
-        assert host.set(4, 7) == ACK
-        assert host.text(14) is None
-        assert host.command(2, 1, 0) == ACK
-        assert host.port.read() == ENQ
-        assert host.number(10) == 0
+def test_one_wrong_exposure() -> None:
+    device, host = connected()
+    device.do("wrong_exposure", factor=2.0)
+    host.set(1, 0x23)
+    host.set(3, 8000)
+    for time_s in (0.016, 0.008):
+        host.act(CAPTURE)
+        picture = tifffile.imread(io.BytesIO(host.file()))
+        assert np.array_equal(picture[..., 0], device.body.sensor.expose(time_s))
 
 
-def test_an_exposure_takes_its_time():
-    with coolpix(delay_s=0.1) as (device, host):
-        host.set(3, 250_000)
-        began = time.monotonic()
-        host.capture()
-        assert 0.35 <= time.monotonic() - began < 1.5
-        host.text(14)
-        time.sleep(0.05)
-        (shot,) = device.do("log")["shots"]
-        assert shot["downloaded_s"] > shot["ended_s"] > shot["began_s"]
+def test_a_picture_has_a_name_a_size_and_a_thumbnail() -> None:
+    _, host = connected(serial="SN1")
+    host.act(CAPTURE)
+    assert host.text(79) == b"DSCN0001.JPG\0"
+    assert host.text(25) == b"SN1\0"
+    sizes = struct.unpack("<8I", host.file(47))
+    assert sizes[:3] == (host.number(12), host.number(13), 0)
+    thumbnail = cv2.imdecode(np.frombuffer(host.file(15), np.uint8), cv2.IMREAD_COLOR)
+    assert thumbnail is not None
+    assert thumbnail.shape == (32, 48, 3)
 
 
-def test_what_is_asked_during_an_exposure_is_answered_after_it():
-    with coolpix() as (_, host):
-        host.set(3, 250_000)
-        assert host.command(2, 2, 0) == ACK
-        host.port.write(Host.packet(b"\x1b\x43", bytes([1, 10])))
-        assert host.port.read() == ENQ
-        assert host.rest(host.port.read())[1] == struct.pack("<I", 1)
+def test_pictures_are_counted_in_their_folder_only() -> None:
+    _, host = connected()
+    host.act(CAPTURE)
+    assert host.number(10) == 1
+    assert host.command(3, 84, *b"\\") == ACK
+    assert (host.number(10), host.number(83)) == (0, 1)
+    host.set(83, 1)
+    assert host.text(84) == b"DCIM\0"
+    assert host.command(3, 84, *b"DCIM") == ACK
+    assert host.text(84) == b"100NIKON\0"
+    assert host.command(3, 84, *b"nothing") == INVALID
+    assert host.command(3, 84, *b"100NIKON") == ACK
+    assert (host.number(10), host.number(83)) == (1, 0)
 
 
-def test_a_wrong_sum_and_a_packet_that_is_sent_again():
-    with coolpix() as (_, host):
-        host.port.write(Host.packet(b"\x1b\x53", bytes([1, 16]), wrong=1))
-        assert host.port.read() == NAK
-        host.capture()
-        kind = host.command(4, 14)
-        first = host.rest(kind)
-        host.port.write(NAK)
-        assert host.rest(host.port.read()) == first
+def test_pictures_are_selected_and_deleted() -> None:
+    device, host = connected()
+    for time_us in (4000, 8000):
+        host.set(3, time_us)
+        host.act(CAPTURE)
+    assert host.number(4) == 2
+    newest = host.text(14)
+    assert host.set(4, 1) == ACK
+    assert host.text(79) == b"DSCN0001.JPG\0"
+    assert host.text(14) != newest
+    host.act(DELETE)
+    assert device.do("state")["pictures"] == 1
+    assert host.text(14) == newest
+    assert host.set(4, 7) == ACK
+    assert host.text(14) is None
+    host.act(DELETE_ALL)
+    assert host.number(10) == 0
 
 
-def test_half_a_packet_is_forgotten():
-    with coolpix() as (_, host):
-        host.port.write(Host.packet(b"\x1b\x53", bytes([1, 16]))[:5])
-        assert host.port.read() == NAK
-        assert host.number(16) == 90
+def test_an_exposure_takes_its_time_and_the_delay() -> None:
+    device, host = connected(delay_s=0.1)
+    host.set(3, 250_000)
+    began_s = device.clock.now()
+    host.act(CAPTURE)
+    assert device.clock.now() == pytest.approx(began_s + 0.35)
+    host.sleep(1.0)
+    host.text(14)
+    (shot,) = device.do("log")["shots"]
+    times = [shot["began_s"], shot["ended_s"], shot["downloaded_s"]]
+    assert times == pytest.approx([began_s, began_s + 0.25, began_s + 1.35])
 
 
-def test_faults():
-    with coolpix() as (device, host):
-        assert host.nul() == NAK
-        device.do("nak", count=2)
-        assert [host.command(1, 16) for _ in range(2)] == [NAK, NAK]
-        device.do("garbage")
-        host.port.timeout = 0.3
-        host.command(1, 16)
-        assert len(host.port.read(100)) == 22
-        device.do("truncate")
-        host.capture()
-        host.command(4, 14)
-        assert len(host.port.read(5000)) < len(device.camera.pictures[0].data)
-        device.do("hang")
-        assert host.command(1, 16) == b""
-        assert host.nul() == b""
-        device.do("ok")
-        host.port.reset_input_buffer()
-        assert host.number(16) == 90
+def test_commands_during_an_exposure_are_answered_after_it() -> None:
+    _, host = connected()
+    host.set(3, 250_000)
+    assert host.command(2, CAPTURE, 0) == ACK
+    host.port.write(Host.packet(NEXT, bytes([1, 10])))
+    assert bytes(host.port.read()) == ENQ
+    assert bytes(host.port.read()) == LAST
+    assert host.data_packet()[1] == struct.pack("<I", 1)
 
 
-def test_a_full_card_and_a_low_battery():
-    with coolpix() as (device, host):
-        device.do("card_full")
-        assert host.command(2, 2, 0) == INVALID
-        assert (host.number(11), host.number(28)) == (0, 0)
-        device.do("ok")
-        device.do("battery_low")
-        assert host.command(2, 2, 0) == INVALID
-        assert host.number(16) == 3
-        device.do("ok")
-        host.capture()
-    with coolpix(card_bytes=1000) as (_, host):
-        assert host.command(2, 2, 0) == INVALID
+def test_a_packet_with_a_wrong_sum_is_not_executed() -> None:
+    _, host = connected()
+    host.port.write(Host.packet(FIRST, bytes([1, 16]), sum_error=1))
+    assert bytes(host.port.read()) == NAK
 
 
-def test_unplugged_and_plugged_in_again(tmp_path):
-    link = tmp_path / "camera"
-    with coolpix(link=str(link)) as (device, host):
-        host.capture()
-        device.do("unplug")
-        assert not link.exists()
-        with pytest.raises(OSError):  # noqa: PT011 - a SerialException, or the terminal's own
-            host.command(1, 10) or host.port.read()
-        device.do("plug")
-        assert device.do("state")["path"] == str(link.resolve())
-        again = Host(device)
-        assert again.number(10) == 1
-        again.port.close()
+def test_a_data_packet_is_sent_again_after_a_nak() -> None:
+    _, host = connected()
+    host.act(CAPTURE)
+    host.command(4, 14)
+    first = host.data_packet()
+    host.port.write(NAK)
+    host.port.read()
+    assert host.data_packet() == first
 
 
-def test_bytes_take_their_time_where_they_are_to():
-    with coolpix(is_paced=True, files="tiff") as (_, host):
-        host.nul()
-        host.speed(3, 38400)
-        host.capture()
-        began = time.monotonic()
-        data = host.text(14)
-        assert time.monotonic() - began >= 0.9 * len(data) * 10 / 38400
+def test_part_of_a_packet_is_discarded_after_silence() -> None:
+    device, host = connected()
+    began_s = device.clock.now()
+    host.port.write(Host.packet(FIRST, bytes([1, 16]))[:5])
+    assert bytes(host.port.read()) == NAK
+    assert device.clock.now() == pytest.approx(began_s + 0.5)
+    assert host.number(16) == 90
 
 
-@pytest.mark.parametrize("bad", [{"files": "dng"}, {"times_us": [0]}, {"zeal": 1}])
-def test_a_bad_configuration_is_one_line(bad):
+def test_packets_are_answered_with_nak() -> None:
+    device, host = connected()
+    assert host.send_nul() == NAK
+    device.do("nak", count=2)
+    assert [host.command(1, 16) for _ in range(3)] == [NAK, NAK, LAST]
+
+
+def test_random_bytes_instead_of_an_answer() -> None:
+    device, host = connected()
+    device.do("garbage")
+    host.command(1, 16)
+    assert len(host.port.read(100)) == 22
+
+
+def test_half_of_a_data_packet_is_sent() -> None:
+    device, host = connected()
+    device.do("truncate")
+    host.act(CAPTURE)
+    host.command(4, 14)
+    assert 1 + len(host.port.read(5000)) == min(2048, len(device.camera.pictures[0].data)) // 2 + 3
+
+
+def test_a_hanging_camera_answers_nothing_until_ok() -> None:
+    device, host = connected()
+    assert host.send_nul() == NAK
+    device.do("hang")
+    assert host.command(1, 16) == b""
+    assert host.send_nul() == b""
+    device.do("ok")
+    assert host.number(16) == 90
+
+
+def test_a_full_card_and_an_empty_battery_refuse_captures() -> None:
+    device, host = connected()
+    device.do("card_full")
+    assert host.command(2, CAPTURE, 0) == INVALID
+    assert (host.number(11), host.number(28)) == (0, 0)
+    device.do("ok")
+    device.do("battery_low")
+    assert host.command(2, CAPTURE, 0) == INVALID
+    assert host.number(16) == 3
+    device.do("ok")
+    host.act(CAPTURE)
+
+
+def test_a_card_that_is_too_small_refuses_captures() -> None:
+    _, host = connected(card_bytes=1000)
+    assert host.command(2, CAPTURE, 0) == INVALID
+
+
+def test_a_paced_line_takes_its_time() -> None:
+    device, host = connected(is_paced=True, files="tiff")
+    host.send_nul()
+    host.set_speed(3, 38400)
+    host.act(CAPTURE)
+    began_s = device.clock.now()
+    data = host.file()
+    packets = -(-len(data) // 2048)
+    expected_s = (len(data) + 6 * packets) * 10 / 38400
+    assert device.clock.now() - began_s == pytest.approx(expected_s)
+
+
+def test_an_unplugged_line_fails_until_it_is_opened_again() -> None:
+    device, host = connected()
+    host.act(CAPTURE)
+    device.do("unplug")
+    with pytest.raises(serial.SerialException, match="unplugged"):
+        host.port.read()
+    with pytest.raises(serial.SerialException, match="no camera is there"):
+        Host(device)
+    device.do("plug")
+    with pytest.raises(serial.SerialException, match="unplugged"):
+        host.port.write(b"\0")
+    assert Host(device).number(10) == 1
+
+
+def test_a_line_has_one_host() -> None:
+    device, host = connected()
+    with pytest.raises(serial.SerialException, match="another host"):
+        Host(device)
+    host.port.close()
+    assert Host(device).number(16) == 90
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"files": "dng"}, "invalid camera option files=dng"),
+        ({"times_us": [0]}, "invalid camera option times_us="),
+        ({"zeal": 1}, "unknown camera option 'zeal'"),
+    ],
+)
+def test_an_invalid_configuration_is_an_error_of_one_line(
+    options: dict[str, Any], message: str
+) -> None:
     with pytest.raises(UsageError) as caught:
-        sierra.make({"scene": "ramp", "size": "48x32", **bad})
+        connected(**options)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("node", ["/dev/nothing", "/dev/null"])
-def test_a_line_that_is_not_there(node):
-    device = sierra.make({"scene": "ramp", "size": "48x32", "line": node})
-    with pytest.raises(CameraNotFoundError, match=node):
-        device.attach()
-    device.detach()
-
-
-def test_an_unknown_verb():
-    with coolpix() as (device, _), pytest.raises(UsageError, match="unknown verb 'unplg'"):
+def test_an_unknown_control_command() -> None:
+    device, _ = connected()
+    with pytest.raises(UsageError, match="unknown control command 'unplg'; did you mean unplug"):
         device.do("unplg")
+
+
+def test_an_unknown_argument_of_a_control_command() -> None:
+    device, _ = connected()
+    with pytest.raises(UsageError, match=r"arguments of the control command nak: .*'number'"):
+        device.do("nak", number=2)

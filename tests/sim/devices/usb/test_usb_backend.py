@@ -1,9 +1,12 @@
-"""A device's endpoints as the bus has them, through pyusb on the in-process backend."""
+"""A virtual USB device through pyusb on the in-process backend: transfers, halts, unplugging."""
+
+from __future__ import annotations
 
 import errno
 import struct
 import threading
-import time
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 import usb.core
@@ -12,15 +15,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camctl.errors import UsageError
+from sim.devices.clock import DeviceClock, RealDeviceClock, VirtualDeviceClock
 from sim.devices.usb.backend import VirtualBackend
-from sim.devices.usb.device import SILENCE, STALL, Answer, UsbDevice
+from sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
 
 PACKET = 64
 BULK_IN, BULK_OUT, EVENTS = 0x81, 0x02, 0x83
+STALLED, UNANSWERED, GREETING = 1, 2, 3  # vendor requests
 
 
 class Echo(UsbDevice):
-    """Sends back what it is sent; vendor request 1 is refused, 2 never answered, 3 a greeting."""
+    """A device that sends back what it receives."""
 
     device_descriptor = struct.pack(
         "<BBHBBBBHHHBBBB", 18, 1, 0x200, 0, 0, 0, 64, 0x1D6B, 0x0101, 0x100, 1, 2, 3, 1
@@ -35,49 +40,58 @@ class Echo(UsbDevice):
     )
     strings = ("", "Maker", "Écho", "0001")
 
-    def __init__(self):
-        super().__init__()
-        self.cleared = []
+    def __init__(self, clock: DeviceClock | None = None) -> None:
+        super().__init__(clock=clock if clock is not None else VirtualDeviceClock())
+        self.cleared: list[int] = []
 
-    def control(self, request_type, request, value, index, length, data) -> Answer:
-        return {1: STALL, 2: SILENCE, 3: b"hello"}[request]
+    def control(
+        self, request_type: int, request: int, value: int, index: int, length: int, data: bytes
+    ) -> ControlReply:
+        replies: dict[int, ControlReply] = {
+            STALLED: STALL,
+            UNANSWERED: NO_REPLY,
+            GREETING: b"hello",
+        }
+        return replies[request]
 
-    def received(self, endpoint, data):
+    def received(self, endpoint: int, data: bytes) -> None:
         self.send(1, data)
 
-    def halt_cleared(self, endpoint):
+    def halt_cleared(self, endpoint: int) -> None:
         self.cleared.append(endpoint)
 
 
 @pytest.fixture
-def device():
+def device() -> Echo:
     return Echo()
 
 
 @pytest.fixture
-def backend(device):
+def backend(device: Echo) -> VirtualBackend:
     return VirtualBackend([device])
 
 
 @pytest.fixture
-def host(backend):
+def host(backend: VirtualBackend) -> Iterator[Any]:
     found = usb.core.find(backend=backend)
     yield found
     usb.util.dispose_resources(found)
 
 
-def failure(call, *arguments, **options):
-    with pytest.raises(usb.core.USBError) as info:
-        call(*arguments, **options)
-    return info.value.errno
+def error_number(call: Callable[..., Any], *arguments: Any) -> int | None:
+    """Return the errno of the USBError that a call raises."""
+    with pytest.raises(usb.core.USBError) as caught:
+        call(*arguments)
+    number: int | None = caught.value.errno
+    return number
 
 
-def test_it_is_found_by_its_numbers_and_class(backend):
+def test_a_device_is_found_by_its_ids(backend: VirtualBackend) -> None:
     assert usb.core.find(backend=backend, idVendor=0x1D6B, idProduct=0x0101) is not None
     assert usb.core.find(backend=backend, idVendor=0x1D6B, idProduct=0x0102) is None
 
 
-def test_descriptors_and_strings(host):
+def test_descriptors_and_strings(host: Any) -> None:
     configuration = host.get_active_configuration()
     interface = configuration[0, 0]
     assert interface.bInterfaceClass == 255
@@ -88,16 +102,15 @@ def test_descriptors_and_strings(host):
     assert host.bus == 250
 
 
-def test_bytes_go_there_and_back(host):
+def test_bulk_transfers_in_both_directions(host: Any) -> None:
     assert host.write(BULK_OUT, b"abc") == 3
-    assert host.read(BULK_IN, 512).tobytes() == b"abc"
+    assert bytes(host.read(BULK_IN, 512)) == b"abc"
 
 
 @given(
     sizes=st.lists(st.integers(1, 300), max_size=6), buffer=st.sampled_from([64, 128, 192, 1024])
 )
-def test_transfers_arrive_whole_and_end_where_they_ended(sizes, buffer):
-    """With empty packets at their ends, reads of any whole number of packets find the ends."""
+def test_a_short_or_empty_packet_ends_each_transfer(sizes: list[int], buffer: int) -> None:
     device = Echo()
     host = usb.core.find(backend=VirtualBackend([device]))
     for number, size in enumerate(sizes):
@@ -105,7 +118,7 @@ def test_transfers_arrive_whole_and_end_where_they_ended(sizes, buffer):
     for number, size in enumerate(sizes):
         data = b""
         while True:
-            part = host.read(BULK_IN, buffer, 1000).tobytes()
+            part = bytes(host.read(BULK_IN, buffer, 1000))
             data += part
             if len(part) < buffer:
                 break
@@ -113,105 +126,121 @@ def test_transfers_arrive_whole_and_end_where_they_ended(sizes, buffer):
     assert device.pending(1) == 0
 
 
-def test_without_an_empty_packet_a_read_goes_on_waiting(device, host):
-    """The trap: whole packets, no empty one, and a read that asked for more."""
+def test_a_read_waits_after_whole_packets_without_an_empty_one(device: Echo, host: Any) -> None:
     device.zero_length.discard(1)
     device.send(1, b"a" * PACKET)
-    began = time.monotonic()
-    assert host.read(BULK_IN, 2 * PACKET, 100).tobytes() == b"a" * PACKET
-    assert time.monotonic() - began > 0.09
+    began_s = device.clock.now()
+    assert bytes(host.read(BULK_IN, 2 * PACKET, 100)) == b"a" * PACKET
+    assert device.clock.now() - began_s == pytest.approx(0.1)
     device.send(1, b"a" * PACKET)
-    assert host.read(BULK_IN, PACKET, 1000).tobytes() == b"a" * PACKET
-    assert failure(host.read, BULK_IN, PACKET, 20) == errno.ETIMEDOUT
+    assert bytes(host.read(BULK_IN, PACKET, 1000)) == b"a" * PACKET
+    assert error_number(host.read, BULK_IN, PACKET, 20) == errno.ETIMEDOUT
 
 
-def test_the_empty_packet_comes_by_itself_after_a_full_buffer(device, host):
+def test_the_empty_packet_is_read_alone_after_a_full_buffer(device: Echo, host: Any) -> None:
     device.send(1, b"a" * PACKET)
     assert len(host.read(BULK_IN, PACKET, 1000)) == PACKET
     assert len(host.read(BULK_IN, PACKET, 1000)) == 0
 
 
-def test_a_packet_larger_than_the_buffer_is_lost(device, host):
+def test_a_packet_larger_than_the_buffer_is_lost(device: Echo, host: Any) -> None:
     device.send(1, b"a" * 30)
     device.send(1, b"b")
-    assert failure(host.read, BULK_IN, 12, 100) == errno.EOVERFLOW
-    assert host.read(BULK_IN, 12, 100).tobytes() == b"b"
+    assert error_number(host.read, BULK_IN, 12, 100) == errno.EOVERFLOW
+    assert bytes(host.read(BULK_IN, 12, 100)) == b"b"
 
 
-def test_silence_is_a_timeout(host):
-    with pytest.raises(usb.core.USBTimeoutError) as info:
-        host.read(EVENTS, 24, 20)
-    assert info.value.errno == errno.ETIMEDOUT
+@pytest.mark.parametrize("timeout_ms", [20, 3000])
+def test_a_transfer_without_reply_times_out(device: Echo, host: Any, timeout_ms: int) -> None:
+    began_s = device.clock.now()
+    with pytest.raises(usb.core.USBTimeoutError) as caught:
+        host.read(EVENTS, 24, timeout_ms)
+    assert caught.value.errno == errno.ETIMEDOUT
+    assert device.clock.now() - began_s == pytest.approx(timeout_ms / 1000)
     with pytest.raises(usb.core.USBTimeoutError):
-        host.ctrl_transfer(0xC0, 2, 0, 0, 10, 20)
+        host.ctrl_transfer(0xC0, UNANSWERED, 0, 0, 10, timeout_ms)
+    assert device.clock.now() - began_s == pytest.approx(2 * timeout_ms / 1000)
 
 
-def test_control_requests(host):
-    assert host.ctrl_transfer(0xC0, 3, 0, 0, 64).tobytes() == b"hello"
-    assert host.ctrl_transfer(0xC0, 3, 0, 0, 2).tobytes() == b"he"
-    assert failure(host.ctrl_transfer, 0xC0, 1, 0, 0, 64) == errno.EPIPE
+def test_control_requests_reply_stall_and_truncate(host: Any) -> None:
+    assert bytes(host.ctrl_transfer(0xC0, GREETING, 0, 0, 64)) == b"hello"
+    assert bytes(host.ctrl_transfer(0xC0, GREETING, 0, 0, 2)) == b"he"
+    assert error_number(host.ctrl_transfer, 0xC0, STALLED, 0, 0, 64) == errno.EPIPE
 
 
 @pytest.mark.parametrize("endpoint", [BULK_IN, BULK_OUT])
-def test_a_halt_lasts_until_it_is_cleared(device, host, endpoint):
-    def use():
-        return host.read(endpoint, 64, 100) if endpoint & 0x80 else host.write(endpoint, b"x")
+def test_a_halt_lasts_until_it_is_cleared(device: Echo, host: Any, endpoint: int) -> None:
+    def transfer() -> None:
+        if endpoint == BULK_IN:
+            host.read(endpoint, 64, 100)
+        else:
+            host.write(endpoint, b"x")
 
     device.send(1, b"after")
     device.stall(endpoint)
-    assert failure(use) == errno.EPIPE
-    assert failure(use) == errno.EPIPE
-    assert host.ctrl_transfer(0x82, 0, 0, endpoint, 2).tobytes() == b"\1\0"
+    assert error_number(transfer) == errno.EPIPE
+    assert error_number(transfer) == errno.EPIPE
+    assert bytes(host.ctrl_transfer(0x82, 0, 0, endpoint, 2)) == b"\1\0"
     host.clear_halt(endpoint)
-    use()
+    transfer()
     assert device.cleared == [endpoint]
 
 
-def test_unplugging_ends_a_read_and_all_that_follows(device, host):
+def test_unplugging_ends_a_waiting_read_and_fails_all_transfers(device: Echo, host: Any) -> None:
     host.set_configuration()
     usb.util.claim_interface(host, 0)
-    threading.Timer(0.05, device.do, ["unplug"]).start()
-    assert failure(host.read, BULK_IN, 64, 5000) == errno.ENODEV
-    assert failure(host.write, BULK_OUT, b"x") == errno.ENODEV
-    assert failure(host.ctrl_transfer, 0xC0, 3, 0, 0, 64) == errno.ENODEV
+    device.clock.call_at(device.clock.now() + 0.05, lambda: device.detach())
+    assert error_number(host.read, BULK_IN, 64, 5000) == errno.ENODEV
+    assert device.clock.now() == pytest.approx(0.05)
+    assert error_number(host.write, BULK_OUT, b"x") == errno.ENODEV
+    assert error_number(host.ctrl_transfer, 0xC0, GREETING, 0, 0, 64) == errno.ENODEV
 
 
-def test_after_replugging_it_is_another_device(device, backend, host):
+def test_in_real_time_another_thread_ends_a_read_without_time_out() -> None:
+    device = Echo(RealDeviceClock())
+    host = usb.core.find(backend=VirtualBackend([device]))
+    threading.Timer(0.01, device.do, ["unplug"]).start()
+    assert error_number(host.read, BULK_IN, 64, 0) == errno.ENODEV
+
+
+def test_a_device_that_is_plugged_in_again_has_a_new_address(
+    device: Echo, backend: VirtualBackend, host: Any
+) -> None:
     assert host.write(BULK_OUT, b"left over") == 9
     device.do("unplug")
     assert usb.core.find(backend=backend) is None
     device.do("plug")
-    assert failure(host.write, BULK_OUT, b"x") == errno.ENODEV
+    assert error_number(host.write, BULK_OUT, b"x") == errno.ENODEV
     again = usb.core.find(backend=backend)
     assert again.address != host.address
-    assert failure(again.read, BULK_IN, 64, 20) == errno.ETIMEDOUT
+    assert error_number(again.read, BULK_IN, 64, 20) == errno.ETIMEDOUT
 
 
-def test_an_interface_is_one_hosts(backend, device, host):
-    other = next(iter(usb.core.find(backend=backend, find_all=True)))
+def test_an_interface_can_be_claimed_once(backend: VirtualBackend, host: Any) -> None:
+    other = usb.core.find(backend=backend)
     usb.util.claim_interface(host, 0)
-    assert failure(usb.util.claim_interface, other, 0) == errno.EBUSY
+    assert error_number(usb.util.claim_interface, other, 0) == errno.EBUSY
+    assert error_number(other.read, BULK_IN, 64, 20) == errno.EBUSY
     usb.util.release_interface(host, 0)
     usb.util.claim_interface(other, 0)
-    usb.util.release_interface(other, 0)
-    backend.hold(device)
-    assert failure(host.read, BULK_IN, 64, 20) == errno.EBUSY
-    backend.let_go(device)
+    assert error_number(host.write, BULK_OUT, b"x") == errno.EBUSY
+    usb.util.dispose_resources(other)
+    usb.util.claim_interface(host, 0)
     assert host.is_kernel_driver_active(0) is False
 
 
-def test_permission_is_a_thing_of_the_backend(backend, device, host):
-    backend.forbidden.add(device)
-    assert failure(host.get_active_configuration) == errno.EACCES
-
-
-def test_resetting_forgets_what_was_queued(device, host):
+def test_a_reset_discards_what_was_sent(device: Echo, host: Any) -> None:
     device.send(1, b"old")
     host.reset()
-    assert failure(host.read, BULK_IN, 64, 20) == errno.ETIMEDOUT
+    assert error_number(host.read, BULK_IN, 64, 20) == errno.ETIMEDOUT
 
 
-def test_an_unknown_verb(device):
-    with pytest.raises(UsageError, match="known: plug, state, unplug"):
+def test_control_commands_of_every_device(device: Echo) -> None:
+    with pytest.raises(UsageError, match="command 'xyzzy'; known: plug, state, unplug"):
         device.do("xyzzy")
     assert device.do("state") == {}
+
+
+def test_a_device_without_a_port_cannot_be_attached() -> None:
+    with pytest.raises(UsageError, match="the virtual device has no port"):
+        Echo().attach()

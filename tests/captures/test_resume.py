@@ -1,0 +1,144 @@
+"""Captures that fail, are interrupted or damaged, and how they are resumed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from small_cameras import small_camera, sum_of_frames
+
+from camctl.captures.frame_store import read_capture, read_report
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import Progress, capture, resume
+from camctl.errors import (
+    CameraDisconnectedError,
+    CameraError,
+    CameraTimeoutError,
+    DataError,
+    InterruptedCaptureError,
+)
+from sim.camera import Faults
+
+GIVEN = CaptureRequest("log", 1000.0, ratios=(1.0, 4.0, 16.0))
+
+
+@pytest.mark.parametrize(
+    ("faults", "kind"),
+    [
+        (Faults(unplug_after=2), CameraDisconnectedError),
+        (Faults(freeze_after=2), CameraTimeoutError),
+    ],
+)
+def test_frames_before_a_failure_are_kept_and_resume_completes_them(
+    tmp_path: Path, faults: Faults, kind: type[CameraError]
+) -> None:
+    with small_camera(faults=faults) as camera, pytest.raises(kind) as failure:
+        capture(camera, GIVEN, tmp_path / "out")
+    assert str(failure.value).endswith(
+        f"; 2 of 3 frames are kept; go on with: camctl shoot --resume {tmp_path / 'out'}"
+    )
+    assert "\n" not in str(failure.value)
+    kept = [np.load(tmp_path / "out" / "frames" / f"frame-0{k}.npy") for k in (1, 2)]
+    assert read_capture(tmp_path / "out").status == "incomplete"
+    with pytest.raises(DataError, match="holds an incomplete capture; complete it with: camctl"):
+        read_report(tmp_path / "out")
+    with small_camera(seed=1) as camera:
+        report = resume(camera, tmp_path / "out")
+    assert report.status == "complete"
+    for k, before in enumerate(kept, start=1):
+        assert np.array_equal(np.load(tmp_path / "out" / "frames" / f"frame-0{k}.npy"), before)
+    total = sum_of_frames(tmp_path / "out", report)
+    assert np.array_equal(tifffile.imread(tmp_path / "out" / "sum.tiff"), total)
+
+
+def test_cancelled_capture_keeps_its_frames(tmp_path: Path) -> None:
+    calls: list[int] = []
+
+    def cancelled() -> bool:
+        calls.append(1)
+        return len(calls) >= 2
+
+    with small_camera() as camera, pytest.raises(InterruptedCaptureError) as failure:
+        capture(camera, GIVEN, tmp_path / "out", cancelled=cancelled)
+    assert failure.value.exit_status == 130
+    assert len(list((tmp_path / "out" / "frames").iterdir())) == 2
+    with small_camera() as camera:
+        assert resume(camera, tmp_path / "out").status == "complete"
+
+
+def test_control_c_keeps_the_frames(tmp_path: Path) -> None:
+    def interrupt(progress: Progress) -> None:
+        if progress.stage == "shooting" and progress.done >= 1:
+            raise KeyboardInterrupt
+
+    with small_camera() as camera, pytest.raises(InterruptedCaptureError, match="interrupted"):
+        capture(camera, GIVEN, tmp_path / "out", progress=interrupt)
+    assert (tmp_path / "out" / "frames" / "frame-01.npy").exists()
+
+
+@pytest.fixture
+def unfinished(tmp_path: Path) -> Path:
+    """A folder with two frames of three."""
+    with (
+        small_camera(faults=Faults(unplug_after=2)) as camera,
+        pytest.raises(CameraDisconnectedError),
+    ):
+        capture(camera, GIVEN, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def test_resume_shoots_a_frame_again_whose_file_is_missing(unfinished: Path) -> None:
+    (unfinished / "frames" / "frame-01.npy").unlink()
+    with small_camera() as camera:
+        assert resume(camera, unfinished).status == "complete"
+
+
+@pytest.mark.parametrize("content", [b"\x93NUMPY", b""])
+def test_resume_names_a_damaged_frame(unfinished: Path, content: bytes) -> None:
+    (unfinished / "frames" / "frame-01.npy").write_bytes(content)
+    with small_camera() as camera, pytest.raises(DataError, match=r"frame-01.npy cannot be read"):
+        resume(camera, unfinished)
+
+
+def test_resume_refuses_complete_captures_other_cameras_and_empty_folders(tmp_path: Path) -> None:
+    with small_camera() as camera:
+        capture(camera, GIVEN, tmp_path / "out")
+        with pytest.raises(DataError, match="is complete: no frame is missing; shoot a new"):
+            resume(camera, tmp_path / "out")
+    with small_camera("phone") as camera, pytest.raises(DataError, match="connect the same camera"):
+        resume(camera, tmp_path / "out")
+    with (
+        small_camera() as camera,
+        pytest.raises(DataError, match=r"holds no capture: report\.json"),
+    ):
+        resume(camera, tmp_path / "nowhere")
+
+
+def test_resume_refuses_another_format(unfinished: Path) -> None:
+    with (
+        small_camera(layout="rgb") as camera,
+        pytest.raises(DataError, match="was begun in another format of the camera; set the same"),
+    ):
+        resume(camera, unfinished)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "problem"),
+    [
+        ('"white": 255', '"white": "snow"', "white: Input should be a valid integer"),
+        ('"attempts": 1', '"attempts": []', "frames.0.attempts: Input should be a valid integer"),
+        ("{", "[", "Invalid JSON"),
+    ],
+)
+def test_damaged_report_is_an_error_of_one_line(
+    tmp_path: Path, before: str, after: str, problem: str
+) -> None:
+    with small_camera() as camera:
+        capture(camera, GIVEN, tmp_path / "out")
+    path = tmp_path / "out" / "report.json"
+    path.write_text(path.read_text().replace(before, after))
+    with pytest.raises(DataError, match=f"report.json is damaged: {problem}") as failure:
+        read_report(tmp_path / "out")
+    assert "\n" not in str(failure.value)
