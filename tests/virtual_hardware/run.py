@@ -146,14 +146,15 @@ class Guest:
             self._say(f"status {result.status}; its console and other files: {out}")
         return result.status
 
-    def _on_line(self, text: str) -> None:
+    def _on_line(self, line: str) -> None:
+        text = line.strip()  # pytest may have begun the line
         if found := _COLLECTED_LINE.fullmatch(text):
             self.counts["collected"] += int(found[1])
         elif found := _TEST_LINE.match(text):
             self.counts[found[1]] += 1
             self._say(text)
         else:
-            self._report.append(text)
+            self._report.append(line)
 
     def _say(self, text: str) -> None:
         elapsed_s = time.monotonic() - self._began

@@ -83,11 +83,7 @@ class TestFaults:
     def test_a_damaged_transfer_is_never_a_frame(self, camctl: RunCamctl, verb: str) -> None:
         with guest.once_a_frame_is_kept(Path(verb).absolute(), lambda: self.fault(verb)):
             done = camctl("shoot", *rig.camera_arguments(rig.COOLPIX), *rig.BRACKET, "-o", verb)
-        if done.status:
-            assert f"resume with camctl shoot --resume {verb}" in done.error
-            self.fault("ok")
-            again = camctl("shoot", "--resume", verb)
-            assert again.status == 0, again.err
+        assert done.status == 0, done.err
         rig.completed_frames(verb)
 
     def test_silent_clamping_is_detected(self) -> None:
@@ -113,8 +109,8 @@ class TestFaults:
             message = (
                 r"the line /dev/serial/by-id/\S+ was disconnected, or another process reads from "
                 r"it, and a picture of \S+ s that was not downloaded may be on its card; plug the "
-                r"cable in, switch the camera on, then try again; [1-4] of 5 frames are kept; go on "
-                r"with: camctl shoot --resume cut"
+                r"cable in, switch the camera on, then try again; [1-4] of 5 frames are kept; go "
+                r"on with: camctl shoot --resume cut"
             )
             assert re.fullmatch(message, cut.error), cut.error
             assert not node.exists()
