@@ -25,6 +25,9 @@ from camctl.errors import CamctlError, UsageError, unknown_name
 CAMERAS = "camctl.cameras"
 PANELS = "camctl.panels"
 
+#: The packages of this distribution; a folder of the user may have the same name.
+OWN_PACKAGES = ("drivers", "menu", "sim")
+
 #: Modules of the standard library that exist on Linux (and other POSIX systems) only.
 _POSIX_MODULES = frozenset({"curses", "fcntl", "grp", "pwd", "resource", "termios", "tty"})
 
@@ -140,6 +143,20 @@ def _load_error(kind: str, point: EntryPoint, error: Exception) -> UsageError:
     return UsageError(
         f"{kind} '{point.name}' cannot be loaded: {error}",
         hint="install the packages that it needs",
+    )
+
+
+def shadowing_error(error: ImportError) -> UsageError | None:
+    """Return the error that names what shadows a package of camctl; None if nothing does.
+
+    `error` is that of an import within camctl's own distribution.
+    """
+    package = (error.name or "").partition(".")[0]
+    if package not in OWN_PACKAGES or (shadowing := _shadowing_path(package)) is None:
+        return None
+    return UsageError(
+        f"{error.name} cannot be loaded: {shadowing} shadows the package {package} of camctl",
+        hint="run from another folder or rename it",
     )
 
 

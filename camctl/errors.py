@@ -112,7 +112,9 @@ class CameraProtocolError(CameraError):
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
     """Return the error for an unknown `name`; its hint has similar names, else all known ones."""
     choices = sorted(known)
-    similar = difflib.get_close_matches(name.lower(), choices, n=3, cutoff=0.5)
+    by_word = {choice.lstrip("-."): choice for choice in choices}  # all have these in common
+    words = difflib.get_close_matches(name.lower().lstrip("-."), by_word, n=3, cutoff=0.5)
+    similar = [by_word[word] for word in words]
     hint = f"known: {', '.join(choices)}" if choices else "there are none"
     if similar:
         hint = f"did you mean {' or '.join(similar)}?"

@@ -148,6 +148,23 @@ def test_shadowed_package_is_named_with_what_shadows_it(
     )
 
 
+@pytest.mark.parametrize(
+    ("package", "arguments", "module"),
+    [("sim", ["simulate"], "sim.camera"), ("menu", ["menu"], "menu.app")],
+)
+def test_shadowed_package_is_named_by_commands_that_import_it(
+    package: str, arguments: list[str], module: str, tmp_path: Path
+) -> None:
+    (tmp_path / package).mkdir()
+    (tmp_path / package / "__init__.py").touch()
+    done = run(tmp_path, f"import sys; from camctl.cli import main; sys.exit(main({arguments}))")
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"camctl: {module} cannot be loaded: ./{package} shadows the package {package} of camctl; "
+        "run from another folder or rename it\n"
+    )
+
+
 def test_shadowing_folder_elsewhere_is_named_by_its_full_path(tmp_path: Path) -> None:
     (tmp_path / "mine" / "sim").mkdir(parents=True)
     (tmp_path / "mine" / "sim" / "__init__.py").touch()

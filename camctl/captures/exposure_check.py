@@ -20,8 +20,8 @@ LARGEST_TOLERANCE = 0.5
 _SAMPLES, _BLOCKS = 1 << 16, 64
 #: Fewer common samples give no ratio.
 _LEAST_SAMPLES = 64
-#: The brightest samples are used that are this many: the light of the shorter frame must reach the
-#: first of these numbers of levels, or the next one where too few samples do.
+#: Only bright samples are compared: those that reach 16 levels in the shorter frame.  Where fewer
+#: than `_ENOUGH_SAMPLES` do, 4 levels are enough, then 1.
 _ENOUGH_SAMPLES = 2000
 _LEAST_LEVELS = (16, 4, 1)
 

@@ -164,7 +164,8 @@ def light_histogram(
     controls = camera.controls
     take = _metering_frames(camera, spend_shutter)
     levels = controls.levels.levels
-    # A brightness stands for all light of its gap: spread over it, evenly in its logarithm.
+    # All irradiances between two levels have one brightness: its count is spread over them, evenly
+    # in ln E.
     low, high = controls.levels.gaps
     setting, upper = metering.setting, np.inf
     light, counts = [], []

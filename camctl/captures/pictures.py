@@ -80,7 +80,7 @@ def encode(desired: DesiredResponse, E: NDArray[Any]) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class Tables:
-    """What each value of the sum stands for: arrays indexed by the sum, black included.
+    """Irradiance, code and mask for each value of the sum: arrays indexed by it, black included.
 
     Attributes:
         irradiance: float32, E / full-scale exposure; outside the levels it is clamped
@@ -151,7 +151,7 @@ class Rendering:
 
     Attributes:
         layout: pixel layout of the frames
-        tables: what each value of the sum stands for
+        tables: irradiance, code and mask for each value of the sum
         desired: desired response of the image
         full_scale_exposure: irradiance in the pictures times this is E, 1 at full scale
     """

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, PrivateAttr
 from camctl.camera import CameraInfo, Pixels
 from camctl.captures.request import CapturePlan, CaptureRequest
 from camctl.controls import ExposureSetting, Layout
-from camctl.errors import DataError
+from camctl.errors import DataError, UsageError
 
 
 class _Model(BaseModel):
@@ -238,8 +238,13 @@ class CaptureReport(_CaptureData):
         """Return the samples of frame `position`, 0 first, as the camera returned them.
 
         Raises:
+            UsageError: there is no frame at `position`
             DataError: the capture's file is missing or damaged
         """
+        if not 0 <= position < len(self.frames):
+            raise UsageError(
+                f"invalid frame position {position}: expected 0 to {len(self.frames) - 1}"
+            )
         return self._connected().frame(position)
 
     def _connected(self) -> Pictures:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 from camctl.controls import ExposureSetting
 from camctl.errors import DataError, UsageError, unknown_name
+from camctl.exposure.effective import check_count
 from camctl.response.desired import (
     RESPONSES,
     DesiredResponse,
@@ -27,7 +29,7 @@ class CaptureRequest:
         response: desired response: "linear", "gamma", "log" (constant contrast), "curve" (given
             by `desired_curve`), or "auto" (follows the metered histogram)
         dynamic_range: desired dynamic range, > 1; a curve has its own, and this one is not used
-        count: number of exposures
+        count: number of exposures, 1 to 16
         ratios: the exposures, relative to each other, instead of looked-up ones; `count` is not
             used then
         base_s: shutter time of the shortest exposure, s; None: metered
@@ -63,6 +65,7 @@ class CaptureRequest:
     desired_curve: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
+        self._check_types()
         self._check_response()
         self._check_numbers()
         self._check_combinations()
@@ -73,6 +76,25 @@ class CaptureRequest:
         if self.response == AUTO:
             return None
         return build_desired(self.response, self.dynamic_range, self.gamma, self.desired_curve)
+
+    def _check_types(self) -> None:
+        if not isinstance(self.count, Integral):
+            raise UsageError(f"invalid number of exposures {self.count!r}: expected a whole number")
+        for name in (
+            "dynamic_range",
+            "base_s",
+            "compensation_stops",
+            "levels_wanted",
+            "tolerance",
+            "time_budget_s",
+            "mains_hz",
+            "gamma",
+        ):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, Real):
+                raise UsageError(f"invalid {name} {value!r}: expected a number")
+        if self.ratios is not None and not all(isinstance(ratio, Real) for ratio in self.ratios):
+            raise UsageError(f"invalid ratios {self.ratios!r}: expected numbers such as (1, 2, 4)")
 
     def _check_response(self) -> None:
         if self.response not in (*RESPONSES, CURVE, AUTO):
@@ -106,8 +128,7 @@ class CaptureRequest:
             raise UsageError(error.what, hint=error.hint) from error
 
     def _check_numbers(self) -> None:
-        if self.count < 1:
-            raise UsageError(f"invalid number of exposures {self.count}: expected at least 1")
+        check_count(self.count)
         if self.ratios is not None:
             if not self.ratios:
                 raise UsageError("no exposure ratios: expected at least one, such as 1,2,4")

@@ -28,7 +28,7 @@ from camctl.captures.outputs import complete
 from camctl.captures.plan import plan_capture
 from camctl.captures.report import CaptureReport, StoredFrame, UnfinishedCapture
 from camctl.captures.request import CapturePlan, CaptureRequest
-from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
+from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError, UsageError
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def capture(
         overwrite: replace an earlier capture in the folder
 
     Raises:
-        UsageError: the request cannot be met by any camera
+        UsageError: the request cannot be met by any camera, or `plan` was made from another one
         CaptureError: it cannot be planned, or a frame is missing; frames already shot are kept in
             the folder, and `resume` completes them
         InterruptedCaptureError: `cancelled` returned True, or Control-C was pressed
@@ -96,6 +96,8 @@ def capture(
                 Progress(round(100 * share), 100, "solving", share)
             ),
         )
+    else:
+        _check_plan(plan, request)
     controls = camera.controls
     sum_dtype(len(plan.settings), controls.white)
     store: CaptureStore = MemoryStore()
@@ -119,6 +121,21 @@ def capture(
     )
     store.save_report(unfinished)
     return _Sequence(camera, store, unfinished, report_progress, cancelled).run()
+
+
+def _check_plan(plan: CapturePlan, request: CaptureRequest) -> None:
+    requested = request.desired
+    if requested is None:  # "auto": the light decided
+        matches = plan.response == request.response
+    else:
+        planned = plan.desired
+        matches = (planned.key, planned.dynamic_range) == (requested.key, requested.dynamic_range)
+    if not matches:
+        raise UsageError(
+            f"the plan ({plan.response}, range 1:{plan.dynamic_range:g}) is not of this request "
+            f"({request.response}, range 1:{request.dynamic_range:g})",
+            hint="make it with plan_capture from the same request",
+        )
 
 
 def resume(

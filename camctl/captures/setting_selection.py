@@ -24,8 +24,8 @@ from camctl.response.desired import DesiredResponse
 BASE_SLACK_STOPS = 1 / 6
 #: The same on a list of shutter times, where a step is often a third of a stop.
 _BASE_SLACK_ON_LIST_STOPS = 1 / 3
-#: Shutter times of the shortest exposure that are tried with the nearest ratios, and how many of
-#: the best of them are tried with other settings, too.
+#: Shutter times tried for the shortest exposure, each with the settings nearest to the ratios, and
+#: the number of them, the best ones, for which neighbouring settings are tried, too.
 _BASES, _KEPT_BASES = 24, 4
 #: Settings tried for each ratio.
 _NEIGHBOURS = 3

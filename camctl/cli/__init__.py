@@ -153,6 +153,10 @@ def _close_output() -> int:
 
 def _describe(error: BaseException) -> tuple[int, str, str, str]:
     """Return the exit status, type name, message and hint of an error; each text is one line."""
+    if isinstance(error, ImportError):
+        from camctl.backends import shadowing_error
+
+        error = shadowing_error(error) or error
     kind = type(error).__name__
     if isinstance(error, CamctlError):
         return error.exit_status, kind, one_line(error.what), one_line(error.hint)

@@ -18,7 +18,7 @@ class FrameStamp:
     Attributes:
         number: of its slot; larger than that of every frame before it
         time_s: when its exposure ended, on the camera's clock, s
-        is_certain: False where frames were lost and nobody knows how many, so that the number may
+        is_certain: False where an unknown number of frames was lost, so that the number may
             be wrong in relation to the numbers before it
     """
 

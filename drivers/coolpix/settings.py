@@ -256,10 +256,10 @@ class CoolpixDials:
         return value
 
     def _set_format(self) -> None:
-        wanted = FORMATS[self._format]
-        if self._save(Register.RESOLUTION) in wanted.codes:
+        file_format = FORMATS[self._format]
+        if self._save(Register.RESOLUTION) in file_format.codes:
             return
-        if not accepts(self._sierra, Register.RESOLUTION, wanted.default):
+        if not accepts(self._sierra, Register.RESOLUTION, file_format.default):
             raise CameraError(
                 f"the camera at {self._sierra.link.url} cannot be set to {self._format}",
                 hint="choose the quality with its own menu (HI is tiff), or another -O format",

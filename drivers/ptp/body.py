@@ -47,7 +47,7 @@ class Body:
 
     Args:
         session: open
-        name: of the camera in error messages
+        name: name of the camera in error messages
 
     Raises:
         CameraError: it does not enter the mode that its dialect needs

@@ -84,7 +84,7 @@ class PtpCamera(CameraBase):
         super().__init__(name, clock if clock is not None else RealClock())
         self._device = device
         self._options = options if options is not None else PtpOptions()
-        self._wanted = None if self._options.format == "auto" else self._options.format
+        self._format_name = None if self._options.format == "auto" else self._options.format
         self._silence_s, self._capture_s = silence_s, capture_s
         self._known: KnownFormat | None = None
 
@@ -232,9 +232,9 @@ class PtpCamera(CameraBase):
         return self._known
 
     def _find_format(self) -> KnownFormat:
-        picture = newest_picture(self._body, self._wanted)
-        wanted = self._wanted or (picture.format if picture is not None else None)
-        known = saved_format(self.info, wanted)
+        picture = newest_picture(self._body, self._format_name)
+        format_name = self._format_name or (picture.format if picture is not None else None)
+        known = saved_format(self.info, format_name)
         if known is not None:
             return known
         if picture is None:
@@ -250,8 +250,8 @@ class PtpCamera(CameraBase):
         time_s = self._dials.time_s.control.nearest(_TEST_PICTURE_S)
         gain = self._dials.gain
         setting = ExposureSetting(time_s, gain.control.nearest(1.0) if gain is not None else 1.0)
-        shot = self._sequence.take(setting, self._wanted)
-        if self._wanted is None and (best := newest_picture(self._body, None)) is not None:
+        shot = self._sequence.take(setting, self._format_name)
+        if self._format_name is None and (best := newest_picture(self._body, None)) is not None:
             return best  # of raw and JPEG, the raw file may be saved last
         name = format_of(shot.info)
         assert name is not None  # the shooter ignores other objects

@@ -51,7 +51,7 @@ class Properties:
     Args:
         session: open, in the mode that the dialect needs
         dialect: of the camera
-        name: of the camera in error messages
+        name: name of the camera in error messages
     """
 
     def __init__(self, session: Session, dialect: Dialect, name: str) -> None:

@@ -45,7 +45,7 @@ class ExposureSequence:
         body: the camera
         shooter: releases exposures and finds their files
         dials: of the camera
-        name: of the camera in error messages
+        name: name of the camera in error messages
         delete: delete files from the card once their frames were taken
     """
 
@@ -93,13 +93,13 @@ class ExposureSequence:
             self._add_unfetched(error)
             raise
 
-    def take(self, setting: ExposureSetting, wanted: str | None) -> Shot:
-        """Take one picture; return its file in the format `wanted`, see `Shooter.wait`."""
+    def take(self, setting: ExposureSetting, format_name: str | None) -> Shot:
+        """Take one picture; return its file in the format `format_name`, see `Shooter.wait`."""
         self._shooter.ignore_existing()
         request = ExposureRequest(setting, self._apply(setting), 0)
         pending = self._release(request, may_wait=True)
         assert pending is not None
-        return self._wait(pending, wanted)
+        return self._wait(pending, format_name)
 
     def finish_pending(self, limit_s: float = NORMAL_S) -> None:
         """Wait for the end of a cancelled exposure, at most `limit_s` beyond its exposure time."""
@@ -160,9 +160,9 @@ class ExposureSequence:
             )
         return replace(pending, held_s=held_s)
 
-    def _wait(self, pending: PendingExposure, wanted: str | None) -> Shot:
+    def _wait(self, pending: PendingExposure, format_name: str | None) -> Shot:
         try:
-            shot = self._shooter.wait(pending, wanted)
+            shot = self._shooter.wait(pending, format_name)
         except (CameraTimeoutError, CameraProtocolError):
             raise  # the exposure stays pending: its file may still come
         except CameraError:

@@ -60,7 +60,7 @@ class Session:
 
     Args:
         transport: its pipes
-        name: of the camera in error messages
+        name: name of the camera in error messages
         clock: for waiting while the camera is busy
         silence_s: how long the camera may send nothing
         busy_s: how long the camera may answer that it is busy

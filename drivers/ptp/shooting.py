@@ -101,7 +101,7 @@ class Shooter:
 
     Args:
         body: the camera
-        name: of the camera in error messages
+        name: name of the camera in error messages
         silence_s: how long the camera may take for a picture beyond its exposure
     """
 
@@ -148,12 +148,13 @@ class Shooter:
         now_s = self._clock.now()
         return PendingExposure(request, now_s, now_s + request.setting.time_s + self._silence_s)
 
-    def wait(self, exposure: PendingExposure, wanted: str | None) -> Shot:
+    def wait(self, exposure: PendingExposure, format_name: str | None) -> Shot:
         """Return the file of an exposure as soon as the camera has it.
 
         Args:
             exposure: the exposure
-            wanted: one of `drivers.ptp.still_formats.FORMATS`; None: the first file of any format
+            format_name: one of `drivers.ptp.still_formats.FORMATS`; None: the first file of any
+                format
 
         Raises:
             CameraTimeoutError: no file appeared within the exposure time and `silence_s`
@@ -180,7 +181,7 @@ class Shooter:
                 next_list_s = self._clock.now() + list_pause_s
             for handle in sorted(new - self._known - set(found)):
                 self._describe(handle, found)
-            chosen = _first_of_format(found, wanted)
+            chosen = _first_of_format(found, format_name)
             if chosen is not None:
                 return self._shot(exposure, chosen, found)
             if self._body.dialect.memory in found:
@@ -194,7 +195,7 @@ class Shooter:
             late_s = min(_LATE_FILES_S, self._silence_s / 2)
             if complete_s is not None and now_s > complete_s + late_s:
                 self._known.update(found)
-                raise self._wrong_format(saved, wanted)
+                raise self._wrong_format(saved, format_name)
             if now_s > exposure.deadline_s:
                 raise CameraTimeoutError(
                     f"{self._name} has saved no picture in the "
@@ -227,11 +228,11 @@ class Shooter:
         others = tuple(other.name for h, other in found.items() if h != handle)
         return Shot(exposure, handle, info, min(self._clock.now(), exposure.ends_s), others)
 
-    def _wrong_format(self, saved: tuple[ObjectInfo, ...], wanted: str | None) -> CameraError:
+    def _wrong_format(self, saved: tuple[ObjectInfo, ...], format_name: str | None) -> CameraError:
         formats = sorted({format_of(info) or "?" for info in saved})
         return CameraError(
-            f"{self._name} saved {' and '.join(formats)} instead of {wanted}",
-            hint=f"set its image quality to {wanted}, or give -O format={formats[0]}",
+            f"{self._name} saved {' and '.join(formats)} instead of {format_name}",
+            hint=f"set its image quality to {format_name}, or give -O format={formats[0]}",
         )
 
     def fetch(self, shot: Shot, *, busy_s: float) -> tuple[bytes, float]:
@@ -282,8 +283,8 @@ class Shooter:
         return bool(found)
 
 
-def _first_of_format(found: dict[int, ObjectInfo], wanted: str | None) -> int | None:
+def _first_of_format(found: dict[int, ObjectInfo], format_name: str | None) -> int | None:
     for handle, info in found.items():
-        if wanted is None or format_of(info) == wanted:
+        if format_name is None or format_of(info) == format_name:
             return handle
     return None

@@ -71,13 +71,13 @@ class CardPicture:
     format: str
 
 
-def newest_picture(body: Body, wanted: str | None) -> CardPicture | None:
+def newest_picture(body: Body, format_name: str | None) -> CardPicture | None:
     """Return the newest picture on the card; None if there is none.
 
     Args:
         body: the camera
-        wanted: the format to look for; None: of the files of the newest exposure, the format that
-            stands first in `FORMATS`
+        format_name: the format to look for; None: of the files of the newest exposure,
+            the format that is first in `FORMATS`
     """
     found: list[CardPicture] = []
     for handle in sorted(body.handles() or (), reverse=True)[:_NEWEST_HANDLES]:
@@ -86,7 +86,7 @@ def newest_picture(body: Body, wanted: str | None) -> CardPicture | None:
         except CameraProtocolError:
             continue
         name = format_of(info)
-        if name is not None and (wanted is None or name == wanted):
+        if name is not None and (format_name is None or name == format_name):
             found.append(CardPicture(handle, info, name))
     if not found:
         return None
@@ -103,10 +103,10 @@ class KnownFormat:
     record: StillRecord
 
 
-def saved_format(info: CameraInfo, wanted: str | None) -> KnownFormat | None:
-    """Return a format from the camera's profile, or None; the preferred one if `wanted` is None."""
+def saved_format(info: CameraInfo, format_name: str | None) -> KnownFormat | None:
+    """Return a format from the camera's profile, or None; without a name, the preferred one."""
     stills = load_profile(info).stills
-    for name in (wanted,) if wanted else FORMATS:
+    for name in (format_name,) if format_name else FORMATS:
         if name in stills:
             return KnownFormat(name, stills[name])
     return None

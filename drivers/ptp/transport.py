@@ -91,7 +91,7 @@ class UsbTransport:
 
     Args:
         device: a pyusb `Device` of any backend
-        name: of the camera in error messages
+        name: name of the camera in error messages
         clock: for pauses between requests; transfers wait in libusb
 
     Attributes:

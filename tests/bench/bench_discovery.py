@@ -1,10 +1,10 @@
 """How long it takes to find out that no camera is connected.
 
-    python tests/bench/bench_discovery.py          on this machine
-    python tests/virtual_hardware/run.py --bench                in the laboratory's guest, with the other two
+    python tests/bench/bench_discovery.py           on this machine
+    python tests/virtual_hardware/run.py --bench    in a virtual machine, with two other benchmarks
 
-Each look is one call of `camctl.backends.list_backends` with the roads' modules imported, as in
-the menu; the command line with its imports is measured beside it.
+Measured are calls of `camctl.backends.list_backends` with the backends' modules imported, as in
+the menu, and beside them the command line with its imports.
 """
 
 from __future__ import annotations
@@ -17,33 +17,34 @@ from pathlib import Path
 
 from camctl.backends import list_backends
 
-LOOKS = 5
-MOST_S = 1.0
+CALLS = 5
+MOST_S = 1.0  # the menu looks while a person waits
 
 
 def main() -> int:
-    """Print the times; return 1 if the slowest look on this machine took longer than `MOST_S`."""
+    """Print the times; return 1 if a later call on this machine took longer than `MOST_S`."""
     began = time.perf_counter()
     found = list_backends()
     first_s = time.perf_counter() - began
-    real = [camera.id for look in found for camera in look.cameras if camera.driver != "sim"]
-    looks = []
-    for _ in range(LOOKS):
+    real = [camera.id for backend in found for camera in backend.cameras if camera.driver != "sim"]
+    later_s = []
+    for _ in range(CALLS):
         began = time.perf_counter()
         list_backends()
-        looks.append(time.perf_counter() - began)
+        later_s.append(time.perf_counter() - began)
     began = time.perf_counter()
     command = Path(sys.executable).with_name("camctl")
     subprocess.run([command, "cameras"], check=True, stdout=subprocess.DEVNULL)
     whole_s = time.perf_counter() - began
     print(f"cameras connected: {', '.join(real) or 'none'}")
-    for problem in (f"{look.name}: {look.problem}" for look in found if look.problem):
-        print(f"could not look: {problem}")
-    print(f"first look, with imports  {first_s:6.3f} s")
-    print(f"slowest of {LOOKS} more        {max(looks):6.3f} s   (at most {MOST_S:g} s)")
+    for backend in found:
+        if backend.problem:
+            print(f"{backend.name} could not look for cameras: {backend.problem}")
+    print(f"first call, with imports  {first_s:6.3f} s")
+    print(f"slowest of {CALLS} more        {max(later_s):6.3f} s   (at most {MOST_S:g} s)")
     print(f"camctl cameras, a process {whole_s:6.3f} s")
-    # An emulated processor says nothing of how long it takes on a real one.
-    return int(max(looks) > MOST_S and not os.environ.get("CAMCTL_IN_GUEST"))
+    # The speed of an emulated processor says nothing about a real one.
+    return int(max(later_s) > MOST_S and not os.environ.get("CAMCTL_IN_GUEST"))
 
 
 if __name__ == "__main__":

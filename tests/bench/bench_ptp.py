@@ -2,8 +2,9 @@
 
     python tests/virtual_hardware/run.py --bench
 
-Runs in the laboratory's guest, through usbfs and libusb.  The bare loop is pyusb alone on the same
-device in the same run: one GetObject, then reads of 1 MB until the object is there.
+Runs in a virtual machine, through usbfs and libusb.  The bare loop is pyusb alone on the same
+device in the same run: one GetObject, then reads of 1 MB until the object is complete.  Only the
+ratio of the two speeds means anything: the machine is emulated, and its clock counts instructions.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from drivers.ptp.transport import HEADER, UsbTransport
 
 OBJECT_BYTES = 8 * 1024 * 1024
 ROUNDS = 3
-LEAST_SHARE = 0.5
+LEAST_RATIO = 0.5  # of our speed to the bare loop's
 BIG = rig.Device(
     "big", "ptp", {**rig.EIGHT_BITS, "files": ["jpeg"], "object_bytes": OBJECT_BYTES}, rig.LINEAR
 )
@@ -35,9 +36,8 @@ _IN, _OUT, _CHUNK = 0x81, 0x02, 1 << 20
 
 def main() -> int:
     """Print overlap and throughput; return 1 if either is not good enough."""
-    process, _ = rig.start_devices([BIG])
-    try:
-        with rig.opened(BIG) as camera:
+    with rig.running_hub([BIG]):
+        with rig.open_device(BIG) as camera:
             settings = [rig.setting(camera, 0.5)] * 4
             with closing(camera.shoot(settings)) as frames:
                 details = [frame.details for frame in frames]
@@ -51,14 +51,11 @@ def main() -> int:
         for _ in range(ROUNDS):
             bare_s.append(_bare(handle))
             ours_s.append(_ours(handle))
-    finally:
-        process.terminate()
-        process.wait(10)
     bare, ours = (OBJECT_BYTES / 1e6 / statistics.median(each) for each in (bare_s, ours_s))
     print(
         f"bare pyusb loop {bare:6.1f} MB/s, drivers.ptp {ours:6.1f} MB/s, ratio {ours / bare:.2f}"
     )
-    return int(overlaps < len(details) - 1 or ours / bare < LEAST_SHARE)
+    return int(overlaps < len(details) - 1 or ours / bare < LEAST_RATIO)
 
 
 def _ours(handle: int) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_cameras import small_camera
 
+import camctl
 from camctl.captures.frame_store import read_report
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
@@ -87,3 +88,17 @@ def test_report_without_its_folder_has_no_pictures() -> None:
     alone = type(report).model_validate_json(report.model_dump_json())
     with pytest.raises(DataError, match=r"has no pictures.*camctl\.read_report"):
         alone.radiance()
+
+
+def test_plan_of_another_request_is_refused() -> None:
+    with camctl.open_camera("sim", scene="uniform", size="64x48") as camera:
+        plan = camctl.plan_capture(camera, camctl.CaptureRequest(ratios=(1, 4)))
+        with pytest.raises(camctl.UsageError, match="is not of this request"):
+            camctl.capture(camera, camctl.CaptureRequest("linear", ratios=(1, 4)), plan=plan)
+
+
+def test_frame_out_of_range_is_a_usage_error() -> None:
+    with camctl.open_camera("sim", scene="uniform", size="64x48") as camera:
+        report = camctl.capture(camera, camctl.CaptureRequest(ratios=(1, 4)))
+    with pytest.raises(camctl.UsageError, match="invalid frame position 2: expected 0 to 1"):
+        report.frame(2)

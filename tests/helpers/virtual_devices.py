@@ -1,15 +1,11 @@
-"""The devices of the laboratory, and words to speak of them."""
+"""The virtual devices of the guest, and functions for tests that use them."""
 
 from __future__ import annotations
 
-import fcntl
+import functools
 import json
-import os
 import subprocess
-import sys
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,34 +13,40 @@ from typing import Any
 
 import pytest
 import usb.core
+from guest_processes import Forked, clock_in_step, spawner, wait_for
 
+from camctl import CaptureReport, read_report
 from camctl.backends import open_camera
 from camctl.camera import Camera, StreamingCamera
-from camctl.captures.report import CaptureReport
-from camctl.cli import main
+from camctl.captures.report import FrameRecord
 from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError
-from camctl.profile import DelayRecord, change_profile
+from camctl.profile import DelayRecord, change_profile, load_profile
 from sim.devices.hub import Hub
+from sim.devices.hub import main as hub_main
 
-# The tests run as two processes side by side, streams in one and all else in the other: most of
-# the time goes by in time-outs.  Each has devices of its own.
-STREAMS = os.environ.get("CAMCTL_LAB_PART") == "streams"
-DIRECTORY = Path("/run/laboratory", "streams" if STREAMS else "stills")
+DIRECTORY = Path("/run/virtual-devices")
 SIZE, SHAPE = "160x120", (120, 160)
 
-# All look at the same ramp of light and draw the same noise for every frame, so that a frame
+# All cameras see the same ramp of light and draw the same noise for every frame, so that a frame
 # depends on its exposure alone.
-BEFORE_THE_RAMP = {"scene": "ramp", "seed": 5, "size": SIZE, "repeat_noise": True}
-EIGHT_BITS = {**BEFORE_THE_RAMP, "sensor": "standard"}
-TWELVE_BITS = {**BEFORE_THE_RAMP, "sensor": "machine-vision"}
-# V4L2 tells nobody of a black level, so that this one has none.
-TWELVE_BITS_WITHOUT_BLACK = {**BEFORE_THE_RAMP, "sensor": "ideal-12"}
+RAMP = {"scene": "ramp", "seed": 5, "size": SIZE, "repeat_noise": True}
+EIGHT_BITS = {**RAMP, "sensor": "standard"}
+TWELVE_BITS = {**RAMP, "sensor": "machine-vision"}
+# V4L2 does not report a black level, so this sensor has none.
+TWELVE_BITS_WITHOUT_BLACK = {**RAMP, "sensor": "ideal-12"}
 
 
 @dataclass(frozen=True)
 class Device:
-    """A virtual device: what it is, and what our driver has to be told of it."""
+    """A virtual device.
+
+    Attributes:
+        name: its name in the hub
+        kind: its kind in the hub: uvc, ptp or sierra
+        model: its configuration in the hub, without name, kind and serial number
+        options: the camera options (-O) that its driver needs
+    """
 
     name: str
     kind: str
@@ -53,7 +55,7 @@ class Device:
 
     @property
     def serial(self) -> str:
-        return f"LAB-{self.name}"
+        return f"VIRTUAL-{self.name}"
 
     @property
     def delays(self) -> tuple[int, int]:
@@ -78,8 +80,8 @@ MACHINE = Device(
     {**TWELVE_BITS_WITHOUT_BLACK, "formats": ["y16"], "fps": [15, 5], "delay": 1},
     {**LINEAR, "format": "y16", "bits": "12", "fps": "15"},
 )
-SHAKY = Device(
-    "shaky",
+UNSTEADY = Device(
+    "unsteady",
     "uvc",
     {**EIGHT_BITS, "formats": ["yuyv"], "fps": [15], "delay": 1, "jitter": 2, "luma": "full"},
     {**LINEAR, "format": "yuyv", "range": "full"},
@@ -98,28 +100,66 @@ COOLPIX = Device(
     {**EIGHT_BITS, "files": ["tiff", "jpeg"], "line": "/dev/ttyGS0"},
     {**LINEAR, "format": "tiff", "speed": "115200"},
 )
-SPARE = Device(
-    "spare", "uvc", {**EIGHT_BITS, "formats": ["yuyv"], "fps": [15], "delay": 2}, WEB.options
-)
-DEVICES = (WEB, MACHINE, SHAKY) if STREAMS else (STILL, RAW, SNAPSHOT, COOLPIX, SPARE)
+DEVICES = (WEB, MACHINE, UNSTEADY, STILL, RAW, SNAPSHOT, COOLPIX)
 
-# Exposures that all roads have exactly; half of the ramp is saturated in the longest.
+# Exposures that all backends have exactly; half of the ramp is saturated in the longest.
 EXPOSURES_S = (0.002, 0.008, 0.125)
 BRACKET = ("--ratios", "1,4,62.5", "--base", "0.002")
 # The same for streams of 15 frames a second.
 SHORT_EXPOSURES_S = (0.002, 0.008, 0.032)
 SHORT_BRACKET = ("--ratios", "1,4,16", "--base", "0.002")
 
+# Commands of the hub that change nothing.
+_READ_ONLY = ("log", "state")
 
-def wait_for(what: str, condition: Any, seconds: float = 20.0) -> Any:
-    """Return what `condition` returns as soon as that is true."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        found = condition()
-        if found:
-            return found
-        time.sleep(0.05)
-    raise AssertionError(f"no {what} after {seconds:g} s")
+
+class RecordingHub(Hub):
+    """A hub that remembers which devices a test has changed.
+
+    Attributes:
+        changed: names of devices that were sent a command that may change them
+    """
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__(directory)
+        self.changed: set[str] = set()
+
+    def do(self, device: str, command: str, **arguments: Any) -> dict[str, Any]:
+        """Send a command; see `Hub.do`."""
+        if command not in _READ_ONLY:
+            self.changed.add(device)
+        return super().do(device, command, **arguments)
+
+
+@contextmanager
+def running_hub(devices: Sequence[Device] = DEVICES) -> Iterator[RecordingHub]:
+    """Run the devices in a process of their own, connected to this kernel's drivers."""
+    with clock_in_step():
+        process = _start_hub(devices)
+        for device in devices:
+            wait_for(device.name, functools.partial(is_there, device))
+        usb_device(devices[0])  # loads libusb
+    try:
+        yield RecordingHub(DIRECTORY)
+    finally:
+        process.terminate()
+
+
+def _start_hub(devices: Sequence[Device]) -> Forked:
+    DIRECTORY.mkdir(exist_ok=True, parents=True)
+    config = DIRECTORY / "config.json"
+    config.write_text(json.dumps({"devices": [device.config for device in devices]}))
+    modprobe("-a", "vhci-hcd", "uvcvideo", "dummy_hcd", "cdc-acm")
+    modprobe("g_serial", "use_acm=1")
+    wait_for("/dev/ttyGS0", Path("/dev/ttyGS0").exists)
+    process = spawner().start(hub_main, ["--dir", str(DIRECTORY), str(config)])
+
+    def is_listening() -> bool:
+        assert process.status is None, process.err
+        return (DIRECTORY / "ctl").exists()
+
+    wait_for("hub", is_listening)
+    return process
 
 
 def modprobe(*words: str) -> None:
@@ -127,21 +167,30 @@ def modprobe(*words: str) -> None:
 
 
 def video_node(device: Device) -> Path | None:
+    """Return the stable name of a webcam's node; None where it is not connected."""
     return next(Path("/dev/v4l/by-id").glob(f"*{device.serial}*-video-index0"), None)
 
 
 def usb_device(device: Device) -> Any:
-    """Return the pyusb device; None where it is not there."""
+    """Return the pyusb device; None where it is not connected."""
     found = usb.core.find(find_all=True)
     return next((each for each in found if each.serial_number == device.serial), None)
 
 
 def tty_node() -> Path | None:
+    """Return the stable name of the serial port; None where it is not connected."""
     return next(Path("/dev/serial/by-id").glob("*Gadget_Serial*"), None)
 
 
+def serial_port() -> Path:
+    """Return the stable name of the serial port, which is connected."""
+    node = tty_node()
+    assert node is not None
+    return node
+
+
 def is_there(device: Device) -> bool:
-    """Say whether the kernel has made of the device what its driver opens."""
+    """Return whether the kernel has made what the device's driver opens."""
     if device.kind == "uvc":
         return video_node(device) is not None
     if device.kind == "ptp":
@@ -153,7 +202,7 @@ def is_there(device: Device) -> bool:
 
 
 def camera_id(device: Device) -> str:
-    """Return what stands after --camera."""
+    """Return the value of --camera for a device."""
     if device.kind == "uvc":
         return f"v4l2:{video_node(device)}"
     if device.kind == "ptp":
@@ -161,28 +210,30 @@ def camera_id(device: Device) -> str:
     return f"coolpix:{tty_node()}"
 
 
-def opened(device: Device, **options: str) -> Camera:
-    """Return the camera behind a device, opened as a user's words would."""
+def open_device(device: Device, **options: str) -> Camera:
+    """Return the opened camera of a device, opened as on a user's command line."""
     return open_camera(camera_id(device), {**device.options, **options})
 
 
-def make_well(hub: Hub, device: Device) -> None:
-    """Plug a device in again and end its faults."""
-    hub.do(device.name, "ok")
-    if not is_there(device):
-        hub.do(device.name, "plug")
-    wait_for(device.name, lambda: is_there(device))
+def restore(hub: RecordingHub) -> None:
+    """End the faults of all devices that were changed, and plug them in again."""
+    for device in (each for each in DEVICES if each.name in hub.changed):
+        hub.do(device.name, "ok")
+        if not is_there(device):
+            hub.do(device.name, "plug")
+        wait_for(device.name, functools.partial(is_there, device))
+    hub.changed.clear()
 
 
 def unplug(hub: Hub, device: Device) -> None:
-    """Pull a device's plug; the kernel has noticed it when this returns."""
+    """Unplug a device; the kernel has noticed it when this returns."""
     hub.do(device.name, "unplug")
     wait_for(f"end of {device.name}", lambda: not is_there(device))
 
 
-def know_delay(device: Device, smallest: int, largest: int) -> None:
-    """Write a camera's delay into its profile, as `camctl calibrate delay` would."""
-    with opened(device) as camera:
+def record_delay(device: Device, smallest: int, largest: int) -> None:
+    """Write a camera's control delay into its profile, as `camctl calibrate delay` would."""
+    with open_device(device) as camera:
         assert isinstance(camera, StreamingCamera)
         info, mode = camera.info, camera.mode
     record = DelayRecord(
@@ -195,28 +246,34 @@ def know_delay(device: Device, smallest: int, largest: int) -> None:
     change_profile(info, lambda profile: profile.delays.update({mode: record}))
 
 
+def recorded_delay(camera: Camera) -> DelayRecord:
+    """Return the control delay in a camera's profile."""
+    assert isinstance(camera, StreamingCamera)
+    return load_profile(camera.info).delays[camera.mode]
+
+
 @contextmanager
-def delayed(hub: Hub, device: Device, delay: int) -> Iterator[None]:
-    """Let the controls of a device be `delay` frames late, and its profile say so."""
+def control_delay(hub: Hub, device: Device, delay: int) -> Iterator[None]:
+    """Make a device's controls `delay` frames late, and record that in its profile."""
     hub.do(device.name, "delay", frames=delay)
-    know_delay(device, delay, delay)
+    record_delay(device, delay, delay)
     try:
         yield
     finally:
         smallest, largest = device.delays
         hub.do(device.name, "delay", frames=smallest, jitter=largest - smallest)
-        know_delay(device, smallest, largest)
+        record_delay(device, smallest, largest)
 
 
 @dataclass(frozen=True)
-class Used:
-    """What a list of exposures cost.
+class FrameCost:
+    """How many frames a list of exposures took.
 
     Attributes:
-        settings: how many there were
-        frames: slots of the device from the first that had not begun when the first setting was
+        settings: number of exposures
+        frames: slots of the device, from the first that had not begun when the first setting was
             written to the one that had the last setting
-        by_timestamps: the same, as the timestamps of the driver's frames tell it
+        by_timestamps: the same, by the timestamps of the driver's frames
         slots: the slot that had each setting
     """
 
@@ -226,90 +283,29 @@ class Used:
     slots: list[int]
 
 
-def frames_used(hub: Hub, device: Device) -> Used:
-    """Shoot six exposures that no other frame has; return what they cost."""
-    wanted = [0.0021, 0.0043, 0.0087, 0.0033, 0.0065, 0.0129]
-    with opened(device) as camera:
-        settings = [setting(camera, time_s) for time_s in wanted]
+def frame_cost(hub: Hub, device: Device) -> FrameCost:
+    """Shoot six exposures that no other frame has; return how many frames they took."""
+    times_s = [0.0021, 0.0043, 0.0087, 0.0033, 0.0065, 0.0129]
+    with open_device(device) as camera:
+        settings = [setting(camera, time_s) for time_s in times_s]
         with closing(camera.shoot(settings)) as stream:
             stamps = [frame.timestamp_s for frame in stream]
         interval_s = camera.controls.frame_interval_s
         log = hub.do(device.name, "log")
-    first = next(w for w in reversed(log["writes"]) if w["time_s"] == pytest.approx(wanted[0]))
+    first = next(w for w in reversed(log["writes"]) if w["time_s"] == pytest.approx(times_s[0]))
     since = [frame for frame in log["frames"] if frame["slot"] >= first["upcoming"]]
     frames = iter(since)
     slots = [
         next(frame["slot"] for frame in frames if round(frame["time_s"], 6) == time_s)
-        for time_s in wanted
+        for time_s in times_s
     ]
     begin_s = since[0]["ended_s"] - interval_s
-    return Used(
-        settings=len(wanted),
+    return FrameCost(
+        settings=len(times_s),
         frames=slots[-1] - first["upcoming"] + 1,
         by_timestamps=round((stamps[-1] - begin_s) / interval_s),
         slots=slots,
     )
-
-
-def start_devices(devices: Sequence[Device] = DEVICES) -> tuple[subprocess.Popen[bytes], Hub]:
-    """Start all devices in a process of their own; they are there when this returns."""
-    DIRECTORY.mkdir(exist_ok=True, parents=True)
-    config = DIRECTORY / "config.json"
-    config.write_text(json.dumps({"devices": [device.config for device in devices]}))
-    # Two processes that look for a free port at once would take the same one.
-    with (DIRECTORY.parent / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        modprobe("-a", "vhci-hcd", "uvcvideo", "dummy_hcd", "cdc-acm")
-        modprobe("g_serial", "use_acm=1")
-        wait_for("/dev/ttyGS0", Path("/dev/ttyGS0").exists)
-        process = subprocess.Popen(
-            [sys.executable, "-m", "sim.devices", "--dir", str(DIRECTORY), str(config)]
-        )
-        wait_for("hub", (DIRECTORY / "ctl").exists, 60)
-    for device in devices:
-        wait_for(device.name, lambda device=device: is_there(device))
-    return process, Hub(DIRECTORY)
-
-
-@contextmanager
-def once_a_frame_is_kept(directory: Path, strike: Callable[[], Any]) -> Iterator[None]:
-    """Let `strike` happen in a thread as soon as a capture has kept its first frame."""
-    with once(directory / "frames", "*.npy", strike):
-        yield
-
-
-@contextmanager
-def once(folder: Path, pattern: str, strike: Callable[[], Any]) -> Iterator[None]:
-    """Let `strike` happen in a thread as soon as a file of that pattern lies in `folder`."""
-    over = threading.Event()
-
-    def watch() -> None:
-        while not over.is_set():
-            if next(folder.glob(pattern), None) is not None:
-                strike()
-                return
-            time.sleep(0.005)
-
-    thread = threading.Thread(target=watch)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-
-
-@contextmanager
-def once_a_frame_is_rejected(directory: Path, strike: Callable[[], Any]) -> Iterator[None]:
-    """Let `strike` happen in a thread as soon as a capture has rejected a frame."""
-    with once(directory / "frames", "*-rejected-*.npy", strike):
-        yield
-
-
-def timed(act: Callable[[], str]) -> tuple[str, float]:
-    """Return what `act` returns, and how long it took, s."""
-    began = time.monotonic()
-    return act(), time.monotonic() - began
 
 
 def one_line(error: CamctlError) -> str:
@@ -319,42 +315,28 @@ def one_line(error: CamctlError) -> str:
     return str(error)
 
 
-def distrusted(report: CaptureReport) -> list[str]:
+def completed_frames(directory: str) -> list[FrameRecord]:
+    """Return the frames of a capture that is complete and whose frames agree with each other."""
+    report = read_report(Path(directory))
+    assert report.status == "complete"
+    frames = [frame for frame in report.frames if frame is not None]
+    assert len(frames) == len(report.frames)
+    assert all(frame.ratio is not None and frame.ratio.agrees for frame in frames[1:])
+    return frames
+
+
+def distrust_warnings(report: CaptureReport) -> list[str]:
     """Return the warnings that a capture's frames do not have the exposures they should."""
     return [warning for warning in report.warnings if "do not trust" in warning]
 
 
-def here() -> Path:
-    """Return the test's own folder, which commands are run in."""
-    return Path.cwd()
-
-
 def setting(camera: Camera, time_s: float) -> ExposureSetting:
+    """Return the setting of a camera that is nearest to a shutter time."""
     return ExposureSetting(camera.controls.time_s.nearest(time_s))
 
 
-@dataclass(frozen=True)
-class Ran:
-    """What a command line left behind."""
-
-    status: int
-    out: str
-    err: str
-    seconds: float
-
-
-def camctl(capfd: Any, *words: object) -> Ran:
-    """Run a command line of camctl in this process."""
-    capfd.readouterr()
-    began = time.monotonic()
-    status = main([str(word) for word in words])
-    seconds = time.monotonic() - began
-    out, err = capfd.readouterr()
-    return Ran(status, out, err, seconds)
-
-
-def words_of(device: Device, **options: str) -> list[str]:
-    """Return the words that name a device's camera to `camctl shoot`."""
+def camera_arguments(device: Device, **options: str) -> list[str]:
+    """Return the arguments that name a device's camera to `camctl shoot`."""
     words = ["--camera", camera_id(device)]
     for name, value in {**device.options, **options}.items():
         words += ["-O", f"{name}={value}"]

@@ -1,127 +1,213 @@
-"""The laboratory: all roads against the kernel's own drivers, in a guest that is booted once.
+"""Test all backends against the kernel's own drivers, in virtual machines.
 
-    .venv/bin/python tests/virtual_hardware/run.py [-k EXPRESSION] [--road NAME] [--bench] [--must-run]
+    .venv/bin/python tests/virtual_hardware/run.py [-k EXPRESSION] [--backend NAME] [--bench]
 
-Prints a line for each test as it goes and at the end "laboratory: N passed, M failed, S s".  Where
-it cannot run it says "laboratory skipped: WHY; what to install" and ends with status 0, or with 77
-if it was told that it must.
+Two guests run side by side, each with its part of the tests.  A line for each test shows the
+elapsed time, the guest, the outcome and how long the test took by the guest's own clock.  The last
+line is "virtual hardware: N passed, M failed, S s".  Where no guest can run it is "virtual hardware
+skipped: REASON; what to install", with status 0, or with 77 after --must-run.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from machine import CannotRunError, GuestError, boot, prepare
+from machine import CannotRunError, GuestError, Kernel, prepare, run_in_guest
 
 HERE = Path(__file__).resolve().parent
 REPOSITORY = HERE.parents[1]
-LIMIT_S = 360.0
-SKIPPED = 77
+PACKAGES = ("camctl", "drivers", "menu", "sim")
+HELPERS = REPOSITORY / "tests" / "helpers"
 BENCH = REPOSITORY / "tests" / "bench"
 BENCHES = ("bench_discovery.py", "bench_v4l2.py", "bench_ptp.py")
-# In the guest every module of the tests finds its neighbours.
-MODULES = (REPOSITORY / "tests" / "helpers",)
+# Two guests, and the files in guest/ that the first one runs: so both take about as long.
+GUESTS = ("usb", "others")
+USB_FILES = ("test_v4l2_backend.py", "test_ptp_backend.py", "test_same_picture.py")
+BACKENDS = ("v4l2", "ptp", "coolpix")
+# Limits that only catch what hangs: of a guest in the host's time, of a test in the guest's.
+LIMIT_S = 1500.0
+TEST_LIMIT_S = 1200
+SKIPPED = 77
+ENVIRONMENT = {
+    "CAMCTL_IN_GUEST": "1",
+    "PYTHONPATH": str(HELPERS),
+    "PYTHONUNBUFFERED": "1",
+    "PYTHONHASHSEED": "0",
+    "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # each costs seconds in a guest
+    "OPENBLAS_NUM_THREADS": "1",
+    "COLUMNS": "100",
+    "NO_COLOR": "1",
+    "TERM": "dumb",
+}
+PYTEST = (
+    *(sys.executable, "-m", "pytest", "-q", "-ra", "--tb=short"),
+    *("-p", "no:cacheprovider", "-p", "pytest_timeout", f"--timeout={TEST_LIMIT_S}"),
+    f"--confcutdir={HERE}",
+)
+NO_TESTS = 5  # pytest's exit status where it has selected none
+
+_TEST_LINE = re.compile(r"(passed|failed|skipped) +[\d.]+ s  ")
+_COLLECTED_LINE = re.compile(r"collected (\d+)")
+
+OnLine = Callable[[str], None]
 
 
 def main() -> int:
     """Return the exit status."""
-    words = _parser().parse_args()
+    arguments = _parser().parse_args()
     began = time.monotonic()
     try:
         kernel = prepare()
     except CannotRunError as error:
-        print(f"laboratory skipped: {error}")
-        return SKIPPED if words.must_run else 0
-    out = Path(tempfile.mkdtemp(prefix="camctl-laboratory-"))
-    trouble = ""
-    try:
-        result = boot(
-            kernel,
-            words.command or _tests(words),
-            out,
-            environment={
-                "CAMCTL_IN_GUEST": "1",
-                "PYTHONPATH": os.pathsep.join(map(str, MODULES)),
-                "PYTHONUNBUFFERED": "1",
-                "COLUMNS": "100",
-                "NO_COLOR": "1",
-                "TERM": "dumb",
-            },
-            directory=REPOSITORY,
-            limit_s=words.limit,
-            line=lambda text: print(text, flush=True),
-        )
-    except GuestError as error:
-        trouble = str(error)
-    else:
-        print(f"the guest was up after {result.boot_s:.0f} s, start {result.boots}")
-        if words.command or words.bench:
-            return result.status
-        if result.status:
-            trouble = f"pytest ended with status {result.status}"
-    counts = _counts(out)
-    left = counts["collected"] - counts["passed"] - counts["failed"] - counts["skipped"]
-    if left > 0:
-        print(f"{left} tests did not run")
-    if trouble:
-        print(f"{trouble}; what the guest left: {out}")
-    else:
-        shutil.rmtree(out, ignore_errors=True)
-    failed = max(counts["failed"], 1 if trouble else 0)
+        print(f"virtual hardware skipped: {error}")
+        return SKIPPED if arguments.must_run else 0
+    _compile()
+    if arguments.command or arguments.bench:
+        guest = Guest("guest", kernel, arguments.limit, began)
+        return guest.run(arguments.command or _benches(), lambda text: print(text, flush=True))
+    guests = [Guest(name, kernel, arguments.limit, began) for name in GUESTS]
+    with ThreadPoolExecutor(len(guests)) as pool:
+        list(pool.map(lambda guest: guest.test(_tests(arguments, guest.name)), guests))
+    counts = Counter[str]()
+    for guest in guests:
+        counts.update(guest.counts)
+    failed = max(counts["failed"], sum(guest.is_broken for guest in guests))
     seconds = time.monotonic() - began
-    print(f"laboratory: {counts['passed']} passed, {failed} failed, {seconds:.0f} s")
+    print(f"virtual hardware: {counts['passed']} passed, {failed} failed, {seconds:.0f} s")
     return 1 if failed else 0
 
 
+class Guest:
+    """One virtual machine, and what it has printed.
+
+    Args:
+        name: printed before each of its lines
+        kernel: see `machine.prepare`
+        limit_s: the guest is ended after so many seconds
+        began: when the whole run began, by `time.monotonic`
+
+    Attributes:
+        counts: tests collected, passed, failed and skipped
+        is_broken: it did not end as it should; its folder is kept
+    """
+
+    def __init__(self, name: str, kernel: Kernel, limit_s: float, began: float) -> None:
+        self.name = name
+        self.counts = Counter[str]()
+        self.is_broken = False
+        self._kernel = kernel
+        self._limit_s = limit_s
+        self._began = began
+        self._report: list[str] = []
+
+    def test(self, command: Sequence[str]) -> None:
+        """Run tests: print a line for each as it ends, and all other output at the end."""
+        status = self.run(command, self._on_line)
+        left = 2 * self.counts["collected"] - self.counts.total()
+        if left > 0:
+            self._say(f"{left} tests did not run")
+        if status not in (0, NO_TESTS) and not self.counts["failed"]:
+            self.is_broken = True
+        print("\n".join(self._report), flush=True)
+
+    def run(self, command: Sequence[str], on_line: OnLine) -> int:
+        """Run a command in the guest and return its exit status."""
+        out = Path(tempfile.mkdtemp(prefix=f"virtual-hardware-{self.name}-"))
+        try:
+            result = run_in_guest(
+                self._kernel,
+                command,
+                out,
+                environment=ENVIRONMENT,
+                directory=REPOSITORY,
+                limit_s=self._limit_s,
+                on_line=on_line,
+            )
+        except GuestError as error:
+            self.is_broken = True
+            self._say(f"{error}; its console and other files: {out}")
+            return 1
+        self._say(f"the guest was up after {result.boot_s:.0f} s, start {result.boots}")
+        if result.status in (0, NO_TESTS):
+            shutil.rmtree(out, ignore_errors=True)
+        else:
+            self._say(f"status {result.status}; its console and other files: {out}")
+        return result.status
+
+    def _on_line(self, line: str) -> None:
+        text = line.strip()  # pytest may have begun the line
+        if found := _COLLECTED_LINE.fullmatch(text):
+            self.counts["collected"] += int(found[1])
+        elif found := _TEST_LINE.match(text):
+            self.counts[found[1]] += 1
+            self._say(text)
+        else:
+            self._report.append(line)
+
+    def _say(self, text: str) -> None:
+        elapsed_s = time.monotonic() - self._began
+        # In one piece: the other guest prints, too.
+        sys.stdout.write(f"{elapsed_s:5.0f} s  {self.name:8}{text}\n")
+        sys.stdout.flush()
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description="Test every road in a guest.")
+    parser = argparse.ArgumentParser(description="Test all backends in virtual machines.")
     parser.add_argument("-k", metavar="EXPRESSION", help="only tests that pytest's -k selects")
-    parser.add_argument("--road", choices=("v4l2", "ptp", "coolpix"), help="only this road's tests")
-    parser.add_argument("--bench", action="store_true", help="measure speed instead")
+    parser.add_argument("--backend", choices=BACKENDS, help="only this backend's tests")
+    parser.add_argument("--bench", action="store_true", help="run the benchmarks instead")
     parser.add_argument("--must-run", action="store_true", help=f"status {SKIPPED} when skipped")
     parser.add_argument("--limit", type=float, default=LIMIT_S, metavar="SECONDS", help="at most")
     parser.add_argument(
-        "command", nargs="*", metavar="-- COMMAND", help="what to run in the guest instead"
+        "command", nargs="*", metavar="-- COMMAND", help="command to run in a guest instead"
     )
     return parser
 
 
-def _tests(words: argparse.Namespace) -> list[str]:
-    """Return the command: benchmarks one after another, or tests of streams beside all others."""
-    if words.bench:
-        scripts = [shlex.join([sys.executable, str(BENCH / name)]) for name in BENCHES]
-        each = "; ".join(f"{script} || status=1" for script in scripts)
-        return ["sh", "-c", f"status=0; {each}; exit $status"]
-    wanted = [f"({each})" for each in (words.road, words.k) if each]
-    options = ["-q", "-ra", "--tb=short", "-p", "no:cacheprovider"]
-    halves = []
-    for part, own in (("streams", "v4l2"), ("stills", "not v4l2")):
-        select = " and ".join([f"({own})", *wanted])
-        pytest = [sys.executable, "-m", "pytest", *options, "-k", select, str(HERE / "guest")]
-        halves.append(f"CAMCTL_LAB_PART={part} {shlex.join(pytest)}")
-    # Status 5: none of the tests that were asked for is in this half.
-    check = "[ $first = 0 -o $first = 5 ] && [ $second = 0 -o $second = 5 ]"
-    return [
-        "sh",
-        "-c",
-        f"{halves[0]} & half=$!; {halves[1]}; second=$?; wait $half; first=$?; {check}",
+def _compile() -> None:
+    """Write the byte code of modules and tests on the host: in a guest that takes a minute."""
+    folders = [str(REPOSITORY / package) for package in PACKAGES]
+    for command in (
+        [sys.executable, "-m", "compileall", "-q", *folders, str(HELPERS)],
+        [*PYTEST, "--collect-only", str(HERE / "guest")],  # pytest changes the code of tests
+    ):
+        subprocess.run(
+            command,
+            cwd=REPOSITORY,
+            env={**os.environ, **ENVIRONMENT},
+            check=False,
+            stdout=subprocess.DEVNULL,
+        )
+
+
+def _benches() -> list[str]:
+    """Return a command that runs all benchmarks."""
+    scripts = [shlex.join([sys.executable, str(BENCH / name)]) for name in BENCHES]
+    each = "; ".join(f"{script} || status=1" for script in scripts)
+    return ["sh", "-c", f"status=0; {each}; exit $status"]
+
+
+def _tests(arguments: argparse.Namespace, guest: str) -> list[str]:
+    """Return the command that runs one guest's tests."""
+    selected = " and ".join(f"({each})" for each in (arguments.backend, arguments.k) if each)
+    files = [
+        str(path)
+        for path in sorted((HERE / "guest").glob("test_*.py"))
+        if (path.name in USB_FILES) == (guest == "usb")
     ]
-
-
-def _counts(out: Path) -> dict[str, int]:
-    """Return how many tests were collected, and of these passed, failed and skipped so far."""
-    counts = dict.fromkeys(("collected", "passed", "failed", "skipped"), 0)
-    results = out / "results"
-    for word in results.read_text().split() if results.exists() else ():
-        counts[word] += 1
-    return counts
+    return [*PYTEST, *(("-k", selected) if selected else ()), *files]
 
 
 if __name__ == "__main__":

@@ -1,31 +1,31 @@
-"""What the laboratory says where it cannot run."""
+"""run.py on a machine where it cannot run."""
 
 import os
 import platform
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-RUN = Path(__file__).parent / "run.py"
+HERE = Path(__file__).parent
 
 
-def run(*words, **environment):
+def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, RUN, *words],
+        [sys.executable, HERE / "run.py", *words],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
-        timeout=60,
     )
 
 
 @pytest.fixture
-def path_without(tmp_path):
-    """A PATH that has everything but one program; what it has does nothing."""
+def path_without(tmp_path: Path) -> Callable[[str | None], str]:
+    """A PATH with all programs that are needed but one; those in it fail."""
 
-    def build(missing):
+    def build(missing: str | None) -> str:
         for name in ("qemu-system-x86_64", "busybox", "modprobe", "depmod", "cpio", "dpkg"):
             if name != missing:
                 (tmp_path / name).write_text("#!/bin/sh\nexit 1\n")
@@ -37,21 +37,24 @@ def path_without(tmp_path):
 
 @pytest.mark.skipif(
     (sys.platform, platform.machine()) != ("linux", "x86_64"),
-    reason="the laboratory needs Linux on x86-64, which it says first",
+    reason="the virtual hardware needs Linux on x86-64",
 )
 class TestItCannotRun:
     @pytest.mark.parametrize(("words", "status"), [((), 0), (("--must-run",), 77)])
-    def test_no_qemu(self, path_without, words, status):
+    def test_no_qemu(
+        self, path_without: Callable[[str | None], str], words: tuple[str, ...], status: int
+    ) -> None:
         done = run(*words, PATH=path_without("qemu-system-x86_64"))
         assert done.returncode == status
-        assert done.stdout.startswith("laboratory skipped: ")
-        assert "qemu-system-x86_64" in done.stdout
-        assert "apt-get install" in done.stdout
+        assert done.stdout.startswith("virtual hardware skipped: no qemu-system-x86_64; apt-get ")
         assert len(done.stdout.splitlines()) == 1
         assert not done.stderr
 
-    def test_no_kernel_package(self, path_without, tmp_path):
-        done = run(PATH=path_without(None), CAMCTL_LAB_CACHE=str(tmp_path / "cache"))
+    def test_no_kernel_package(
+        self, path_without: Callable[[str | None], str], tmp_path: Path
+    ) -> None:
+        cache = str(tmp_path / "cache")
+        done = run(PATH=path_without(None), CAMCTL_VIRTUAL_HARDWARE_CACHE=cache)
         assert done.returncode == 0
-        assert done.stdout.startswith("laboratory skipped: no ")
+        assert done.stdout.startswith("virtual hardware skipped: no kernel could be downloaded (")
         assert len(done.stdout.splitlines()) == 1

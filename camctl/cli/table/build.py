@@ -196,7 +196,7 @@ def _processes(count: int) -> Iterator[Executor | None]:
     try:
         yield pool
     except BaseException:
-        # First the pool is told to drop the waiting rows: its thread would otherwise report each of
+        # First the pool drops the waiting rows: its thread would otherwise report each of
         # them as lost with the processes, and fail on those that `build_table` has cancelled.
         pool.shutdown(wait=False, cancel_futures=True)
         children = multiprocessing.active_children()

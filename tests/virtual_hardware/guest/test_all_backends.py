@@ -1,30 +1,36 @@
-"""What all roads share: the list of cameras, and permissions."""
+"""What all backends share: the list of cameras, and permissions."""
+
+from __future__ import annotations
 
 import json
 import os
-import subprocess
+import re
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import guest_processes as guest
 import pytest
 import virtual_devices as rig
 
-NOBODY = 65534
+RunCamctl = Callable[..., guest.CommandResult]
 
 
-def node_of(camera_id):
-    """Return an id with a node's link followed: two links may lead to one serial port."""
-    road, _, address = camera_id.partition(":")
-    return f"{road}:{os.path.realpath(address) if address.startswith('/') else address}"
+def with_real_path(camera_id: str) -> str:
+    """Return an id with links resolved: two links may lead to one serial port."""
+    backend, _, address = camera_id.partition(":")
+    return f"{backend}:{os.path.realpath(address) if address.startswith('/') else address}"
 
 
-def test_the_list_names_all_roads(hub, camctl):
+def test_the_list_names_the_cameras_of_all_backends(
+    hub: rig.RecordingHub, camctl: RunCamctl
+) -> None:
     listed = camctl("cameras", "--probe", "--json")
     assert listed.status == 0, listed.err
-    cameras = {node_of(camera["id"]): camera for camera in json.loads(listed.out)}
+    cameras = {with_real_path(camera["id"]): camera for camera in json.loads(listed.out)}
     for device in rig.DEVICES:
-        camera = cameras[node_of(rig.camera_id(device))]
+        camera = cameras[with_real_path(rig.camera_id(device))]
         assert camera["model"]
         assert camera["driver"]
         if device.kind != "sierra":
@@ -32,7 +38,9 @@ def test_the_list_names_all_roads(hub, camctl):
     assert {camera["driver"] for camera in cameras.values()} >= {"v4l2", "ptp", "coolpix", "sim"}
 
 
-def test_without_probing_no_serial_port_is_spoken_to(hub, camctl):
+def test_without_probing_nothing_is_sent_to_serial_ports(
+    hub: rig.RecordingHub, camctl: RunCamctl
+) -> None:
     before = hub.do(rig.COOLPIX.name, "state")
     listed = camctl("cameras", "--json")
     assert listed.status == 0, listed.err
@@ -41,31 +49,50 @@ def test_without_probing_no_serial_port_is_spoken_to(hub, camctl):
 
 
 @pytest.fixture(scope="module")
-def readable():
-    """Ordinary users may read what Python needs; in the guest that lasts as long as the guest."""
+def readable() -> None:
+    """Let ordinary users read what Python needs; it lasts as long as the guest."""
     for place in (sys.prefix, sys.base_prefix, Path(__file__)):
         for folder in Path(place).resolve().parents:
             folder.chmod(folder.stat().st_mode | 0o555)
     Path(sys.prefix).chmod(0o755)
 
 
-@pytest.mark.parametrize("device", [rig.SPARE, rig.STILL, rig.COOLPIX], ids=lambda d: d.name)
-def test_no_permission(hub, readable, device):
-    """An ordinary user who may not open the device is told what to do."""
+@pytest.fixture
+def folder_for_all() -> Iterator[Path]:
+    """A folder that every user may write to."""
     with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
         Path(folder).chmod(0o777)
-        ran = subprocess.run(
-            [Path(sys.executable).with_name("camctl"), "shoot", *rig.words_of(device), "-o", "x"],
-            cwd=folder,
-            env={**os.environ, "HOME": folder, "CAMCTL_PROFILES": f"{folder}/profiles"},
-            user=NOBODY,
-            group=NOBODY,
-            extra_groups=[],
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
-    assert ran.returncode == 1, ran.stderr
-    assert ran.stderr.count("\n") == 1, ran.stderr
-    assert "permission" in ran.stderr or "not allowed" in ran.stderr
-    assert any(word in ran.stderr for word in ("udev", "group", "usermod"))
+        yield Path(folder)
+
+
+@pytest.mark.parametrize(
+    ("device", "message"),
+    [
+        pytest.param(
+            rig.WEB,
+            r"cannot open /dev/v4l/by-id/\S+: you are not allowed to use it; join its group "
+            r"\(sudo usermod -aG video \$USER, then log in again\) or add a udev rule: "
+            r'SUBSYSTEM=="video4linux", TAG\+="uaccess"',
+            id="v4l2",
+        ),
+        pytest.param(
+            rig.STILL,
+            r"Virtual PTP camera at USB \d+:\d+ cannot be opened: no permission; run: camctl "
+            r"cameras --udev-rules \| sudo tee /etc/udev/rules\.d/70-camctl\.rules && sudo udevadm "
+            r"control --reload, then plug it in again",
+            id="ptp",
+        ),
+        pytest.param(
+            rig.COOLPIX,
+            r"cannot open /dev/serial/by-id/\S+: no permission to use it; run: sudo usermod -aG "
+            r"dialout \$USER, then log in again",
+            id="coolpix",
+        ),
+    ],
+)
+def test_no_permission(
+    hub: rig.RecordingHub, readable: None, folder_for_all: Path, device: rig.Device, message: str
+) -> None:
+    arguments = rig.camera_arguments(device)
+    done = guest.camctl_as_nobody(folder_for_all, "shoot", *arguments, "-o", "x")
+    assert re.fullmatch(message, done.error), done.error

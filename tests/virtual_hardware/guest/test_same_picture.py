@@ -1,9 +1,17 @@
-"""The same picture by four roads: one scene, sensor, seed and list of exposures, one sum."""
+"""The same picture by every backend: one scene, sensor, seed and list of exposures, one sum."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import guest_processes as guest
 import numpy as np
 import pytest
 import tifffile
 import virtual_devices as rig
+from numpy.typing import NDArray
 
 from camctl import read_report
 from sim.camera import SimulatedCamera
@@ -13,13 +21,17 @@ from sim.sensors.sensor import load_sensor
 # Largest and mean difference of a frame's sample that a JPEG of quality 95 of this scene may have.
 JPEG_MOST, JPEG_MEAN = 6, 1.0
 
+RunCamctl = Callable[..., guest.CommandResult]
+Sum = NDArray[Any]
+ExpectedSum = Callable[[rig.Device, int], Sum]
+
 
 @pytest.fixture(scope="module")
-def pure():
-    """The sum of the in-process camera's frames, cut at a road's white as every sum is."""
-    frames = {}
+def expected_sum() -> ExpectedSum:
+    """The sum of the simulated camera's frames, clipped at the white level as every sum is."""
+    frames: dict[str, list[Sum]] = {}
 
-    def of(device, white):
+    def of(device: rig.Device, white: int) -> Sum:
         sensor = device.model["sensor"]
         if sensor not in frames:
             camera = SimulatedCamera(
@@ -30,20 +42,23 @@ def pure():
             )
             settings = [rig.setting(camera, time_s) for time_s in rig.EXPOSURES_S]
             frames[sensor] = [frame.pixels for frame in camera.shoot(settings)]
-        return np.sum([np.minimum(each, np.uint32(white)) for each in frames[sensor]], axis=0)
+        total: Sum = np.sum([np.minimum(each, np.uint32(white)) for each in frames[sensor]], axis=0)
+        return total
 
     return of
 
 
-def sum_by(camctl, device, **options):
-    """Return the sum that a road gives, and its white."""
+def shoot(camctl: RunCamctl, device: rig.Device, **options: str) -> tuple[Sum, int]:
+    """Return the sum of a capture by a device's backend, and its white level."""
     if device.kind == "uvc":
         options["fps"] = "5"  # no exposure is longer than the interval between frames
-    done = camctl("shoot", *rig.words_of(device, **options), *rig.BRACKET, "-o", device.name)
+    arguments = rig.camera_arguments(device, **options)
+    done = camctl("shoot", *arguments, *rig.BRACKET, "-o", device.name)
     assert done.status == 0, done.err
-    report = read_report(rig.here() / device.name)
-    assert [frame.applied_s for frame in report.frames] == pytest.approx(rig.EXPOSURES_S)
-    return tifffile.imread(rig.here() / device.name / "sum.tiff"), report.white
+    frames = rig.completed_frames(device.name)
+    assert [frame.applied_s for frame in frames] == pytest.approx(rig.EXPOSURES_S)
+    total = np.asarray(tifffile.imread(Path(device.name, "sum.tiff")))
+    return total, read_report(Path(device.name)).white
 
 
 @pytest.mark.parametrize(
@@ -55,15 +70,19 @@ def sum_by(camctl, device, **options):
         pytest.param(rig.RAW, id="ptp-dng"),
     ],
 )
-def test_bit_for_bit(hub, camctl, pure, device):
-    total, white = sum_by(camctl, device)
-    assert np.array_equal(total, pure(device, white))
+def test_bit_for_bit(
+    hub: rig.RecordingHub, camctl: RunCamctl, expected_sum: ExpectedSum, device: rig.Device
+) -> None:
+    total, white = shoot(camctl, device)
+    assert np.array_equal(total, expected_sum(device, white))
 
 
-def test_bit_for_bit_over_a_serial_line_coolpix(hub, camctl, pure):
+def test_bit_for_bit_over_a_serial_line_coolpix(
+    hub: rig.RecordingHub, camctl: RunCamctl, expected_sum: ExpectedSum
+) -> None:
     """A CoolPix's TIFF is RGB: three equal channels of a grey sensor."""
-    total, white = sum_by(camctl, rig.COOLPIX)
-    expected = pure(rig.COOLPIX, white)
+    total, white = shoot(camctl, rig.COOLPIX)
+    expected = expected_sum(rig.COOLPIX, white)
     assert np.array_equal(total, np.repeat(expected[..., np.newaxis], 3, axis=2))
 
 
@@ -75,12 +94,18 @@ def test_bit_for_bit_over_a_serial_line_coolpix(hub, camctl, pure):
         pytest.param(rig.COOLPIX, {"format": "jpeg"}, id="coolpix-jpeg"),
     ],
 )
-def test_within_the_loss_of_jpeg(hub, camctl, pure, device, options):
-    total, white = sum_by(camctl, device, **options)
-    expected = pure(device, white).astype(np.int64)
+def test_within_the_loss_of_jpeg(
+    hub: rig.RecordingHub,
+    camctl: RunCamctl,
+    expected_sum: ExpectedSum,
+    device: rig.Device,
+    options: dict[str, str],
+) -> None:
+    total, white = shoot(camctl, device, **options)
+    expected = expected_sum(device, white).astype(np.int64)
     if total.ndim == 3:
         expected = expected[..., np.newaxis]
     difference = np.abs(total.astype(np.int64) - expected)
     assert difference.max() <= JPEG_MOST * len(rig.EXPOSURES_S)
     assert difference.mean() <= JPEG_MEAN * len(rig.EXPOSURES_S)
-    assert difference.max() > 0  # else it is no JPEG, and the test above is the one to pass
+    assert difference.max() > 0  # else the file is lossless, and the test above should pass
