@@ -26,7 +26,7 @@ CAMERA = linear_response(8)
 
 def quality(exposures: Sequence[float], desired: DesiredResponse) -> str:
     """Return xi and effective levels as two columns."""
-    found = evaluate(CAMERA, exposures, desired)
+    found = evaluate(CAMERA, desired, exposures)
     return f"{found.xi:.2f} | {found.effective_levels:.0f}"
 
 

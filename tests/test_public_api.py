@@ -189,7 +189,7 @@ def dimmest(camera: camctl.Camera) -> camctl.Frame:
 def search() -> tuple[float, ...]:
     response = camctl.linear_response(8)
     desired = camctl.desired_response("log", 1000.0)
-    print(camctl.evaluate(response, (1, 2, 4), desired).effective_levels)
+    print(camctl.evaluate(response, desired, (1, 2, 4)).effective_levels)
     return camctl.solve(response, desired, 3).exposures
 
 

@@ -57,7 +57,7 @@ def complete(
         full_scale_exposure *= controls.sensitivity
     tables = Tables.of(effective, desired, unfinished.black_total, full_scale_exposure)
     outside = outside_shares(total, tables)
-    quality = evaluate(controls.levels, exposures, desired, objective=Objective(plan.levels_wanted))
+    quality = evaluate(controls.levels, desired, exposures, objective=Objective(plan.levels_wanted))
     no_light = _no_light(total, unfinished.black_total, controls.levels.M, outside.saturated)
     rendering = Rendering(controls.layout, tables, desired, full_scale_exposure)
     files = store.keep_pictures(total, rendering)

@@ -108,7 +108,7 @@ def plan_capture(
             hint="allow more time, or take fewer exposures",
         )
     objective, exposures = Objective(levels_wanted), relative_exposures(settings)
-    expected = evaluate(real, exposures, desired, objective=objective)
+    expected = evaluate(real, desired, exposures, objective=objective)
     plan = CapturePlan(
         response=request.response,
         dynamic_range=desired.dynamic_range if request.response == CURVE else request.dynamic_range,
@@ -125,7 +125,7 @@ def plan_capture(
         gamma=request.gamma,
     )
     warnings += chooser.warnings(plan)
-    possible = evaluate(real, ratios, desired, objective=objective).effective_levels
+    possible = evaluate(real, desired, ratios, objective=objective).effective_levels
     warnings += _rounding_loss(plan, possible)
     return replace(plan, warnings=tuple(warnings))
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
 
 from camctl.controls import ExposureSetting
 from camctl.errors import DataError, UsageError, unknown_name
@@ -65,6 +69,7 @@ class CaptureRequest:
     desired_curve: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
+        self._normalise()
         self._check_types()
         self._check_response()
         self._check_numbers()
@@ -76,6 +81,20 @@ class CaptureRequest:
         if self.response == AUTO:
             return None
         return build_desired(self.response, self.dynamic_range, self.gamma, self.desired_curve)
+
+    def _normalise(self) -> None:
+        """Turn lists and arrays into the tuples of plain numbers that a report can hold."""
+        if self.ratios is not None and not isinstance(self.ratios, str):
+            with suppress(TypeError):
+                object.__setattr__(self, "ratios", tuple(_plain(ratio) for ratio in self.ratios))
+        if self.desired_curve is not None:
+            try:
+                pairs = tuple((float(E), float(u)) for E, u in self.desired_curve)
+            except (TypeError, ValueError):
+                raise UsageError(
+                    "invalid desired curve: expected pairs of irradiance and brightness"
+                ) from None
+            object.__setattr__(self, "desired_curve", pairs)
 
     def _check_types(self) -> None:
         if not isinstance(self.count, Integral):
@@ -120,8 +139,6 @@ class CaptureRequest:
             )
         if self.response == AUTO:
             return
-        if any(len(pair) != 2 for pair in self.desired_curve or ()):
-            raise UsageError("invalid desired curve: expected pairs of irradiance and brightness")
         try:
             build_desired(self.response, self.dynamic_range, self.gamma, self.desired_curve)
         except DataError as error:
@@ -178,6 +195,11 @@ class CaptureRequest:
                 "an automatic response needs metering, and the base exposure is given",
                 hint="leave the base exposure (--base) out, or choose another response",
             )
+
+
+def _plain(value: Any) -> Any:
+    """Return a number of numpy as one of Python; anything else as it is."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _check_positive(name: str, value: float) -> None:

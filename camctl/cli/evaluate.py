@@ -124,7 +124,7 @@ def evaluate(
         print_warning(note)
     response = desired.desired()
     score = Objective(levels_wanted, objective.p, objective.noise_term(), objective.jitter)
-    quality = evaluate_exposures(real, ratios, response, objective=score)
+    quality = evaluate_exposures(real, response, ratios, objective=score)
     robustness = None
     if quality.levels <= QUICK_LEVELS if sensitivity is None else sensitivity:
         from camctl.exposure.robustness import sensitivity as robustness_of

@@ -293,8 +293,8 @@ class Evaluation:
 
 def evaluate(
     response: CameraResponse,
-    exposures: Sequence[float],
     desired: DesiredResponse,
+    exposures: Sequence[float],
     *,
     objective: Objective | None = None,
 ) -> Evaluation:
@@ -302,8 +302,8 @@ def evaluate(
 
     Args:
         response: the response of the real camera
-        exposures: 1 to 16 exposures relative to each other, for example 1, 2, 4 or times in s
         desired: the desired response; its E = 1 is full scale of the shortest exposure
+        exposures: 1 to 16 exposures relative to each other, for example 1, 2, 4 or times in s
         objective: the definition of xi; None: missing levels of n * M
 
     Raises:
@@ -311,7 +311,7 @@ def evaluate(
 
     >>> from camctl.response.camera import linear_response
     >>> from camctl.response.desired import desired_response
-    >>> found = evaluate(linear_response(8), (1, 2, 4), desired_response("linear", 1000.0))
+    >>> found = evaluate(linear_response(8), desired_response("linear", 1000.0), (1, 2, 4))
     >>> found.levels, found.levels_distinct, round(found.effective_levels), found.total_exposure
     (765, 511, 336, 7.0)
     """

@@ -121,7 +121,7 @@ class Solution:
     ) -> Self:
         """Return the solution that consists of `exposures`, ascending from 1."""
         quality = evaluate(
-            problem.response, exposures, problem.desired, objective=problem.objective
+            problem.response, problem.desired, exposures, objective=problem.objective
         )
         return cls(
             exposures=exposures,

@@ -183,3 +183,21 @@ def test_report_with_an_invalid_request_is_a_data_error(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace('"gamma": null', '"gamma": 0.4'))
     with pytest.raises(DataError, match=r"report\.json is damaged: gamma 0\.4 does not apply"):
         read_capture(tmp_path / "out")
+
+
+def test_lists_and_arrays_become_tuples_of_plain_numbers() -> None:
+    """A request can be compared, hashed, and written to a report whatever it was made from."""
+    expected = CaptureRequest(response="curve", desired_curve=CURVE, ratios=(1.0, 4.0))
+    for curve, ratios in (
+        (np.array(CURVE), np.array([1.0, 4.0])),
+        ([list(pair) for pair in CURVE], [1.0, 4.0]),
+    ):
+        made: Any = {"desired_curve": curve, "ratios": ratios}
+        assert CaptureRequest(response="curve", **made) == expected
+        assert hash(CaptureRequest(response="curve", **made)) == hash(expected)
+
+
+@pytest.mark.parametrize("curve", [(1, 2), 3, ((0.1, 0.2, 0.3),), (("dark", 0.0), (1.0, 1.0))])
+def test_curve_of_something_else_than_pairs_is_a_usage_error(curve: Any) -> None:
+    with pytest.raises(UsageError, match="expected pairs of irradiance and brightness"):
+        CaptureRequest(response="curve", desired_curve=curve)

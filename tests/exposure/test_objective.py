@@ -138,7 +138,7 @@ def test_jitter_must_be_a_fraction_up_to_a_fifth(jitter: float) -> None:
 
 def test_evaluation_of_a_bracket_of_one_stop() -> None:
     desired = desired_response("linear", 1024.0)
-    found = evaluate(EIGHT_BIT, (1, 2, 4), desired)
+    found = evaluate(EIGHT_BIT, desired, (1, 2, 4))
     assert found.xi == pytest.approx(318.31, abs=0.02)
     assert found.levels_wanted == found.levels == 765
     assert found.levels_distinct == 511
@@ -150,13 +150,13 @@ def test_evaluation_of_a_bracket_of_one_stop() -> None:
 
 def test_evaluation_accepts_times_in_any_order_and_unit() -> None:
     desired = desired_response("log", 1000.0)
-    relative = evaluate(EIGHT_BIT, (1, 8, 64), desired)
-    assert evaluate(EIGHT_BIT, (64 / 1024, 1 / 1024, 8 / 1024), desired) == relative
+    relative = evaluate(EIGHT_BIT, desired, (1, 8, 64))
+    assert evaluate(EIGHT_BIT, desired, (64 / 1024, 1 / 1024, 8 / 1024)) == relative
 
 
 def test_evaluation_uses_the_objective() -> None:
     desired = desired_response("log", 1000.0)
-    found = evaluate(EIGHT_BIT, (1, 8), desired, objective=Objective(300.0, p=2.0))
+    found = evaluate(EIGHT_BIT, desired, (1, 8), objective=Objective(300.0, p=2.0))
     camera = EffectiveCamera.of(EIGHT_BIT, (1, 8))
     assert found.levels_wanted == 300
     assert found.xi == xi(camera, desired, 300, p=2.0)
@@ -164,4 +164,4 @@ def test_evaluation_uses_the_objective() -> None:
 
 def test_evaluation_refuses_invalid_exposures() -> None:
     with pytest.raises(UsageError, match="invalid exposure 0: expected a positive, finite number"):
-        evaluate(EIGHT_BIT, (1, 0), desired_response("log", 1000.0))
+        evaluate(EIGHT_BIT, desired_response("log", 1000.0), (1, 0))

@@ -180,7 +180,7 @@ def test_jitter_avoids_interleaved_exposures_that_errors_would_destroy() -> None
     jitter = Objective(jitter=0.01)
     interleaved = solve(EIGHT_BIT, desired, 2)
     robust = solve(EIGHT_BIT, desired, 2, objective=jitter)
-    with_errors = evaluate(EIGHT_BIT, interleaved.exposures, desired, objective=jitter).xi
+    with_errors = evaluate(EIGHT_BIT, desired, interleaved.exposures, objective=jitter).xi
     assert with_errors > interleaved.xi * 1.05
     assert robust.xi <= with_errors
 
@@ -199,8 +199,8 @@ def test_cameras_of_many_bits_are_solved_from_the_coarse_solution(bits: int) -> 
     desired = desired_response("linear", 2.0**bits)
     found = solve(response, desired, 2, search=SearchOptions(effort=0.02))
     step = 0.7 / 2**bits
-    assert found.xi < evaluate(response, (1, 1), desired).xi
-    assert found.xi <= evaluate(response, (1, 1 + step), desired).xi
+    assert found.xi < evaluate(response, desired, (1, 1)).xi
+    assert found.xi <= evaluate(response, desired, (1, 1 + step)).xi
     assert math.isfinite(found.effective_levels)
 
 

@@ -192,4 +192,4 @@ def test_exposures_for_curves_of_the_published_model_beat_doubling(
         np.savetxt(path, np.column_stack([model.irradiance, curve]))
         camera = read_curve(path, bits=8)
         found = solve(camera, desired, 3, search=SearchOptions(effort=0.1))
-        assert found.xi < evaluate(camera, (1, 2, 4), desired).xi
+        assert found.xi < evaluate(camera, desired, (1, 2, 4)).xi
