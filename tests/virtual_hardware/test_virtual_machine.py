@@ -10,6 +10,10 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
+PROGRAMS = (
+    *("qemu-system-x86_64", "busybox", "modprobe", "depmod", "cpio"),
+    *("dpkg", "apt-get", "apt-cache"),
+)
 
 
 def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -26,7 +30,7 @@ def path_without(tmp_path: Path) -> Callable[[str | None], str]:
     """A PATH with all programs that are needed but one; those in it fail."""
 
     def build(missing: str | None) -> str:
-        for name in ("qemu-system-x86_64", "busybox", "modprobe", "depmod", "cpio", "dpkg"):
+        for name in PROGRAMS:
             if name != missing:
                 (tmp_path / name).write_text("#!/bin/sh\nexit 1\n")
                 (tmp_path / name).chmod(0o755)
