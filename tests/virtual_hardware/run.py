@@ -147,7 +147,7 @@ class Guest:
         return result.status
 
     def _on_line(self, line: str) -> None:
-        text = line.strip()  # pytest may have begun the line
+        text = line.lstrip("\0 ")  # probing serial ports for cameras sends a NUL to the console
         if found := _COLLECTED_LINE.fullmatch(text):
             self.counts["collected"] += int(found[1])
         elif found := _TEST_LINE.match(text):
