@@ -68,7 +68,6 @@ class Still:
         bits: bits per sample
         black: brightness without light, DN
         white: brightness from which a sample is saturated, DN
-        is_linear: True if samples are proportional to the light, as in camera raw
         notes: what the user should know, one line each
     """
 
@@ -77,7 +76,6 @@ class Still:
     bits: int
     black: int
     white: int
-    is_linear: bool
     notes: tuple[str, ...] = ()
 
     @property
@@ -219,7 +217,6 @@ def _full_range(image: NDArray[Any], name: str) -> Still:
         bits,
         black=0,
         white=2**bits - 1,
-        is_linear=False,
     )
 
 
@@ -318,8 +315,8 @@ def _mosaic(raw: Any, name: str) -> Still:
             f"were raised to black level {black}",
         )
     if bits <= 8:
-        return Still(pixels.astype(np.uint8), layout, bits, black, white, True, notes)
-    return Still(pixels, layout, bits, black, white, True, notes)
+        return Still(pixels.astype(np.uint8), layout, bits, black, white, notes)
+    return Still(pixels, layout, bits, black, white, notes)
 
 
 def _layout(raw: Any, samples: NDArray[np.uint16], name: str) -> tuple[Layout, NDArray[np.intp]]:

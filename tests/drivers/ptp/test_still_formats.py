@@ -19,7 +19,7 @@ from drivers.ptp.still_formats import (
 )
 
 SAMPLES = np.array([[64, 70, 1000, 4000], [4095, 66, 65, 200]], np.uint16)
-STILL = Still(SAMPLES, Layout.RGGB, 12, black=64, white=4000, is_linear=True)
+STILL = Still(SAMPLES, Layout.RGGB, 12, black=64, white=4000)
 KNOWN = KnownFormat("raw", STILL.record)
 
 
