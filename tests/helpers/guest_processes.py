@@ -33,8 +33,8 @@ import usb.util
 
 from camctl.cli import main
 
-# Catches what hangs: a condition that comes true comes true much sooner.  In the guest an idle wait
-# of this length costs the host a few seconds.
+# After so long a condition will never be true; most are within a second.  An idle wait of this
+# length costs the host a few seconds, because the guest's clock jumps.
 HANG_S = 600.0
 _POLL_S = 0.02
 _POPULATE = 0x8000  # MAP_POPULATE of mmap(2), which the module mmap of Python 3.11 does not name
@@ -243,7 +243,7 @@ class CommandResult:
 
     @property
     def error(self) -> str:
-        """The one line of an error, without its prefix."""
+        """The one line on standard error of a command that failed, without its prefix."""
         assert self.status == 1, self.err
         assert self.err.count("\n") == 1, self.err
         return self.err.removeprefix("camctl: ").rstrip("\n")

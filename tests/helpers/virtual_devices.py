@@ -137,7 +137,7 @@ def running_hub(devices: Sequence[Device] = DEVICES) -> Iterator[RecordingHub]:
     with clock_in_step():
         process = _start_hub(devices)
         for device in devices:
-            wait_for(device.name, functools.partial(is_there, device))
+            wait_for(device.name, functools.partial(is_connected, device))
         usb_device(devices[0])  # loads libusb
     try:
         yield RecordingHub(DIRECTORY)
@@ -189,7 +189,7 @@ def serial_port() -> Path:
     return node
 
 
-def is_there(device: Device) -> bool:
+def is_connected(device: Device) -> bool:
     """Return whether the kernel has made what the device's driver opens."""
     if device.kind == "uvc":
         return video_node(device) is not None
@@ -219,16 +219,16 @@ def restore(hub: RecordingHub) -> None:
     """End the faults of all devices that were changed, and plug them in again."""
     for device in (each for each in DEVICES if each.name in hub.changed):
         hub.do(device.name, "ok")
-        if not is_there(device):
+        if not is_connected(device):
             hub.do(device.name, "plug")
-        wait_for(device.name, functools.partial(is_there, device))
+        wait_for(device.name, functools.partial(is_connected, device))
     hub.changed.clear()
 
 
 def unplug(hub: Hub, device: Device) -> None:
     """Unplug a device; the kernel has noticed it when this returns."""
     hub.do(device.name, "unplug")
-    wait_for(f"end of {device.name}", lambda: not is_there(device))
+    wait_for(f"end of {device.name}", lambda: not is_connected(device))
 
 
 def record_delay(device: Device, smallest: int, largest: int) -> None:

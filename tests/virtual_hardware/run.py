@@ -84,6 +84,9 @@ def main() -> int:
     for guest in guests:
         counts.update(guest.counts)
     failed = max(counts["failed"], sum(guest.is_broken for guest in guests))
+    if not counts["collected"]:
+        failed = 1
+        print("no test was selected")
     seconds = time.monotonic() - began
     print(f"virtual hardware: {counts['passed']} passed, {failed} failed, {seconds:.0f} s")
     return 1 if failed else 0
@@ -115,12 +118,14 @@ class Guest:
     def test(self, command: Sequence[str]) -> None:
         """Run tests: print a line for each as it ends, and all other output at the end."""
         status = self.run(command, self._on_line)
-        left = 2 * self.counts["collected"] - self.counts.total()
-        if left > 0:
-            self._say(f"{left} tests did not run")
+        ran = sum(self.counts[outcome] for outcome in ("passed", "failed", "skipped"))
+        if ran < self.counts["collected"]:
+            self._say(f"{self.counts['collected'] - ran} tests did not run")
         if status not in (0, NO_TESTS) and not self.counts["failed"]:
             self.is_broken = True
-        print("\n".join(self._report), flush=True)
+        if self._report:
+            sys.stdout.write("\n".join(self._report) + "\n")
+            sys.stdout.flush()
 
     def run(self, command: Sequence[str], on_line: OnLine) -> int:
         """Run a command in the guest and return its exit status."""

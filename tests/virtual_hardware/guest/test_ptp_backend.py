@@ -128,7 +128,7 @@ class TestFaults:
         kept = {path: path.stat().st_mtime_ns for path in Path("cut/frames").glob("*.npy")}
         assert 1 <= len(kept) < 5
         self.fault("plug")
-        guest.wait_for("camera", lambda: rig.is_there(self.device))
+        guest.wait_for("camera", lambda: rig.is_connected(self.device))
         done = camctl("shoot", "--resume", "cut")
         assert done.status == 0, done.err
         rig.completed_frames("cut")

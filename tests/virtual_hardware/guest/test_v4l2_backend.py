@@ -186,7 +186,7 @@ class TestFaults:
         kept = {path: path.stat().st_mtime_ns for path in Path("cut/frames").glob("*.npy")}
         assert kept
         self.fault("plug")
-        guest.wait_for("camera", lambda: rig.is_there(rig.WEB))
+        guest.wait_for("camera", lambda: rig.is_connected(rig.WEB))
         done = camctl("shoot", "--resume", "cut")
         assert done.status == 0, done.err
         assert len(rig.completed_frames("cut")) == 12
