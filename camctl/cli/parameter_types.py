@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from importlib import resources
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,11 +78,15 @@ class Text(_ValueType):
 
 
 def _entry_point_names(group: str) -> list[str]:
+    from importlib.metadata import entry_points  # completion alone needs it
+
     return sorted(point.name for point in entry_points(group=group))
 
 
 def _built_in_names(folder: str) -> list[str]:
     """Return the names of the JSON files in a folder of the package `sim`."""
+    from importlib import resources
+
     files = (resources.files("sim") / folder).iterdir()
     return sorted(file.name.removesuffix(".json") for file in files if file.name.endswith(".json"))
 
