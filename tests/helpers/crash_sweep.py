@@ -1,4 +1,4 @@
-"""Kill a small capture before each of its file operations, and look at what is left.
+"""Kill a small capture before each of its file operations, and check the files that remain.
 
     python crash_sweep.py FOLDER STEP
 
