@@ -31,19 +31,20 @@ if TYPE_CHECKING:
     from camctl.camera import OriginalFile as OriginalFile
     from camctl.camera import PreviewingCamera as PreviewingCamera
     from camctl.camera import StreamingCamera as StreamingCamera
-    from camctl.captures.frame_store import read_report as read_report
+    from camctl.captures.capture_plan import CapturePlan as CapturePlan
+    from camctl.captures.capture_plan import Metering as Metering
+    from camctl.captures.folder_store import read_report as read_report
     from camctl.captures.plan import plan_capture as plan_capture
     from camctl.captures.report import Achieved as Achieved
     from camctl.captures.report import CaptureReport as CaptureReport
     from camctl.captures.report import FrameRecord as FrameRecord
     from camctl.captures.report import Irradiance as Irradiance
     from camctl.captures.report import RatioCheck as RatioCheck
-    from camctl.captures.request import CapturePlan as CapturePlan
     from camctl.captures.request import CaptureRequest as CaptureRequest
-    from camctl.captures.request import Metering as Metering
-    from camctl.captures.sequencer import Progress as Progress
+    from camctl.captures.sequence import Progress as Progress
     from camctl.captures.sequencer import capture as capture
     from camctl.captures.sequencer import resume as resume
+    from camctl.clock import CaptureTiming as CaptureTiming
     from camctl.clock import Clock as Clock
     from camctl.clock import RealClock as RealClock
     from camctl.clock import VirtualClock as VirtualClock
@@ -62,23 +63,33 @@ if TYPE_CHECKING:
     from camctl.errors import CaptureError as CaptureError
     from camctl.errors import DataError as DataError
     from camctl.errors import InterruptedCaptureError as InterruptedCaptureError
+    from camctl.errors import OutOfMemoryError as OutOfMemoryError
     from camctl.errors import RefusedSettingError as RefusedSettingError
+    from camctl.errors import ResourceError as ResourceError
     from camctl.errors import StorageError as StorageError
     from camctl.errors import UsageError as UsageError
-    from camctl.exposure.objective import Evaluation as Evaluation
+    from camctl.exposure.accuracy import AccuracySolution as AccuracySolution
+    from camctl.exposure.accuracy import solve_accuracy as solve_accuracy
+    from camctl.exposure.evaluation import Evaluation as Evaluation
+    from camctl.exposure.evaluation import evaluate as evaluate
+    from camctl.exposure.exposure_choices import AccuracyProblem as AccuracyProblem
+    from camctl.exposure.exposure_choices import AvailableExposures as AvailableExposures
     from camctl.exposure.objective import Objective as Objective
-    from camctl.exposure.objective import evaluate as evaluate
     from camctl.exposure.solver import SearchOptions as SearchOptions
     from camctl.exposure.solver import Solution as Solution
     from camctl.exposure.solver import solve as solve
     from camctl.exposure.table import ExposureTable as ExposureTable
+    from camctl.merging.merge import merge as merge
+    from camctl.merging.photograph_set import PhotographOptions as PhotographOptions
+    from camctl.noise_model import FrameNoise as FrameNoise
+    from camctl.noise_model import NoiseModel as NoiseModel
     from camctl.response.camera import CameraResponse as CameraResponse
     from camctl.response.camera import linear_response as linear_response
     from camctl.response.camera import standard_response as standard_response
     from camctl.response.desired import DesiredResponse as DesiredResponse
     from camctl.response.desired import desired_response as desired_response
-    from camctl.response.desired import tabulated_desired as tabulated_desired
     from camctl.response.measured import measured_response as measured_response
+    from camctl.response.tabulated import tabulated_desired as tabulated_desired
 
 #: Where each public name is defined: the names of one module of camctl in a line.
 _NAMES = {
@@ -90,24 +101,33 @@ _NAMES = {
         "Camera CameraBase CameraInfo Frame FrameStream OriginalFile PreviewingCamera "
         "StreamingCamera"
     ),
-    "captures.frame_store": "read_report",
+    "captures.folder_store": "read_report",
     "captures.plan": "plan_capture",
     "captures.report": "Achieved CaptureReport FrameRecord Irradiance RatioCheck",
-    "captures.request": "CapturePlan CaptureRequest Metering",
-    "captures.sequencer": "Progress capture resume",
-    "clock": "Clock RealClock VirtualClock",
+    "captures.capture_plan": "CapturePlan Metering",
+    "captures.request": "CaptureRequest",
+    "captures.sequence": "Progress",
+    "captures.sequencer": "capture resume",
+    "clock": "CaptureTiming Clock RealClock VirtualClock",
     "controls": "Choices ExposureControls ExposureSetting Layout Steps",
     "errors": (
         "CamctlError CameraBusyError CameraDisconnectedError CameraError CameraNotFoundError "
         "CameraProtocolError CameraTimeoutError CaptureError DataError InterruptedCaptureError "
-        "RefusedSettingError StorageError UsageError"
+        "OutOfMemoryError RefusedSettingError ResourceError StorageError UsageError"
     ),
-    "exposure.objective": "Evaluation Objective evaluate",
+    "exposure.accuracy": "AccuracySolution solve_accuracy",
+    "exposure.evaluation": "Evaluation evaluate",
+    "exposure.exposure_choices": "AccuracyProblem AvailableExposures",
+    "exposure.objective": "Objective",
     "exposure.solver": "SearchOptions Solution solve",
     "exposure.table": "ExposureTable",
+    "merging.merge": "merge",
+    "merging.photograph_set": "PhotographOptions",
+    "noise_model": "FrameNoise NoiseModel",
     "response.camera": "CameraResponse linear_response standard_response",
-    "response.desired": "DesiredResponse desired_response tabulated_desired",
+    "response.desired": "DesiredResponse desired_response",
     "response.measured": "measured_response",
+    "response.tabulated": "tabulated_desired",
 }
 _MODULES = {name: f"camctl.{module}" for module, names in _NAMES.items() for name in names.split()}
 

@@ -11,6 +11,7 @@ import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
@@ -19,8 +20,10 @@ from typing import Annotated, Any, Protocol, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
+from camctl.calibrated import PARTS, with_profile
 from camctl.camera import Camera, CameraInfo
 from camctl.errors import CamctlError, UsageError, unknown_name
+from camctl.profile import ignored_profiles
 
 CAMERAS = "camctl.cameras"
 PANELS = "camctl.panels"
@@ -43,6 +46,14 @@ def _parse_size(value: object) -> object:
 
 FrameShape = Annotated[tuple[int, int], BeforeValidator(_parse_size)]
 """(rows, columns) of a frame; as a string, WIDTHxHEIGHT."""
+
+
+def _lower_case(value: object) -> object:
+    return value.strip().lower() if isinstance(value, str) else value
+
+
+LowerCase = BeforeValidator(_lower_case)
+"""Converts the value of an option to lower case before it is checked."""
 
 
 class BackendOptions(BaseModel):
@@ -78,7 +89,8 @@ class BackendOptions(BaseModel):
 class CameraBackend(Protocol):
     """One way to reach cameras: a bus, a protocol, or a simulation.
 
-    A backend may have an attribute `about`, one line about the cameras it reaches.
+    A backend may have two attributes: `about`, one line about the cameras it reaches, and
+    `local_address`, a regular expression for addresses of devices of this machine; see `is_local`.
     """
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
@@ -186,11 +198,14 @@ def open_camera(
     Args:
         camera_id: name of the backend, and an address after a colon: "sim", "v4l2:/dev/video0"
         options: options of the backend; their values may be of any type that the backend's options
-            model accepts, strings in any case.  None leaves an option at its default.
+            model accepts, strings in any case.  None leaves an option at its default.  All
+            cameras have the option "profile": "all" (the default), "none", or those parts of the
+            camera's profile that are applied, such as "response,exposures".
         more_options: more of them, as keyword arguments
 
     Raises:
         UsageError: an unknown backend or option, or an invalid value
+        DataError: the camera's profile is damaged
         CameraError: the camera cannot be opened
 
     >>> with open_camera("sim", scene="uniform", size="64x48") as camera:
@@ -199,15 +214,49 @@ def open_camera(
     """
     name, _, address = camera_id.partition(":")
     backend: CameraBackend = load(CAMERAS, "camera", name)()
-    given = {**(options or {}), **more_options}
-    return backend.open(
-        address,
-        {
-            option: os.fspath(value) if isinstance(value, os.PathLike) else value
-            for option, value in given.items()
-            if value is not None
-        },
-    )
+    given = {
+        option: os.fspath(value) if isinstance(value, os.PathLike) else value
+        for option, value in {**(options or {}), **more_options}.items()
+        if value is not None
+    }
+    parts = _profile_parts(given.pop("profile", "all"))
+    camera: Camera | None = None
+    try:
+        with ignored_profiles() if not parts else nullcontext():
+            camera = backend.open(address, given)
+        return with_profile(camera, parts)
+    except BaseException:
+        if camera is not None:
+            camera.close()
+        raise
+
+
+def _profile_parts(value: object) -> tuple[str, ...]:
+    """Return the parts of a profile that the option "profile" names."""
+    words = [word.strip() for word in str(value).split(",")]
+    if words == ["all"]:
+        return PARTS
+    if words == ["none"]:
+        return ()
+    for word in words:
+        if word not in PARTS:
+            raise unknown_name("part of a profile", word, ("all", "none", *PARTS))
+    return tuple(words)
+
+
+def is_local(camera_id: str, options: Mapping[str, Any]) -> bool:
+    """Return whether a camera may be opened because a file names it, and not the user.
+
+    That holds for devices of this machine by the names that the system gives them, and for options
+    as they come from a command line; never for a URL, which may connect to another machine or
+    write a file.  A backend without `local_address` has no such cameras.
+    """
+    name, _, address = camera_id.partition(":")
+    if name not in _entry_points(CAMERAS):
+        return False
+    pattern = getattr(load(CAMERAS, "camera", name), "local_address", None)
+    is_device = pattern is not None and re.fullmatch(pattern, address, re.ASCII) is not None
+    return is_device and all(isinstance(value, str) for value in options.values())
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,13 @@ from numpy.typing import NDArray
 from camctl.clock import Clock
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CameraBusyError, CameraDisconnectedError
+from camctl.interrupts import uninterrupted
 
 Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+PHOTOGRAPHS = "photographs"
+"""Id and driver of the camera that photographs already taken are (`camctl merge`)."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,7 @@ class CameraInfo:
         model: model
         serial: serial number, "" where unknown
         driver: name of the backend
+        remark: for whoever chooses among listed cameras, such as which backend suits it better
     """
 
     id: str
@@ -40,6 +46,7 @@ class CameraInfo:
     model: str
     serial: str
     driver: str
+    remark: str = ""
 
 
 @dataclass(frozen=True)
@@ -243,6 +250,7 @@ class CameraBase(ABC):
             controls.check(setting)
         return self._shoot(requested)
 
+    @uninterrupted
     def close(self) -> None:
         """Disconnect from the device; a second call does nothing."""
         if self._is_open:
@@ -253,6 +261,7 @@ class CameraBase(ABC):
         """Open the camera and return it."""
         return self.open()
 
+    @uninterrupted
     def __exit__(
         self,
         kind: type[BaseException] | None,

@@ -1,8 +1,12 @@
-"""Clocks: real time for cameras, virtual time for tests that are exact and take no time."""
+"""Clocks, and what takes time in a capture.
+
+Drivers and cameras wait in real time; tests in virtual time, which is exact and takes no time.
+"""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Protocol
 
 
@@ -50,3 +54,34 @@ class VirtualClock:
     def sleep_until(self, deadline_s: float) -> None:
         """Jump to `deadline_s`."""
         self._now_s = max(self._now_s, deadline_s)
+
+
+@dataclass(frozen=True)
+class CaptureTiming:
+    """What takes time in a capture beside the exposures and the frame interval.
+
+    Attributes:
+        settling_s: still cameras: before each exposure, to make its settings and to release the
+            shutter, s
+        readout_s: from the end of an exposure until its frame is here, or its file is on the
+            camera's card, s
+        download_s: still cameras: transfer and decoding of a file, s
+        overlaps: still cameras: a file is downloaded during the next exposure
+        lead_frames: streams: frames, on average, that pass from the request until the first setting
+            is written in time for a frame; half a frame, since a request comes at any time in one
+        old_frames: streams without a constant control delay: frames after each write that still
+            have the exposure before, on average
+        unsettled_frames: streams without a constant control delay: frames after those that are
+            not used, on average
+        rests: streams: a preview or a capture leaves the stream with frames that take one frame
+            interval each, however long its last exposure was
+    """
+
+    settling_s: float = 0.0
+    readout_s: float = 0.0
+    download_s: float = 0.0
+    overlaps: bool = False
+    lead_frames: float = 0.0
+    old_frames: float = 0.0
+    unsettled_frames: float = 0.0
+    rests: bool = False

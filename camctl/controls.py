@@ -8,14 +8,17 @@ the rounded labels of a dial (1/30 on a dial of third stops is 1/32 s).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+from camctl.clock import CaptureTiming
 from camctl.errors import RefusedSettingError, UsageError
+from camctl.noise_model import FrameNoise, MeasuredNoise, NoiseModel
 from camctl.response.camera import CameraResponse, linear_response
 
 
@@ -33,6 +36,14 @@ class Layout(StrEnum):
     def is_mosaic(self) -> bool:
         """Whether each pixel has one colour of a 2 x 2 Bayer pattern, named row by row."""
         return self not in (Layout.MONO, Layout.RGB)
+
+    def planes(self, pixels: NDArray[Any]) -> list[NDArray[Any]]:
+        """Return views of a frame, one for each colour (the two greens of a mosaic apart)."""
+        if self is Layout.MONO:
+            return [pixels]
+        if self is Layout.RGB:
+            return [pixels[..., channel] for channel in range(3)]
+        return [pixels[row::2, column::2] for row in (0, 1) for column in (0, 1)]
 
 
 @dataclass(frozen=True)
@@ -137,14 +148,14 @@ class Steps:
 
     def nearest(self, value: float) -> float:
         """Return the setting nearest to `value`."""
-        if self.step == 0:
-            return min(max(value, self.minimum), self.maximum)
-        return self._at(round((value - self.minimum) / self.step))
+        value = min(max(value, self.minimum), self.maximum)
+        return self._at(round((value - self.minimum) / self.step)) if self.step else value
 
     def near(self, value: float, count: int) -> tuple[float, ...]:
         """Return up to `count` settings nearest to `value`, ascending; one where continuous."""
+        value = min(max(value, self.minimum), self.maximum)
         if self.step == 0:
-            return (self.nearest(value),)
+            return (value,)
         first = round((value - self.minimum) / self.step - (count - 1) / 2)
         first = max(0, min(first, self._last - count + 1))
         return tuple(self._at(i) for i in range(first, min(first + count, self._last + 1)))
@@ -164,6 +175,33 @@ class Steps:
 Control: TypeAlias = Choices | Steps
 
 
+class ExposureCorrection(Protocol):
+    """The true exposure of a setting over the stated one, and its 95 % confidence interval."""
+
+    @property
+    def factor(self) -> float:
+        """True over stated exposure."""
+        ...
+
+    @property
+    def low(self) -> float:
+        """Lower end of the interval."""
+        ...
+
+    @property
+    def high(self) -> float:
+        """Upper end of the interval."""
+        ...
+
+
+class TrueExposures(Protocol):
+    """The true exposures of settings, as a calibration has measured them."""
+
+    def correction(self, setting: ExposureSetting) -> ExposureCorrection | None:
+        """Return the correction of a setting; None where it was not measured."""
+        ...
+
+
 @dataclass(frozen=True)
 class ExposureControls:
     """What a camera can set, and the properties of its frames.
@@ -179,15 +217,23 @@ class ExposureControls:
         white: white level: brightness from which a sample counts as saturated, DN
         phase: phase of the quantiser in levels: 0 truncates, 1/2 rounds; a black level that is not
             a whole number gives values between
-        response: the measured response, as levels between black and white; None: linear
+        response: the measured response, as levels between black and white; None: linear; where the
+            colours have responses of their own, that of green
+        responses: the responses of R, G and B where they differ; else none
         delay_frames: frames from setting an exposure to the first frame that has it; None where
             this delay is not constant, so that the driver waits until each setting takes effect
-        frame_interval_s: shortest time between two frames, s
+        frame_interval_s: shortest time between two frames, s; 0: a still camera
+        timing: what else takes time in a capture; None where this is not known yet
         sensitivity: full scales (white - black + 1) that one second at gain 1 (and f/1 where the
             aperture can be set) gives for each unit of the scene's irradiance; None where this is
             unknown, and irradiance is then relative
+        noise: the noise of its frames; None where this is unknown
         tolerance: largest relative error of a setting that counts as exact
+        true_exposures: the measured exposures of its settings; None: as stated
+        hot_pixels: (row, column) of the pixels whose brightness says little of the light
         notes: remarks about its pictures for people, one line each
+        profile: what a calibration of this camera has replaced above, one line; None: nothing
+        pixel_format: of the stream where the layout does not say all, such as yuyv or mjpg
 
     Raises:
         ValueError: the bit depth, black level and white level do not fit together
@@ -205,9 +251,16 @@ class ExposureControls:
     response: CameraResponse | None = None
     delay_frames: int | None = None
     frame_interval_s: float = 0.0
+    timing: CaptureTiming | None = None
     sensitivity: float | None = None
+    noise: NoiseModel | None = None
     tolerance: float = 1e-6
     notes: tuple[str, ...] = ()
+    responses: tuple[CameraResponse, ...] = ()
+    true_exposures: TrueExposures | None = None
+    hot_pixels: tuple[tuple[int, int], ...] = ()
+    profile: str | None = None
+    pixel_format: str = ""
 
     def __post_init__(self) -> None:
         if not (1 <= self.bits <= 16 and 0 <= self.black < self.white < 2**self.bits):
@@ -222,6 +275,42 @@ class ExposureControls:
         if self.response is not None:
             return self.response
         return linear_response(self.bits, phase=self.phase, levels=self.white - self.black)
+
+    def exposure(self, setting: ExposureSetting) -> float:
+        """Return the true exposure of a setting, in the unit of `ExposureSetting.exposure`."""
+        correction = (
+            None if self.true_exposures is None else self.true_exposures.correction(setting)
+        )
+        return setting.exposure * (1.0 if correction is None else correction.factor)
+
+    def nearest_time(self, true_s: float, gain: float) -> float:
+        """Return the shutter time whose true exposure is nearest to that of `true_s`, at a gain."""
+        stated = ExposureSetting(self.time_s.nearest(true_s), gain)
+        return self.time_s.nearest(true_s * stated.exposure / self.exposure(stated))
+
+    def relative_exposures(self, settings: Sequence[ExposureSetting]) -> tuple[float, ...]:
+        """Return true exposures relative to the smallest, in the order of `settings`."""
+        exposures = [self.exposure(setting) for setting in settings]
+        return tuple(exposure / min(exposures) for exposure in exposures)
+
+    def frame_noise(
+        self, settings: Sequence[ExposureSetting], measured: MeasuredNoise | None = None
+    ) -> tuple[FrameNoise, ...]:
+        """Return the noise of a frame at each setting; where it is unknown the measured one.
+
+        None is returned as noise where it was not measured, either.
+        """
+        if self.noise is None:
+            electrons = (measured and measured.electrons_per_level) or math.inf
+            read = measured.read_noise_levels if measured else 0.0
+            return tuple(
+                FrameNoise(electrons / each.gain, read * each.gain, black=self.black)
+                for each in settings
+            )
+        return tuple(
+            self.noise.frame(gain=each.gain, time_s=each.time_s, black=self.black)
+            for each in settings
+        )
 
     def check(self, setting: ExposureSetting) -> None:
         """Check that the camera can set `setting` within its tolerance.

@@ -6,8 +6,11 @@
     ├── UsageError                  the request is invalid                        exit status 2
     ├── DataError                   a file or table has invalid content
     ├── StorageError                a result could not be written (disk full, no permission)
+    ├── ResourceError               the system refuses a file, a thread or memory
+    │   └── OutOfMemoryError        the memory does not suffice; also a MemoryError
     ├── CaptureError                a capture could not be planned or completed
-    │   └── InterruptedCaptureError the user stopped it; its frames are kept      exit status 130
+    │   └── InterruptedCaptureError the user stopped it; its frames are kept      exit status 130,
+    │                               after SIGTERM and SIGHUP 143 and 129
     └── CameraError                 the camera, or the connection to it, failed
         ├── CameraNotFoundError     no such camera
         ├── CameraBusyError         another process uses it, or it is still working
@@ -54,6 +57,14 @@ class DataError(CamctlError):
 
 class StorageError(CamctlError):
     """A result could not be written."""
+
+
+class ResourceError(CamctlError):
+    """The system refuses a resource: a file that cannot be opened, a thread, memory."""
+
+
+class OutOfMemoryError(ResourceError, MemoryError):
+    """The memory does not suffice."""
 
 
 class CaptureError(CamctlError):

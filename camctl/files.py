@@ -1,18 +1,28 @@
-"""Atomic writes: a file is complete or does not exist.  Locks between processes."""
+"""Atomic, durable writes: a file is complete or does not exist.  Locks between processes.
+
+What a function here has written is on disk when it returns: a power failure does not undo it.
+"""
 
 from __future__ import annotations
 
 import errno
+import hashlib
+import io
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import stat
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import StorageError
+
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
 _OTHER_FOLDER = "choose another folder with -o"
 
@@ -27,11 +37,19 @@ _REASONS = {
     errno.ENOENT: ("no file can be made there", _OTHER_FOLDER),
     errno.ENOTDIR: ("a part of the path is a file", _OTHER_FOLDER),
     errno.EEXIST: ("a file of that name already exists", _OTHER_FOLDER),
+    errno.ENAMETOOLONG: ("its name is too long", "choose a shorter one with -o"),
+    errno.EMFILE: ("too many files are open", "raise the limit (ulimit -n)"),
 }
 
-#: Messages of numpy and OpenEXR for an incomplete write, which they raise without an error number.
+#: Message of numpy for an incomplete write, which it raises without an error number.
+_INCOMPLETE = "requested and"
+_UNKNOWN_LIMIT = (
+    "only a part of it could be written",
+    "free some space, or raise the limit of file sizes",
+)
+
+#: Messages of OpenEXR for an incomplete write, which it raises without an error number.
 _MESSAGES = {
-    "requested and": errno.ENOSPC,
     os.strerror(errno.ENOSPC): errno.ENOSPC,
     os.strerror(errno.EFBIG): errno.EFBIG,
 }
@@ -42,8 +60,28 @@ def storage_error(path: Path, error: OSError) -> StorageError:
     by_message = (number for message, number in _MESSAGES.items() if message in str(error))
     number = error.errno or next(by_message, 0)
     other = (error.strerror or str(error), "check the disk, or choose another folder")
+    if _INCOMPLETE in str(error):
+        other = _UNKNOWN_LIMIT
     what, hint = _REASONS.get(number, other)
     return StorageError(f"cannot write {path}: {what}", hint=hint)
+
+
+def check_replaceable(path: Path) -> None:
+    """Check that a file may be written at `path`: nothing is there, or a file.
+
+    Raises:
+        StorageError: it is a folder, a pipe or a device, which root could replace; or no file can
+            have that name
+    """
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise storage_error(path, error) from error
+    if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
+        what = "it is a folder" if stat.S_ISDIR(mode) else "it is no regular file"
+        raise StorageError(f"cannot write {path}: {what}", hint="choose another file with -o")
 
 
 @contextmanager
@@ -53,8 +91,10 @@ def atomic_file(path: Path) -> Iterator[Path]:
     Where the block fails no new file is left, and an earlier `path` stays as it was.
 
     Raises:
-        StorageError: in place of any OSError
+        StorageError: in place of any OSError; `path` is a folder or a device, which a file must
+            not replace
     """
+    check_replaceable(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")  # other processes may write it, too
     try:
         try:
@@ -62,6 +102,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
             with part.open("r+b") as written:
                 os.fsync(written.fileno())
             part.replace(path)
+            sync_folder(path.parent)
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:
@@ -75,33 +116,77 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_array(path: Path, array: NDArray[np.generic]) -> None:
-    """Write an array as .npy, atomically.  Raises `StorageError`.
+    """Write an array as .npy, atomically.  Raises `StorageError`."""
+    with atomic_file(path) as part, part.open("wb") as file:
+        file.writelines(npy_parts(array))
+
+
+def npy_parts(array: NDArray[np.generic]) -> tuple[bytes, memoryview]:
+    """Return the header and the data of the .npy file of an array.
 
     numpy's own `save` does not give the reason when the disk is full; plain writes do.
     """
     array = np.ascontiguousarray(array)
-    with atomic_file(path) as part, part.open("wb") as file:
-        np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(array))
-        file.write(array.data)
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(array))
+    return header.getvalue(), array.reshape(-1).view(np.uint8).data
 
 
-@contextmanager
-def exclusive_lock(path: Path) -> Iterator[None]:
-    """Hold a lock that one process or thread has at a time; wait for it.
+def write_new(path: Path, parts: Iterable[bytes | memoryview]) -> str:
+    """Write a file that must not exist; return the SHA-256 of its content, in hexadecimal.
 
-    `path` is an empty file made for this.  A Python without file locks, such as one in a browser,
-    runs a single process, and the lock is not taken there.
+    The file's content is on disk at the end; its name is so after `sync_folder`.  Raises OSError.
     """
-    with path.open("wb") as file:
-        if sys.platform == "win32":
-            import msvcrt
+    checksum = hashlib.sha256()
+    with path.open("xb", buffering=0) as file:
+        for part in parts:
+            checksum.update(part)
+            rest = memoryview(part)
+            while rest:
+                rest = rest[file.write(rest) :]
+        os.fsync(file.fileno())
+    return checksum.hexdigest()
 
-            msvcrt.locking(file.fileno(), msvcrt.LK_LOCK, 1)
-        else:
-            try:
-                import fcntl
-            except ImportError:
-                pass
-            else:
-                fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+
+def make_folder(path: Path) -> list[Path]:
+    """Make a folder and its missing parents, durably; return those that were made, deepest first.
+
+    Raises OSError.
+    """
+    missing: list[Path] = []
+    for each in (path, *path.parents):
+        if each.exists():
+            break
+        missing.append(each)
+    for each in reversed(missing):
+        each.mkdir(exist_ok=True)
+        sync_folder(each.parent)
+    return missing
+
+
+def sync_folder(path: Path) -> None:
+    """Bring the names in a folder to the disk: after a new file, a rename or a removal.
+
+    Only POSIX systems can do this, and not for every file system or for a folder without
+    permission to read; there the system's own order of writes must do.
+    """
+    if os.name != "posix":
+        return
+    with suppress(PermissionError):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):
+                raise
+        finally:
+            os.close(descriptor)
+
+
+def file_lock(path: Path) -> BaseFileLock:
+    """Return a lock that one process or thread has at a time; `path` is an empty file for it."""
+    with warnings.catch_warnings():
+        # filelock prints a line where the system has no file locks and it uses marker files.
+        warnings.simplefilter("ignore")
+        from filelock import FileLock
+    return FileLock(path)

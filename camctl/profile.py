@@ -1,5 +1,7 @@
 """Camera profiles: measurements of one camera that are kept between sessions.
 
+`camctl.calibrated` applies them to an open camera, `camctl.profile_folder` lists them.
+
 A profile is one JSON file in $CAMCTL_PROFILES, or else in ``profiles`` of the user's data folder.
 It belongs to a driver, make, model and serial number, and not to an id: a camera keeps its profile
 on another USB port.  Cameras of one model without serial numbers share a profile.
@@ -14,21 +16,68 @@ import re
 import unicodedata
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from platformdirs import user_data_dir
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
 
 from camctl.camera import CameraInfo
+from camctl.clock import CaptureTiming
 from camctl.controls import Layout
-from camctl.errors import DataError, StorageError, UsageError, unknown_name
-from camctl.files import exclusive_lock, storage_error, write_bytes
+from camctl.errors import DataError, StorageError
+from camctl.exposure_record import ExposureRecord
+from camctl.files import file_lock, make_folder, storage_error, write_bytes
+from camctl.input_files import read_input
+from camctl.noise_record import NoiseRecord
+from camctl.response_record import ResponseRecord
 
-_SUFFIX = ".json"
+FORMAT_VERSION: Literal[1] = 1
+"""Version of the file format; readers accept this one only."""
+
+SUFFIX = ".json"
+#: Largest file of a profile: the responses of a hundred modes.
+_MOST_BYTES = 8 << 20
+#: Modes that a camera may have, and frames that a control delay may last.
+_MOST_MODES, _MOST_DELAY = 1000, 1000
+#: Longest time that a still camera may need beside an exposure, s.
+_LONGEST_S = 3600.0
 #: Characters of a profile's name before its hash; file names have 255 at most.
 _LONGEST_STEM = 80
+READ_HINT = "make it readable, or set $CAMCTL_PROFILES to another folder"
 _STORAGE_HINT = "check the disk, or set $CAMCTL_PROFILES to another folder"
+
+
+_Text = Annotated[str, StringConstraints(max_length=1000)]
+
+
+class FrameTiming(BaseModel):
+    """When the frames of a camera come.
+
+    Attributes:
+        frame_interval_s: from one frame of a stream to the next; on a still camera from one picture
+            to the next beside the exposure
+        jitter_s: standard deviation of that time
+        readout_s: from the end of an exposure until its frame is here, or on the camera's card
+        download_s: still cameras: transfer and decoding of a file
+        lost: frames of the stream that did not come while it was measured
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    frame_interval_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
+    jitter_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
+    readout_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
+    download_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
+    lost: int = Field(ge=0)
 
 
 class DelayRecord(BaseModel):
@@ -41,15 +90,17 @@ class DelayRecord(BaseModel):
         largest: the largest delay of all trials, frames
         trials: number of measurements
         measured_at: date and time, ISO 8601
+        timing: of the stream; None where it was not measured
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     frames: int | None
-    smallest: int = Field(ge=0)
-    largest: int = Field(ge=0)
-    trials: int = Field(ge=1)
+    smallest: int = Field(ge=0, le=_MOST_DELAY)
+    largest: int = Field(ge=0, le=_MOST_DELAY)
+    trials: int = Field(ge=1, le=1_000_000)
     measured_at: str
+    timing: FrameTiming | None = None
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
@@ -73,8 +124,8 @@ class StillRecord(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    rows: int = Field(ge=1)
-    columns: int = Field(ge=1)
+    rows: int = Field(ge=1, le=1 << 20)
+    columns: int = Field(ge=1, le=1 << 20)
     layout: Layout
     bits: int = Field(ge=1, le=16)
     black: int = Field(ge=0)
@@ -87,26 +138,73 @@ class StillRecord(BaseModel):
         return self
 
 
+class TimingRecord(BaseModel):
+    """What a still camera needs beside its exposures; see `camctl.clock.CaptureTiming`.
+
+    Attributes:
+        settling_s: before each exposure, to make its settings and to release the shutter
+        readout_s: from the end of an exposure until its file is on the card
+        download_s: transfer and decoding of a file
+        overlaps: a file is downloaded during the next exposure
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    settling_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
+    readout_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
+    download_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
+    overlaps: bool
+
+    @property
+    def timing(self) -> CaptureTiming:
+        """The same for `ExposureControls.timing`."""
+        return CaptureTiming(**self.model_dump())
+
+
+_RecordT = TypeVar("_RecordT")
+_ByMode = Annotated[dict[_Text, _RecordT], Field(max_length=_MOST_MODES)]
+
+
 class Profile(BaseModel):
     """Measurements of one camera.
 
     Attributes:
+        version: of this format
         driver: driver of the camera, as in `camctl.camera.CameraInfo`
         make: maker of the camera
         model: model of the camera
         serial: serial number of the camera
         delays: control delays by mode (see `camctl.camera.StreamingCamera.mode`)
         stills: pixel formats of its files by file format
+        exposures: true exposures by mode (see `camctl.exposure_record.exposure_mode`)
+        timings: what it needs beside its exposures, by file format
+        responses: measured responses by mode, as `exposures`
+        noises: measured noise by mode, as `exposures`
     """
 
     model_config = ConfigDict(extra="forbid")
 
-    driver: str
-    make: str
-    model: str
-    serial: str
-    delays: dict[str, DelayRecord] = {}
-    stills: dict[str, StillRecord] = {}
+    version: Literal[1] = FORMAT_VERSION
+    driver: _Text
+    make: _Text
+    model: _Text
+    serial: _Text
+    delays: _ByMode[DelayRecord] = {}
+    stills: _ByMode[StillRecord] = {}
+    exposures: _ByMode[ExposureRecord] = {}
+    timings: _ByMode[TimingRecord] = {}
+    responses: _ByMode[ResponseRecord] = {}
+    noises: _ByMode[NoiseRecord] = {}
+
+    @classmethod
+    def of(cls, info: CameraInfo) -> Self:
+        """Return an empty profile of a camera."""
+        # A device may send any text; a lone surrogate in it cannot be written to a file.
+        driver, make, model, serial = (
+            text.encode("utf-8", "replace").decode()
+            for text in (info.driver, info.make, info.model, info.serial)
+        )
+        return cls(driver=driver, make=make, model=model, serial=serial)
 
     @property
     def name(self) -> str:
@@ -123,15 +221,32 @@ def profile_directory() -> Path:
     return Path(named) if named else Path(user_data_dir("camctl")) / "profiles"
 
 
+_is_ignored: ContextVar[bool] = ContextVar("profiles are ignored", default=False)
+
+
+@contextmanager
+def ignored_profiles() -> Iterator[None]:
+    """Let `load_profile` return empty profiles while the block runs."""
+    token = _is_ignored.set(True)
+    try:
+        yield
+    finally:
+        _is_ignored.reset(token)
+
+
 def load_profile(info: CameraInfo) -> Profile:
     """Return the profile of a camera; an empty one where there is none.
 
     Raises:
         DataError: its file is damaged, cannot be read, or belongs to another camera
     """
-    empty = _empty(info)
-    path = _path(empty.name)
-    found = _read(path)
+    return Profile.of(info) if _is_ignored.get() else _load(info)
+
+
+def _load(info: CameraInfo) -> Profile:
+    empty = Profile.of(info)
+    path = profile_path(empty.name)
+    found = read_profile(path)
     if found is None:
         return empty
     if found.name != empty.name:
@@ -148,9 +263,9 @@ def save_profile(profile: Profile) -> Path:
     Raises:
         StorageError: it could not be written
     """
-    path = _path(profile.name)
-    with _storage_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    path = profile_path(profile.name)
+    with profile_storage_errors(path):
+        make_folder(path.parent)
         write_bytes(path, profile.model_dump_json(indent=2).encode() + b"\n")
     return path
 
@@ -165,93 +280,67 @@ def change_profile(info: CameraInfo, change: Callable[[Profile], None]) -> Path:
         StorageError: the new one could not be written
     """
     folder = profile_directory()
-    with _storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        with exclusive_lock(folder / ".lock"):
-            profile = load_profile(info)
+    with profile_storage_errors(folder):
+        make_folder(folder)
+        with file_lock(folder / ".lock"):
+            profile = _load(info)
             change(profile)
             return save_profile(profile)
 
 
-def list_profiles() -> list[Profile]:
-    """Return all profiles, by name.
-
-    Raises:
-        DataError: one is damaged or cannot be read
-    """
-    folder = profile_directory()
-    try:
-        paths = sorted(path for path in folder.iterdir() if path.suffix == _SUFFIX)
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise _unreadable(folder, error) from error
-    found = (_read(path) for path in paths if not path.name.startswith("."))
-    return [profile for profile in found if profile is not None]
-
-
-def remove_profile(name: str) -> Path:
-    """Remove the profile of that name, damaged or not; return the file that was removed.
-
-    Raises:
-        UsageError: there is none
-        StorageError: it cannot be removed
-    """
-    known = {path.stem: path for path in profile_directory().glob(f"[!.]*{_SUFFIX}")}
-    if name not in known:
-        if not known:
-            raise UsageError(
-                f"unknown profile '{name}': there are no profiles",
-                hint="make one with camctl calibrate",
-            )
-        raise unknown_name("profile", name, known)
-    with _storage_errors(known[name]):
-        known[name].unlink(missing_ok=True)
-    return known[name]
-
-
-def _empty(info: CameraInfo) -> Profile:
-    # A device may send any text; a lone surrogate in it cannot be written to a file.
-    driver, make, model, serial = (
-        text.encode("utf-8", "replace").decode()
-        for text in (info.driver, info.make, info.model, info.serial)
-    )
-    return Profile(driver=driver, make=make, model=model, serial=serial)
-
-
-def _path(name: str) -> Path:
-    return profile_directory() / f"{name}{_SUFFIX}"
+def profile_path(name: str) -> Path:
+    """Return the file of the profile of that name."""
+    return profile_directory() / f"{name}{SUFFIX}"
 
 
 def _repair(path: Path) -> str:
     return f"remove it with camctl profile remove {path.stem}, and calibrate again"
 
 
-def _read(path: Path) -> Profile | None:
+def read_profile(path: Path) -> Profile | None:
     """Return the profile in a file; None where there is no file."""
     try:
-        return Profile.model_validate_json(path.read_bytes())
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise _unreadable(path, error) from error
+        return parse_profile(path, hint=READ_HINT, repair=_repair(path))
+    except DataError as error:
+        if isinstance(error.__cause__, FileNotFoundError | NotADirectoryError):
+            return None
+        raise
+
+
+def parse_profile(path: Path, *, hint: str, repair: str) -> Profile:
+    """Return the profile in a file.
+
+    Args:
+        path: of the file
+        hint: what to do where the file cannot be read
+        repair: what to do where it holds no profile
+    """
+    data = read_input(path, "", hint=hint, most_bytes=_MOST_BYTES)
+    try:
+        version = _Header.model_validate_json(data).version
+        if version != FORMAT_VERSION:
+            raise DataError(
+                f"{path} is a profile of version {str(version)[:20]!r}, and this camctl reads "
+                f"version {FORMAT_VERSION}",
+                hint=f"install the camctl that wrote it, or {repair}",
+            )
+        return Profile.model_validate_json(data)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise DataError(
-            f"{path} is damaged at {where}: {first['msg']}", hint=_repair(path)
+            f"{path} is damaged at {where[:200]}: {first['msg'][:200]}", hint=repair
         ) from error
 
 
-def _unreadable(path: Path, error: OSError) -> DataError:
-    return DataError(
-        f"cannot read {path}: {error.strerror or error}",
-        hint="make it readable, or set $CAMCTL_PROFILES to another folder",
-    )
+class _Header(BaseModel):
+    """What every version of the format has; files before the first number are of version 1."""
+
+    version: Any = FORMAT_VERSION
 
 
 @contextmanager
-def _storage_errors(path: Path) -> Iterator[None]:
+def profile_storage_errors(path: Path) -> Iterator[None]:
     """Raise `StorageError` with a hint about the folder of the profiles, in place of OSError."""
     try:
         yield

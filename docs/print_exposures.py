@@ -12,8 +12,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from camctl.exposure.evaluation import evaluate
 from camctl.exposure.lower_bound import certify
-from camctl.exposure.objective import evaluate
 from camctl.exposure.solver import solve
 from camctl.response.camera import linear_response
 from camctl.response.desired import DesiredResponse

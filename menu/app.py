@@ -1,98 +1,236 @@
-"""The menu's loop: keys and events go into the state machine, its work runs on a thread."""
+"""The menu's loop: keys, time and the outcome of work go into the state machine."""
 
 from __future__ import annotations
 
 import logging
-import queue
-import threading
+import time
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
 
-from camctl.captures.sequencer import Progress
-from camctl.errors import CamctlError, InterruptedCaptureError, UsageError
+from camctl.interrupts import uninterrupted
+from menu.data import Settings, Summary
+from menu.entries import SAVERS, seconds
 from menu.machine import step
-from menu.messages import (
-    Cancel,
-    Cancelled,
-    Done,
-    Effect,
-    Event,
-    Failed,
-    MakePlan,
-    Planned,
-    Predict,
-    Predicted,
-    Progressed,
-    Quit,
-    Shoot,
-)
 from menu.model import Model, State
-from menu.ports import SMALLEST, Cost, Job, Key, Panel, Summary
-from menu.screens import limit_scrolling, screen
+from menu.ports import Job, Key, Panel, PanelDisconnectedError
+from menu.screens import screen
+from menu.service import ServiceNotifier
+from menu.tables import STATES, Effect, Event, Outcome, Start
+from menu.worker import Worker
 
 _log = logging.getLogger(__name__)
+
 
 _KEY_WAIT_S = 0.05
 """Time to wait for a key before the next look at the worker's events, s."""
 
-_STOP_WAIT_S = 10.0
-"""Time that the camera has to finish its frame after the menu has ended, s."""
+_REOPEN_WAIT_S = 1.0
+"""Interval of the attempts to open a panel that was unplugged, s."""
 
 _MOST_DISCARDED_KEYS = 100
 """Keys to discard when the screen changes; a key that is stuck would never end."""
 
+_REST, _LONGEST_REST_S = 80.0, 15.0
+"""The exposure meter rests for so many times the processor time that a reading takes with all that
+shows it, and so many seconds at most."""
 
-def run(panel: Panel, job: Job) -> Summary | None:
+_LONGEST_WAIT_S = 0.5
+"""Time to wait for a key while no work runs, s."""
+
+
+def run(
+    panel: Panel,
+    make_job: Callable[[], Job],
+    *,
+    now: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] = time.sleep,
+) -> Summary | None:
     """Run the menu on `panel` until the user quits; return the result of the last capture, if any.
 
-    A `CamctlError` of the job is shown with buttons to retry, go back or quit.  Any other exception
-    of the job is a programming error: it is shown in the same way, so that the user can keep or
-    repeat the capture, and is raised from here once the panel is closed, or logged if a later try
-    succeeded.  Errors of the panel are raised.  However this function ends, a running capture is
-    cancelled.
+    A `CamctlError` of the job is shown with buttons to retry, go back or take another camera.  Any
+    other exception of the job is a programming error: it is shown in the same way, so that the user
+    can keep or repeat the capture, and is raised from here once the panel is closed, or logged if
+    later work succeeded.  A panel that is unplugged is opened again; its other errors are raised.
+    However this function ends, a running capture is cancelled, and camera and panel are closed.
+
+    Args:
+        panel: where the menu is shown; it is opened here
+        make_job: returns the work behind the menu; called after the first screen is shown
+        now: returns the time, s
+        wait: waits for so many seconds, while there is no panel
     """
-    worker = _Worker(job)
+    worker = Worker(make_job)
+    session = Session(worker, now)
     try:
-        with panel:
-            model = _loop(panel, worker)
-    finally:
-        worker.stop()
+        session.use(panel, wait)
+    except BaseException as ended:
+        session.stop()
+        for note in session.last_words():
+            ended.add_note(note)
+        raise
+    session.stop()
     for error in worker.recovered_errors:
         _log.warning("internal error, a later try succeeded: %r", error)
     if worker.internal_error is not None:
         raise worker.internal_error
-    return model.summary
+    return session.last_summary
 
 
-def _loop(panel: Panel, worker: _Worker) -> Model:
-    model, shown = Model(), None
-    while model.state is not State.QUIT:
-        columns, rows = size = panel.size
-        if columns < SMALLEST[0] or rows < SMALLEST[1]:
-            raise UsageError(
-                f"the panel has only {columns} x {rows} characters",
-                hint=f"the menu needs {SMALLEST[0]} x {SMALLEST[1]}",
-            )
-        before = model.state
-        for event in worker.poll_events():
-            model = _advance(model, event, worker)
-        if model.state is not before:
-            _discard_keys(panel)
-        model = limit_scrolling(model, columns, rows)
-        grid = screen(model, columns, rows)
-        if (grid, size) != shown:
-            panel.show(grid.lines, grid.highlight)
-            shown = (grid, size)
-        key = panel.key(_KEY_WAIT_S)
-        if key is not None:
-            model = _advance(model, key, worker)
-    return model
+class AnyWorker(Protocol):
+    """What the loop uses of `menu.worker.Worker`."""
+
+    def start(self, effect: Effect) -> None:
+        """Start or cancel work; returns at once."""
+
+    def save(self, settings: Settings) -> None:
+        """Keep the settings."""
+
+    def poll_events(self) -> list[Event]:
+        """Return the events since the last call."""
+
+    def stop(self) -> None:
+        """Cancel all work and close the camera."""
 
 
-def _advance(model: Model, given: Key | Event, worker: _Worker) -> Model:
-    model, effect = step(model, given)
-    if effect is not None:
-        worker.start(effect)
-    return model
+class Session:
+    """One run of the menu, from its start to its end, on a panel that may come and go.
+
+    Attributes:
+        model: the state of the menu
+        last_summary: result of the last capture
+    """
+
+    def __init__(self, worker: AnyWorker, now: Callable[[], float]) -> None:
+        self.worker = worker
+        self.last_summary: Summary | None = None
+        self._now = now
+        self._notifier = ServiceNotifier(now)
+        self.model = Model()
+        self._saved = self.model.settings
+        self._pending = 0  # request id of the work that has not ended
+        self._next_tick_s = self._used_s = now()
+        self._cpu_s = time.process_time()
+        self._begin()
+
+    def _begin(self) -> None:
+        start = STATES[State.STARTING].work
+        assert start is not None
+        self.model = replace(self.model, request_id=1)
+        self._pending = 1
+        self.worker.start(Start(1, start))
+
+    def use(self, panel: Panel, wait: Callable[[float], None]) -> None:
+        """Show the menu until it ends; open the panel again whenever it was unplugged."""
+        was_open = False
+        while self.model.state is not State.QUIT:
+            try:
+                with panel:
+                    was_open = True
+                    self._loop(panel)
+            except PanelDisconnectedError as error:
+                if not was_open:
+                    raise
+                _log.warning("%s; waiting for it", error)
+                self.pump()
+                wait(_REOPEN_WAIT_S)
+
+    @uninterrupted
+    def stop(self) -> None:
+        """Cancel all work and close the camera."""
+        self._notifier.stopping()
+        if self.model.settings != self._saved:
+            self.worker.save(self.model.settings)
+        self.worker.stop()
+
+    def last_words(self) -> list[str]:
+        """Return what became of the capture that was running, one line each."""
+        words = []
+        for event in self.worker.poll_events():
+            if event.outcome in (Outcome.CANCELLED, Outcome.FAILED):
+                words.append(str(event.value))
+            elif isinstance(event.value, Summary):
+                words.append(f"the last picture is in {event.value.folder}")
+        return words
+
+    def _loop(self, panel: Panel) -> None:
+        shown: Model | None = None
+        while self.model.state is not State.QUIT:
+            before = self.model.state
+            self.pump()
+            if self.model.state is not before and shown is not None:
+                _discard_keys(panel)
+            if self.model is not shown:
+                last_offset = panel.show(screen(self.model))
+                self.model = replace(self.model, offset=min(self.model.offset, last_offset))
+                shown = self.model
+                self._notifier.ready(STATES[shown.state].title[0])
+            key = panel.key(self._wait_s())
+            if key is not None:
+                self.press(key)
+
+    def _wait_s(self) -> float:
+        """Return how long nothing happens unless a key is pressed, s."""
+        if self._pending:
+            return _KEY_WAIT_S
+        if not STATES[self.model.state].tick_s:
+            return _LONGEST_WAIT_S
+        return min(max(self._next_tick_s - self._now(), 0.0), _LONGEST_WAIT_S)
+
+    def press(self, key: Key) -> None:
+        """Take a key."""
+        self._used_s = self._now()
+        self._advance(key)
+
+    def pump(self) -> None:
+        """Take what the worker reports and what the clock says, without waiting."""
+        self._notifier.alive()
+        for event in self.worker.poll_events():
+            if event.request_id == self._pending and event.outcome in (
+                Outcome.DONE,
+                Outcome.FAILED,
+                Outcome.CANCELLED,
+            ):
+                self._pending = 0
+                self._set_tick()
+            self._advance(event)
+        saver_s = seconds(SAVERS[self.model.settings.saver])
+        if saver_s and self._now() - self._used_s >= saver_s:
+            self._advance(Event(Outcome.UNUSED))
+        ticks = STATES[self.model.state].tick_s > 0 and not self._pending
+        if ticks and self._now() >= self._next_tick_s:
+            self._set_tick()
+            self._cpu_s = time.process_time()
+            self._advance(Event(Outcome.TICK))
+
+    def _set_tick(self) -> None:
+        """Set the next tick; metering rests so that it takes little of the processor."""
+        rest_s = _REST * (time.process_time() - self._cpu_s)
+        if self.model.state is not State.IDLE:
+            rest_s = 0.0
+        interval_s = max(STATES[self.model.state].tick_s, min(rest_s, _LONGEST_REST_S))
+        self._next_tick_s = self._now() + interval_s
+
+    def _advance(self, given: Key | Event) -> None:
+        before = self.model
+        self.model, effect = step(before, given)
+        if isinstance(effect, Start):
+            self._pending = effect.request_id
+        if effect is not None:
+            self.worker.start(effect)
+        model = self.model
+        if model.summary is not before.summary and model.state is not State.PAST:
+            self.last_summary = model.summary
+        if model.state is State.STARTING or before.state is State.STARTING:
+            self._saved = model.settings
+        changed = model.state is not before.state or model.state is State.SETTINGS
+        if changed and model.settings != self._saved:
+            self._saved = model.settings
+            self.worker.save(model.settings)
+        if model.state is not before.state:
+            self._next_tick_s = self._now() + STATES[model.state].tick_s
+            self._cpu_s = time.process_time()
+            self._used_s = self._now()  # a result is shown, however long its capture took
 
 
 def _discard_keys(panel: Panel) -> None:
@@ -103,101 +241,3 @@ def _discard_keys(panel: Panel) -> None:
     for _ in range(_MOST_DISCARDED_KEYS):
         if panel.key(0) is None:
             return
-
-
-class _Worker:
-    """Does the job's work on a thread, one piece after the other."""
-
-    def __init__(self, job: Job) -> None:
-        self._job = job
-        self._tasks: queue.SimpleQueue[Predict | MakePlan | Shoot | None] = queue.SimpleQueue()
-        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
-        self._cancelled: dict[int, threading.Event] = {}
-        self._stopped = threading.Event()
-        self._latest_id = 0  # of the work that was started last
-        self._latest_camera_id = 0  # of the work with the camera that was started last
-        self._finished_camera_id = 0  # of the work with the camera that ended last
-        self.internal_error: Exception | None = None
-        self.recovered_errors: list[Exception] = []
-        # A daemon thread, so that a prediction that is not needed any more cannot delay the exit.
-        self._thread = threading.Thread(target=self._run, name="menu job", daemon=True)
-        self._thread.start()
-
-    def start(self, effect: Effect) -> None:
-        """Start or cancel work; returns at once."""
-        match effect:
-            case Cancel(request_id=request_id):
-                self._cancelled[request_id].set()
-            case Quit():
-                self._stopped.set()
-            case Predict() | MakePlan() | Shoot():
-                self._latest_id = effect.request_id
-                if not isinstance(effect, Predict):
-                    self._latest_camera_id = effect.request_id
-                if isinstance(effect, Shoot):
-                    self._cancelled[effect.request_id] = threading.Event()
-                self._tasks.put(effect)
-
-    def poll_events(self) -> list[Event]:
-        """Return the events since the last call."""
-        events = []
-        while True:
-            try:
-                events.append(self._events.get_nowait())
-            except queue.Empty:
-                return events
-
-    def stop(self) -> None:
-        """Cancel all work, and wait up to `_STOP_WAIT_S` until the camera is idle."""
-        self._stopped.set()
-        for cancelled in self._cancelled.values():
-            cancelled.set()
-        self._tasks.put(None)
-        if self._finished_camera_id != self._latest_camera_id:
-            self._thread.join(_STOP_WAIT_S)
-
-    def _run(self) -> None:
-        while (task := self._tasks.get()) is not None and not self._stopped.is_set():
-            if task.request_id == self._latest_id:  # else the user has left it
-                self._events.put(self._outcome(task))
-            if not isinstance(task, Predict):
-                self._finished_camera_id = task.request_id
-
-    def _outcome(self, task: Predict | MakePlan | Shoot) -> Event:
-        """Return the event that a task ends with, whether it succeeds or fails."""
-        request_id = task.request_id
-        try:
-            event = self._result(task)
-        except CamctlError as error:
-            cancelled = isinstance(task, Shoot) and self._cancelled[request_id].is_set()
-            if cancelled and isinstance(error, InterruptedCaptureError):
-                return Cancelled(request_id, str(error))
-            return Failed(request_id, str(error))
-        except Exception as error:
-            self.internal_error = error
-            return Failed(request_id, f"internal error: {type(error).__name__}: {error}")
-        if self.internal_error is not None:
-            self.recovered_errors.append(self.internal_error)
-            self.internal_error = None
-        return event
-
-    def _result(self, task: Predict | MakePlan | Shoot) -> Event:
-        match task:
-            case Predict(request_id=request_id, response=response, dynamic_range=dynamic_range):
-                costs: list[Cost] = []
-                for cost in self._job.predict(response, dynamic_range):
-                    costs.append(cost)
-                    if request_id != self._latest_id or self._stopped.is_set():
-                        break
-                    self._progress_callback(request_id)(Progress(len(costs), 0, "computed"))
-                return Predicted(request_id, tuple(costs))
-            case MakePlan(request_id=request_id, choice=choice):
-                return Planned(request_id, self._job.plan(choice))
-            case Shoot(request_id=request_id, plan=plan):
-                summary = self._job.shoot(
-                    plan, self._progress_callback(request_id), self._cancelled[request_id].is_set
-                )
-                return Done(request_id, summary)
-
-    def _progress_callback(self, request_id: int) -> Callable[[Progress], None]:
-        return lambda progress: self._events.put(Progressed(request_id, progress))

@@ -2,82 +2,294 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import ctypes
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from camctl.camera import Camera
+from camctl.backends import list_cameras
+from camctl.camera import Camera, PreviewingCamera
+from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.folder_store import read_report
+from camctl.captures.metering import MeteringFrames, meter
 from camctl.captures.plan import plan_capture
-from camctl.captures.request import CapturePlan, CaptureRequest
-from camctl.captures.sequencer import Progress, capture
-from camctl.exposure.tradeoff import predict
-from camctl.response.desired import desired_response
-from menu.ports import Choice, Cost, Summary
+from camctl.captures.report import CaptureReport
+from camctl.captures.request import AUTO, CaptureRequest
+from camctl.captures.sequencer import capture, resume
+from camctl.errors import (
+    CamctlError,
+    CameraError,
+    CaptureError,
+    InterruptedCaptureError,
+    StorageError,
+    UsageError,
+)
+from menu.capture_list import list_captures, next_folder
+from menu.data import (
+    CameraEntry,
+    Choice,
+    Cost,
+    Loaded,
+    Past,
+    Plan,
+    Progress,
+    Reading,
+    Settings,
+    Summary,
+)
+from menu.remembered_previews import RememberedPreviews
+from menu.settings_file import load_settings, save_settings
+from menu.thumbnails import frame_histogram, frame_picture
+from menu.views import entry_of, needed_bytes, plan_view, progress_view, summary_view
 
-COUNTS = range(1, 7)
-"""Numbers of exposures that the menu offers."""
+OpenCamera = Callable[[str], tuple[Camera, Mapping[str, Any]]]
+"""Returns an open camera for an id, "" the default one, and what a report keeps of it."""
+
+_Result = TypeVar("_Result")
 
 
 class CameraJob:
-    """A `menu.ports.Job` on an open camera.
+    """A `menu.ports.Job` on a camera.
 
     Args:
-        camera: an open camera
-        new_folder: returns the folder for the next capture
-        request: what the menu does not ask for, such as the frequency of the mains
-        source: kept in the report, so that the camera can be opened again
+        open_camera: opens a camera by its id
+        parent: the folder in which each capture gets a folder of its own
+        settings_path: file of the menu's settings
+        request: what the menu does not ask for, such as the shift of the exposure
     """
 
     def __init__(
         self,
-        camera: Camera,
-        new_folder: Callable[[], Path],
+        open_camera: OpenCamera,
+        parent: Path,
+        settings_path: Path,
         *,
         request: CaptureRequest | None = None,
-        source: Mapping[str, Any] | None = None,
     ) -> None:
-        self._camera = camera
-        self._new_folder = new_folder
+        self._open_camera = open_camera
+        self._parent = parent
+        self._settings_path = settings_path
         self._request = replace(request or CaptureRequest(), ratios=None)
-        self._source = source
+        self._camera: Camera | None = None
+        self._source: Mapping[str, Any] = {}
+        self._camera_id = ""
+        self._entry = CameraEntry("", "")
 
-    def predict(self, response: str, dynamic_range: float) -> Iterator[Cost]:
-        """Yield the costs of one to six exposures, computed with the levels of this camera."""
-        desired = desired_response(response, dynamic_range)
-        for count in COUNTS:
-            for row in predict(self._camera.controls.levels, desired, [count]):
-                yield Cost(row.n, row.exposures, row.total_exposure, row.effective_levels)
+    def load(self) -> Loaded:
+        """Return the settings of the file, and how many captures are unfinished."""
+        settings, remark = load_settings(self._settings_path)
+        unfinished = [past for past in self.captures() if not past.is_complete]
+        return Loaded(settings, remark, len(unfinished))
 
-    def plan(self, choice: Choice) -> CapturePlan:
-        """Meter, look up the exposures, and choose among the settings of the camera."""
-        return plan_capture(
-            self._camera, self._request_for(choice.response, choice.dynamic_range, choice.count)
+    def save(self, settings: Settings) -> None:
+        """Write the settings to the file."""
+        save_settings(self._settings_path, settings)
+
+    def find_cameras(self) -> tuple[CameraEntry, ...]:
+        """Return the cameras of all backends, and the one of the command line."""
+        found = tuple(entry_of(info) for info in list_cameras())
+        known = {each.id for each in found}
+        return found if not self._entry.id or self._entry.id in known else (self._entry, *found)
+
+    def open(self, camera_id: str) -> CameraEntry:
+        """Close the camera before, and open one."""
+        self.close()
+        self._camera_id = camera_id
+        self._camera, self._source = self._open_camera(camera_id)
+        self._entry = entry_of(self._camera.info)
+        _return_free_memory()
+        return self._entry
+
+    def close(self) -> None:
+        """Close the camera; errors of one that was unplugged are left out."""
+        camera, self._camera = self._camera, None
+        if camera is not None:
+            with suppress(CameraError):
+                camera.close()
+
+    def _with_camera(self, act: Callable[[Camera], _Result]) -> _Result:
+        """Call `act` with the camera; it is opened again after it failed."""
+        if self._camera is None:
+            self.open(self._camera_id)
+        assert self._camera is not None  # it was opened
+        try:
+            return act(self._camera)
+        except CamctlError as error:
+            if isinstance(error, CameraError) or isinstance(error.__cause__, CameraError):
+                self.close()
+            raise
+
+    def meter(self) -> Reading:
+        """Take metering frames; a camera without preview is asked for nothing."""
+        return self._with_camera(self._reading)
+
+    def _reading(self, camera: Camera) -> Reading:
+        reading = Reading(free_bytes=self._free_bytes(), camera=self._entry)
+        if not isinstance(camera, PreviewingCamera):
+            return replace(reading, is_late=True)
+        source = MeteringFrames(camera)
+        try:
+            metered = meter(source)
+        except CaptureError as error:
+            return replace(reading, remark=str(error))
+        frame = source.take(metered.setting)
+        return replace(
+            reading,
+            time_s=metered.limit_s * 2.0**self._request.compensation_stops,
+            clipped=metered.clipped,
+            histogram=frame_histogram(frame, camera.controls.layout),
+            picture=frame_picture(frame, camera.controls.layout),
         )
+
+    def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
+        """Yield the cost of each choice: that of its plan, all from the same metering frames."""
+        if self._camera is None:
+            self.open(self._camera_id)
+        assert self._camera is not None  # it was opened
+        camera = self._camera
+        if isinstance(camera, PreviewingCamera):
+            camera = RememberedPreviews(camera)
+        for choice in choices:
+            if cancelled():
+                return
+            yield self._cost(camera, choice, cancelled)
+
+    def _cost(self, camera: Camera, choice: Choice, cancelled: Callable[[], bool]) -> Cost:
+        request = self._request_for(choice)
+        is_relative = not isinstance(camera, PreviewingCamera) and request.base_s is None
+        if is_relative:  # any base exposure shows the relative ones
+            if AUTO in (request.response, request.dynamic_range):
+                return Cost(problem="known once the light is metered")
+            base_s = camera.controls.time_s.nearest(1 / 60)
+            request = replace(request, base_s=base_s)
+        try:
+            plan = _planned(camera, request, cancelled)
+        except CameraError:
+            self.close()  # it is opened again by what comes next
+            raise
+        except (UsageError, CaptureError) as error:
+            return Cost(problem=error.what)
+        shutter_s = plan.shutter_s / plan.base_s if is_relative else plan.shutter_s
+        return Cost(
+            len(plan.settings),
+            shutter_s,
+            None if is_relative else plan.wall_s,
+            plan.effective_levels,
+            plan.noise is not None,
+            is_relative,
+        )
+
+    def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
+        """Meter, look up the exposures, and choose among the settings of the camera.
+
+        Raises:
+            StorageError: there is too little space for the capture
+        """
+        request = self._request_for(choice)
+
+        def plan_with(camera: Camera) -> Plan:
+            plan = _planned(camera, request, cancelled)
+            needed, free = needed_bytes(plan, camera.controls), self._free_bytes()
+            if needed > free:
+                raise StorageError(
+                    f"the capture needs {needed / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free",
+                    hint="free some space",
+                )
+            return replace(plan_view(plan, request), needed_bytes=needed, free_bytes=free)
+
+        return self._with_camera(plan_with)
 
     def shoot(
         self,
-        plan: CapturePlan,
+        plan: Plan,
         on_progress: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> Summary:
         """Shoot the settings of `plan` into a new folder."""
-        folder = self._new_folder()
-        report = capture(
-            self._camera,
-            self._request_for(plan.response, plan.dynamic_range, len(plan.settings)),
-            folder,
-            plan=plan,
-            source=self._source,
-            progress=on_progress,
-            cancelled=cancelled,
-        )
-        return Summary(
-            effective_levels=report.achieved.effective_levels,
-            saturated=report.achieved.saturated_fraction,
-            folder=str(folder),
-            notes=tuple(report.warnings),
+        assert isinstance(plan.handle, tuple)  # `plan_view` made it
+        made, request = plan.handle
+        folder = next_folder(self._parent, datetime.now())
+
+        def shoot_with(camera: Camera) -> CaptureReport:
+            return capture(
+                camera,
+                request,
+                folder,
+                plan=made,
+                source=self._source,
+                progress=lambda each: on_progress(progress_view(each)),
+                cancelled=cancelled,
+            )
+
+        summary = summary_view(self._with_camera(shoot_with), folder)
+        _return_free_memory()
+        return summary
+
+    def resume(
+        self,
+        past: Past,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Summary:
+        """Shoot the missing frames of a capture with the camera that is open."""
+        folder = self._parent / past.name
+
+        def resume_with(camera: Camera) -> CaptureReport:
+            return resume(
+                camera,
+                folder,
+                progress=lambda each: on_progress(progress_view(each)),
+                cancelled=cancelled,
+            )
+
+        return summary_view(self._with_camera(resume_with), folder)
+
+    def captures(self) -> tuple[Past, ...]:
+        """Return the captures in the folder, the newest first."""
+        try:
+            return list_captures(self._parent)
+        except OSError as error:
+            raise StorageError(
+                f"cannot read {self._parent}: {error.strerror}", hint="choose another folder"
+            ) from error
+
+    def look(self, past: Past) -> Summary:
+        """Read the report and the picture of a capture."""
+        folder = self._parent / past.name
+        return summary_view(read_report(folder), folder)
+
+    def _request_for(self, choice: Choice) -> CaptureRequest:
+        return replace(
+            self._request,
+            response=choice.response,
+            dynamic_range="auto" if choice.dynamic_range is None else choice.dynamic_range,
+            count=choice.count,
+            time_budget_s=choice.time_budget_s,
+            accuracy=choice.accuracy,
+            mains_hz=choice.mains_hz or self._request.mains_hz,
         )
 
-    def _request_for(self, response: str, dynamic_range: float, count: int) -> CaptureRequest:
-        return replace(self._request, response=response, dynamic_range=dynamic_range, count=count)
+    def _free_bytes(self) -> int:
+        """Return the free space where captures are kept; the folder may not exist yet."""
+        existing = next(
+            path for path in (self._parent, *self._parent.absolute().parents) if path.exists()
+        )
+        return shutil.disk_usage(existing).free
+
+
+def _planned(camera: Camera, request: CaptureRequest, cancelled: Callable[[], bool]) -> CapturePlan:
+    def stop_if_cancelled(_: float) -> None:
+        if cancelled():
+            raise InterruptedCaptureError("the menu went on")
+
+    return plan_capture(camera, request, progress=stop_if_cancelled)
+
+
+def _return_free_memory() -> None:
+    """Give memory that is free again back to the system; only the C library of GNU can do it."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)

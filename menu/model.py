@@ -2,71 +2,82 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, StrEnum, auto
 
-from camctl.captures.request import CapturePlan
-from camctl.captures.sequencer import Progress
-from menu.ports import Choice, Cost, Summary
+from menu.data import CameraEntry, Cost, Past, Plan, Progress, Reading, Settings, Summary
 
 
 class State(StrEnum):
     """The screens of the menu."""
 
+    STARTING = auto()
+    OPENING = auto()
+    CAMERA_FAILED = auto()
+    IDLE = auto()
     RESPONSE = auto()
     RANGE = auto()
-    PREDICTING = auto()
-    PREDICTION_FAILED = auto()
+    CUSTOM = auto()
     EXPOSURES = auto()
+    BUDGET = auto()
+    ACCURACY = auto()
     PLANNING = auto()
     PLAN_FAILED = auto()
     REVIEW = auto()
+    TIMER = auto()
     SHOOTING = auto()
     CANCELLING = auto()
+    STOPPING = auto()
     CANCELLED = auto()
     CAPTURE_FAILED = auto()
     RESULT = auto()
+    MENU = auto()
+    SEARCHING = auto()
+    SEARCH_FAILED = auto()
+    CAMERAS = auto()
+    BROWSING = auto()
+    BROWSE_FAILED = auto()
+    CAPTURES = auto()
+    LOOKING = auto()
+    LOOK_FAILED = auto()
+    PAST = auto()
+    RESUMING = auto()
+    RESUME_FAILED = auto()
+    SETTINGS = auto()
+    ABOUT = auto()
+    SAVER = auto()
+    CONFIRM = auto()
     QUIT = auto()
 
 
 class Action(Enum):
-    """The buttons at the bottom of a page; the value is the text on the panel."""
+    """What a button of a page or an entry of a list does; the value is the text of a button."""
 
+    SET = "Set"
     SHOOT = "Shoot"
+    MENU = "Menu"
+    TIMER = "Timer"
     RETRY = "Retry"
     AGAIN = "Again"
     BACK = "Back"
-    MENU = "Menu"
+    OTHER = "Other camera"
+    CAPTURES = "Captures"
+    SETTINGS = "Settings"
+    ABOUT = "About"
+    CUSTOM = "Custom"
+    BUDGET = "Time budget"
+    ACCURACY = "Accuracy"
+    RESUME = "Resume"
+    CHANGE = "Change"
     QUIT = "Quit"
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One line of a list.
+class Goal(Enum):
+    """What decides the exposures."""
 
-    Attributes:
-        name: what the controller calls it
-        label: what the panel calls it
-        description: what it is for, shown on wide panels
-        value: its number, for dynamic ranges
-    """
-
-    name: str
-    label: str
-    description: str
-    value: float = 0.0
-
-
-RESPONSES = (
-    Entry("log", "Constant contrast", "equal steps of contrast"),
-    Entry("linear", "Linear", "equal steps of light"),
-    Entry("gamma", "Gamma 1/2", "between the two, as in displays"),
-)
-RANGES = (
-    Entry("high", "High 1:16,000", "sun and deep shade", 16000.0),
-    Entry("medium", "Medium 1:1,000", "a room in daylight", 1000.0),
-    Entry("low", "Low 1:256", "even light", 256.0),
-)
+    COUNT = auto()
+    BUDGET = auto()
+    ACCURACY = auto()
 
 
 @dataclass(frozen=True)
@@ -75,40 +86,40 @@ class Model:
 
     Attributes:
         state: the screen that is shown
-        response: index of the selected entry of `RESPONSES`
-        range: index of the selected entry of `RANGES`
-        count: selected number of exposures
-        costs: what each number of exposures costs, empty until predicted
-        base_s: shortest exposure of the last plan, s; None until known
+        settings: what was selected, kept from one start to the next
+        goal: what decides the exposures
+        cursor: selected entry of a list that is not kept in the settings
+        action: index of the selected button of a page
+        offset: first line of a page to show
+        costs: what each entry of the list costs; None: not predicted yet
+        reading: the last reading of the exposure meter
         plan: the plan that the review shows and that will be shot
         progress: progress of the running work
-        summary: result of the last capture
+        remaining_s: seconds until the self-timer shoots
+        summary: result of the capture that is shown
+        cameras: the cameras that were found
+        camera: the camera that is open; None: none
+        captures: the captures in the folder, the newest first
         error: message of the last failure
-        action: index of the selected action of a page
-        offset: first line of a page to show
+        note: a remark for the idle screen
         request_id: of the work started last; events of earlier work are ignored
     """
 
-    state: State = State.RESPONSE
-    response: int = 0
-    range: int = 1
-    count: int = 3
-    costs: tuple[Cost, ...] = ()
-    base_s: float | None = None
-    plan: CapturePlan | None = None
-    progress: Progress | None = None
-    summary: Summary | None = None
-    error: str = ""
+    state: State = State.STARTING
+    settings: Settings = field(default_factory=Settings)
+    goal: Goal = Goal.COUNT
+    cursor: int = 0
     action: int = 0
     offset: int = 0
+    costs: tuple[Cost | None, ...] = ()
+    reading: Reading | None = None
+    plan: Plan | None = None
+    progress: Progress | None = None
+    remaining_s: int = 0
+    summary: Summary | None = None
+    cameras: tuple[CameraEntry, ...] = ()
+    camera: CameraEntry | None = None
+    captures: tuple[Past, ...] = ()
+    error: str = ""
+    note: str = ""
     request_id: int = 0
-
-    @property
-    def choice(self) -> Choice:
-        """The selected response, dynamic range and number of exposures."""
-        return Choice(RESPONSES[self.response].name, RANGES[self.range].value, self.count)
-
-    @property
-    def cost_index(self) -> int:
-        """Index of `count` in `costs`."""
-        return [cost.count for cost in self.costs].index(self.count)

@@ -1,100 +1,31 @@
-"""The interfaces of the menu: the job behind it, the panel in front, and their data."""
+"""The interfaces of the menu: the job behind it, and the panel in front of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 from types import TracebackType
 from typing import Protocol, Self
 
-from camctl.captures.request import CapturePlan
-from camctl.captures.sequencer import Progress
+from camctl.errors import CamctlError
+from menu.data import (
+    CameraEntry,
+    Choice,
+    Cost,
+    Loaded,
+    Past,
+    Picture,
+    Plan,
+    Progress,
+    Reading,
+    Settings,
+    Summary,
+)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """What the user selected.
-
-    Attributes:
-        response: desired response, one of `camctl.response.desired.RESPONSES`
-        dynamic_range: desired dynamic range, brightest over darkest
-        count: number of exposures
-    """
-
-    response: str
-    dynamic_range: float
-    count: int
-
-
-@dataclass(frozen=True)
-class Cost:
-    """The price and the benefit of one number of exposures.
-
-    Attributes:
-        count: number of exposures
-        exposures: relative to the shortest, ascending
-        total_exposure: sum of `exposures`
-        effective_levels: number of equal steps in the desired response that are as accurate
-    """
-
-    count: int
-    exposures: tuple[float, ...]
-    total_exposure: float
-    effective_levels: float
-
-
-@dataclass(frozen=True)
-class Summary:
-    """The result of a capture.
-
-    Attributes:
-        effective_levels: achieved with the exposures that the camera applied
-        saturated: fraction of the samples that are saturated in every frame, 0 to 1
-        folder: folder of the files
-        notes: warnings, one line each
-    """
-
-    effective_levels: float
-    saturated: float
-    folder: str
-    notes: tuple[str, ...] = ()
-
-
-class Job(Protocol):
-    """The work behind the menu.  Methods are called from one worker thread, one at a time.
-
-    All raise `camctl.errors.CamctlError` for what cannot be done.
-    """
-
-    def predict(self, response: str, dynamic_range: float) -> Iterable[Cost]:
-        """Return the cost of each number of exposures, ascending, at least one.
-
-        If they take time to compute, return an iterator that yields each as it is found: the menu
-        then shows progress, and stops iterating when the user leaves.
-        """
-        ...
-
-    def plan(self, choice: Choice) -> CapturePlan:
-        """Return the exact settings that will be shot for `choice`, metered where needed."""
-        ...
-
-    def shoot(
-        self,
-        plan: CapturePlan,
-        on_progress: Callable[[Progress], None],
-        cancelled: Callable[[], bool],
-    ) -> Summary:
-        """Shoot exactly the settings of `plan`.
-
-        Once `cancelled` returns True, stop, keep the frames shot so far, and raise
-        `camctl.errors.InterruptedCaptureError` with one line that states where they are.
-        """
-        ...
-
-
-SMALLEST = (20, 4)
-"""(columns, rows) of the smallest panel that the menu can be shown on."""
+class PanelDisconnectedError(CamctlError):
+    """The panel is not there now, and may come back: the menu opens it again until it does."""
 
 
 class Key(Enum):
@@ -108,32 +39,81 @@ class Key(Enum):
     EXIT = auto()
 
 
-@dataclass(frozen=True)
-class Highlight:
-    """The characters of the selected entry: `width` of them in one row, counted from 0."""
+class Mood(Enum):
+    """What lights beside a panel show."""
 
-    row: int
-    column: int
-    width: int
+    READY = auto()
+    BUSY = auto()
+    ERROR = auto()
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a screen, in several lengths.
+
+    Attributes:
+        texts: the longest first; a panel shows the longest one that fits
+        note: what stands beside it, in several lengths as well, where there is room for both
+    """
+
+    texts: tuple[str, ...]
+    note: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Screen:
+    """What a panel shows, independent of its size.
+
+    Attributes:
+        title: the first line
+        lines: entries of a list, or the first lines of a page
+        paragraphs: text that is wrapped to the panel; below a list only where there is room
+        detail: what the selected entry costs; the last line of a small panel
+        selected: index of the selected entry of `lines`; None: it is no list
+        offset: first line of a page to show
+        actions: the buttons of a page
+        action: index of the selected one
+        keys: what the keys do, the most important first
+        share: progress, 0 to 1; None: no bar
+        histogram: shares of the samples, dark to bright
+        picture: a small picture
+        mood: what lights beside the panel show
+        is_dark: the screen saver; panels switch their light off
+    """
+
+    title: Line
+    lines: tuple[Line, ...] = ()
+    paragraphs: tuple[str, ...] = ()
+    detail: Line | None = None
+    selected: int | None = None
+    offset: int = 0
+    actions: tuple[str, ...] = ()
+    action: int = 0
+    keys: tuple[str, ...] = ()
+    share: float | None = None
+    histogram: tuple[float, ...] = ()
+    picture: Picture | None = None
+    mood: Mood = Mood.READY
+    is_dark: bool = False
 
 
 class Panel(Protocol):
     """A display with keys, on a screen or at the end of a cable.
 
     A panel is a context manager: entering opens it, leaving closes it and restores what it changed.
-    All methods raise `camctl.errors.CamctlError` when the panel is disconnected.
+    A third-party panel is named in the entry-point group ``camctl.panels``: a callable that takes
+    the part of ``--panel NAME:ADDRESS`` after the colon, or nothing.  Panels of characters arrange
+    a screen with `menu.layout.grid`, panels of pixels draw it with `menu.drawing.draw`.
+
+    All methods raise `PanelDisconnectedError` when the panel was unplugged; the menu then closes it
+    and opens it again until that succeeds.  Any other error ends the menu.
     """
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """(columns, rows) that can be shown now, at least `SMALLEST`; may change while open."""
-        ...
+    def show(self, screen: Screen) -> int:
+        """Show `screen`; return the largest `Screen.offset` that still brings new lines.
 
-    def show(self, lines: Sequence[str], highlight: Highlight | None = None) -> None:
-        """Show `lines`, one for each row, each as long as a row.
-
-        The text alone marks the selected entry; a panel that can also emphasise it finds its place
-        in `highlight`.
+        It is called when the screen changes; a panel that changes its size shows the last screen
+        again by itself.
         """
         ...
 
@@ -152,4 +132,74 @@ class Panel(Protocol):
         trace: TracebackType | None,
     ) -> None:
         """Close the panel."""
+        ...
+
+
+class Job(Protocol):
+    """The work behind the menu.  Methods are called from one worker thread, one at a time.
+
+    All raise `camctl.errors.CamctlError` for what cannot be done.  What a camera needs is done
+    again by the next call of `open`, such as after it was unplugged.
+    """
+
+    def load(self) -> Loaded:
+        """Return the settings that were kept, or defaults and why."""
+        ...
+
+    def save(self, settings: Settings) -> None:
+        """Keep the settings, durably."""
+        ...
+
+    def find_cameras(self) -> tuple[CameraEntry, ...]:
+        """Return the cameras that can be opened."""
+        ...
+
+    def open(self, camera_id: str) -> CameraEntry:
+        """Open a camera, "" the one of the command line; the one before is closed."""
+        ...
+
+    def meter(self) -> Reading:
+        """Return what the exposure meter shows now, within a second or so."""
+        ...
+
+    def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
+        """Yield the cost of each choice; end early where `cancelled` returns True."""
+        ...
+
+    def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
+        """Return the exact settings that will be shot for `choice`, metered where needed."""
+        ...
+
+    def shoot(
+        self,
+        plan: Plan,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Summary:
+        """Shoot exactly the settings of `plan`.
+
+        Once `cancelled` returns True, stop, keep the frames shot so far, and raise
+        `camctl.errors.InterruptedCaptureError` with one line that states where they are.
+        """
+        ...
+
+    def resume(
+        self,
+        past: Past,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Summary:
+        """Shoot the missing frames of a capture, as `shoot` does."""
+        ...
+
+    def captures(self) -> tuple[Past, ...]:
+        """Return the captures in the folder, the newest first."""
+        ...
+
+    def look(self, past: Past) -> Summary:
+        """Return the result of a complete capture."""
+        ...
+
+    def close(self) -> None:
+        """Close the camera, if one is open."""
         ...

@@ -1,265 +1,223 @@
-"""What a panel shows: a pure function from the model to a grid of characters.
-
-From the top: title; on a panel of eight rows and more the selection so far and column headings; the
-body (a list or text); the actions of a page; on a panel of six rows and more the keys.
-"""
+"""What each state shows: a pure function from the model to a `Screen` of any size."""
 
 from __future__ import annotations
 
-import textwrap
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
-from camctl.captures.request import CapturePlan
-from camctl.controls import ExposureSetting
-from menu.machine import STATES, Kind
-from menu.model import RANGES, RESPONSES, Model, State
-from menu.ports import Cost, Highlight
-from menu.text import (
-    fit,
-    format_exact_time,
-    format_levels,
-    format_percent,
-    format_ratio,
-    format_short_time,
-    format_total,
-    wrap,
-)
+from menu import pages
+from menu.data import Cost
+from menu.diagram import KEYS
+from menu.entries import RESPONSES, TIMERS, choice, rows, seconds
+from menu.machine import choices, selected
+from menu.model import Action, Model, State
+from menu.ports import Line, Mood, Screen
+from menu.tables import STATES, Kind
+from menu.text import format_levels, format_short_time, format_total
 
-_WIDE = 40
-"""Columns from which there is room for words beside numbers."""
-
-_ROWS_WITH_HELP = 6
-"""Rows from which the last one shows the keys."""
-
-_ROWS_WITH_SELECTION = 8
-"""Rows from which two show the selection so far and column headings."""
-
+#: Text of a waiting screen until there is progress to show.
 _WAITING = {
-    State.PREDICTING: "Takes a while the first time with a camera",
-    State.PLANNING: "Measuring the highlights",
-    State.SHOOTING: "Starting",
-    State.CANCELLING: "Keeping the frames shot so far",
+    State.STARTING: ("Reading settings",),
+    State.OPENING: ("Loading the controller", "Loading"),
+    State.PLANNING: ("Measuring the light", "Measuring"),
+    State.SHOOTING: ("Starting",),
+    State.RESUMING: ("Reading frames", "Reading"),
+    State.CANCELLING: ("Keeping the frames", "Keeping frames"),
+    State.SEARCHING: ("Asking each backend", "Asking"),
+    State.BROWSING: ("Reading the folder", "Folder"),
+    State.LOOKING: ("Reading the files", "Files"),
+    State.QUIT: ("The menu has ended", "Ended"),
 }
-"""Text of a waiting screen until there is progress to show."""
+_FAILED = {state for state, spec in STATES.items() if Action.RETRY in spec.actions}
 
-_SELECTED_PARTS = {
-    State.RESPONSE: 0,
+
+def screen(model: Model) -> Screen:
+    """Return what the panel shows."""
+    spec = STATES[model.state]
+    if model.state is State.SAVER:
+        return Screen(Line(spec.title), is_dark=True)
+    by_kind = {Kind.LIST: _list, Kind.WAIT: _wait}
+    otherwise = pages.failure if model.state in _FAILED else _nothing
+    body = by_kind.get(spec.kind) or _BODIES.get(model.state, otherwise)
+    is_loading = model.state is State.IDLE and model.camera is None
+    return replace(
+        body(model),
+        title=Line(spec.title, _title_note(model)),
+        keys=KEYS[spec.kind],
+        mood=Mood.BUSY if is_loading else spec.mood,
+        actions=tuple(action.value for action in spec.actions),
+        action=model.action,
+        offset=model.offset,
+    )
+
+
+def _title_note(model: Model) -> tuple[str, ...]:
+    """Return what was selected before, or the camera."""
+    if model.state in (State.IDLE, State.MENU, State.ABOUT):
+        name = "" if model.camera is None else model.camera.name
+        return (name, "")
+    if model.state in (State.RESPONSE, State.CAPTURES, State.CAMERAS, State.SETTINGS):
+        return ("",)
+    return (_selection(model), "") if model.state in _AFTER_RESPONSE else ("",)
+
+
+_AFTER_RESPONSE = {
     State.RANGE: 1,
-    State.PREDICTING: 2,
-    State.PREDICTION_FAILED: 2,
+    State.CUSTOM: 1,
     State.EXPOSURES: 2,
-    State.QUIT: 0,
+    State.BUDGET: 2,
+    State.ACCURACY: 2,
+    State.PLANNING: 3,
+    State.REVIEW: 3,
+    State.TIMER: 3,
+    State.SHOOTING: 3,
+    State.RESULT: 3,
 }
-"""How many of response, dynamic range and number are selected in a state; elsewhere all three."""
-
-
-@dataclass(frozen=True)
-class Grid:
-    """The characters on a panel: lines of equal length, and the place of the selected entry."""
-
-    lines: tuple[str, ...]
-    highlight: Highlight | None
-
-
-def screen(model: Model, columns: int, rows: int) -> Grid:
-    """Return exactly `rows` lines of exactly `columns` characters, each one cell wide.
-
-    Made for 20 x 4 to 60 x 16; text outside the panel is cut.
-    """
-    spec = STATES[model.state]
-    top, bottom = _top(model, columns, rows), _bottom(model, columns, rows)
-    height = max(0, rows - len(top) - len(bottom))
-    body = _body(model, columns, rows)
-    first = _first_line(model, len(body), height)
-    shown = body[first : first + height]
-    more = ("^" if first > 0 else " ") + ("v" if first + height < len(body) else " ")
-    if more.strip():
-        top[0] = f"{fit(top[0], columns - 3)} {more}"
-    lines = [*top, *shown, *[""] * (height - len(shown)), *bottom]
-    highlight = None
-    if spec.kind is Kind.LIST:
-        highlight = Highlight(len(top) + _selected_index(model) - first, 0, columns)
-    elif spec.actions:
-        before = sum(len(action.value) + 2 for action in spec.actions[: model.action])
-        width = len(spec.actions[model.action].value) + 2
-        highlight = Highlight(rows - len(bottom), before, width)
-    return Grid(tuple(fit(line, columns) for line in lines[:rows]), highlight)
-
-
-def limit_scrolling(model: Model, columns: int, rows: int) -> Model:
-    """Return the model with a page's offset reduced to where its last line is on the panel."""
-    if STATES[model.state].kind is not Kind.PAGE:
-        return model
-    height = rows - len(_top(model, columns, rows)) - len(_bottom(model, columns, rows))
-    return replace(model, offset=_first_line(model, len(_body(model, columns, rows)), height))
-
-
-def _top(model: Model, columns: int, rows: int) -> list[str]:
-    title = STATES[model.state].title
-    if model.state is State.REVIEW and model.plan is not None:
-        levels = format_levels(model.plan.effective_levels)
-        title = f"{title}: {levels} {_unit(columns, narrow='lv')}"
-    if rows < _ROWS_WITH_SELECTION:
-        return [title]
-    return [title, _selection(model), _column_headings(model, columns)]
-
-
-def _unit(columns: int, *, narrow: str) -> str:
-    """Return the unit of effective levels, in full on a wide panel."""
-    return "effective levels" if columns >= _WIDE else narrow
-
-
-def _column_headings(model: Model, columns: int) -> str:
-    """Return the headings of the list of exposures, on a wide panel."""
-    if model.state is not State.EXPOSURES or columns < _WIDE:
-        return ""
-    return f"{'n':>3}{'total time':>14}{'effective':>14}   exposures"
-
-
-def _bottom(model: Model, columns: int, rows: int) -> list[str]:
-    spec = STATES[model.state]
-    lines = []
-    if spec.actions:
-        texts = [action.value for action in spec.actions]
-        lines.append(
-            "".join(
-                f"[{text}]" if index == model.action else f" {text} "
-                for index, text in enumerate(texts)
-            )
-        )
-    if rows >= _ROWS_WITH_HELP:
-        lines += [""] * (rows >= _ROWS_WITH_SELECTION) + [_help(spec.help, columns)]
-    return lines
-
-
-def _help(keys: tuple[str, ...], columns: int) -> str:
-    """Return what the keys do, as many as fit."""
-    line = ""
-    for key in keys:
-        longer = f"{line}  {key}" if line else key
-        line = longer if len(longer) <= columns else line
-    return line
+"""How many of response, range and number of exposures are decided in a state."""
 
 
 def _selection(model: Model) -> str:
-    """Return what was selected on earlier screens."""
-    plural = "s" * (model.count > 1)
-    parts = (
-        RESPONSES[model.response].label,
-        f"1:{RANGES[model.range].value:,.0f}",
-        f"{model.count} exposure{plural}",
-    )
-    return ", ".join(parts[: _SELECTED_PARTS.get(model.state, len(parts))])
-
-
-def _selected_index(model: Model) -> int:
-    match model.state:
-        case State.RESPONSE:
-            return model.response
-        case State.RANGE:
-            return model.range
-        case _:
-            return model.cost_index
-
-
-def _first_line(model: Model, length: int, height: int) -> int:
-    """Return the first line of the body to show, so that the selected one is among them."""
-    first = model.offset
-    if STATES[model.state].kind is Kind.LIST:
-        first = _selected_index(model) - height // 2
-    return max(0, min(first, length - height))
-
-
-def _body(model: Model, columns: int, rows: int) -> list[str]:
-    match model.state:
-        case State.RESPONSE | State.RANGE:
-            entries = RESPONSES if model.state is State.RESPONSE else RANGES
-            lines = [
-                f"{entry.label:<20}{entry.description}" if columns >= _WIDE else entry.label
-                for entry in entries
-            ]
-            return _with_cursor(lines, _selected_index(model))
-        case State.EXPOSURES:
-            lines = [_cost_line(cost, model.base_s, columns) for cost in model.costs]
-            return _with_cursor(lines, _selected_index(model))
-        case State.PREDICTING | State.PLANNING | State.SHOOTING | State.CANCELLING:
-            keys = [] if rows >= _ROWS_WITH_HELP else [_help(STATES[model.state].help, columns)]
-            return [*_progress_lines(model, columns), *keys]
-        case State.REVIEW:
-            return [] if model.plan is None else wrap(_plan_lines(model.plan), columns)
-        case State.RESULT:
-            return wrap(_summary_lines(model, columns), columns)
-        case State.QUIT:
-            return []
-        case _:
-            return wrap([model.error], columns, indent="")
-
-
-def _with_cursor(lines: list[str], selected: int) -> list[str]:
-    return [f"{'>' if index == selected else ' '}{line}" for index, line in enumerate(lines)]
-
-
-def _cost_line(cost: Cost, base_s: float | None, columns: int) -> str:
-    """Return one number of exposures with its cost; at most 19 characters on a narrow panel."""
-    is_wide = columns >= _WIDE
-    if base_s is not None:
-        time = f"~{format_short_time(cost.total_exposure * base_s)}"
+    wanted = choice(model.settings, model.goal)
+    if wanted.count is not None:
+        goal = f"{wanted.count} exposures"
+    elif wanted.time_budget_s is not None:
+        goal = f"{format_short_time(wanted.time_budget_s)} at most"
+    elif wanted.accuracy is not None:
+        goal = f"{format_levels(wanted.accuracy)} levels at least"
     else:
-        time = f"{format_total(cost.total_exposure)}{' x base' if is_wide else 'x'}"
-    levels = format_levels(cost.effective_levels)
-    if not is_wide:
-        return f"{cost.count:>2}{time.replace(' ', ''):>8}{levels:>6} lv"
-    line = f"{cost.count:>2}{time:>14}{levels:>7} levels  "
-    ratios = " ".join(format_ratio(exposure) for exposure in cost.exposures)
-    return f"{line} {textwrap.shorten(ratios, columns - len(line) - 2, placeholder=' ..')}"
+        goal = ""
+    range_text = "auto range" if wanted.dynamic_range is None else f"1:{wanted.dynamic_range:,.0f}"
+    parts = (RESPONSES[model.settings.response].labels[0], range_text, goal)
+    return ", ".join(filter(None, parts[: _AFTER_RESPONSE[model.state]]))
 
 
-def _plan_lines(plan: CapturePlan) -> list[str]:
-    settings = [_setting_text(setting) for setting in plan.settings]
-    width = max(map(len, settings), default=0)
-    lines = [
-        f"{index} {setting:>{width}} x{format_ratio(exposure)}"
-        for index, (setting, exposure) in enumerate(
-            zip(settings, plan.exposures, strict=True), start=1
-        )
-    ]
-    lines.append(f"Total time {format_short_time(plan.shutter_s)}")
-    missing, wanted = format_levels(plan.xi), format_levels(plan.levels_wanted)
-    lines.append(f"{missing} of {wanted} desired levels missing")
-    return lines + [f"! {warning}" for warning in plan.warnings]
-
-
-def _setting_text(setting: ExposureSetting) -> str:
-    parts = [format_exact_time(setting.time_s)]
-    if setting.gain != 1:
-        parts.append(f"gain {setting.gain:.7g}")
-    if setting.f_number is not None:
-        parts.append(f"f/{setting.f_number:.7g}")
-    return " ".join(parts)
-
-
-def _summary_lines(model: Model, columns: int) -> list[str]:
-    if model.summary is None:
-        return []
-    summary = model.summary
-    planned = (
-        "" if model.plan is None else f", {format_levels(model.plan.effective_levels)} planned"
+def _list(model: Model) -> Screen:
+    entries, index = rows(model), selected(model)
+    has_costs = bool(STATES[model.state].cursor)
+    notes = [_cost_note(model, place) if has_costs else ("",) for place in range(len(entries))]
+    lines = tuple(Line(entry.labels, note) for entry, note in zip(entries, notes, strict=True))
+    if not entries:
+        return replace(pages.BLANK, paragraphs=(_EMPTY[model.state],))
+    return replace(
+        pages.BLANK,
+        lines=lines,
+        selected=index,
+        detail=Line(_cost_detail(model, index)) if has_costs else _list_detail(model, index),
+        paragraphs=_gain(model, index) if model.state is State.EXPOSURES else (),
     )
-    return [
-        f"{format_levels(summary.effective_levels)} {_unit(columns, narrow='lv')}{planned}",
-        f"{format_percent(summary.saturated)} saturated in all frames",
-        f"Saved in {summary.folder}",
-        *(f"! {note}" for note in summary.notes),
-    ]
 
 
-def _progress_lines(model: Model, columns: int) -> list[str]:
+_EMPTY = {State.CAPTURES: "No captures yet", State.CAMERAS: "No cameras found"}
+
+
+def _list_detail(model: Model, index: int) -> Line | None:
+    if model.state is State.CAPTURES:
+        done = model.captures[index].is_complete
+        return Line(
+            ("complete; enter shows it", "complete")
+            if done
+            else ("unfinished; enter shoots the missing frames", "enter: resume")
+        )
+    if model.state is State.CAMERAS:
+        return Line((model.cameras[index].id, model.cameras[index].id[-16:]))
+    if model.state is State.SETTINGS:
+        return Line(("enter: change",))
+    return None
+
+
+def _gain(model: Model, index: int) -> tuple[str, ...]:
+    """Return what a number of exposures costs and brings beside one less, where both are known."""
+    cost, before = _cost(model, index), _cost(model, index - 1) if index else None
+    costs = [each for each in (cost, before) if each is not None and not each.problem]
+    if cost is None or before is None or len(costs) < 2 or cost.count != before.count + 1:
+        return ()
+    from camctl.exposure.tradeoff import gain_in_words  # imports numpy, loaded since the costs came
+
+    seconds = [each.shutter_s if each.wall_s is None else each.wall_s for each in (cost, before)]
+    more = format_short_time(max(seconds[0] - seconds[1], 0.0))
+    if cost.is_relative:
+        more = f"{format_total(seconds[0] - seconds[1])}x base"
+    words = gain_in_words(cost.count, more, cost.effective_levels, before.effective_levels)
+    return (words,)
+
+
+def _cost(model: Model, index: int) -> Cost | None:
+    return model.costs[index] if index < len(model.costs) else None
+
+
+def _cost_note(model: Model, index: int) -> tuple[str, ...]:
+    cost = _cost(model, index)
+    if choices(model)[index] is None:
+        return ("",)
+    if cost is None:
+        return ("...", "")
+    if cost.problem:
+        return ("not possible", "-", "")
+    levels = format_levels(cost.effective_levels)
+    shutter, wall = _times(cost)
+    return (
+        f"{shutter:>9}{wall:>9}{levels:>6} levels",
+        f"{shutter} {levels:>4} lv",
+        f"{levels} lv",
+        "",
+    )
+
+
+def _times(cost: Cost) -> tuple[str, str]:
+    if cost.is_relative:
+        return f"{format_total(cost.shutter_s)}x", ""
+    wall = "" if cost.wall_s is None else format_short_time(cost.wall_s)
+    return format_short_time(cost.shutter_s), wall
+
+
+def _cost_detail(model: Model, index: int) -> tuple[str, ...]:
+    cost = _cost(model, index)
+    if choices(model)[index] is None:
+        return ("enter: choose it", "enter: choose")
+    if cost is None:
+        return (model.note, "computing ...") if model.note else ("computing ...",)
+    if cost.problem:
+        return (cost.problem, "not possible")
+    levels, (shutter, wall) = format_levels(cost.effective_levels), _times(cost)
+    quality = "effective levels" + (", noise counted" if cost.noise_known else ", noise unknown")
+    short, count = shutter.replace(" ", ""), f"{cost.count} frames: "
+    exposed = f"{shutter} the shortest exposure" if cost.is_relative else f"{shutter} exposed"
+    total = f", {wall} in all" if wall else ""
+    return (
+        f"{count}{exposed}{total}, {levels} {quality}",
+        f"{exposed}{total}, {levels} {quality}",
+        f"{shutter} exposed{total}, {levels} levels",
+        f"{short}/{wall.replace(' ', '')} {levels} levels" if wall else f"{short} {levels} levels",
+        f"{short}/{wall.replace(' ', '')} {levels}lv" if wall else f"{short} {levels}lv",
+        f"{short} {levels}lv",
+    )
+
+
+def _wait(model: Model) -> Screen:
     progress = model.progress
-    if progress is None:
-        return wrap([_WAITING[model.state]], columns, indent="")
-    if progress.total <= 0:
-        return [f"{progress.done} {progress.stage}"]
-    width = columns - 2
-    filled = int(min(1.0, progress.done / progress.total) * width)
-    bar = f"[{'#' * filled}{'.' * (width - filled)}]"
-    return [f"{progress.done}/{progress.total} {progress.stage}", bar]
+    if model.state is State.TIMER:
+        text = f"in {model.remaining_s} s"
+        share = 1 - model.remaining_s / seconds(TIMERS[model.settings.timer])
+        return replace(pages.BLANK, lines=(Line((f"shooting {text}", text)),), share=share)
+    if progress is None or progress.total <= 0:
+        return replace(pages.BLANK, lines=(Line(_WAITING.get(model.state, ("",))),))
+    unit = "frames " if progress.stage == "shooting" else ""
+    text = f"{progress.done} of {progress.total} {unit}{progress.stage}"
+    if progress.stage in ("writing", "metering"):
+        text = progress.stage
+    short = f"{progress.done}/{progress.total} {progress.stage}"
+    return replace(pages.BLANK, lines=(Line((text, short)),), share=min(1.0, progress.share))
+
+
+def _nothing(_: Model) -> Screen:
+    return pages.BLANK
+
+
+_BODIES: dict[State, Callable[[Model], Screen]] = {
+    State.IDLE: pages.idle,
+    State.REVIEW: pages.review,
+    State.RESULT: pages.result,
+    State.PAST: pages.result,
+    State.ABOUT: pages.about,
+    State.STOPPING: pages.stopping,
+}

@@ -74,6 +74,18 @@ def format_percent(fraction: float) -> str:
     return f"{_digits(100 * fraction, 3)} %"
 
 
+def format_bytes(size: int) -> str:
+    """Return a size with three digits.
+
+    >>> format_bytes(12_300_000), format_bytes(0)
+    ('12.3 MB', '0 kB')
+    """
+    for factor, unit in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB")):
+        if size >= 0.9995 * factor:
+            return f"{_digits(size / factor, 3)} {unit}"
+    return f"{_digits(size / 1e3, 3)} kB"
+
+
 def _unit(time_s: float) -> tuple[float, str]:
     # 999.6 us rounded to three digits would be "1000 us": it is 1 ms.
     return next((unit for unit in _TIME_UNITS if time_s >= 0.9995 * unit[0]), _TIME_UNITS[-1])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
@@ -11,20 +10,11 @@ from pydantic import BeforeValidator, Field
 from camctl.backends import BackendOptions, FrameShape
 from camctl.camera import CameraInfo
 from camctl.clock import Clock, RealClock, VirtualClock
-from camctl.errors import CameraNotFoundError, unknown_name
-from sim.camera import Faults, SimulatedCamera
+from camctl.errors import CameraNotFoundError
+from sim.camera import SimulatedCamera
+from sim.faults import Faults, fault_fields
 from sim.scenes.scene import DEFAULT_SCENE, load_scene
 from sim.sensors.sensor import DEFAULT_SENSOR, load_sensor
-
-
-def _check_faults(value: object) -> object:
-    """Raise `UsageError` for an unknown fault, which pydantic would ignore."""
-    if isinstance(value, Mapping):
-        known = [field.name for field in fields(Faults)]
-        for name in value:
-            if name not in known:
-                raise unknown_name("fault", str(name), known)
-    return value
 
 
 class SimulatedOptions(BackendOptions):
@@ -37,7 +27,10 @@ class SimulatedOptions(BackendOptions):
         size: of a frame; None: the scene's own, or else the sensor's
         time: whether the camera waits in real time, or on a clock of its own and thus not at all
         tolerance: see `tolerance_dn` of `SimulatedCamera`, DN
-        faults: of the hardware, for tests: `Faults`, or a dict of its fields
+        unknown: the camera states neither response, noise, sensitivity nor control delay, like a
+            webcam; `camctl calibrate all` measures them
+        faults: of the hardware, for tests: `Faults`, a dict of its fields, or a text such as
+            unplug@3,wrong@1=0.5
     """
 
     scene: str = DEFAULT_SCENE
@@ -46,13 +39,15 @@ class SimulatedOptions(BackendOptions):
     size: FrameShape | None = None
     time: Literal["virtual", "real"] = "virtual"
     tolerance: float = Field(default=0.0, ge=0, allow_inf_nan=False)
-    faults: Annotated[Faults, BeforeValidator(_check_faults)] = Faults()
+    unknown: bool = False
+    faults: Annotated[Faults, BeforeValidator(fault_fields)] = Faults()
 
 
 class SimulatedBackend:
     """Opens ``sim``; see `SimulatedOptions`."""
 
     about = "a simulated sensor in front of a scene: nothing to connect"
+    local_address = ""
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the one simulated camera, which always exists."""
@@ -79,4 +74,5 @@ class SimulatedBackend:
             seed=chosen.seed,
             faults=chosen.faults,
             tolerance_dn=chosen.tolerance,
+            is_unknown=chosen.unknown,
         )

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from statistics import median
 
 from camctl.camera import CameraBase, CameraInfo, Frame, Pixels
 from camctl.clock import Clock, VirtualClock
-from camctl.controls import ExposureSetting
-from camctl.errors import CameraBusyError, CameraTimeoutError
+from camctl.controls import ExposureControls, ExposureSetting
+from camctl.errors import CameraBusyError, CameraTimeoutError, UsageError
+from camctl.profile import load_profile
 from camctl.streaming import (
     ControlDelay,
     DelayOrigin,
@@ -16,9 +19,14 @@ from camctl.streaming import (
     FrameStamp,
     Shot,
     Written,
+    mean_brightness,
+    resting_setting,
 )
 from sim.effects.budget import FramePlan
-from sim.render import Renderer
+from sim.effects.record import Shot as RenderedShot
+from sim.faults import Faults as Faults
+from sim.faults import corrupted
+from sim.render import Comparison, Renderer
 from sim.scenes.scene import Scene
 from sim.scenes.view import View, photons_per_unit
 from sim.sensors.sensor import Sensor
@@ -28,24 +36,8 @@ from sim.streaming_device import Buffer, SimulatedDevice, Slot
 #: as failed.
 SILENCE_S = 5.0
 
-
-@dataclass(frozen=True)
-class Faults:
-    """Faults of the simulated hardware.
-
-    Frames are counted from 0 over all that `shoot` and `step` return.
-
-    Attributes:
-        unplug_after: the cable is pulled after this number of frames
-        freeze_after: the stream stops after this number of frames
-        busy_calls: number of first calls of `shoot`, `step` or `preview` that find the camera busy
-        wrong_exposure: frame number to the factor by which its exposure differs from `applied`
-    """
-
-    unplug_after: int | None = None
-    freeze_after: int | None = None
-    busy_calls: int = 0
-    wrong_exposure: Mapping[int, float] = field(default_factory=dict)
+#: Last frames whose median time to render is stated.
+_READOUTS = 16
 
 
 class SimulatedCamera(CameraBase):
@@ -66,6 +58,8 @@ class SimulatedCamera(CameraBase):
             level, and a tolerance of more than 0.05 would distort it.
         repeat_noise: every frame has the noise of frame 0, so that it depends on its exposure
             alone, as with `sim.devices.common.VirtualSensor`
+        is_unknown: the camera states neither response, noise nor sensitivity, and its control delay
+            is that of its profile
 
     Attributes:
         scene, sensor: as given
@@ -87,6 +81,7 @@ class SimulatedCamera(CameraBase):
         faults: Faults | None = None,
         tolerance_dn: float = 0.0,
         repeat_noise: bool = False,
+        is_unknown: bool = False,
     ) -> None:
         super().__init__("the simulated camera", clock if clock is not None else VirtualClock())
         self.scene = scene
@@ -95,21 +90,38 @@ class SimulatedCamera(CameraBase):
         self._info = CameraInfo("sim", "camctl", f"simulated {sensor.name}", sensor.name, "sim")
         most = sensor.delay_frames + sensor.delay_jitter_frames
         self._delay = ControlDelay(sensor.delay_frames, most, DelayOrigin.GUARANTEED)
-        self._controls = sensor.controls(
+        controls = sensor.controls(
             scene.shape,
             is_coloured=scene.is_coloured,
             photons_per_unit=photons_per_unit(scene, sensor),
+        )
+        if is_unknown:
+            controls = replace(controls, response=None, noise=None, sensitivity=None)
+            delays = load_profile(self._info).delays
+            self._delay = ControlDelay.from_record(delays.get(_mode(controls, sensor)))
+        self._controls = replace(
+            controls,
+            delay_frames=self._delay.frames,
+            timing=replace(
+                # In virtual time a setting is written at the very begin of a frame.
+                self._delay.timing(0.0 if isinstance(self._clock, VirtualClock) else 0.5),
+                rests=self._delay.frames is not None,
+            ),
             notes=(*scene.notes, *self._delay.notes("sim")),
         )
         self._renderer = Renderer(
             View.of(scene, sensor), sensor, seed=seed, tolerance_dn=tolerance_dn
         )
+        self._readouts_s: deque[float] = deque(maxlen=_READOUTS)
+        self._has_rendered = False
         self._seed = seed
         self._repeat_noise = repeat_noise
         self._tolerance_share = 1.0
         self._plan: FramePlan | None = None
+        self._exposure: RenderedShot | None = None
         self._faults = faults or Faults()
         self._busy_calls = self._faults.busy_calls
+        self._before: Pixels | None = None
         self._frames_returned = 0
         self.open()
 
@@ -117,6 +129,12 @@ class SimulatedCamera(CameraBase):
     def last_plan(self) -> FramePlan | None:
         """Which effects the last frame has; None before the first."""
         return self._plan
+
+    def compare_last(self) -> Comparison:
+        """Return what the last frame lacks: it is rendered again with and without every effect."""
+        if self._exposure is None or self._plan is None:
+            raise UsageError("no frame was taken", hint="take a frame first")
+        return self._renderer.compare(self._exposure, self._plan)
 
     @property
     def frames_lost(self) -> int:
@@ -126,18 +144,18 @@ class SimulatedCamera(CameraBase):
     @property
     def mode(self) -> str:
         """Pixel layout, bits, size and frame rate, such as mono8-640x480-30."""
-        controls = self.controls
-        rows, columns = controls.shape
-        rate = round(1 / self.sensor.frame_interval_s, 3)
-        return f"{controls.layout}{controls.bits}-{columns}x{rows}-{rate:g}"
+        return _mode(self.controls, self.sensor)
 
     def preview(self, setting: ExposureSetting) -> Frame:
         """Return one frame at `setting`; `Faults` do not count it."""
         self._check_ready()
         self.controls.check(setting)
         self._tolerance_share = 1.0
-        shot = next(self._pipeline(lambda: None).shoot((setting,)))
-        return self._frame(shot, setting, light=1.0)
+        shooting = self._pipeline(lambda: None).shoot(
+            (setting,), resting_setting(self.controls, (setting,))
+        )
+        shot = next(shooting)
+        return self._frame(shot, setting, light=self._faults.light(-1, shot.applied.time_s))
 
     def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
         """Return the frames after a change of exposure; see `StreamingCamera.step`."""
@@ -150,7 +168,9 @@ class SimulatedCamera(CameraBase):
         return [self._counted_frame(shot, after) for shot in shots]
 
     def _open(self) -> None:
-        self.device = SimulatedDevice(self.sensor, self._render, self._clock, seed=self._seed)
+        delay = self.sensor.delay_frames + self._faults.late_frames
+        sensor = self.sensor.model_copy(update={"delay_frames": delay})
+        self.device = SimulatedDevice(sensor, self._render, self._clock, seed=self._seed)
 
     def _close(self) -> None:
         """There is nothing to disconnect."""
@@ -165,12 +185,20 @@ class SimulatedCamera(CameraBase):
 
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         self._tolerance_share = 1 / max(1, len(settings))
-        for shot in self._pipeline(self._cause_faults).shoot(settings):
+        rest = resting_setting(self.controls, settings)
+        for shot in self._pipeline(self._cause_faults).shoot(settings, rest):
             yield self._counted_frame(shot, settings[shot.index])
             self._check_open()
 
     def _pipeline(self, before_frame: Callable[[], None]) -> ExposurePipeline[Buffer]:
-        return ExposurePipeline(_DeviceFrames(self.device, before_frame), self._delay)
+        def brightness(buffer: Buffer) -> float:
+            return mean_brightness(self.device.read_out(buffer), self.controls.white)
+
+        frames = _DeviceFrames(self.device, before_frame, self._clock_offset_s)
+        return ExposurePipeline(frames, self._delay, brightness)
+
+    def _clock_offset_s(self) -> float:
+        return self._faults.clock_offset_s(self._frames_returned)
 
     def _cause_faults(self) -> None:
         """Cause the faults that are due, once."""
@@ -180,14 +208,33 @@ class SimulatedCamera(CameraBase):
         if self._frames_returned == self._faults.freeze_after:
             self._faults = replace(self._faults, freeze_after=None)
             self.device.freeze()
+        number = self._frames_returned
+        if number in self._faults.dropped_frames:
+            dropped = [each for each in self._faults.dropped_frames if each != number]
+            self._faults = replace(self._faults, dropped_frames=dropped)
+            self.device.drop_next()
+        if number in self._faults.delayed_frames:
+            delayed = dict(self._faults.delayed_frames)
+            self._clock.sleep_until(self._clock.now() + delayed.pop(number))
+            self._faults = replace(self._faults, delayed_frames=delayed)
 
     def _counted_frame(self, shot: Shot[Buffer], requested: ExposureSetting) -> Frame:
-        light = self._faults.wrong_exposure.get(self._frames_returned, 1.0)
+        number, faults = self._frames_returned, self._faults
         self._frames_returned += 1
-        return self._frame(shot, requested, light=light)
+        light = faults.light(number, shot.applied.time_s)
+        frame = self._frame(shot, requested, light=light)
+        if number in faults.repeated_frames and self._before is not None:
+            frame = replace(frame, pixels=self._before)
+        if number in faults.corrupt_frames:
+            frame = replace(frame, pixels=corrupted(frame.pixels, number))
+        if faults.repeated_frames:
+            self._before = frame.pixels
+        return frame
 
     def _frame(self, shot: Shot[Buffer], requested: ExposureSetting, *, light: float) -> Frame:
+        began_s = self._clock.now()
         pixels = self.device.read_out(shot.data, light=light)
+        self._measure_readout(self._clock.now() - began_s)
         assert self._plan is not None  # `_render` has set it
         return Frame(
             pixels=pixels,
@@ -197,8 +244,19 @@ class SimulatedCamera(CameraBase):
             index=shot.index,
             black=self.controls.black,
             white=self.controls.white,
-            details={"simulation": self._plan.as_data()},
+            details={"simulation": self._plan.summary()},
         )
+
+    def _measure_readout(self, readout_s: float) -> None:
+        """Keep how long it takes to render a frame, which counts in real time."""
+        is_first, self._has_rendered = not self._has_rendered, True
+        if readout_s == 0 or is_first:  # the first frame computes what all of them need
+            return
+        self._readouts_s.append(readout_s)
+        assert self._controls is not None
+        assert self._controls.timing is not None
+        timing = replace(self._controls.timing, readout_s=median(self._readouts_s))
+        self._controls = replace(self._controls, timing=timing)
 
     def _render(self, slot: Slot) -> Pixels:
         if self._repeat_noise:
@@ -211,8 +269,15 @@ class SimulatedCamera(CameraBase):
                 start_s=slot.start_s,
                 previous_s=slot.previous_s,
             )
+        self._exposure = exposure
         self._plan = self._renderer.plan(exposure, share=self._tolerance_share)
         return self._renderer.expose(exposure, self._plan)
+
+
+def _mode(controls: ExposureControls, sensor: Sensor) -> str:
+    rows, columns = controls.shape
+    rate = round(1 / sensor.frame_interval_s, 3)
+    return f"{controls.layout}{controls.bits}-{columns}x{rows}-{rate:g}"
 
 
 class _DeviceFrames:
@@ -221,11 +286,18 @@ class _DeviceFrames:
     Args:
         device: the hardware
         before_frame: called before each frame is taken
+        clock_offset_s: returns by how much the device's clock is wrong
     """
 
-    def __init__(self, device: SimulatedDevice, before_frame: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        device: SimulatedDevice,
+        before_frame: Callable[[], None],
+        clock_offset_s: Callable[[], float],
+    ) -> None:
         self._device = device
         self._before_frame = before_frame
+        self._clock_offset_s = clock_offset_s
         self._buffer: Buffer | None = None
 
     def next_frame(self) -> FrameStamp:
@@ -236,7 +308,8 @@ class _DeviceFrames:
                 f"no frame from the simulated camera for {SILENCE_S:g} s",
                 hint="unplug it, plug it in again and resume",
             )
-        return FrameStamp(self._buffer.sequence, self._buffer.timestamp_s)
+        stamp_s = self._buffer.timestamp_s + self._clock_offset_s()
+        return FrameStamp(self._buffer.sequence, stamp_s)
 
     def read(self) -> Buffer | None:
         return self._buffer

@@ -2,19 +2,41 @@
 
 from __future__ import annotations
 
-import json
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import from_json
 
 from camctl.errors import CamctlError, DataError
+from camctl.input_files import read_input_text
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+LEAST, MOST = 1e-12, 1e12
+"""Limits of numbers in the files: far beyond any scene and sensor, and powers of them are finite in
+single precision."""
+
+
+def _check_least(value: float) -> float:
+    if 0 < value < LEAST:
+        raise ValueError(f"input should be at least {LEAST:g}")
+    return value
+
+
+NotTiny = AfterValidator(_check_least)
+"""For numbers that something is divided by."""
+
+Positive = Annotated[float, Field(gt=0, le=MOST, allow_inf_nan=False), NotTiny]
+NotNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(gt=0, le=1e5, allow_inf_nan=False), NotTiny]
+"""A time of a sensor: a day at most."""
+
 Share = Annotated[float, Field(ge=0, le=1)]
-PictureShape = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+MOST_SIDE = 999_999_999
+"""Rows or columns of a picture, at most: a billion would need 100 GB a column."""
+
+_Side = Annotated[int, Field(ge=1, le=MOST_SIDE)]
+PictureShape = tuple[_Side, _Side]
 """(rows, columns)."""
 
 
@@ -38,12 +60,7 @@ def built_in_files(folder: str) -> dict[str, str]:
 
 def read_file(model: type[_Model], path: Path) -> _Model:
     """Return what the JSON file at `path` describes; raises `DataError` if it cannot be used."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: no such file", hint="give a name or a JSON file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read ({error})", hint="give a JSON file") from error
+    text = read_input_text(path, "", hint="give a name or a JSON file")
     return read_text(model, text, source=str(path))
 
 
@@ -53,12 +70,13 @@ def read_text(model: type[_Model], text: str, *, source: str) -> _Model:
     Raises:
         DataError: the text is not JSON or does not fit the model; the message starts with `source`
     """
-    data: Any = None
     try:
-        data = json.loads(text)
+        # Unlike `json.loads` it limits how long a number and how deep a list may be.
+        data = from_json(text)
+    except ValueError as error:
+        raise DataError(f"{source}: not JSON: {error}") from error
+    try:
         return model.model_validate(data)
-    except json.JSONDecodeError as error:
-        raise DataError(f"{source}: not JSON, line {error.lineno}: {error.msg}") from error
     except CamctlError as error:
         raise DataError(f"{source}: {error}") from error
     except ValidationError as error:

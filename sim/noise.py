@@ -14,6 +14,8 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.photon_counts import poisson_quantiles
+
 TILE = 1 << 18
 """Samples in a tile; the frame of a seed depends on it.
 
@@ -35,6 +37,7 @@ class Stream(IntEnum):
     ROW = 6
     COLUMN = 7
     COSMIC = 8
+    PHOTON_FINE = 9
 
 
 PATTERN = 0
@@ -140,6 +143,21 @@ class TileNoise:
         np.add(a, s, out=a)
         np.multiply(a, z, out=a)
         np.add(electrons, a, out=electrons)
+
+    def count_photons(
+        self, electrons: NDArray[np.float32], seed: int, frame: int, tile: int
+    ) -> None:
+        """Replace means (electrons, >= 0) by whole Poisson numbers, in place.
+
+        The first 16 of the 32 bits of each are those of `add_photon_noise`.
+        """
+        count = electrons.size
+        uniform = tile_bits(seed, frame, Stream.PHOTON, tile, count).astype(np.float64)
+        uniform *= 65536.0
+        uniform += tile_bits(seed, frame, Stream.PHOTON_FINE, tile, count)
+        uniform += 0.5
+        uniform *= 2.0**-32
+        np.copyto(electrons, poisson_quantiles(electrons, uniform))
 
     def add_read_noise(
         self, electrons: NDArray[np.float32], sigma_e: float, seed: int, frame: int, tile: int

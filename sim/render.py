@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import os
 import threading
+import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -18,9 +20,11 @@ from camctl.errors import UsageError
 from sim.effects import EFFECTS
 from sim.effects.budget import FramePlan, check_tolerance, plan_frame
 from sim.effects.record import Effect, RowTiming, Shot, Stage, Tile
+from sim.frame_cache import CACHE_BYTES, FrameCache
 from sim.noise import TILE, TileNoise
 from sim.scenes.view import Light, View, sample
-from sim.sensors.sensor import LevelLookup, Sensor
+from sim.sensors.curve import LevelLookup
+from sim.sensors.sensor import Sensor
 
 _MAX_THREADS = 2
 
@@ -30,6 +34,23 @@ TileWork = Callable[[Tile], None]
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(_MAX_THREADS, thread_name_prefix="sim-render")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A frame against the same one with every effect, with the same random numbers.
+
+    Attributes:
+        largest_dn: largest difference of a sample before the ADC (of a sensor with a curve: behind
+            it), DN
+        mean_dn: mean difference over all samples, DN
+        seconds, everything_s: time to render the frame, and to render it with every effect
+    """
+
+    largest_dn: float
+    mean_dn: float
+    seconds: float
+    everything_s: float
 
 
 class Renderer:
@@ -44,7 +65,9 @@ class Renderer:
         seed: of all noise and of the sensor's fixed patterns
         threads: 1 or 2
         tolerance_dn: largest allowed change of any sample of a frame before the ADC by leaving
-            effects out; 0 leaves nothing out
+            effects out; 0 leaves out only what changes no bit
+        cache_bytes: memory for what is the same in every frame: the light of a scene without a
+            moving target behind the lens, PRNU, DSNU and hot pixels; frames do not depend on it
 
     Raises:
         UsageError: a seed or a tolerance out of range
@@ -58,6 +81,7 @@ class Renderer:
         seed: int = 0,
         threads: int = 2,
         tolerance_dn: float = 0.0,
+        cache_bytes: int = CACHE_BYTES,
     ) -> None:
         if not 0 <= seed < 2**64:
             raise UsageError(f"invalid seed {seed}", hint="expected 0 to 2^64 - 1")
@@ -68,7 +92,13 @@ class Renderer:
         self._threads = min(max(1, threads), _MAX_THREADS, os.cpu_count() or 1)
         response = sensor.response
         self._curve = LevelLookup.of(response.levels) if response is not None else None
+        self._cache = FrameCache(cache_bytes)
         self._memory = threading.local()
+
+    @property
+    def cached_bytes(self) -> int:
+        """Bytes that are kept from frame to frame; at most `cache_bytes`."""
+        return self._cache.used_bytes
 
     def shot(
         self,
@@ -111,6 +141,19 @@ class Renderer:
         self._render(shot, plan, values)
         return values
 
+    def compare(self, shot: Shot, plan: FramePlan) -> Comparison:
+        """Render a shot with its plan and with every effect, and return what differs."""
+        everything = plan_frame(shot, 0.0, left_out=())
+        is_linear = self._curve is None
+        render = self.brightness if is_linear else self.expose
+        pictures, seconds = [], []
+        for one in (everything, plan):
+            started = time.perf_counter()
+            pictures.append(render(shot, one).astype(np.float64))
+            seconds.append(time.perf_counter() - started)
+        off = pictures[1] - pictures[0]
+        return Comparison(float(np.abs(off).max()), float(off.mean()), seconds[1], seconds[0])
+
     def _render(self, shot: Shot, plan: FramePlan, out: Pixels | Light) -> None:
         running = [effect for effect in EFFECTS if plan.runs(effect.name)]
         timing = shot.global_timing
@@ -148,6 +191,14 @@ class Renderer:
 
     def _light(self, shot: Shot, running: Sequence[Effect], timing: RowTiming) -> Light:
         """Return photons a second on each sample, after all effects on the picture of light."""
+        if self._view.target is not None:
+            return self._new_light(shot, running, timing)
+        changes = [e.name for e in running if e.picture is not None and e.stage <= Stage.SAMPLES]
+        if not changes:
+            return np.ascontiguousarray(self._view.light)
+        return self._cache.get(tuple(changes), lambda: (self._new_light(shot, running, timing),))[0]
+
+    def _new_light(self, shot: Shot, running: Sequence[Effect], timing: RowTiming) -> Light:
         view, target = self._view, self._view.target
         lens = _pictures(running, Stage.LENS)
         light = view.light
@@ -184,7 +235,7 @@ class Renderer:
                 start = index * TILE
                 here = slice(start, min(start + TILE, size))
                 values = memory[: here.stop - start] if charge is None else charge[here]
-                tile = Tile(shot, values, start, index, noise)
+                tile = Tile(shot, values, start, index, noise, self._cache)
                 for step in steps:
                     step(tile, here)
 

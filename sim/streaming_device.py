@@ -96,6 +96,7 @@ class SimulatedDevice:
         self._finished: deque[Buffer] = deque()
         self._frozen = False
         self._plugged = True
+        self._drops_next = False
         self.lost = 0
 
     @property
@@ -130,7 +131,16 @@ class SimulatedDevice:
                 return None
             self._clock.sleep_until(self._start_s + self._slot_s())
             self._advance()
-        return self._finished.popleft()
+        buffer = self._finished.popleft()
+        if self._drops_next:
+            self._drops_next = False
+            self.lost += 1
+            return self.dequeue(silence_s)
+        return buffer
+
+    def drop_next(self) -> None:
+        """Lose the next frame."""
+        self._drops_next = True
 
     def read_out(self, buffer: Buffer, *, light: float = 1.0) -> Pixels:
         """Return the pixels of a frame; the fault `light` multiplies its exposure."""

@@ -1,6 +1,7 @@
 """Fixtures that all tests share, and the profiles of hypothesis."""
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,13 @@ _ALWAYS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("default", _ALWAYS, derandomize=True)
 settings.register_profile("explore", _ALWAYS, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+# nohup and a shell's background jobs ignore these signals, and what the tests start would, too.
+for _name in ("SIGINT", "SIGQUIT", "SIGHUP"):  # the last two are POSIX signals
+    _number = getattr(signal, _name, None)
+    if _number is not None and signal.getsignal(_number) is signal.SIG_IGN:
+        is_interrupt = _name == "SIGINT"
+        signal.signal(_number, signal.default_int_handler if is_interrupt else signal.SIG_DFL)
 
 
 # Programs and helper modules: --doctest-modules would import them.
@@ -35,4 +43,23 @@ def own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CAMCTL_PROFILES", str(tmp_path_factory.mktemp("profiles")))
         patch.setenv("CAMCTL_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture
+def own_profiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder of camera profiles for this test alone."""
+    folder = tmp_path / "profiles"
+    monkeypatch.setenv("CAMCTL_PROFILES", str(folder))
+    return folder
+
+
+@pytest.fixture
+def dask_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A Dask cluster of two workers in this process, named in the environment."""
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0"
+    ) as cluster:
+        monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", cluster.scheduler_address)
         yield

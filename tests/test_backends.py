@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -35,8 +36,9 @@ class Working:
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         return [CameraInfo(f"working:{probe}", "Make", "Model", "1", "working")]
 
-    def open(self, address: str, options: Mapping[str, Any]) -> None:
+    def open(self, address: str, options: Mapping[str, Any]) -> Any:
         Working.opened = (address, options)
+        return SimpleNamespace(info=CameraInfo("working", "Make", "Model", "1", "working"))
 
 
 class Failing(Working):

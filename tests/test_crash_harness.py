@@ -4,8 +4,11 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from crash_points import Operation, PowerLoss, is_possible, run
+
+from camctl.files import make_folder, write_array, write_bytes
 
 pytestmark = pytest.mark.skipif(not is_possible(), reason="crash points need Linux on x86-64")
 
@@ -37,7 +40,7 @@ def after_power_cut(tmp_path: Path, body: Callable[[Path], None]) -> dict[str, b
     loss = PowerLoss(folder, backups)
     assert run(child, folder, before=loss.before).status == 0
     loss.strike()
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def test_each_operation_is_counted_and_the_process_dies_before_the_one_asked_for(
@@ -97,3 +100,14 @@ def test_what_was_synchronised_stays(tmp_path: Path) -> None:
 
 def test_a_removal_that_was_not_synchronised_is_undone(tmp_path: Path) -> None:
     assert after_power_cut(tmp_path, lambda folder: (folder / "old").unlink()) == {"old": b"old"}
+
+
+def test_what_camctl_writes_outlives_a_power_cut(tmp_path: Path) -> None:
+    def body(folder: Path) -> None:
+        write_bytes(folder / "old", b"new")
+        make_folder(folder / "a" / "b")
+        write_array(folder / "a" / "b" / "c.npy", np.zeros(2, np.uint8))
+
+    left = after_power_cut(tmp_path, body)
+    assert left["old"] == b"new"
+    assert np.array_equal(np.load(tmp_path / "folder" / "a" / "b" / "c.npy"), [0, 0])

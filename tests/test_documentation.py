@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import click
+import cv2
 import numpy as np
 import pytest
 
@@ -60,7 +61,7 @@ def test_the_python_example_of_the_readme_runs(
     exec(compile(example, "README.md", "exec"), {})
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("relative exposures (1.0, ")
-    assert int(printed[1].removeprefix("effective levels ")) > 100
+    assert 50 < int(printed[1].removeprefix("effective levels with noise ")) < 100
     assert "(768, 1024, 3)" in printed[2]
     assert {path.name for path in (tmp_path / "room").iterdir()} >= {"radiance.exr", "report.json"}
 
@@ -141,12 +142,16 @@ _NEEDS_A_DEVICE = ("v4l2:", "ptp", "coolpix:", "menu", "calibrate", "--resume")
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)  # whole studies, which take long on a busy machine
 @pytest.mark.parametrize("page", sorted({name for name, _ in commands()}))
 def test_the_commands_of_a_page_work(page: str, tmp_path: Path) -> None:
     for name, columns in _FILES.items():
         np.savetxt(tmp_path / name, np.column_stack(columns))
     for name, source in (("my-street", "scenes/night-street"), ("my-sensor", "sensors/complete")):
         (tmp_path / f"{name}.json").write_bytes((ROOT / "sim" / f"{source}.json").read_bytes())
+    for name, exposure in (("a", 0.25), ("b", 1.0), ("c", 4.0)):
+        light = np.geomspace(0.003, 1, 64 * 48).reshape(48, 64) * exposure
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.minimum(256 * light**0.45, 255).astype("u1"))
     for number, (name, words) in enumerate(commands()):
         # A command that installs is run by .ci/run.
         if name != page or not words or any(w.startswith(_NEEDS_A_DEVICE) for w in words):

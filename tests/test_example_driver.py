@@ -24,6 +24,8 @@ class TestExample(CameraConformance):
     def open_camera(self) -> Camera:
         return ExampleCamera("bright", VirtualClock()).open()
 """
+# Why checks are left out: the example has neither gain nor aperture nor a device behind it.
+SKIPPED = ("of the camera has one setting", "is not overridden: ")
 
 Python = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -92,7 +94,7 @@ def test_cameras_lists_the_example(python: Python) -> None:
 
 
 def test_shoot_takes_a_picture_with_the_example(python: Python, tmp_path: Path) -> None:
-    done = camctl(python, "shoot", "--camera", "example:bright", "--range", "low", "-o", "x")
+    done = camctl(python, "shoot", "--camera", "example:bright", "-n", "2", "-o", "x")
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     report = json.loads((tmp_path / "x" / "report.json").read_text())
@@ -124,7 +126,9 @@ def test_errors_of_the_example_are_one_line(
 
 def test_example_passes_the_conformance_suite(python: Python, tmp_path: Path) -> None:
     (tmp_path / "test_suite.py").write_text(SUITE)
-    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_suite.py")
+    done = python("-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "test_suite.py")
     assert done.returncode == 0, done.stdout
     assert "passed" in done.stdout
-    assert "skipped" not in done.stdout
+    skipped = [line for line in done.stdout.splitlines() if line.startswith("SKIPPED")]
+    assert len(skipped) == 6, done.stdout
+    assert all(any(reason in line for reason in SKIPPED) for line in skipped)

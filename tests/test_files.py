@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import textwrap
@@ -99,5 +100,22 @@ def test_picture_file_that_does_not_fit_is_missing_and_the_frames_are_kept(
     )
     assert done.stdout.startswith(f"cannot write {tmp_path}/out/{failing}: ")
     assert done.stdout.count("\n") == 1
-    assert {path.name for path in (tmp_path / "out").iterdir()} == complete
-    assert not list((tmp_path / "out").rglob(".*"))
+    assert {path.name for path in (tmp_path / "out").iterdir()} == complete | {".camctl.lock"}
+    assert not list((tmp_path / "out" / "frames").glob(".*"))
+
+
+def test_a_file_never_replaces_a_pipe_or_a_folder(tmp_path: Path) -> None:
+    """Root could rename a file over a device such as /dev/null."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(StorageError, match=r"cannot write .*pipe: it is no regular file"):
+        write_bytes(tmp_path / "pipe", b"x")
+    with pytest.raises(StorageError, match=r"cannot write .*folder: it is a folder"):
+        write_bytes(tmp_path / "folder", b"x")
+    assert (tmp_path / "pipe").is_fifo()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "pipe"]
+
+
+def test_a_name_that_no_file_can_have_is_an_error_of_one_line(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match=r"cannot write .*: its name is too long"):
+        write_bytes(tmp_path / ("x" * 300), b"x")

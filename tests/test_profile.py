@@ -19,12 +19,11 @@ from camctl.profile import (
     Profile,
     StillRecord,
     change_profile,
-    list_profiles,
     load_profile,
     profile_directory,
-    remove_profile,
     save_profile,
 )
+from camctl.profile_folder import list_profiles, remove_profile
 
 THE_CAMERA = CameraInfo("v4l2:/dev/video0", "Make", "Webcam 3000", "A1B2", "v4l2")
 DELAY = DelayRecord(
@@ -237,16 +236,14 @@ def test_remove_touches_only_profiles(folder: Path, name: str) -> None:
     assert path.exists()
 
 
-def test_file_in_place_of_the_folder_is_an_error(folder: Path) -> None:
+def test_file_in_place_of_the_folder_holds_no_profile_and_takes_none(folder: Path) -> None:
     folder.write_text("no folder")
-    for use in (
-        lambda: load_profile(THE_CAMERA),
-        lambda: list_profiles(),
-        lambda: save_profile(Profile(driver="a", make="b", model="c", serial="d")),
-        lambda: change_profile(THE_CAMERA, lambda profile: None),
-    ):
-        with pytest.raises(CamctlError, match="CAMCTL_PROFILES"):
-            use()
+    assert load_profile(THE_CAMERA).delays == {}
+    assert list_profiles() == []
+    with pytest.raises(CamctlError, match="CAMCTL_PROFILES"):
+        save_profile(Profile(driver="a", make="b", model="c", serial="d"))
+    with pytest.raises(CamctlError, match="CAMCTL_PROFILES"):
+        change_profile(THE_CAMERA, lambda profile: None)
 
 
 def test_missing_permission_is_an_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,10 +252,10 @@ def test_missing_permission_is_an_error(folder: Path, monkeypatch: pytest.Monkey
         path.chmod(0)
     else:  # nothing is forbidden to root
 
-        def forbidden(_path: Path) -> bytes:
+        def forbidden(_path: str, _flags: int) -> int:
             raise PermissionError(13, "Permission denied")
 
-        monkeypatch.setattr(Path, "read_bytes", forbidden)
+        monkeypatch.setattr(os, "open", forbidden)
     with pytest.raises(DataError, match="Permission denied"):
         load_profile(THE_CAMERA)
 

@@ -134,15 +134,21 @@ def test_example_of_the_interface_runs(tmp_path: Path, monkeypatch: pytest.Monke
         request = camctl.CaptureRequest(response="log", dynamic_range=1000, count=3)
         plan = camctl.plan_capture(camera, request)
         report = camctl.capture(camera, request, "room", plan=plan)
-    radiance = report.radiance()
+    radiance, deviation = report.radiance(), report.standard_deviation()
 
     assert len(plan.exposures) == 3
-    assert plan.effective_levels > 100
+    assert 50 < plan.effective_levels < 100
+    assert plan.effective_levels_noise_free is not None
+    assert plan.effective_levels_noise_free > 1000
     assert report.plan == plan
     assert report.achieved.effective_levels == pytest.approx(plan.effective_levels)
     assert radiance.dtype == np.float32
     assert radiance.shape == (*camera.controls.shape, 3)
-    assert np.array_equal(camctl.read_report("room").radiance(), radiance)
+    assert (deviation.dtype, deviation.shape) == (radiance.dtype, radiance.shape)
+    assert np.all(deviation > 0)
+    saved = camctl.read_report("room")
+    assert np.array_equal(saved.radiance(), radiance)
+    assert np.array_equal(saved.standard_deviation(), deviation)
     assert (tmp_path / "room" / "radiance.exr").exists()
 
 

@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from camctl.calibration.timing import measure_stream_timing
 from camctl.camera import Camera, Frame, StreamingCamera
 from camctl.controls import Control, ExposureSetting
 from camctl.errors import CameraProtocolError, CaptureError, UsageError
@@ -115,8 +116,8 @@ def measure_delay(
         seed: of the order of the steps and the pauses between them
 
     Returns:
-        The record for the camera's `mode`.  A step with a frame that mixes both exposures takes
-        effect at no single frame, so the delay is not constant.
+        The record for the camera's `mode`, with the timing of its stream.  A step with a frame
+        that mixes both exposures takes effect at no single frame, so the delay is not constant.
 
     Raises:
         UsageError: the camera does not stream, or has no two settings far enough apart; fewer than
@@ -158,6 +159,7 @@ def measure_delay(
         largest=largest,
         trials=trials,
         measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        timing=measure_stream_timing(camera),
     )
 
 

@@ -1,50 +1,72 @@
-"""Checks on the pixels that each frame had the exposure that the camera reported."""
+"""Checks on the pixels that each frame had the exposure that the camera reported.
+
+Neighbouring frames are compared in patches of the picture, and the samples of each patch vote for
+its ratio of light.  Moving objects and blooming change some patches only; a wrong exposure changes
+all of them alike.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.report import RatioCheck
+from camctl.captures.report import LEAST_COMPARED, RatioCheck
+from camctl.controls import Layout
+from camctl.exposure.patches import LightScale, Patches, sample_patches
 from camctl.response.camera import CameraResponse
 
-#: Relative difference that lamps and shutters may cause.
-TOLERANCE = 0.03
-#: A check with a larger tolerance could not detect an exposure that is wrong by a factor of 2.
+#: Relative difference of light that may have other causes than a wrong exposure.
+TOLERANCE = 0.015
+#: Relative depth of the flicker of sodium and fluorescent lamps.  They change the whole picture, as
+#: a wrong exposure does.
+LAMP_DEPTH = 0.4
+#: Slowest usual flicker, Hz: twice the frequency of the mains.
+_FLICKER_HZ = 100.0
+#: Tolerance of a comparison that was not made, and the largest contribution of scatter to one.
 LARGEST_TOLERANCE = 0.5
-#: Samples of a frame that are compared, and blocks of them that the median is taken over.
-_SAMPLES, _BLOCKS = 1 << 16, 64
-#: Fewer common samples give no ratio.
-_LEAST_SAMPLES = 64
-#: Only bright samples are compared: those that reach 16 levels in the shorter frame.  Where fewer
-#: than `_ENOUGH_SAMPLES` do, 4 levels are enough, then 1.
-_ENOUGH_SAMPLES = 2000
-_LEAST_LEVELS = (16, 4, 1)
+#: Fewer samples give no ratio; where fewer than the second number vote, dimmer ones do, too.
+_LEAST_SAMPLES, _FEW_SAMPLES = 32, 128
+#: Samples above this share of full scale are not compared: noise saturates some of them.
+_HIGHEST = 0.9
+#: Share of the samples of a bright patch that must be compared: without a tenth of them, the mean
+#: of the others lies 0.2 standard deviations of their noise too low; without 2 %, 0.05.
+_WHOLE = 0.98
+#: A saturated sample contradicts if its expected light is below this share of full scale.
+_CERTAIN = 0.7
+#: Error of a patch besides rounding (black level, non-linearity, light of other frames): in levels
+#: at least, and as a share of full scale where there are many levels.
+_OFFSET_LEVELS, _OFFSET_SHARE = 0.5, 1 / 4000
+#: Standard errors of the median that are allowed, about.
+_SIGMAS = 3.0
+#: Only patches vote that reach this number of levels in the shorter exposure, of 1,000 levels at
+#: most: the first number for which enough samples vote, since the brightest are measured best.
+_LEAST_LEVELS, _LEVELS = (32, 16, 8, 4, 1), 1000
+
+_Floats = NDArray[np.float64]
 
 
 class NeighbourCheck:
-    """Compares neighbouring frames of a capture on a regular sample of their pixels.
+    """Compares neighbouring frames of a capture on patches of their pixels.
 
     Args:
         real: the camera's response as levels
         black: brightness without light, DN
+        layout: pixel layout of a frame
+
+    Attributes:
+        scale: irradiance of each brightness
     """
 
-    def __init__(self, real: CameraResponse, black: int) -> None:
-        levels = real.levels
-        low, high = real.gaps
-        # Irradiance of each brightness above black, at exposure 1, and its largest error.
-        self._middle = (low + high) / 2
-        self._half = (high - low) / 2
-        self._black = black
-        self._top = levels.size
-        # Light counts as measured from 8 levels on, from fewer on a camera that has few.
-        self._measurable = min(8.0, max(1.5, levels.size / 8)) * float(levels[-1]) / levels.size
-        self._samples: dict[int, NDArray[np.intp]] = {}
+    def __init__(self, real: CameraResponse, black: int, layout: Layout = Layout.MONO) -> None:
+        self.scale = LightScale(real, black)
+        self._layout = layout
+        self._dark = self.scale.full / min(real.M, _LEVELS)
+        self._offset = max(_OFFSET_LEVELS * self.scale.level, _OFFSET_SHARE * self.scale.full)
+        self._samples: dict[int, Patches] = {}
 
     def add(self, position: int, pixels: Pixels) -> None:
         """Keep a sample of the frame at `position` of the sequence."""
@@ -58,77 +80,178 @@ class NeighbourCheck:
         """Return whether the frame at `position` and the one before it were added."""
         return position in self._samples and position - 1 in self._samples
 
-    def check(self, position: int, expected: float) -> RatioCheck:
-        """Compare the frame at `position` with the one before it; see `compare`."""
-        return self.compare(self._samples[position - 1], self._samples[position], expected)
+    def check(
+        self,
+        position: int,
+        expected: float,
+        times_s: tuple[float, float],
+        mains_hz: float | None,
+    ) -> RatioCheck:
+        """Compare the frame at `position` with the one before it.
 
-    def sample(self, pixels: Pixels) -> NDArray[np.intp]:
-        """Return the brightness above black of every k-th sample, 0 to M, (N,)."""
-        step = max(1, pixels.size // _SAMPLES) | 1  # odd, for samples of all colours of a mosaic
-        brightness = pixels.reshape(-1)[::step].astype(np.intp) - self._black
-        return np.clip(brightness, 0, self._top)
+        Args:
+            position: of the later frame
+            expected: ratio of the exposures, later over earlier
+            times_s: their shutter times, s
+            mains_hz: frequency of the mains that feeds the lamps; None: unknown
+        """
+        return self.compare(
+            self._samples[position - 1],
+            self._samples[position],
+            expected,
+            lamp_factor(times_s, mains_hz),
+        )
+
+    def sample(self, pixels: Pixels) -> Patches:
+        """Return the patches of a frame."""
+        return sample_patches(self._layout.planes(pixels), self.scale.white)
+
+    def samples(self, count: int) -> list[Patches]:
+        """Return the patches of the frames 0 to `count` - 1."""
+        return [self._samples[position] for position in range(count)]
 
     def compare(
-        self, before: NDArray[np.intp], after: NDArray[np.intp], expected: float
+        self,
+        before: Patches,
+        after: Patches,
+        expected: float,
+        lamps: float = 1.0,
     ) -> RatioCheck:
-        """Compare two samples; `expected` is the ratio of their exposures, after over before.
+        """Compare two samples on what is unsaturated in both, and not dark.
 
-        The measured ratio is the median over blocks of the picture of the ratio of summed light: a
-        moving object changes its own blocks only.  The tolerance is `TOLERANCE` and the largest
-        rounding error of the sums.
+        Args:
+            before: brightness in the patches of one frame
+            after: the same of the next frame
+            expected: ratio of their exposures, after over before
+            lamps: factor by which lamps may change it; see `lamp_factor`
         """
-        light, then = self._middle[before], self._middle[after]
-        high = 0.9 * float(self._middle[-1])
-        one_level = float(self._middle[min(1, self._top)])
-        # Samples in range in both frames, judged by either frame alone; the brighter the better.
-        in_range = (light >= self._measurable) & (light * expected <= 0.7 * high)
-        below_white = (then <= high) & (light <= high)
-        usable = [
-            in_range | (below_white & (then / expected >= least * one_level))
-            for least in _LEAST_LEVELS
-        ]
-        use = next((m for m in usable if np.count_nonzero(m) >= _ENOUGH_SAMPLES), usable[-1])
-        unknown = RatioCheck(
-            expected=expected, measured=None, tolerance=LARGEST_TOLERANCE, agrees=True, moved=0.0
+        light, then = self.scale.light[before], self.scale.light[after]
+        usable = np.maximum(light, then) <= _HIGHEST * self.scale.full
+        count = np.count_nonzero(usable, axis=1).astype(np.float64)
+        first, second = _means(light, usable), _means(then, usable)
+        # Where noise pushes some samples of a bright patch over the limit, the rest are too dark.
+        is_cut = (count < _WHOLE * usable.shape[1]) & (
+            np.maximum(first, second) > self.scale.full / 2
         )
-        if np.count_nonzero(use) < _LEAST_SAMPLES:
-            return unknown
-        edges = np.unique(np.linspace(0, use.size, _BLOCKS, endpoint=False).astype(np.intp))
-        sums = [
-            np.add.reduceat(np.where(use, values, 0.0), edges)
-            for values in (light, then, self._half[before], self._half[after])
-        ]
-        filled = (sums[0] > 0) & (sums[1] > 0)
-        if not filled.any():
-            return unknown
-        first, second, error_first, error_second = (part[filled] for part in sums)
-        measured = float(np.median(second / first))
-        tolerance = TOLERANCE + float(np.median(error_first / first + error_second / second))
-        if tolerance > LARGEST_TOLERANCE:
-            return unknown
-        agrees = abs(math.log(measured / expected)) <= math.log1p(tolerance)
-        rounding = self._half[before] * measured + self._half[after]
-        change = np.abs(then - light * measured)
-        noise = 3 * (1 + measured) * one_level + 0.1 * then
-        moved = np.count_nonzero((change > rounding + noise) & usable[-1])
+        count[is_cut] = 0.0
+        too_bright = self._wrongly_saturated(light, then, expected)
+        too_dark = self._wrongly_saturated(then, light, 1 / expected)
+        # The geometric mean of both frames: neither alone decides which patches vote.
+        darkest = self._dark / 2
+        both = np.maximum(first, darkest) * np.maximum(second / expected, darkest)
+        reached = np.sqrt(both) * min(1.0, expected) / self._dark
+        steps = [reached >= least for least in _LEAST_LEVELS]
+        sizes = [float(count[step].sum()) + too_bright + too_dark for step in steps]
+        limits = (LEAST_COMPARED * usable.size, _FEW_SAMPLES, _LEAST_SAMPLES)
+        found = [k for limit in limits for k, size in enumerate(sizes) if size >= limit]
+        if not found:
+            return RatioCheck(
+                expected=expected,
+                measured=None,
+                tolerance=LARGEST_TOLERANCE,
+                agrees=True,
+                moved=0.0,
+            )
+        use, compared = steps[found[0]], sizes[found[0]] / usable.size
+        is_certain = compared >= LEAST_COMPARED
+        least = self.scale.level / 100  # black in one frame is a very large or small ratio
+        ratios = np.maximum(second[use], least) / np.maximum(first[use], least)
+        tolerance = self._tolerance(
+            first[use], second[use] / expected, expected, _spread(ratios, count[use]) * is_certain
+        )
+        votes, weights = np.append(ratios, (math.inf, 0.0)), np.append(count[use], (0.0, 0.0))
+        # Blooming and smear saturate parts of a picture whose other parts have the right light.
+        enough = weights.sum() >= _FEW_SAMPLES
+        if not (enough and _share_outside(votes, weights, expected, 1 + tolerance) <= 0.5):
+            weights[-2:] = too_bright, too_dark
+        measured = _quantile(votes, weights, 0.5)
+        share = _share_outside(votes, weights, expected, 1 + tolerance)
+        beyond_lamps = _share_outside(votes, weights, expected, (1 + tolerance) * lamps)
         return RatioCheck(
             expected=expected,
-            measured=measured,
+            measured=measured if 0 < measured < math.inf else None,
             tolerance=tolerance,
-            agrees=agrees,
-            moved=moved / np.count_nonzero(usable[-1]),
+            agrees=share <= 0.5,
+            moved=self._moved(light[use], then[use], usable[use], measured),
+            compared=compared,
+            contradicting=share,
+            contradicts=is_certain and beyond_lamps > 0.5,
         )
 
+    def _wrongly_saturated(self, dim: _Floats, bright: _Floats, ratio: float) -> float:
+        """Return how many samples are saturated in `bright`, though `dim` x `ratio` is not."""
+        only = (dim <= _HIGHEST * self.scale.full) & (bright >= self.scale.full)
+        wrong = ratio * (_means(dim, only) + 2 * self._offset) <= _CERTAIN * self.scale.full
+        return float(np.count_nonzero(only[wrong]))
 
-def suspects(checks: Sequence[RatioCheck | None]) -> list[int]:
-    """Return the positions of the frames whose exposure is probably wrong, ascending.
+    def _tolerance(self, first: _Floats, second: _Floats, expected: float, spread: float) -> float:
+        """Return the relative error that the median of the patches' ratios may have.
 
-    `checks[k]` compares frame k with frame k - 1.  A frame that disagrees with both neighbours is
-    the wrong one; where only one pair disagrees, both frames of it are suspect.
+        Where few samples vote, `spread` is 0: what scatters is a reason for a warning.
+        """
+        if not first.size:
+            return TOLERANCE
+        light = max(float(np.median(np.maximum(first, second))), self._dark)
+        # Rounding errors average out over patches of different brightness, and so does noise.
+        different = np.unique(np.rint(first / self.scale.level)).size
+        error = self._offset + self.scale.level / 2 / math.sqrt(different)
+        scatter = min(_SIGMAS * spread / math.sqrt(different), LARGEST_TOLERANCE)
+        return TOLERANCE + error / light * (1 + 1 / expected) + scatter
+
+    def _moved(
+        self, light: _Floats, then: _Floats, usable: NDArray[np.bool_], ratio: float
+    ) -> float:
+        """Return the share of the samples in patches whose ratio is not that of most."""
+        count = np.count_nonzero(usable, axis=1)
+        if not count.any() or not 0 < ratio < math.inf:
+            return 0.0
+        change = then - ratio * light
+        mean = _means(change, usable)
+        variance = _means(np.square(change - mean[:, None]), usable)
+        allowed = (
+            TOLERANCE * _means(then, usable)
+            + (self._offset + self.scale.level / 2) * (1 + ratio)
+            + _SIGMAS * np.sqrt(variance / np.maximum(count, 1))
+        )
+        return float(count[np.abs(mean) > allowed].sum() / count.sum())
+
+
+def _means(values: _Floats, mask: NDArray[np.bool_]) -> _Floats:
+    """Return the mean of each row over its mask; 0 where the mask is empty."""
+    sums = np.where(mask, values, 0.0).sum(axis=1)
+    return np.asarray(sums / np.maximum(np.count_nonzero(mask, axis=1), 1))
+
+
+def _quantile(values: _Floats, weights: _Floats, share: float) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, share * total[-1])])
+
+
+def _spread(ratios: _Floats, weights: _Floats) -> float:
+    """Return the interquartile range of ratios relative to their median."""
+    if not weights.any():
+        return 0.0
+    low, middle, high = (_quantile(ratios, weights, share) for share in (0.25, 0.5, 0.75))
+    return (high - low) / middle
+
+
+def _share_outside(votes: _Floats, weights: _Floats, expected: float, factor: float) -> float:
+    """Return the share of the votes above, or that below, expected times or over the factor."""
+    above, below = votes > expected * factor, votes < expected / factor
+    return float(max(weights[above].sum(), weights[below].sum()) / weights.sum())
+
+
+def lamp_factor(times_s: Iterable[float], mains_hz: float | None) -> float:
+    """Return the largest factor by which flickering lamps change the ratio of two exposures.
+
+    An exposure of t seconds averages a flicker of f Hz to sinc(f t) of its depth.  Without a known
+    frequency of the mains that is at most 1 / (pi f t).
     """
-    wrong = [later for later, check in enumerate(checks) if check is not None and not check.agrees]
-    between = {later for later in wrong if later + 1 in wrong}
-    pairs = [
-        (later - 1, later) for later in wrong if later not in between and later - 1 not in between
-    ]
-    return sorted(between | {position for pair in pairs for position in pair})
+    one, other = (
+        LAMP_DEPTH * min(1.0, 1 / (math.pi * _FLICKER_HZ * time_s))
+        if mains_hz is None
+        else LAMP_DEPTH * abs(float(np.sinc(2 * mains_hz * time_s)))
+        for time_s in times_s
+    )
+    return max((1 + one) / (1 - other), (1 + other) / (1 - one))

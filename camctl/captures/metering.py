@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
@@ -12,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Camera, Frame, PreviewingCamera
-from camctl.captures.pictures import planes
-from camctl.captures.request import Metering
-from camctl.controls import ExposureSetting
+from camctl.captures.capture_plan import Metering
+from camctl.captures.scene_range import SceneLight
+from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.response.camera import FloatArray
 
@@ -39,8 +38,11 @@ _MOST_SAMPLES = 1 << 20
 _WHITE_SHARE = 0.5
 #: A histogram takes light from a frame where it reaches this many levels, else from a longer one.
 _READABLE_LEVELS = 8
-#: Longest exposure for a histogram, s: the user waits for it.
-_LONGEST_HISTOGRAM_S = 1.0
+#: Longest exposure for a histogram, s: the user waits for it, where so much is dark that the
+#: capture takes longer still.
+_LONGEST_HISTOGRAM_S = 4.0
+#: Share of the samples that need not be told apart from black.
+_UNREAD_SHARE = 0.005
 #: Irradiances that stand for one brightness in a histogram.
 _SPREAD = 16
 
@@ -51,7 +53,7 @@ def highlight(frame: Frame, camera: Camera) -> tuple[int, float]:
     The highlights are the brightest samples without the brightest `OUTLIER_SHARE`.
     """
     brightest, clipped, total = 0, 0, 0
-    for plane in planes(frame.pixels, camera.controls.layout):
+    for plane in camera.controls.layout.planes(frame.pixels):
         counts = np.bincount(_sample(plane), minlength=frame.white + 1)
         above = np.cumsum(counts[::-1])[::-1]  # above[B]: samples of brightness >= B
         allowed = OUTLIER_SHARE * above[0]
@@ -67,35 +69,53 @@ def _sample(plane: NDArray[Any]) -> NDArray[Any]:
     return plane[::step, ::step].ravel()
 
 
-def _metering_frames(camera: Camera, spend_shutter: bool) -> Callable[[ExposureSetting], Frame]:
-    """Return the function that takes one metering frame."""
-    if isinstance(camera, PreviewingCamera):
-        return camera.preview
-    if not spend_shutter:
-        raise UsageError(
-            f"{camera.info.id} has no preview, and metering would cost shutter actuations",
-            hint="allow them with --meter, or give the shortest exposure with --base SECONDS",
-        )
+class MeteringFrames:
+    """Takes metering frames: previews, or exposures of the shutter where that is allowed.
 
-    def actuate(setting: ExposureSetting) -> Frame:
-        with closing(camera.shoot([setting])) as frames:
+    Attributes:
+        count: number of frames taken
+        last: the setting of the last one
+
+    Raises:
+        UsageError: the camera has no preview and `spend_shutter` does not allow actuations
+    """
+
+    def __init__(self, camera: Camera, *, spend_shutter: bool = False) -> None:
+        if not (isinstance(camera, PreviewingCamera) or spend_shutter):
+            raise UsageError(
+                f"{camera.info.id} has no preview, and metering would cost shutter actuations",
+                hint="allow them with --meter, or give the shortest exposure with --base SECONDS",
+            )
+        self.camera = camera
+        self.count = 0
+        self.last: ExposureSetting | None = None
+        self._frame: Frame | None = None
+
+    def take(self, setting: ExposureSetting) -> Frame:
+        """Return a frame; the last one again if it had this setting."""
+        if self._frame is None or self.last != setting:
+            self.count += 1
+            self.last, self._frame = setting, self._shoot(setting)
+        return self._frame
+
+    def _shoot(self, setting: ExposureSetting) -> Frame:
+        if isinstance(self.camera, PreviewingCamera):
+            return self.camera.preview(setting)
+        with closing(self.camera.shoot([setting])) as frames:
             return next(frames)
 
-    return actuate
 
-
-def meter(camera: Camera, *, spend_shutter: bool = False, small_aperture: bool = False) -> Metering:
+def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
     """Take metering frames until the highlights are just below saturation.
 
     `small_aperture` uses the largest f-number, so that opening the aperture can lengthen an
     exposure.
 
     Raises:
-        UsageError: the camera has no preview and `spend_shutter` does not allow actuations
         CaptureError: all is black at the longest exposure, or white at the shortest
     """
+    camera = source.camera
     controls = camera.controls
-    take = _metering_frames(camera, spend_shutter)
     levels = controls.levels.levels
     aperture = controls.f_number
     f_number = aperture.maximum if aperture is not None and small_aperture else None
@@ -107,7 +127,7 @@ def meter(camera: Camera, *, spend_shutter: bool = False, small_aperture: bool =
     frames = 0
     while frames < _MOST_FRAMES:
         setting = ExposureSetting(time_s, gain, f_number)
-        bright, clipped = highlight(take(setting), camera)
+        bright, clipped = highlight(source.take(setting), camera)
         frames += 1
         if bright >= levels.size:
             above = time_s
@@ -153,43 +173,61 @@ def meter(camera: Camera, *, spend_shutter: bool = False, small_aperture: bool =
 
 
 def light_histogram(
-    camera: Camera, metering: Metering, dynamic_range: float, *, spend_shutter: bool = False
-) -> tuple[FloatArray, FloatArray]:
-    """Return the histogram of the light: (irradiance, count), both (K,), E = 1 at `limit_s`.
+    source: MeteringFrames, metering: Metering, *, lower_end: float = 0.0
+) -> SceneLight:
+    """Return the histogram of the light, E = 1 at `limit_s`.
 
     A frame at the metered setting gives the highlights; each longer one gives the light below
-    `_READABLE_LEVELS` levels of the frame before, down to the desired range or to
-    `_LONGEST_HISTOGRAM_S`.
+    `_READABLE_LEVELS` levels of the frame before, until only `_UNREAD_SHARE` of the samples is
+    darker, or all that is darker is below `lower_end`.  Times end at `_LONGEST_HISTOGRAM_S`; from
+    there on the gain rises.
     """
-    controls = camera.controls
-    take = _metering_frames(camera, spend_shutter)
+    controls = source.camera.controls
     levels = controls.levels.levels
     # All irradiances between two levels have one brightness: its count is spread over them, evenly
     # in ln E.
     low, high = controls.levels.gaps
     setting, upper = metering.setting, np.inf
+    full = metering.limit_s * setting.exposure / setting.time_s
     light, counts = [], []
     while True:
-        frame = take(setting)
-        scale = metering.limit_s / setting.time_s
+        frame = source.take(setting)
+        scale = full / setting.exposure
         found = np.zeros(levels.size + 1)
-        for plane in planes(frame.pixels, controls.layout):
+        for plane in controls.layout.planes(frame.pixels):
             above = np.clip(_sample(plane).astype(np.intp) - frame.black, 0, levels.size)
             found += np.bincount(above, minlength=levels.size + 1)
-        target_s = min(setting.time_s * levels.size / (2 * _READABLE_LEVELS), _LONGEST_HISTOGRAM_S)
-        longer_s = controls.time_s.nearest(max(target_s, setting.time_s))
+        longer = _longer(controls, setting, levels.size / (2 * _READABLE_LEVELS))
         readable = levels[min(_READABLE_LEVELS, levels.size) - 1] * scale
-        last = readable <= 1 / dynamic_range or longer_s <= setting.time_s
+        unread = found[high * scale <= readable].sum()
+        last = (
+            unread <= _UNREAD_SHARE * found.sum()
+            or readable <= lower_end
+            or longer.exposure <= setting.exposure
+        )
         lower = 0.0 if last else readable
-        least = np.maximum(low * scale, min(1 / dynamic_range, levels[0] * scale))
+        least = np.maximum(low, levels[0] / 2) * scale
         E = np.geomspace(least, high * scale, 2 * _SPREAD + 1)[1::2]
+        # The dark current looks like light, and is not.
+        dark = controls.frame_noise([setting])[0].dark_levels if controls.noise else 0.0
+        E = np.maximum(E - dark / (levels.size + 1) * scale, least[0])
         kept = (high * scale > lower) & (high * scale <= upper)
         light.append(E[:, kept].ravel())
         counts.append(np.tile(found[kept] / _SPREAD, _SPREAD))
         if last:
-            return np.concatenate(light), np.concatenate(counts)
-        upper = lower
-        setting = replace(setting, time_s=longer_s)
+            break
+        upper, setting = lower, longer
+    E, number = np.concatenate(light), np.concatenate(counts)
+    order = np.argsort(E, kind="stable")
+    return SceneLight(E[order], number[order] / number.sum(), float(levels[0] * scale))
+
+
+def _longer(controls: ExposureControls, setting: ExposureSetting, factor: float) -> ExposureSetting:
+    """Return a setting with `factor` times the exposure, or the largest that metering uses."""
+    longest_s = max(min(_LONGEST_HISTOGRAM_S, controls.time_s.maximum), setting.time_s)
+    time_s = controls.time_s.nearest(min(setting.time_s * factor, longest_s))
+    gain = min(setting.gain * factor * setting.time_s / time_s, controls.gain.maximum)
+    return replace(setting, time_s=time_s, gain=controls.gain.nearest(max(gain, setting.gain)))
 
 
 def _headroom(levels: FloatArray, bright: int) -> float:

@@ -3,24 +3,36 @@
 from __future__ import annotations
 
 import time
+from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.camera import PHOTOGRAPHS
+from camctl.captures.frame_checks import FrameChecks
 from camctl.captures.frame_store import CaptureStore
+from camctl.captures.light_shares import light_shares
+from camctl.captures.measured_noise import measure_noise
 from camctl.captures.metering import BLACK_SHARE, OUTLIER_SHARE
-from camctl.captures.pictures import Rendering, Tables, outside_shares
+from camctl.captures.movement import find_movement
+from camctl.captures.picture_details import PictureDetails, ShownFrame
+from camctl.captures.pictures import Rendering, Tables
+from camctl.captures.range_advice import outside_warnings
 from camctl.captures.report import (
     Achieved,
     CaptureReport,
     FrameRecord,
     Irradiance,
+    StoredFrame,
     UnfinishedCapture,
 )
-from camctl.captures.request import relative_exposures
+from camctl.captures.true_exposures import relative
 from camctl.controls import ExposureControls
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.objective import Objective, evaluate
+from camctl.exposure.evaluation import evaluate
+from camctl.exposure.inverse import Posterior
+from camctl.exposure.objective import Objective
+from camctl.noise_model import MeasuredNoise
 
 #: A picture with more than this share of its samples saturated gets a warning.
 _MOST_SATURATED = 0.99
@@ -29,16 +41,18 @@ _MOST_SATURATED = 0.99
 def complete(
     unfinished: UnfinishedCapture,
     total: NDArray[np.unsignedinteger],
+    checks: FrameChecks,
     controls: ExposureControls,
     store: CaptureStore,
 ) -> CaptureReport:
     """Render the pictures into `store`, save the report there, and return it.
 
-    The effective camera is that of the applied exposures, not of the planned ones.
+    The effective camera is that of the true exposures, not of the planned ones.
 
     Args:
         unfinished: a capture that has all its frames
         total: sum of its frames, black included
+        checks: of its frames
         controls: of the camera
         store: where the frames are
 
@@ -49,46 +63,142 @@ def complete(
     plan = unfinished.plan
     frames = [frame for frame in unfinished.frames if frame is not None]
     applied = [frame.applied for frame in frames]
-    exposures = relative_exposures(applied)
-    effective = EffectiveCamera.of(controls.levels, exposures)
+    chosen = checks.judge()
+    ratios = relative(chosen)
+    exposures = tuple(ratio.exposure for ratio in ratios)
     desired = plan.desired
-    full_scale_exposure = min(setting.exposure for setting in applied)
+    full_scale_exposure = min(ratio.exposure for ratio in chosen)
     if controls.sensitivity is not None:
         full_scale_exposure *= controls.sensitivity
-    tables = Tables.of(effective, desired, unfinished.black_total, full_scale_exposure)
-    outside = outside_shares(total, tables)
+    is_taken = unfinished.camera.driver == PHOTOGRAPHS
+    taken_at = min(_taken(frames) if is_taken else [], default=unfinished.taken_at)
+    noise = controls.frame_noise(applied)
+    unit = "full scales per second" if controls.sensitivity is None else "as the scene"
+    posteriors = [
+        Posterior(EffectiveCamera.of(each, exposures), desired, noise)
+        for each in controls.responses or (controls.levels,)
+    ]
+    posterior = posteriors[len(posteriors) // 2]  # that of green stands for all colours
+    tables = tuple(Tables.of(each, full_scale_exposure) for each in posteriors)
+    outside = light_shares(controls.layout, total, tables, desired)
     quality = evaluate(controls.levels, desired, exposures, objective=Objective(plan.levels_wanted))
+    effective_levels = (
+        posterior.inverse.effective_levels if controls.noise else quality.effective_levels
+    )
+    gains = [setting.gain for setting in applied]
+    measured = measure_noise(controls.levels, desired, checks.samples, exposures, noise, gains)
     no_light = _no_light(total, unfinished.black_total, controls.levels.M, outside.saturated)
-    rendering = Rendering(controls.layout, tables, desired, full_scale_exposure)
-    files = store.keep_pictures(total, rendering)
-    begun = {name: getattr(unfinished, name) for name in type(unfinished).model_fields}
+    movement = find_movement(
+        store.frame,
+        checks.pairs(exposures, noise if controls.noise else None),
+    )
+    rendering = Rendering(
+        controls.layout, tables, desired, full_scale_exposure, controls.hot_pixels, movement
+    )
+    details = PictureDetails(
+        camera=unfinished.camera,
+        taken_at=taken_at,
+        software=f"camctl {unfinished.versions.get('camctl', '')}".strip(),
+        desired=desired.name,
+        lowest=desired.e_min / full_scale_exposure,
+        highest=1 / full_scale_exposure,
+        unit=unit,
+        frames=_shown(frames, exposures, checks, controls, full_scale_exposure),
+        saturated=outside.saturated,
+        dark=outside.dark,
+        moved=None if movement is None else movement.found.share,
+    )
+    files = store.keep_pictures(total, rendering, details)
+    shared = type(unfinished).model_fields.keys() & CaptureReport.model_fields.keys()
+    begun = {name: getattr(unfinished, name) for name in shared}
     report = CaptureReport.model_validate(
         begun
         | {
             "status": "complete",
             "frames": [
-                FrameRecord.model_validate({**dict(frame), "exposure": exposure})
-                for frame, exposure in zip(frames, exposures, strict=True)
+                FrameRecord.model_validate(
+                    {**dict(frame), "exposure": ratio.exposure, "exposure_ratio": ratio}
+                )
+                for frame, ratio in zip(frames, ratios, strict=True)
             ],
             "achieved": Achieved(
                 xi=quality.xi,
-                effective_levels=quality.effective_levels,
+                effective_levels=effective_levels,
+                effective_levels_noise_free=quality.effective_levels_noise_free,
+                noise=controls.noise,
+                measured=measured,
                 levels=quality.levels,
                 levels_distinct=quality.levels_distinct,
                 saturated_fraction=outside.saturated,
                 dark_fraction=outside.dark,
+                light_shares=outside.histogram,
             ),
+            "taken_at": taken_at,
+            "movement": None if movement is None else movement.found,
             "irradiance": Irradiance(
-                unit="full scales per second" if controls.sensitivity is None else "as the scene",
+                unit=unit,
                 full_scale_exposure=full_scale_exposure,
             ),
             "files": files,
-            "warnings": [*plan.warnings, *unfinished.warnings, *no_light],
+            "profile": controls.profile,
+            "warnings": [
+                *plan.warnings,
+                *unfinished.warnings,
+                *(
+                    no_light
+                    or outside_warnings(
+                        unfinished.request,
+                        plan,
+                        saturated=outside.saturated,
+                        dark=outside.dark,
+                        is_taken=is_taken,
+                    )
+                ),
+                *(_wrong_noise(measured, effective_levels) if controls.noise else []),
+            ],
             "timing": {**unfinished.timing, "writing_s": time.perf_counter() - began},
         }
     )
     store.save_report(report)
     return report.with_pictures(store)
+
+
+def _taken(frames: list[StoredFrame]) -> list[datetime]:
+    """Return when photographs were taken, of those that state it."""
+    stated = (frame.details.get("taken_at") for frame in frames)
+    return [datetime.fromisoformat(each) for each in stated if each is not None]
+
+
+def _shown(
+    frames: list[StoredFrame],
+    exposures: tuple[float, ...],
+    checks: FrameChecks,
+    controls: ExposureControls,
+    full_scale_exposure: float,
+) -> tuple[ShownFrame, ...]:
+    """Return what contact.png shows of the frames, in ascending exposure."""
+    first, last = controls.levels.levels[[0, -1]].tolist()
+    shown = [
+        ShownFrame(
+            checks.thumbnails[place],
+            frame.applied,
+            frame.saturated_fraction,
+            first / exposure / full_scale_exposure,
+            last / exposure / full_scale_exposure,
+        )
+        for place, (frame, exposure) in enumerate(zip(frames, exposures, strict=True))
+    ]
+    return tuple(sorted(shown, key=lambda frame: -frame.highest))
+
+
+def _wrong_noise(measured: MeasuredNoise | None, predicted: float) -> list[str]:
+    """Return a warning where the pixels contradict the noise that is known of the camera."""
+    if measured is None or not measured.contradicts(predicted):
+        return []
+    return [
+        f"the frames show {measured.effective_levels:.4g} effective levels instead of the "
+        f"{predicted:.4g} predicted: the noise known of this camera is not that of its frames"
+    ]
 
 
 def _no_light(

@@ -13,12 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.captures.movement import Movement
 from camctl.controls import Layout
-from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.inverse import Posterior
 from camctl.response.desired import DesiredResponse
 
-#: Values of a mask: within the levels, below the first level, saturated in every frame.
+#: Values of a mask: within the range, light below the range, saturated in every frame.
 GOOD, DARK, SATURATED = 0, 1, 2
+#: Bits of a mask: the frames contradict each other; the sample is that of a hot pixel, or was
+#: interpolated from one.
+CONTRADICTING, HOT = 4, 8
 #: Largest value of image.tiff.
 FULL_CODE = 65535
 #: Samples of a strip: its arrays are small beside the sum, and numpy's call overhead is small.
@@ -28,15 +32,10 @@ _LETTERS = "RGB"
 #: Bilinear weights: every second pixel is green, every fourth one red or blue.
 _GREEN_WEIGHTS = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
 _RED_BLUE_WEIGHTS = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
-
-
-def planes(pixels: NDArray[Any], layout: Layout) -> list[NDArray[Any]]:
-    """Return views of a frame, one for each colour (the two greens of a mosaic apart)."""
-    if layout is Layout.MONO:
-        return [pixels]
-    if layout is Layout.RGB:
-        return [pixels[..., channel] for channel in range(3)]
-    return [pixels[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+#: Of the 23 bits of a float32's fraction: the other 9 are exact to 0.1 %.
+_DROPPED_BITS = 14
+#: Stands for an infinite standard deviation while they are interpolated; its square is finite.
+_LARGEST_DEVIATION = np.float32(1e18)
 
 
 def colour_of(layout: Layout, row: int, column: int) -> int:
@@ -50,6 +49,43 @@ def demosaic(mosaic: NDArray[np.float32], layout: Layout, first_row: int) -> NDA
     OpenCV's own demosaicing takes integers only, which would lose levels; this one keeps linear
     light linear.  `first_row` is the row of the whole frame at which `mosaic` begins.
     """
+    return _interpolated(mosaic, layout, first_row, _GREEN_WEIGHTS, _RED_BLUE_WEIGHTS)
+
+
+def demosaic_deviation(
+    deviation: NDArray[np.float32], layout: Layout, first_row: int
+) -> NDArray[np.float32]:
+    """Return the standard deviations (rows, columns, 3) of what `demosaic` interpolates.
+
+    The errors of neighbouring pixels are independent, so that their variances add with the squares
+    of the weights.  The error of interpolation itself is not known.
+    """
+    # A finite number stands for an infinite one: the product with a weight of 0 is 0.
+    finite = np.minimum(deviation, _LARGEST_DEVIATION)
+    variance = _interpolated(finite**2, layout, first_row, _GREEN_WEIGHTS**2, _RED_BLUE_WEIGHTS**2)
+    found = np.sqrt(variance)
+    found[found > _LARGEST_DEVIATION / 100] = np.inf
+    return _rounded(found)
+
+
+def _rounded(deviation: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return standard deviations rounded to 0.1 %: files of them are less than half as large."""
+    bits = deviation.view(np.uint32)
+    half, mask = (
+        np.uint32(1 << (_DROPPED_BITS - 1)),
+        np.uint32(0xFFFFFFFF << _DROPPED_BITS & 0xFFFFFFFF),
+    )
+    return np.asarray(((bits + half) & mask).view(np.float32))
+
+
+def _interpolated(
+    mosaic: NDArray[np.float32],
+    layout: Layout,
+    first_row: int,
+    green: NDArray[np.floating[Any]],
+    red_blue: NDArray[np.floating[Any]],
+) -> NDArray[np.float32]:
+    """Return (rows, columns, 3): each colour's samples, weighted by these kernels."""
     import cv2
 
     colours = np.empty((*mosaic.shape, 3), np.float32)
@@ -59,7 +95,7 @@ def demosaic(mosaic: NDArray[np.float32], layout: Layout, first_row: int) -> NDA
             for column in (0, 1):
                 if colour_of(layout, first_row + row, column) == channel:
                     plane[row::2, column::2] = mosaic[row::2, column::2]
-        kernel = _GREEN_WEIGHTS if channel == 1 else _RED_BLUE_WEIGHTS
+        kernel = green if channel == 1 else red_blue
         # Mirroring without repeating the border keeps the colour of every mirrored pixel.
         colours[..., channel] = cv2.filter2D(plane, -1, kernel, borderType=cv2.BORDER_REFLECT_101)
     return colours
@@ -83,64 +119,59 @@ class Tables:
     """Irradiance, code and mask for each value of the sum: arrays indexed by it, black included.
 
     Attributes:
-        irradiance: float32, E / full-scale exposure; outside the levels it is clamped
-        code: uint16, the desired response, 0 to `FULL_CODE`
-        mask: uint8, `GOOD`, `DARK` (below the first level) or `SATURATED` (in every frame)
+        irradiance: float32, E / full-scale exposure, as `Inverse.E`; the last level for sums that
+            are saturated in every frame
+        deviation: float32, standard deviation of `irradiance`; infinite where it is saturated
+        code: uint16, the desired response, 0 to `FULL_CODE`, as `Inverse.u`
+        shown: float32, the irradiance of `code`, from which the image of a mosaic is interpolated
+        mask: uint8, `GOOD`, `DARK` (light below the desired range) or `SATURATED` (in every frame)
+        unlit: `irradiance` of a sum without light
+        full: `irradiance` of a sum that is saturated in every frame
     """
 
     irradiance: NDArray[np.float32]
+    deviation: NDArray[np.float32]
     code: NDArray[np.uint16]
+    shown: NDArray[np.float32]
     mask: NDArray[np.uint8]
+    unlit: float
+    full: float
 
     @classmethod
     def of(
         cls,
-        effective: EffectiveCamera,
-        desired: DesiredResponse,
-        black_total: int,
+        posterior: Posterior,
         full_scale_exposure: float,
     ) -> Tables:
-        """Tabulate the inverse of the effective camera for sums of frames with their black."""
-        inverse = effective.irradiance_table()
-        top = inverse.size - 1
-        signed = np.arange(top + black_total + 1) - black_total
-        E = inverse[np.clip(signed, 0, top)]
-        mask = np.full(signed.size, GOOD, np.uint8)
-        mask[signed <= 0] = DARK
-        mask[signed >= top] = SATURATED
+        """Tabulate the inverse of the noisy sum."""
+        inverse, black_total = posterior.inverse, posterior.sum.black
+        E, deviation = inverse.E.copy(), inverse.deviation.copy()
+        E[-1], deviation[-1] = posterior.sum.camera.levels[-1], np.inf
+        mask = np.full(E.size, GOOD, np.uint8)
+        mask[: black_total + 1] = DARK
+        mask[posterior.desired.e_min > E] = DARK
+        mask[-1] = SATURATED
         return cls(
             irradiance=(E / full_scale_exposure).astype(np.float32),
-            code=encode(desired, E),
+            deviation=_rounded((deviation / full_scale_exposure).astype(np.float32)),
+            code=np.rint(inverse.u * FULL_CODE).astype(np.uint16),
+            shown=posterior.desired.inverse(inverse.u).astype(np.float32),
             mask=mask,
+            unlit=float(E[black_total]) / full_scale_exposure,
+            full=float(E[-1]) / full_scale_exposure,
         )
 
 
 @dataclass(frozen=True)
-class Shares:
-    """Share of the samples of a sum that every frame saturated, and that no frame reached."""
-
-    saturated: float
-    dark: float
-
-
-def outside_shares(total: NDArray[np.unsignedinteger], tables: Tables) -> Shares:
-    """Return the shares of a sum that are outside the effective camera's levels."""
-    counts = np.zeros(3, np.int64)
-    flat = total.reshape(-1)
-    for start in range(0, flat.size, STRIP_SAMPLES):
-        marks = tables.mask[flat[start : start + STRIP_SAMPLES]]
-        counts += np.bincount(marks, minlength=3)
-    return Shares(
-        saturated=int(counts[SATURATED]) / flat.size,
-        dark=int(counts[DARK]) / flat.size,
-    )
-
-
-@dataclass(frozen=True)
 class Strip:
-    """Some rows of the pictures, (rows, columns) or, in colour, (rows, columns, 3)."""
+    """Some rows of the pictures, (rows, columns) or, in colour, (rows, columns, 3).
+
+    `light` is `irradiance` without hot pixels, the same array where there are none.
+    """
 
     irradiance: NDArray[np.float32]
+    light: NDArray[np.float32]
+    deviation: NDArray[np.float32]
     code: NDArray[np.uint16]
     mask: NDArray[np.uint8]
 
@@ -151,15 +182,31 @@ class Rendering:
 
     Attributes:
         layout: pixel layout of the frames
-        tables: irradiance, code and mask for each value of the sum
+        tables: irradiance, code and mask for each value of the sum: one table, or those of R, G, B
         desired: desired response of the image
         full_scale_exposure: irradiance in the pictures times this is E, 1 at full scale
+        hot_pixels: (row, column) of pixels that have the mask `HOT`; the image has the median of
+            their neighbours of the same colour in their place, the irradiance stays as it is
+        movement: where the frames contradict each other; such samples have the mask
+            `CONTRADICTING`
     """
 
     layout: Layout
-    tables: Tables
+    tables: tuple[Tables, ...]
     desired: DesiredResponse
     full_scale_exposure: float
+    hot_pixels: tuple[tuple[int, int], ...] = ()
+    movement: Movement | None = None
+
+    @property
+    def unlit(self) -> float:
+        """The largest irradiance in the pictures where no frame shows light."""
+        return max(table.unlit for table in self.tables)
+
+    @property
+    def full(self) -> float:
+        """The least irradiance in the pictures where every frame is saturated."""
+        return min(table.full for table in self.tables)
 
     @property
     def channels(self) -> str:
@@ -178,19 +225,74 @@ class Rendering:
     def strips(self, total: NDArray[np.unsignedinteger]) -> Iterator[Strip]:
         """Yield the pictures of a sum from top to bottom, `strip_rows` rows at a time."""
         height, rows = total.shape[0], self.strip_rows(total)
+        shown, hot = self._without_hot_pixels(total)
         for start in range(0, height, rows):
             stop = min(start + rows, height)
-            if not self.layout.is_mosaic:
-                sums = total[start:stop]
-                tables = self.tables
-                yield Strip(tables.irradiance[sums], tables.code[sums], tables.mask[sums])
-                continue
-            first, last = max(0, start - 2), min(height, stop + 2)
+            # A mosaic is interpolated from its neighbouring rows, too.
+            border = 2 if self.layout.is_mosaic else 0
+            first, last = max(0, start - border), min(height, stop + border)
             sums = total[first:last]
+            irradiance = light = self._look_up("irradiance", sums)
+            if hot is not None:
+                light = self._look_up("irradiance", shown[first:last])
+            deviation = self._look_up("deviation", sums)
+            mask = self._look_up("mask", sums)
+            marks = None if hot is None else hot[first:last]
+            if self.movement is not None:
+                moved = self.movement.rows(first, last) * np.uint8(CONTRADICTING)
+                mask = mask if self.layout.is_mosaic else mask | moved
+            if not self.layout.is_mosaic:
+                mask = mask if marks is None else mask | marks
+                code = self._look_up("code", shown[first:last])
+                yield Strip(irradiance, light, deviation, code, mask)
+                continue
             inner = slice(start - first, stop - first)
-            irradiance = demosaic(self.tables.irradiance[sums], self.layout, first)[inner]
+            mask = demosaic_mask(mask)
+            if self.movement is not None:
+                mask |= demosaic_mask(moved)
+            if marks is not None:
+                mask |= demosaic_mask(marks)
+            coded = demosaic(self._look_up("shown", shown[first:last]), self.layout, first)
+            irradiance = demosaic(irradiance, self.layout, first)[inner]
             yield Strip(
                 irradiance,
-                encode(self.desired, irradiance * self.full_scale_exposure),
-                demosaic_mask(self.tables.mask[sums])[inner],
+                irradiance if hot is None else demosaic(light, self.layout, first)[inner],
+                demosaic_deviation(deviation, self.layout, first)[inner],
+                encode(self.desired, coded[inner]),
+                mask[inner],
             )
+
+    def _look_up(self, name: str, sums: NDArray[np.unsignedinteger]) -> NDArray[Any]:
+        """Return the values of a table for sums; in a mosaic they begin at an even row."""
+        tables = [getattr(each, name) for each in self.tables]
+        if len(tables) == 1:
+            return np.asarray(tables[0][sums])
+        found = np.empty(sums.shape, tables[0].dtype)
+        colours = self.layout.value.upper()
+        planes = zip(colours, self.layout.planes(found), self.layout.planes(sums), strict=True)
+        for colour, values, plane in planes:
+            values[...] = tables[_LETTERS.index(colour)][plane]
+        return found
+
+    def _without_hot_pixels(
+        self, total: NDArray[np.unsignedinteger]
+    ) -> tuple[NDArray[np.unsignedinteger], NDArray[np.uint8] | None]:
+        """Return the sum without hot pixels, and `HOT` where they are; None where there are none.
+
+        Each is replaced by the median of up to eight neighbours of its colour that are not hot.
+        """
+        if not self.hot_pixels:
+            return total, None
+        shown, hot = total.copy(), np.zeros(total.shape, np.uint8)
+        rows, columns = np.array(self.hot_pixels, np.intp).T
+        hot[rows, columns] = HOT
+        step = 2 if self.layout.is_mosaic else 1
+        for row, column in self.hot_pixels:
+            near = (
+                slice(row % step if row < step else row - step, row + step + 1, step),
+                slice(column % step if column < step else column - step, column + step + 1, step),
+            )
+            good = hot[near][..., 0] == 0 if total.ndim == 3 else hot[near] == 0
+            if good.any():
+                shown[row, column] = np.median(total[near][good], axis=0)
+        return shown, hot

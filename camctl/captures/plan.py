@@ -5,28 +5,35 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from camctl.camera import Camera
-from camctl.captures.metering import light_histogram, meter
-from camctl.captures.request import (
-    AUTO,
-    CURVE,
-    CapturePlan,
-    CaptureRequest,
-    Metering,
-    relative_exposures,
+from camctl.camera import Camera, PreviewingCamera
+from camctl.captures.accurate_settings import (
+    accurate_settings,
+    estimated_levels,
+    objective_of,
 )
-from camctl.captures.setting_selection import SettingChooser, search_choices
-from camctl.controls import Choices, ExposureSetting
+from camctl.captures.capture_plan import CapturePlan, relative_exposures
+from camctl.captures.metering import MeteringFrames, light_histogram, meter
+from camctl.captures.range_choice import Chosen, Metered, choose_range
+from camctl.captures.request import ACCURACY, AUTO, XI, CaptureRequest
+from camctl.captures.setting_selection import (
+    SettingChooser,
+    reach_shadows,
+    search_choices,
+    setting_warnings,
+)
+from camctl.captures.wall_time import predicted_wall_s
+from camctl.controls import Choices, ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.build import look_up
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.objective import Objective, evaluate, xi
+from camctl.exposure.evaluation import evaluate
+from camctl.exposure.objective import Objective, xi
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.exposure.table import ExposureTable
-from camctl.response.auto import auto_response
 from camctl.response.camera import CameraResponse
 from camctl.response.desired import DesiredResponse
 
@@ -50,6 +57,7 @@ def plan_capture(
     *,
     table: ExposureTable | None = None,
     progress: Callable[[float], None] | None = None,
+    metered: Metered | None = None,
 ) -> CapturePlan:
     """Meter where needed, look the ratios up, and choose among the settings the camera has.
 
@@ -61,6 +69,7 @@ def plan_capture(
         request: what the user asks for
         table: the only table in which ratios are looked up
         progress: called with the share done, 0 to 1, while ratios are solved
+        metered: the light, where `meter_light` was called before
 
     Raises:
         UsageError: the request cannot be met by any camera, or not with `table`
@@ -69,65 +78,106 @@ def plan_capture(
     """
     controls, real = camera.controls, camera.controls.levels
     warnings = [*controls.notes, *real.notes]
+    kind = objective_of(request, controls, has_table=table is not None)
     desired, ratios = request.desired, None
     if request.ratios is None and (desired is None or request.time_budget_s is not None):
         if table is not None:
             raise UsageError(
-                "a table has no exposures for a time budget or an automatic response",
-                hint="leave the table (--table) out",
+                "a table has no exposures for a time budget, an automatic response or range",
+                hint="leave the table (--table) out, or name response and range",
             )
-    elif desired is not None:
+    elif desired is not None and kind == XI:
         ratios = lookup_ratios(real, desired, request, table, progress)
-    metering, limit_s = _metered_limit(camera, request, warnings)
-    if desired is None:
-        desired = _automatic(camera, request, metering)
-    if ratios is None:
-        longest_s = controls.time_s.maximum * controls.gain.maximum / controls.gain.nearest(1.0)
-        ratios = _solve_ratios(real, desired, request, limit_s, longest_s, progress)
-    levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
+    metered = metered or meter_light(camera, request)
+    warnings += metered.warnings
+    metering, limit_s = metered.metering, metered.limit_s
 
-    def missing_levels(settings: Sequence[ExposureSetting]) -> float:
-        if sum(setting.time_s for setting in settings) > (request.time_budget_s or math.inf):
-            return math.inf
-        return xi(EffectiveCamera.of(real, relative_exposures(settings)), desired, levels_wanted)
+    def choose(desired: DesiredResponse) -> Chosen:
+        chosen = most_accurate(desired)
+        if request.given_range is not None or request.ratios is not None:
+            return chosen
+        longer = reach_shadows(controls, request, desired, chosen.settings)
+        return chosen if longer is None else Chosen(desired, *longer)
 
-    def deviation(settings: Sequence[ExposureSetting]) -> float:
-        pairs = zip(relative_exposures(settings), ratios, strict=True)
-        return max(abs(math.log(applied / requested)) for applied, requested in pairs)
+    def most_accurate(desired: DesiredResponse) -> Chosen:
+        if kind == ACCURACY:
+            found = accurate_settings(controls, request, desired, limit_s, progress)
+            return Chosen(desired, *found)
+        wanted = ratios or _ratios_by_xi(controls, request, desired, limit_s, progress)
+        settings = _settings_by_xi(controls, request, desired, wanted, limit_s)
+        return Chosen(desired, settings, wanted)
 
-    score = missing_levels if request.ratios is None else deviation
-    chooser = SettingChooser(controls, request, ratios, score)
-    if request.ratios is None and isinstance(controls.time_s, Choices) and chooser.sets_time_only:
-        settings = search_choices(controls, request, desired, len(ratios), limit_s)
+    if request.given_range is None:
+        estimate = partial(estimated_levels, controls, request, limit_s=limit_s)
+        by_accuracy = estimate if kind == ACCURACY else None
+        chosen = choose_range(controls, request, metered, choose, by_accuracy)
     else:
-        evaluations = _MOST_LEVELS_SORTED // (len(ratios) * real.M)
-        settings = chooser.best(limit_s, max(_LEAST_SETS, min(_MOST_SETS, evaluations)))
-    if math.isinf(missing_levels(settings)):
+        chosen = choose(desired or metered.desired(request, request.given_range))
+    desired, settings, ratios = chosen.desired, chosen.settings, chosen.ratios
+    if sum(setting.time_s for setting in settings) > (request.time_budget_s or math.inf):
         raise CaptureError(
             f"the camera's settings do not fit into {request.time_budget_s:.4g} s",
             hint="allow more time, or take fewer exposures",
         )
-    objective, exposures = Objective(levels_wanted), relative_exposures(settings)
-    expected = evaluate(real, desired, exposures, objective=objective)
+    levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
+    objective, exposures = Objective(levels_wanted), controls.relative_exposures(settings)
+    noise = None if controls.noise is None else controls.frame_noise(settings)
+    expected = evaluate(real, desired, exposures, objective=objective, noise=noise)
     plan = CapturePlan(
         response=request.response,
-        dynamic_range=desired.dynamic_range if request.response == CURVE else request.dynamic_range,
+        dynamic_range=desired.dynamic_range,
         ratios=ratios,
         settings=settings,
-        exposures=exposures,
+        exposures=relative_exposures(settings),
         base_s=settings[0].time_s,
         shutter_s=sum(setting.time_s for setting in settings),
         levels_wanted=levels_wanted,
         xi=expected.xi,
         effective_levels=expected.effective_levels,
+        effective_levels_noise_free=expected.effective_levels_noise_free,
         metering=metering,
         curve=_samples(desired) if request.response == AUTO else request.desired_curve,
         gamma=request.gamma,
+        # Metering may have measured more of the camera's times than `controls` states.
+        wall_s=predicted_wall_s(camera.controls, settings, before=metered.last),
+        is_wall_known=camera.controls.timing is not None,
+        noise=controls.noise,
+        objective=kind,
+        light=metered.planned(chosen),
     )
-    warnings += chooser.warnings(plan)
-    possible = evaluate(real, desired, ratios, objective=objective).effective_levels
+    warnings += setting_warnings(controls, request, plan)
+    possible = evaluate(real, desired, ratios, objective=objective, noise=noise).effective_levels
     warnings += _rounding_loss(plan, possible)
     return replace(plan, warnings=tuple(warnings))
+
+
+def _settings_by_xi(
+    controls: ExposureControls,
+    request: CaptureRequest,
+    desired: DesiredResponse,
+    ratios: tuple[float, ...],
+    limit_s: float,
+) -> tuple[ExposureSetting, ...]:
+    """Return the settings near `ratios` of the least xi; near given ratios the nearest ones."""
+    real = controls.levels
+    levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
+
+    def missing_levels(settings: Sequence[ExposureSetting]) -> float:
+        if sum(setting.time_s for setting in settings) > (request.time_budget_s or math.inf):
+            return math.inf
+        exposures = controls.relative_exposures(settings)
+        return xi(EffectiveCamera.of(real, exposures), desired, levels_wanted)
+
+    def deviation(settings: Sequence[ExposureSetting]) -> float:
+        pairs = zip(controls.relative_exposures(settings), ratios, strict=True)
+        return max(abs(math.log(applied / requested)) for applied, requested in pairs)
+
+    score = missing_levels if request.ratios is None else deviation
+    chooser = SettingChooser(controls, request, ratios, score)
+    if request.ratios is None and isinstance(controls.time_s, Choices) and chooser.sets_time_only:
+        return search_choices(controls, request, desired, len(ratios), limit_s)
+    evaluations = _MOST_LEVELS_SORTED // (len(ratios) * real.M)
+    return chooser.best(limit_s, max(_LEAST_SETS, min(_MOST_SETS, evaluations)))
 
 
 def lookup_ratios(
@@ -149,15 +199,15 @@ def lookup_ratios(
         smallest = min(request.ratios)
         return tuple(ratio / smallest for ratio in sorted(request.ratios))
     if request.tolerance is None:
-        return _lookup_row(real, desired, request.count, request, table, progress)[0]
+        return _lookup_row(real, desired, request.most_exposures, request, table, progress)[0]
     missing = math.inf
-    for count in range(1, request.count + 1):
+    for count in range(1, request.most_exposures + 1):
         ratios, missing = _lookup_row(real, desired, count, request, table, progress)
         if missing <= request.tolerance:
             return ratios
     raise UsageError(
-        f"{request.count} exposures leave {missing:.4g} of {request.levels_wanted:g} levels "
-        f"missing, more than {request.tolerance:g}",
+        f"{request.most_exposures} exposures leave {missing:.4g} of {request.levels_wanted:g} "
+        f"levels missing, more than {request.tolerance:g}",
         hint="allow more exposures with -n, or a larger tolerance",
     )
 
@@ -186,35 +236,51 @@ def _lookup_row(
     return tuple(found.exposures), found.xi
 
 
+def _ratios_by_xi(
+    controls: ExposureControls,
+    request: CaptureRequest,
+    desired: DesiredResponse,
+    limit_s: float,
+    progress: _Progress,
+) -> tuple[float, ...]:
+    """Return ratios given or looked up; solved where the light or a time budget decides them."""
+    is_in_table = request.response != AUTO and request.time_budget_s is None
+    if request.ratios is not None or is_in_table:
+        return lookup_ratios(controls.levels, desired, request, None, progress)
+    return _solve_ratios(controls.levels, desired, request, limit_s, controls, progress)
+
+
 def _solve_ratios(
     real: CameraResponse,
     desired: DesiredResponse,
     request: CaptureRequest,
     limit_s: float,
-    longest_s: float,
+    controls: ExposureControls,
     progress: _Progress,
 ) -> tuple[float, ...]:
     """Return ratios solved now, for a shortest exposure of `limit_s`.
 
-    Their sum is limited by `longest_s`, the longest exposure that shutter time and gain give
-    together, and by the request's time budget.
+    Their sum is limited by the longest exposure that shutter time and gain give together, and by
+    the request's time budget.
 
     Raises:
         UsageError: the time budget is too short
     """
-    total = max(longest_s / limit_s * _BUDGET_SHARE, float(request.count))
+    longest_s = controls.time_s.maximum * controls.gain.maximum / controls.gain.nearest(1.0)
+    count = request.most_exposures
+    total = max(longest_s / limit_s * _BUDGET_SHARE, float(count))
     if request.time_budget_s is not None:
         total = min(total, request.time_budget_s / limit_s * _BUDGET_SHARE)
-        if not total >= request.count:
+        if not total >= count:
             raise UsageError(
-                f"{request.count} exposures do not fit into {request.time_budget_s:.4g} s",
-                hint=f"the least is {request.count * limit_s / _BUDGET_SHARE:.4g} s; allow more, "
+                f"{count} exposures do not fit into {request.time_budget_s:.4g} s",
+                hint=f"the least is {count * limit_s / _BUDGET_SHARE:.4g} s; allow more, "
                 "or take fewer exposures",
             )
     found = solve(
         real,
         desired,
-        request.count,
+        count,
         objective=Objective(request.levels_wanted),
         total_limit=total,
         search=SearchOptions(effort=_QUICK_EFFORT if request.response == AUTO else 1.0),
@@ -223,31 +289,27 @@ def _solve_ratios(
     return found.exposures
 
 
-def _metered_limit(
-    camera: Camera, request: CaptureRequest, warnings: list[str]
-) -> tuple[Metering | None, float]:
+def meter_light(camera: Camera, request: CaptureRequest) -> Metered:
     """Return how the light was metered, if it was, and the longest base exposure, s."""
     shift = 2.0**request.compensation_stops
     if request.base_s is not None:
-        return None, request.base_s * shift
-    metering = meter(
-        camera, spend_shutter=request.spend_shutter, small_aperture=request.use_aperture
-    )
+        return Metered(None, request.base_s * shift, None)
+    source = MeteringFrames(camera, spend_shutter=request.spend_shutter)
+    metering = meter(source, small_aperture=request.use_aperture)
+    warnings: tuple[str, ...] = ()
     if metering.highlight >= 1.0:
-        warnings.append(
-            f"{metering.clipped:.2%} of the samples are clipped even at the shortest exposure"
+        warnings = (
+            f"{metering.clipped:.2%} of the samples are clipped even at the shortest exposure",
         )
-    return metering, metering.limit_s * shift
-
-
-def _automatic(
-    camera: Camera, request: CaptureRequest, metering: Metering | None
-) -> DesiredResponse:
-    assert metering is not None  # `CaptureRequest` refuses a base exposure with this response
-    light, counts = light_histogram(
-        camera, metering, request.dynamic_range, spend_shutter=request.spend_shutter
-    )
-    return auto_response(light, request.dynamic_range, weights=counts)
+    given = request.given_range
+    # Actuations of a shutter are spent only where the light decides more than the base exposure.
+    is_free = isinstance(camera, PreviewingCamera) or request.desired is None
+    light = light_histogram(source, metering, lower_end=0.0 if is_free else 1.0)
+    end = light.upper_end(request.clip, given)
+    limit_s = min(metering.limit_s / end, camera.controls.time_s.maximum)
+    end = metering.limit_s / limit_s
+    metering = replace(metering, limit_s=limit_s, frames=source.count)
+    return Metered(metering, limit_s * shift, light.relative_to(end), source.last, warnings)
 
 
 def _samples(desired: DesiredResponse) -> tuple[tuple[float, float], ...]:

@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Protocol, Self
+from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, PrivateAttr
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, PrivateAttr
 
 from camctl.camera import CameraInfo, Pixels
-from camctl.captures.request import CapturePlan, CaptureRequest
+from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.movement import FoundMovement
+from camctl.captures.request import CaptureRequest
 from camctl.controls import ExposureSetting, Layout
 from camctl.errors import DataError, UsageError
+from camctl.noise_model import MeasuredNoise, NoiseModel
+
+FORMAT_VERSION = 2
+"""Version of report.json and of the folder's files; readers accept this one only."""
+
+_Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid")
+
+
+#: Share of the compared samples that may have changed by another ratio than most, for a wrong
+#: exposure; with more, only parts of the picture disagree.
+_MOST_MOVED = 0.5
+
+#: Share of a frame's samples that must be compared before its exposure counts as contradicted.
+LEAST_COMPARED = 0.1
 
 
 class RatioCheck(_Model):
@@ -26,7 +42,10 @@ class RatioCheck(_Model):
         measured: ratio of the irradiances in the pixels; None: too few pixels to measure it
         tolerance: relative difference up to which the two agree
         agrees: False where they do not
-        moved: share of the pixels that changed by more than noise and rounding explain
+        moved: share of the compared samples that changed by another ratio than most
+        compared: share of the frame's samples that were compared
+        contradicting: share of them that contradict `expected`, all brighter or all darker
+        contradicts: whether most of many samples contradict it, by more than lamps can
     """
 
     expected: float
@@ -34,6 +53,44 @@ class RatioCheck(_Model):
     tolerance: float
     agrees: bool
     moved: float
+    compared: float = 0.0
+    contradicting: float = 0.0
+    contradicts: bool = False
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether enough samples were compared."""
+        return self.compared >= LEAST_COMPARED
+
+    @property
+    def is_of_whole_picture(self) -> bool:
+        """Whether the exposures disagree, and not things that moved or light that spread.
+
+        Then many samples were compared, and most of them changed by one ratio.
+        """
+        return not self.agrees and self.is_certain and self.moved <= _MOST_MOVED
+
+
+class ExposureRatio(_Model):
+    """A frame's exposure relative to the smallest one of the capture, and where it comes from.
+
+    Attributes:
+        exposure: with which the pictures are computed
+        used: which one that is: the camera's statement, its profile's, or the estimate
+        label: as the camera states it
+        profile: as the camera's profile corrects it; None where it has no correction
+        estimate: from the pixels; None where it was not estimated
+        low: lower end of the 95 % confidence interval of the estimate, else of the profile's
+        high: upper end
+    """
+
+    exposure: float
+    used: Literal["label", "profile", "estimate"]
+    label: float
+    profile: float | None = None
+    estimate: float | None = None
+    low: float | None = None
+    high: float | None = None
 
 
 class StoredFrame(_Model):
@@ -41,7 +98,9 @@ class StoredFrame(_Model):
 
     Attributes:
         file: its samples in the capture's folder; None for a capture in memory
+        sha256: checksum of that file, in hexadecimal
         original: the camera's own file there, where it made one
+        original_sha256: checksum of that file
         requested: the setting that was asked for
         applied: the setting read back from the camera
         requested_s: shutter time of `requested`, s
@@ -55,10 +114,12 @@ class StoredFrame(_Model):
         details: what the camera reported besides
     """
 
-    model_config = ConfigDict(extra="ignore")  # captures begun by other versions can be resumed
+    model_config = ConfigDict(extra="ignore")  # a frame of a complete capture has more fields
 
     file: str | None = None
+    sha256: _Sha256 | None = None
     original: str | None = None
+    original_sha256: _Sha256 | None = None
     requested: ExposureSetting
     applied: ExposureSetting
     requested_s: float
@@ -76,12 +137,14 @@ class FrameRecord(StoredFrame):
     """One frame of a complete capture.
 
     Attributes:
-        exposure: applied exposure, relative to the smallest applied one of the capture
+        exposure: that the pictures are computed with, relative to the smallest of the capture
+        exposure_ratio: where it comes from; None in reports of earlier versions
     """
 
     model_config = ConfigDict(extra="forbid")
 
     exposure: float
+    exposure_ratio: ExposureRatio | None = None
 
 
 class Achieved(_Model):
@@ -89,19 +152,28 @@ class Achieved(_Model):
 
     Attributes:
         xi: number of desired levels that are missing
-        effective_levels: number of equal steps in the desired response that would be as accurate
+        effective_levels: number of equal steps in the desired response that would be as accurate,
+            with the camera's noise where it is known
+        effective_levels_noise_free: the same by quantisation alone; None in earlier versions
+        noise: the noise of the camera; None where it is unknown
+        measured: what the pixels show; None where too few are in range in two frames
         levels: number of levels of the sum
         levels_distinct: number of them that differ
         saturated_fraction: share of the samples that are saturated in every frame
-        dark_fraction: share of the samples that no frame reached
+        dark_fraction: share of the samples with light below the desired range
+        light_shares: shares of the samples in equal steps of ln E, from the range's lower end on
     """
 
     xi: float
     effective_levels: float
+    effective_levels_noise_free: float | None = None
+    noise: NoiseModel | None = None
+    measured: MeasuredNoise | None = None
     levels: int
     levels_distinct: int
     saturated_fraction: float
     dark_fraction: float
+    light_shares: tuple[float, ...] = ()
 
 
 class Irradiance(_Model):
@@ -119,39 +191,64 @@ class _CaptureData(_Model):
     """What every capture has, complete or not.
 
     Attributes:
+        format_version: version of the report's format
         camera: identity of the camera
         source: what is needed to open the camera again
-        layout: pixel layout of the frames
+        layout, pixel_format: of the frames, as in `camctl.controls.ExposureControls`
         request: what was asked for
         plan: the plan that is followed
         rejected: files of frames that were shot again
+        trustworthy: False where the frames contradict their exposures, so that the pictures are
+            wrong
+        untrustworthy_because: why, one line; else None
         white: brightness at which each frame is clipped before it is summed, DN
         black_total: black level of the sum, DN
-        timing: durations of the stages, s
+        files: names of the picture files by kind, before they are written; none in memory
+        timing: durations, s: "planning_s", "shooting_wall_s" and "writing_s" by this computer's
+            clock; by the camera's clock "shooting_s", and from the request of the first frame
+            until the last one arrived "planned_wall_s" (predicted) and "actual_wall_s"
+        clock: "virtual" where the camera's clock is a simulated one, so that its times passed
+            without waiting; else "real"
         warnings: what to know of the pictures, one line each
         versions: of camctl, numpy and Python
+        profile: what the camera's profile says of it, one line; None: nothing
+        taken_at: when the capture began, by this computer's clock; None in earlier versions
     """
 
+    format_version: int = FORMAT_VERSION
     camera: CameraInfo
     source: dict[str, Any]
     layout: Layout
+    pixel_format: str = ""
     request: CaptureRequest
     plan: CapturePlan
     rejected: list[str] = []
+    trustworthy: bool = True
+    untrustworthy_because: str | None = None
     white: int
     black_total: int
+    files: dict[str, str] = {}
     timing: dict[str, float] = {}
+    clock: Literal["real", "virtual"] = "real"
     warnings: list[str] = []
     versions: dict[str, str] = {}
+    profile: str | None = None
+    taken_at: AwareDatetime | None = None
 
 
 class UnfinishedCapture(_CaptureData):
-    """A capture that lacks frames, None in `frames`, or its pictures."""
+    """A capture that lacks frames, None in `frames`, or its pictures.
 
-    model_config = ConfigDict(extra="ignore")
+    Attributes:
+        frames: the frames of the sum, in the order of the plan's settings
+        discarded: files of an earlier capture in the same folder that are removed
+    """
+
+    model_config = ConfigDict(extra="ignore")  # a complete capture has more fields
 
     status: Literal["incomplete"] = "incomplete"
     frames: list[StoredFrame | None]
+    discarded: list[str] = []
 
 
 class Pictures(Protocol):
@@ -159,23 +256,21 @@ class Pictures(Protocol):
 
     def frame(self, position: int) -> Pixels:
         """Return the samples of a frame."""
-        ...
 
     def sum(self) -> NDArray[np.unsignedinteger]:
         """Return the sum of the frames."""
-        ...
 
     def image(self) -> NDArray[np.uint16]:
         """Return the image in the desired response."""
-        ...
 
     def radiance(self) -> NDArray[np.float32]:
         """Return the irradiance."""
-        ...
+
+    def standard_deviation(self) -> NDArray[np.float32]:
+        """Return the predicted standard deviation of the irradiance."""
 
     def mask(self) -> NDArray[np.uint8]:
         """Return the marks of what is out of range."""
-        ...
 
 
 class CaptureReport(_CaptureData):
@@ -185,14 +280,14 @@ class CaptureReport(_CaptureData):
         frames: the frames of the sum, in the order of the plan's settings
         achieved: the quality that the applied exposures give
         irradiance: scale of the radiance
-        files: names of the result files by kind; empty for a capture in memory
+        movement: where the frames contradict each other; None for a single frame
     """
 
     status: Literal["complete"] = "complete"
     frames: list[FrameRecord]
     achieved: Achieved
     irradiance: Irradiance
-    files: dict[str, str] = {}
+    movement: FoundMovement | None = None
     _pictures: Pictures | None = PrivateAttr(default=None)
 
     def with_pictures(self, pictures: Pictures) -> Self:
@@ -210,8 +305,19 @@ class CaptureReport(_CaptureData):
         """
         return self._connected().radiance()
 
+    def standard_deviation(self) -> NDArray[np.float32]:
+        """Return the predicted standard deviation of the radiance, float32, in its shape and unit.
+
+        Quantisation and, where it is known, the noise of the camera are in it; it is infinite where
+        every frame is saturated.
+
+        Raises:
+            DataError: the capture's file is missing or damaged
+        """
+        return self._connected().standard_deviation()
+
     def mask(self) -> NDArray[np.uint8]:
-        """Return 0 for good samples, 1 too dark, 2 saturated in every frame; radiance's shape.
+        """Return 0 for good samples, 1 below the range, 2 saturated, 4 frames contradict, 8 hot.
 
         Raises:
             DataError: the capture's file is missing or damaged

@@ -1,4 +1,4 @@
-"""What a user asks of a capture (`CaptureRequest`), and the plan made from it (`CapturePlan`)."""
+"""What a user asks of a capture."""
 
 from __future__ import annotations
 
@@ -7,22 +7,42 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from camctl.controls import ExposureSetting
 from camctl.errors import DataError, UsageError, unknown_name
 from camctl.exposure.effective import check_count
+from camctl.exposure.objective import check_levels_wanted
 from camctl.response.desired import (
+    RANGES,
     RESPONSES,
     DesiredResponse,
+    check_range,
     desired_response,
-    tabulated_desired,
 )
+from camctl.response.tabulated import tabulated_desired
+
+MAX_COMPENSATION_STOPS = 64.0
+"""No camera has so many stops between its shortest and its longest exposure."""
+
+MAX_CLIP_PERCENT = 50.0
+"""Largest share of the samples that may be clipped, in percent."""
 
 AUTO = "auto"
 CURVE = "curve"
+
+MIN_TIME_BUDGET_S = 1e-9
+"""Shortest time budget, s: far below the shutter times of cameras."""
+
+MIN_ACCURACY = 1.0
+"""Fewest effective levels that can be asked for: one level knows nothing of the light."""
+
+XI, ACCURACY = "xi", "accuracy"
+OBJECTIVES = (XI, ACCURACY)
+
+DEFAULT_COUNT = 3
+"""Number of exposures where neither a request nor what it asks for decides it."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +52,28 @@ class CaptureRequest:
     Attributes:
         response: desired response: "linear", "gamma", "log" (constant contrast), "curve" (given
             by `desired_curve`), or "auto" (follows the metered histogram)
-        dynamic_range: desired dynamic range, > 1; a curve has its own, and this one is not used
-        count: number of exposures, 1 to 16
+        dynamic_range: desired dynamic range, > 1, or "auto": the range of the metered light, as
+            far as the camera is accurate over it; a curve has its own, and this one is not used
+        clip_percent: percentage of the samples, the brightest, that may be saturated in every
+            frame; None: lamps and reflections, at most 0.5 % and at least two stops brighter than
+            the rest
+        count: number of exposures, 1 to 16; None: as many as are best within a time budget or reach
+            an accuracy (up to 6, chosen by accuracy), otherwise 3
         ratios: the exposures, relative to each other, instead of looked-up ones; `count` is not
             used then
         base_s: shutter time of the shortest exposure, s; None: metered
-        compensation_stops: shift of the shortest exposure, in stops
+        compensation_stops: shift of the shortest exposure, in stops, -64 to 64
         levels_wanted: number of levels G of the desired camera; None: as many as the frames hold
         tolerance: take the fewest exposures, `count` at most, that leave no more than this number
             of `levels_wanted` missing
         time_budget_s: longest total exposure time of all frames, s
+        objective: what the exposures are chosen by: "accuracy", least predicted error with the
+            camera's noise; "xi", as in the paper; None: accuracy where the noise is known and
+            nothing is asked that only xi answers (`tolerance`, `levels_wanted`, `use_aperture`)
+        accuracy: effective levels, noise included, to reach in the least time
         use_aperture: change the aperture where shutter time and gain do not reach
+        estimate_ratios: compute the pictures with exposures estimated from the pixels, where these
+            are more certain than what the camera states
         mains_hz: frequency of the mains that feeds the lamps (50 or 60); None: daylight
         spend_shutter: meter with full exposures on a camera that has no preview
         gamma: exponent of the response "gamma", 0.01 to 100; None: 1/2
@@ -54,19 +85,23 @@ class CaptureRequest:
     """
 
     response: str = "log"
-    dynamic_range: float = 1000.0
-    count: int = 3
+    dynamic_range: float | Literal["auto"] = 1000.0
+    count: int | None = None
     ratios: tuple[float, ...] | None = None
     base_s: float | None = None
     compensation_stops: float = 0.0
     levels_wanted: float | None = None
     tolerance: float | None = None
     time_budget_s: float | None = None
+    objective: str | None = None
+    accuracy: float | None = None
     use_aperture: bool = False
+    estimate_ratios: bool = False
     mains_hz: float | None = None
     spend_shutter: bool = False
     gamma: float | None = None
     desired_curve: tuple[tuple[float, float], ...] | None = None
+    clip_percent: float | None = None
 
     def __post_init__(self) -> None:
         self._normalise()
@@ -77,16 +112,37 @@ class CaptureRequest:
 
     @property
     def desired(self) -> DesiredResponse | None:
-        """The desired response; None where the metered light decides it (response "auto")."""
-        if self.response == AUTO:
+        """The desired response; None where the metered light decides it or its range ("auto")."""
+        if self.response == AUTO or self.given_range is None:
             return None
-        return build_desired(self.response, self.dynamic_range, self.gamma, self.desired_curve)
+        return build_desired(self.response, self.given_range, self.gamma, self.desired_curve)
+
+    @property
+    def given_range(self) -> float | None:
+        """The desired dynamic range; None where the metered light decides it ("auto")."""
+        if self.desired_curve is not None:
+            return build_desired(CURVE, math.inf, None, self.desired_curve).dynamic_range
+        return None if isinstance(self.dynamic_range, str) else self.dynamic_range
+
+    @property
+    def clip(self) -> float | None:
+        """Share of the samples that may be saturated; None: lamps and reflections."""
+        return None if self.clip_percent is None else self.clip_percent / 100
+
+    @property
+    def most_exposures(self) -> int:
+        """The number of exposures, or how many there are where the request does not say it."""
+        return DEFAULT_COUNT if self.count is None else self.count
 
     def _normalise(self) -> None:
         """Turn lists and arrays into the tuples of plain numbers that a report can hold."""
+        if type(self.dynamic_range) is int:
+            object.__setattr__(self, "dynamic_range", float(self.dynamic_range))
         if self.ratios is not None and not isinstance(self.ratios, str):
             with suppress(TypeError):
                 object.__setattr__(self, "ratios", tuple(_plain(ratio) for ratio in self.ratios))
+        if isinstance(self.dynamic_range, Real):
+            object.__setattr__(self, "dynamic_range", float(self.dynamic_range))
         if self.desired_curve is not None:
             try:
                 pairs = tuple((float(E), float(u)) for E, u in self.desired_curve)
@@ -97,15 +153,21 @@ class CaptureRequest:
             object.__setattr__(self, "desired_curve", pairs)
 
     def _check_types(self) -> None:
-        if not isinstance(self.count, Integral):
+        if self.count is not None and not isinstance(self.count, Integral):
             raise UsageError(f"invalid number of exposures {self.count!r}: expected a whole number")
+        if isinstance(self.dynamic_range, str) and self.dynamic_range != AUTO:
+            raise UsageError(
+                f"invalid dynamic_range {self.dynamic_range!r}: expected a number or '{AUTO}'"
+            )
         for name in (
-            "dynamic_range",
+            *(() if self.dynamic_range == AUTO else ("dynamic_range",)),
+            "clip_percent",
             "base_s",
             "compensation_stops",
             "levels_wanted",
             "tolerance",
             "time_budget_s",
+            "accuracy",
             "mains_hz",
             "gamma",
         ):
@@ -133,19 +195,23 @@ class CaptureRequest:
                 f"the response '{CURVE}' needs a desired curve",
                 hint="give pairs of irradiance and brightness",
             )
-        if self.response == AUTO and not 1 < self.dynamic_range < math.inf:
-            raise UsageError(
-                f"invalid dynamic range {self.dynamic_range:g}: expected a finite number above 1"
-            )
+        # Where the light decides the range, any range shows whether the other fields are right.
+        given = self.dynamic_range
+        dynamic_range = RANGES["high"] if isinstance(given, str) else given
         if self.response == AUTO:
+            check_range(dynamic_range)
+            if math.isinf(dynamic_range):
+                raise UsageError("an automatic response needs a finite dynamic range")
             return
         try:
-            build_desired(self.response, self.dynamic_range, self.gamma, self.desired_curve)
+            build_desired(self.response, dynamic_range, self.gamma, self.desired_curve)
         except DataError as error:
             raise UsageError(error.what, hint=error.hint) from error
 
     def _check_numbers(self) -> None:
-        check_count(self.count)
+        check_count(self.most_exposures)
+        if self.objective is not None and self.objective not in OBJECTIVES:
+            raise unknown_name("objective", self.objective, OBJECTIVES)
         if self.ratios is not None:
             if not self.ratios:
                 raise UsageError("no exposure ratios: expected at least one, such as 1,2,4")
@@ -153,15 +219,32 @@ class CaptureRequest:
                 _check_positive("exposure ratio", ratio)
         for name, value in (
             ("base exposure in seconds", self.base_s),
-            ("number of levels", self.levels_wanted),
             ("time budget in seconds", self.time_budget_s),
             ("mains frequency", self.mains_hz),
         ):
             if value is not None:
                 _check_positive(name, value)
-        if not math.isfinite(self.compensation_stops):
+        if self.time_budget_s is not None and self.time_budget_s < MIN_TIME_BUDGET_S:
             raise UsageError(
-                f"invalid compensation {self.compensation_stops}: expected a finite number of stops"
+                f"invalid time budget {self.time_budget_s:g} s: expected at least "
+                f"{MIN_TIME_BUDGET_S:g} s"
+            )
+        if self.accuracy is not None and not MIN_ACCURACY <= self.accuracy < math.inf:
+            raise UsageError(
+                f"invalid accuracy {self.accuracy:g}: expected a number of effective levels from "
+                f"{MIN_ACCURACY:g}"
+            )
+        if self.levels_wanted is not None:
+            check_levels_wanted(self.levels_wanted)
+        if not abs(self.compensation_stops) <= MAX_COMPENSATION_STOPS:
+            raise UsageError(
+                f"invalid compensation {self.compensation_stops:g}: expected "
+                f"-{MAX_COMPENSATION_STOPS:g} to {MAX_COMPENSATION_STOPS:g} stops"
+            )
+        if self.clip_percent is not None and not 0 <= self.clip_percent <= MAX_CLIP_PERCENT:
+            raise UsageError(
+                f"invalid share of clipped samples {self.clip_percent:g} %: expected 0 to "
+                f"{MAX_CLIP_PERCENT:g} %"
             )
         if self.tolerance is not None and not self.tolerance >= 0:
             raise UsageError(
@@ -169,6 +252,18 @@ class CaptureRequest:
             )
 
     def _check_combinations(self) -> None:
+        if self.objective == XI and self.accuracy is not None:
+            raise UsageError(
+                "an accuracy cannot be reached with the objective 'xi'",
+                hint="choose the objective 'accuracy', or leave the accuracy (--accuracy) out",
+            )
+        if self.accuracy is not None or self.objective == ACCURACY:
+            for name in ("ratios", "tolerance", "levels_wanted", "use_aperture"):
+                if getattr(self, name) is not None and getattr(self, name) is not False:
+                    raise UsageError(
+                        f"a choice by accuracy cannot be combined with {name.replace('_', ' ')}",
+                        hint="leave one of them out",
+                    )
         if self.tolerance is not None:
             if self.levels_wanted is None:
                 raise UsageError(
@@ -190,11 +285,17 @@ class CaptureRequest:
                 "an automatic response cannot be combined with given exposure ratios",
                 hint="choose another response, or leave the ratios out",
             )
-        if self.response == AUTO and self.base_s is not None:
-            raise UsageError(
-                "an automatic response needs metering, and the base exposure is given",
-                hint="leave the base exposure (--base) out, or choose another response",
-            )
+        if self.base_s is not None:
+            for name, value in (
+                ("an automatic response", self.response == AUTO),
+                ("an automatic range", self.given_range is None),
+                ("a share of clipped samples", self.clip_percent is not None),
+            ):
+                if value:
+                    raise UsageError(
+                        f"{name} needs metering, and the base exposure is given",
+                        hint="leave the base exposure (--base) out, or this",
+                    )
 
 
 def _plain(value: Any) -> Any:
@@ -223,71 +324,3 @@ def build_desired(
         irradiance, u = zip(*curve, strict=True) if curve else ((), ())
         return tabulated_desired(irradiance, u, name=response)
     return desired_response(response, dynamic_range, gamma=gamma)
-
-
-def relative_exposures(settings: Sequence[ExposureSetting]) -> tuple[float, ...]:
-    """Return the exposures of settings relative to the smallest, in the order of `settings`."""
-    smallest = min(setting.exposure for setting in settings)
-    return tuple(setting.exposure / smallest for setting in settings)
-
-
-@dataclass(frozen=True)
-class Metering:
-    """How much light there is.
-
-    Attributes:
-        limit_s: shutter time at which the highlights would be just below saturation, s
-        setting: the setting of the last metering frame, the nearest to `limit_s`
-        highlight: brightness of the highlights in it, as a share of white minus black
-        clipped: share of its samples that are saturated
-        frames: number of metering frames (previews, or exposures of the shutter)
-    """
-
-    limit_s: float
-    setting: ExposureSetting
-    highlight: float
-    clipped: float
-    frames: int
-
-
-@dataclass(frozen=True)
-class CapturePlan:
-    """The settings that will be shot, and the result that they should give.
-
-    Attributes:
-        response: name of the desired response
-        dynamic_range: desired dynamic range
-        ratios: the requested exposures, relative to the shortest
-        settings: the settings of the camera in the order of shooting, ascending exposure
-        exposures: the exposures of `settings` relative to the smallest, same order
-        base_s: shutter time of the smallest exposure, s
-        shutter_s: total exposure time, s
-        levels_wanted: number of levels G of the desired camera
-        xi: number of those levels that are missing with `exposures`
-        effective_levels: number of equal steps in the desired response that would be as accurate
-        metering: how the shortest exposure was metered; None where it was given
-        curve: samples (irradiance, u) of the responses "curve" and "auto"; None for the others,
-            which name, range and gamma define
-        warnings: what to know before shooting, one line each
-        gamma: exponent of the response "gamma"; None: 1/2
-    """
-
-    response: str
-    dynamic_range: float
-    ratios: tuple[float, ...]
-    settings: tuple[ExposureSetting, ...]
-    exposures: tuple[float, ...]
-    base_s: float
-    shutter_s: float
-    levels_wanted: float
-    xi: float
-    effective_levels: float
-    metering: Metering | None = None
-    curve: tuple[tuple[float, float], ...] | None = None
-    warnings: tuple[str, ...] = ()
-    gamma: float | None = None
-
-    @property
-    def desired(self) -> DesiredResponse:
-        """The desired response that was planned for."""
-        return build_desired(self.response, self.dynamic_range, self.gamma, self.curve)

@@ -13,11 +13,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from camctl.captures.request import CapturePlan, CaptureRequest
+from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.request import CaptureRequest
 from camctl.controls import Control, ExposureControls, ExposureSetting
 from camctl.errors import CaptureError
-from camctl.exposure.grid_search import SettingsGrid, solve_settings
+from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import Objective
+from camctl.exposure.settings_grid import SettingsGrid
 from camctl.response.desired import DesiredResponse
 
 #: The shortest exposure may be this far below its limit to fit the camera's steps, in stops.
@@ -31,10 +33,18 @@ _BASES, _KEPT_BASES = 24, 4
 _NEIGHBOURS = 3
 #: Gains and apertures that extend the shutter times, at most.
 _GAINS, _APERTURES = 64, 8
+#: Sets that are compared where only the ratios count.
+_MOST_ROUNDED = 100
 #: Relative difference between requested and applied exposure from which there is a warning.
 _WARNING_DIFFERENCE = 0.01
 #: Relative difference up to which two exposures are the same, in float64.
 _SAME = 1e-9
+
+#: Levels that the longest exposure gives to the darkest light of a range that the scene decides.
+_SHADOW_LEVELS = 2.0
+#: Such exposures are no farther apart than this share of what one holds: else light between them
+#: would have few levels.
+_OVERLAP = 1 / 8
 
 Score: TypeAlias = Callable[[Sequence[ExposureSetting]], float]
 
@@ -91,7 +101,7 @@ class SettingChooser:
         time, gain = self.controls.time_s, self.controls.gain.nearest(1.0)
         f_number = self._smallest_aperture()
         if self.request.base_s is not None:
-            return [ExposureSetting(_given_base(time, limit_s), gain, f_number)]
+            return [ExposureSetting(given_base(time, limit_s), gain, f_number)]
         times = self._whole_periods(time.between(limit_s * 2.0**-BASE_SLACK_STOPS, limit_s, _BASES))
         if not times:
             below = time.between(time.minimum, limit_s, 1)
@@ -158,38 +168,100 @@ class SettingChooser:
                     whole.add(near)
         return tuple(sorted(whole)) or times
 
-    def warnings(self, plan: CapturePlan) -> list[str]:
-        """Return where the chosen settings differ from the request, one line each."""
-        found = []
-        if self.request.base_s is not None:
-            requested = self.request.base_s * 2.0**self.request.compensation_stops
-            if abs(plan.base_s / requested - 1) > _WARNING_DIFFERENCE:
+
+def reach_shadows(
+    controls: ExposureControls,
+    request: CaptureRequest,
+    desired: DesiredResponse,
+    settings: tuple[ExposureSetting, ...],
+) -> tuple[tuple[ExposureSetting, ...], tuple[float, ...]] | None:
+    """Return settings that show the darkest light of the desired range, and their ratios.
+
+    The desired response may ask for so few levels in the dark that the most accurate exposures show
+    nothing of it.  Then the last ones are replaced by longer ones at equal ratios, as few as leave
+    no gap; what is beyond the camera's longest time and highest gain stays dark.
+
+    Args:
+        controls: of the camera
+        request: what the user asks for
+        desired: the response, with the range that the light has
+        settings: the chosen ones, in ascending order of exposure
+
+    Returns:
+        None where `settings` show the light, or nothing may be changed
+    """
+    shortest, levels = settings[0], controls.levels.levels
+    exposures = [setting.exposure / shortest.exposure for setting in settings]
+    is_fixed = request.time_budget_s is not None or request.accuracy is not None
+    needed = float(levels[0]) / desired.e_min if desired.e_min else math.inf
+    possible = controls.time_s.maximum * controls.gain.maximum / shortest.time_s / shortest.gain
+    longest = min(_SHADOW_LEVELS * needed, possible)
+    if is_fixed or len(settings) < 2 or exposures[-1] >= min(needed, longest * (1 - _SAME)):
+        return None
+    step = max(2.0, _OVERLAP * float(levels[-1] / levels[0]))
+    count = min(len(settings) - 1, math.ceil(math.log(longest) / math.log(step) - _SAME))
+    chain = [longest ** (place / count) for place in range(1, count + 1)]
+    ratios = tuple(sorted([*exposures[: len(exposures) - count], *chain]))
+
+    def deviation(found: Sequence[ExposureSetting]) -> float:
+        pairs = zip(found, ratios, strict=True)
+        return max(abs(math.log(s.exposure / found[0].exposure / ratio)) for s, ratio in pairs)
+
+    chooser = SettingChooser(controls, request, ratios, deviation)
+    return chooser.best(shortest.time_s, _MOST_ROUNDED), ratios
+
+
+def setting_warnings(
+    controls: ExposureControls, request: CaptureRequest, plan: CapturePlan
+) -> list[str]:
+    """Return where the chosen settings differ from the request, one line each."""
+    found = _compensation_warning(controls, request, plan)
+    if request.base_s is not None:
+        requested = request.base_s * 2.0**request.compensation_stops
+        if abs(plan.base_s / requested - 1) > _WARNING_DIFFERENCE:
+            found.append(
+                f"the base exposure is {plan.base_s:.6g} s: the camera cannot set {requested:.6g} s"
+            )
+    if request.ratios is not None:
+        for requested, applied in zip(plan.ratios, plan.exposures, strict=True):
+            if abs(applied / requested - 1) > _WARNING_DIFFERENCE:
+                found.append(f"ratio {requested:.6g} becomes {applied:.6g} on this camera")
+    if request.mains_hz is not None:
+        period_s = 0.5 / request.mains_hz
+        for setting in plan.settings:
+            count = setting.time_s / period_s
+            difference = abs(count - round(count))
+            if difference > _WARNING_DIFFERENCE * max(1.0, count) or count < 0.5:
                 found.append(
-                    f"the base exposure is {plan.base_s:.6g} s: "
-                    f"the camera cannot set {requested:.6g} s"
+                    f"{setting.time_s:.4g} s is not a whole number of the lamps' flicker "
+                    f"periods of {period_s:.4g} s"
                 )
-        if self.request.ratios is not None:
-            for requested, applied in zip(plan.ratios, plan.exposures, strict=True):
-                if abs(applied / requested - 1) > _WARNING_DIFFERENCE:
-                    found.append(f"ratio {requested:.6g} becomes {applied:.6g} on this camera")
-        if self.request.mains_hz is not None:
-            period_s = 0.5 / self.request.mains_hz
-            for setting in plan.settings:
-                count = setting.time_s / period_s
-                difference = abs(count - round(count))
-                if difference > _WARNING_DIFFERENCE * max(1.0, count) or count < 0.5:
-                    found.append(
-                        f"{setting.time_s:.4g} s is not a whole number of the lamps' flicker "
-                        f"periods of {period_s:.4g} s"
-                    )
-        return found
+    return found
+
+
+def _compensation_warning(
+    controls: ExposureControls, request: CaptureRequest, plan: CapturePlan
+) -> list[str]:
+    """Return a warning where a compensation goes beyond the camera's shutter times."""
+    if plan.metering is None:
+        return []
+    time, stops = controls.time_s, request.compensation_stops
+    requested_s = plan.metering.limit_s * 2.0**stops
+    if time.minimum * 0.99 <= requested_s <= time.maximum * 1.01:
+        return []
+    possible = math.log2(plan.base_s / plan.metering.limit_s)
+    return [
+        f"a compensation of {stops:g} stops asks for {requested_s:.4g} s, but the camera has "
+        f"{time.minimum:.4g} to {time.maximum:.4g} s: the shortest exposure is "
+        f"{plan.base_s:.4g} s, {possible:+.1f} stops"
+    ]
 
 
 def _nearest_first(settings: list[ExposureSetting], exposure: float) -> list[ExposureSetting]:
     return sorted(settings, key=lambda setting: abs(math.log(setting.exposure / exposure)))
 
 
-def _given_base(time: Control, base_s: float) -> float:
+def given_base(time: Control, base_s: float) -> float:
     """Return the shutter time nearest to a given base exposure.
 
     Raises:
@@ -223,13 +295,17 @@ def search_choices(
     """
     gain = controls.gain.nearest(1.0)
     times = controls.time_s.between(controls.time_s.minimum, controls.time_s.maximum, 1 << 16)
-    available = {time_s: ExposureSetting(time_s, gain) for time_s in times}
+
+    def true_s(time_s: float, at_gain: float = gain) -> float:
+        return controls.exposure(ExposureSetting(time_s, at_gain)) / gain
+
+    available = {true_s(time_s): ExposureSetting(time_s, gain) for time_s in times}
     for more in controls.gain.between(gain, controls.gain.maximum, _GAINS):
-        available.setdefault(times[-1] * more / gain, ExposureSetting(times[-1], more))
-    base_s = max((t for t in times if t <= limit_s * (1 + _SAME)), default=times[0])
+        available.setdefault(true_s(times[-1], more), ExposureSetting(times[-1], more))
+    base_s = true_s(max((t for t in times if t <= limit_s * (1 + _SAME)), default=times[0]))
     least_s = base_s * 2.0**-_BASE_SLACK_ON_LIST_STOPS
     if request.base_s is not None:
-        least_s = base_s = _given_base(controls.time_s, limit_s)
+        least_s = base_s = true_s(given_base(controls.time_s, limit_s))
     exposures = sorted(available)
     if count <= len(exposures) and exposures[-count] < least_s * (1 - _SAME):
         stops = math.floor(10 * math.log2(exposures[-count] / base_s)) / 10

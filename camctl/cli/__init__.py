@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 
 import click
 from click.shell_completion import CompletionItem
 
 import camctl
 from camctl.cli.commands import DEBUG_KEY, LazyGroup, command, one_line
-from camctl.cli.output import ClosedOutputError, print_json, print_text
-from camctl.errors import CamctlError, UsageError, unknown_name
+from camctl.cli.output import (
+    ClosedOutputError,
+    print_error,
+    print_json,
+    print_text,
+    standard_streams,
+    visible,
+)
+from camctl.errors import CamctlError, StorageError, UsageError, unknown_name
+from camctl.interrupts import last_interrupt, run_interruptible, signal_handlers
+from camctl.system_errors import resource_error
+
+_LONG_NAME = re.compile(r"\S{300,}")
+"""A name that would fill the screen."""
 
 COMMANDS = (
     "shoot",
+    "merge",
     "menu",
     "cameras",
     "calibrate",
@@ -25,6 +40,8 @@ COMMANDS = (
     "solve",
     "evaluate",
     "table",
+    "tradeoff",
+    "figures",
 )
 """Each is a module of this package that holds a command of the same name."""
 
@@ -111,9 +128,10 @@ def help_(context: click.Context, names: tuple[str, ...]) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line (without the program's name) and return its exit status.
 
-    0: done.  1: it could not be done.  2: invalid usage.  130: interrupted.  An error is one line
-    on standard error, with ``--json`` also a JSON object on standard output; the traceback is
-    printed only with ``--debug``.
+    0: done.  1: it could not be done.  2: invalid usage.  3: a picture contradicts its own frames.
+    130, 143, 129: ended by Control-C, SIGTERM, SIGHUP.  An error is one line on standard error,
+    with ``--json`` also a JSON object on standard output; the traceback is printed only with
+    ``--debug``.
     """
     completion = os.environ.get("_CAMCTL_COMPLETE")
     if completion:
@@ -121,34 +139,52 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return shell_complete(cli, {}, "camctl", "_CAMCTL_COMPLETE", completion)
     given = list(sys.argv[1:] if arguments is None else arguments)
-    context: click.Context | None = None
-    try:
-        with cli.make_context("camctl", given) as context:
-            cli.invoke(context)
-        return 0
-    except click.exceptions.Exit as exit_request:
-        return exit_request.exit_code
-    except ClosedOutputError:
-        return _close_output()
-    except BaseException as error:
-        if isinstance(error, SystemExit):
+    with standard_streams(), signal_handlers():
+        context: click.Context | None = None
+
+        def run() -> None:
+            nonlocal context
+            with cli.make_context("camctl", given) as context:
+                cli.invoke(context)
+
+        try:
+            run_interruptible(run)
+        except click.exceptions.Exit as exit_request:
+            return exit_request.exit_code
+        except ClosedOutputError:
+            return 1
+        except SystemExit:
             raise
-        if context is not None and context.meta.get(DEBUG_KEY):
-            traceback.print_exc()
+        except BaseException as error:
+            if context is not None and context.meta.get(DEBUG_KEY):
+                for line in "".join(traceback.format_exception(error)).splitlines():
+                    sys.stderr.write(visible(line) + "\n")
+            return _report(error, as_json="--json" in given)
+    return 0
+
+
+def _report(error: BaseException, *, as_json: bool) -> int:
+    """Print the error and return the exit status."""
+    interrupt = last_interrupt()
+    if interrupt is not None and not isinstance(error, CamctlError):
+        # A library may have dropped the interrupt, and failed in another way because of it.
+        status, kind, message, hint = _describe(interrupt)
+    else:
         status, kind, message, hint = _describe(error)
-        sys.stderr.write(f"camctl: {f'{message}; {hint}' if hint else message}\n")
-        if "--json" in given:
-            try:
-                print_json({"error": {"type": kind, "message": message, "hint": hint or None}})
-            except ClosedOutputError:
-                _close_output()
-        return status
+    # What became of a capture.
+    message = "; ".join([message, *map(one_line, getattr(error, "__notes__", ()))])
+    if interrupt is not None:
+        status = 128 + interrupt.number
+    print_error(_shortened(f"{message}; {hint}" if hint else message))
+    if as_json:
+        with suppress(ClosedOutputError, StorageError):
+            print_json({"error": {"type": kind, "message": message, "hint": hint or None}})
+    return status
 
 
-def _close_output() -> int:
-    """Point standard output at nothing, so that the interpreter does not complain at its end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 1
+def _shortened(line: str) -> str:
+    """Return a line without the middle of names that are too long to be read."""
+    return _LONG_NAME.sub(lambda found: f"{found[0][:40]}...{found[0][-40:]}", line)
 
 
 def _describe(error: BaseException) -> tuple[int, str, str, str]:
@@ -157,12 +193,13 @@ def _describe(error: BaseException) -> tuple[int, str, str, str]:
         from camctl.backends import shadowing_error
 
         error = shadowing_error(error) or error
+    error = resource_error(error) or error
     kind = type(error).__name__
     if isinstance(error, CamctlError):
         return error.exit_status, kind, one_line(error.what), one_line(error.hint)
     if isinstance(error, click.ClickException):
         return UsageError.exit_status, "UsageError", one_line(error.format_message()), ""
     if isinstance(error, KeyboardInterrupt | click.Abort):
-        return 130, "KeyboardInterrupt", "interrupted", ""
-    message = one_line(f"internal error: {kind}: {error}".rstrip(": "))
-    return 1, kind, message, "run again with --debug for the traceback"
+        return 130, "KeyboardInterrupt", one_line(str(error) or "interrupted"), ""
+    text = " ".join(f"internal error: {kind}: {error}".split()).rstrip(": ")
+    return 1, kind, one_line(text), "run again with --debug for the traceback"

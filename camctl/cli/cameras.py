@@ -51,12 +51,14 @@ def cameras(context: click.Context, probe: bool, udev_rules: bool, as_json: bool
     for backend in backends:
         if backend.problem:
             print_warning(f"{backend.name}: {backend.problem}")
-    headings = ("id", "make", "model", "serial", "driver")
+    headings: tuple[str, ...] = ("id", "make", "model", "serial", "driver", "remark")
     found = [camera for backend in backends for camera in backend.cameras]
     rows = [[str(getattr(camera, name)) for name in headings] for camera in found]
     if as_json:
         print_json([dict(zip(headings, row, strict=True)) for row in rows])
         return
+    if not any(camera.remark for camera in found):
+        headings, rows = headings[:-1], [row[:-1] for row in rows]
     print_text(format_table(headings, rows) if rows else "no camera found")
     searches = [
         (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -10,70 +11,200 @@ from typing import TYPE_CHECKING
 
 from camctl.cli.output import (
     format_duration,
+    format_effective,
     format_fields,
     format_number,
     format_percent,
+    format_range,
     format_request,
     format_table,
     progress_bar,
 )
 
 if TYPE_CHECKING:
+    from camctl.captures.capture_plan import CapturePlan
+    from camctl.captures.movement import FoundMovement
     from camctl.captures.report import CaptureReport
-    from camctl.captures.sequencer import Progress
+    from camctl.captures.scene_range import PlannedLight
+    from camctl.captures.sequence import Progress
+    from camctl.noise_model import MeasuredNoise
 
 TIMES = {"planning_s": "planning", "shooting_s": "shooting", "writing_s": "writing"}
 """Keys of `CaptureReport.timing` that the summary shows, and their labels."""
 
+#: Shares of the picture that are named, and how far lamps are above the range, stops.
+_NOTABLE_SHARE, _LAMP_STOPS = 5e-4, 2.0
 
-def new_directory(parent: Path = Path()) -> Path:
+#: Characters of a histogram, from an empty bin to the fullest one.
+_BARS = " \u2581\u2582\u2583\u2584\u2585\u2586\u2587\u2588"
+
+CHOSEN_BY = {
+    "accuracy": "accuracy with the camera's noise",
+    "xi": "missing levels (xi), without noise",
+}
+
+
+def new_directory(parent: Path = Path(), kind: str = "capture") -> Path:
     """Return the path of a folder in `parent` that does not exist, named by date and time."""
-    stem = f"capture-{datetime.now():%Y%m%d-%H%M%S}"
+    stem = f"{kind}-{datetime.now():%Y%m%d-%H%M%S}"
     names = (stem if number == 1 else f"{stem}-{number}" for number in range(1, 1000))
     return next(parent / name for name in names if not (parent / name).exists())
 
 
 @contextmanager
+def noting_completion(directory: Path) -> Iterator[Callable[[CaptureReport], CaptureReport]]:
+    """Yield a function that takes the report of a complete capture, and returns it.
+
+    Errors after that, such as in closing the camera or printing, get a note that it is complete.
+    """
+    completed: list[CaptureReport] = []
+
+    def complete(report: CaptureReport) -> CaptureReport:
+        completed.append(report)
+        return report
+
+    try:
+        yield complete
+    except BaseException as error:
+        if completed:
+            error.add_note(f"the capture in {directory} is complete")
+        raise
+
+
+@contextmanager
 def capture_progress() -> Iterator[Callable[[Progress], None] | None]:
-    """Show the progress of a capture while the block runs; yield None without a terminal."""
+    """Show the progress of a capture while the block runs; yield None without a terminal.
+
+    Before the first exposure it prints what will be shot, and how long that takes.
+    """
+    is_planned = False
     with progress_bar("opening") as bar:
         if bar is None:
             yield None
             return
-        show = bar
-        yield lambda progress: show(progress.share, progress.stage)
+        show_share = bar
+
+        def show(progress: Progress) -> None:
+            nonlocal is_planned
+            if progress.plan is not None and not is_planned:
+                is_planned = True
+                sys.stderr.write(plan_text(progress.plan) + "\n")
+            show_share(progress.share, progress.stage)
+
+        yield show
 
 
-def capture_text(report: CaptureReport, directory: Path) -> str:
-    """Return the summary of a capture: its plan, its frames, its quality and its files."""
+def plan_text(plan: CapturePlan) -> str:
+    """Return one line on what will be shot, and how long it takes."""
+    times = ", ".join(format_duration(setting.time_s) for setting in plan.settings)
+    line = f"shooting {times}"
+    if plan.light is not None:
+        line = f"{light_text(plan.light)}\n{line}"
+    if plan.wall_s is None:
+        return line
+    duration = format_wall(plan.wall_s)
+    if plan.is_wall_known:
+        return f"{line}: about {duration}"
+    return f"{line}: at least {duration}, since this camera has not been timed yet"
+
+
+def light_text(light: PlannedLight) -> str:
+    """Return one line on the light that was metered, and what of it the picture will not hold."""
+
+    def spans(ratio: float) -> str:
+        return ("more than " if light.is_open else "") + format_range(float(f"{ratio:.2g}"))
+
+    text = f"the scene spans {spans(light.span)}"
+    if light.clips >= _NOTABLE_SHARE:
+        what = "lamps, reflections" if light.clips_stops >= _LAMP_STOPS else "highlights"
+        text += f"; {format_percent(light.clips)} ({what}) will clip"
+        rest = light.span / 2.0**light.clips_stops
+        if light.clips_stops >= _LAMP_STOPS and rest > 1:
+            text += f", and the rest spans {spans(rest)}"
+    if light.dark >= _NOTABLE_SHARE:
+        text += f"; {format_percent(light.dark)} will be darker than the range"
+    return text
+
+
+def format_wall(seconds: float) -> str:
+    """Return a predicted time with the two digits that it is known to."""
+    return format_duration(float(f"{seconds:.2g}"))
+
+
+def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = False) -> str:
+    """Return the summary of a capture: its plan, its frames, its quality and its files.
+
+    `with_bars` adds a histogram of its light, for a terminal.
+    """
     plan = report.plan
     rows = [
         ("camera", f"{report.camera.make} {report.camera.model} ({report.camera.id})"),
         ("desired", format_request(plan.desired.name, plan.dynamic_range, len(plan.settings))),
-        ("shortest exposure", f"{format_duration(plan.base_s)}, {_metering_text(report)}"),
+        ("shortest exposure", f"{format_duration(_shortest_s(report))}, {_metering_text(report)}"),
     ]
+    if plan.light is not None:
+        rows.insert(1, ("light", light_text(plan.light)))
+    if report.request.ratios is None:
+        rows.insert(-1, ("chosen by", CHOSEN_BY[plan.objective]))
     parts = [format_fields(rows), "", _frames_text(report), ""]
+    if with_bars:
+        parts += [light_bars(report), ""]
     achieved = report.achieved
-    rows = [
+    rows = []
+    if report.untrustworthy_because is not None:
+        rows.append(("not trustworthy", report.untrustworthy_because))
+    rows += [
         (
             "effective levels",
-            f"{format_number(achieved.effective_levels, 4)} "
-            f"(planned {format_number(plan.effective_levels, 4)})",
+            format_effective(achieved, noise_known=achieved.noise is not None)
+            + f" (planned {format_number(plan.effective_levels, 4)})",
         ),
+        *_measured_rows(achieved.measured),
         (
             "missing levels (xi)",
             f"{format_number(achieved.xi, 5)} of {format_number(plan.levels_wanted)}",
         ),
         (
-            "pixels without data",
+            "outside the range",
             f"{format_percent(achieved.saturated_fraction)} saturated in every frame, "
-            f"{format_percent(achieved.dark_fraction)} too dark in every frame",
+            f"{format_percent(achieved.dark_fraction)} darker than {_range_text(report)}",
         ),
+        *_movement_rows(report.movement),
         ("time", _timing_text(report)),
+        *_wall_rows(report),
         ("result", str(directory)),
         *(("", name) for name in [*report.files.values(), "report.json", "frames/"]),
     ]
     return "\n".join([*parts, format_fields(rows)])
+
+
+def draws_bars() -> bool:
+    """Return whether standard output is a terminal that shows the characters of `light_bars`."""
+    encoding = getattr(sys.stdout, "encoding", None) or "ascii"
+    try:
+        _BARS.encode(encoding)
+    except (UnicodeError, LookupError):
+        return False
+    return sys.stdout.isatty()
+
+
+def light_bars(report: CaptureReport) -> str:
+    """Return the histogram of a picture's light in two lines, from dark to bright."""
+    shares, achieved = report.achieved.light_shares, report.achieved
+    most = max(shares, default=0.0)
+    heights = (0 if not share else 1 + round(share / most * (len(_BARS) - 2)) for share in shares)
+    bars = "".join(_BARS[height] for height in heights)
+    dark, bright = (
+        format_percent(achieved.dark_fraction),
+        format_percent(achieved.saturated_fraction),
+    )
+    lower = f"1/{report.plan.dynamic_range:,.0f}"
+    scale = f"{lower}{'full scale':>{max(len(bars) - len(lower), 11)}}"
+    return f"{dark:>8} darker |{bars}| brighter {bright}\n{'':15} {scale}"
+
+
+def _range_text(report: CaptureReport) -> str:
+    return format_range(report.plan.dynamic_range)
 
 
 def _timing_text(report: CaptureReport) -> str:
@@ -84,16 +215,100 @@ def _timing_text(report: CaptureReport) -> str:
     )
 
 
+def _wall_rows(report: CaptureReport) -> list[tuple[str, str]]:
+    """Return planned and actual time until the last frame; virtual time is marked."""
+    from camctl.camera import PHOTOGRAPHS
+
+    timing = report.timing
+    if "actual_wall_s" not in timing or report.camera.driver == PHOTOGRAPHS:
+        return []
+    is_virtual = " of the simulated camera's own clock" if report.clock == "virtual" else ""
+    at_least = "" if report.plan.is_wall_known else "at least "
+    text = (
+        f"until the last frame {format_duration(timing['actual_wall_s'])}{is_virtual} "
+        f"(planned {at_least}{format_duration(timing['planned_wall_s'])})"
+    )
+    return [("", text)]
+
+
+def _measured_rows(measured: MeasuredNoise | None) -> list[tuple[str, str]]:
+    """Return the effective levels that the pixels show, where they could be measured."""
+    if measured is None:
+        return []
+    levels, uncertainty = measured.effective_levels, measured.uncertainty
+    return [
+        (
+            "  from the pixels",
+            f"{format_number(levels, 4)} with the noise measured in {measured.samples:,} pixels, "
+            f"+- {format_percent(uncertainty / levels)}",
+        )
+    ]
+
+
+def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
+    """Return how much moved or changed between the frames, and where most of it is."""
+    if movement is None:
+        return []
+    shares = (
+        f"{format_percent(movement.share)} of the samples differ between frames, "
+        f"{format_percent(movement.false_alarms)} by noise alone"
+    )
+    if not movement.places:
+        return [("movement", f"none ({shares})")]
+    area = format_percent(movement.area)
+    first = movement.places[0]
+    place = f"columns {first.left}-{first.right - 1}, rows {first.top}-{first.bottom - 1}"
+    return [("movement", f"in {area} of the picture, most in {place}"), ("", shares)]
+
+
+def _shortest_s(report: CaptureReport) -> float:
+    """Return the planned time of the shortest exposure; of photographs, the one that it has."""
+    from camctl.camera import PHOTOGRAPHS
+
+    if report.camera.driver != PHOTOGRAPHS:
+        return report.plan.base_s
+    return min(report.frames, key=lambda frame: frame.exposure).applied_s
+
+
 def _metering_text(report: CaptureReport) -> str:
+    from camctl.camera import PHOTOGRAPHS
+
     metering = report.plan.metering
     if metering is None:
         return "as given"
-    frames = "1 frame" if metering.frames == 1 else f"{metering.frames} frames"
-    return (
-        f"metered in {frames}: at {format_duration(metering.setting.time_s)} highlights reach "
-        f"{format_percent(metering.highlight)} of full scale, "
+    reached = (
+        f"highlights reach {format_percent(metering.highlight)} of full scale, "
         f"{format_percent(metering.clipped)} are saturated"
     )
+    if report.camera.driver == PHOTOGRAPHS:
+        return f"in which {reached}"
+    frames = "1 frame" if metering.frames == 1 else f"{metering.frames} frames"
+    return f"metered in {frames}: at {format_duration(metering.setting.time_s)} {reached}"
+
+
+def simulation_text(report: CaptureReport) -> str:
+    """Return which effects of a simulated sensor the frames lack, and what that can change."""
+    plans = [frame.details.get("simulation") for frame in report.frames]
+    if not all(plans):
+        return "--explain: the camera is not simulated, so that no effect was left out."
+    lacking: dict[str, list[str]] = {}
+    bounds: dict[str, float] = {}
+    for number, plan in enumerate(plans, 1):
+        assert plan is not None
+        for name, bound_dn in plan["left_out"].items():
+            lacking.setdefault(name, []).append(str(number))
+            bounds[name] = max(bounds.get(name, 0.0), bound_dn)
+    lines = [
+        (name, ", ".join(frames), format_number(bounds[name], 3))
+        for name, frames in lacking.items()
+    ]
+    header = ("effect left out", "in frames", "can change alone, DN")
+    joint_dn = sum(plan["joint_bound_dn"] for plan in plans if plan is not None)
+    total = (
+        f"All that was left out can change a sample of the sum by at most"
+        f" {format_number(joint_dn, 3)} DN; 0 DN means that no bit differs."
+    )
+    return "\n\n".join((format_table(header, lines, right_aligned=(2,)), total))
 
 
 def _frames_text(report: CaptureReport) -> str:

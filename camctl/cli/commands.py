@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import click
 
-from camctl.cli.output import print_text
+from camctl.cli.output import logged_warnings, print_text, visible
 from camctl.errors import UsageError, unknown_name
 
 DEBUG_KEY = "camctl.debug"
@@ -29,8 +29,8 @@ _CONTEXT = {
 
 
 def one_line(text: str) -> str:
-    """Return `text` as one line without a full stop at its end."""
-    return " ".join(text.split()).removesuffix(".")
+    """Return `text` as one visible line without a full stop at its end."""
+    return visible(text.strip()).removesuffix(".")
 
 
 def _remember_debug(context: click.Context, _option: click.Parameter, value: bool) -> None:
@@ -87,6 +87,13 @@ class Command(click.Command):
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
                     is_short = len(explanation) < _LONG_EXPLANATION
                     formatter.write_text(f"    {explanation}" if is_short else explanation)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; what it logs is printed as warnings."""
+        if isinstance(self, click.Group):
+            return super().invoke(ctx)
+        with logged_warnings():
+            return super().invoke(ctx)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse; raise `UsageError` with similar names or with the help page to read."""

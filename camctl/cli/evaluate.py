@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,9 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.noise_options import KnownCamera, NoiseOptions, noise_options
 from camctl.cli.output import (
+    format_effective,
     format_fields,
     format_number,
     format_objective,
@@ -19,7 +20,7 @@ from camctl.cli.output import (
     print_text,
     print_warning,
 )
-from camctl.cli.parameter_types import Number, Ratios
+from camctl.cli.parameter_types import Ratios
 from camctl.cli.response_options import (
     DesiredOptions,
     ObjectiveOptions,
@@ -32,41 +33,12 @@ from camctl.cli.response_options import (
 from camctl.cli.sensitivity import sensitivity_json, sensitivity_text
 
 if TYPE_CHECKING:
-    from camctl.exposure.objective import Evaluation
+    from camctl.exposure.evaluation import Evaluation
     from camctl.exposure.robustness import Robustness
-    from camctl.response.camera import CameraResponse
     from camctl.response.desired import DesiredResponse
 
 QUICK_LEVELS = 2**16
 """Up to this many levels in all frames together, --sensitivity takes less than a second."""
-
-
-@dataclass(frozen=True)
-class FrameNoise:
-    """Photon noise as electrons per brightness level, and read noise in levels."""
-
-    electrons: float | None
-    read_noise: float | None
-
-
-frame_noise_options = options.option_group(
-    FrameNoise,
-    "frame_noise",
-    click.option(
-        "--electrons",
-        type=Number("a number of electrons above 0", above=0),
-        metavar="K",
-        help="Include photon noise: electrons per brightness level of the linear scale.  "
-        "[default: no photon noise]",
-    ),
-    click.option(
-        "--read-noise",
-        type=Number("a noise of at least 0", least=0),
-        metavar="S",
-        help="Include read noise: standard deviation of each frame in brightness levels.  "
-        "[default: 0]",
-    ),
-)
 
 
 @command(
@@ -78,6 +50,7 @@ frame_noise_options = options.option_group(
             "camctl evaluate --ratios 1,9.91,88.38 --electrons 40 --read-noise 0.3",
             "with the noise of a sensor of 40 electrons per level",
         ),
+        ("camctl evaluate --ratios 1,9.91,88.38 --sensor webcam", "with that of a sensor preset"),
     )
 )
 @click.option(
@@ -91,7 +64,7 @@ frame_noise_options = options.option_group(
 @real_camera_options
 @levels_wanted
 @objective_options
-@frame_noise_options
+@noise_options
 @click.option(
     "--sensitivity/--no-sensitivity",
     default=None,
@@ -106,7 +79,7 @@ def evaluate(
     real_camera: RealCameraOptions,
     levels_wanted: float | None,
     objective: ObjectiveOptions,
-    frame_noise: FrameNoise,
+    noise: NoiseOptions,
     sensitivity: bool | None,
     as_json: bool,
 ) -> None:
@@ -116,21 +89,24 @@ def evaluate(
     levels are better; a longer total exposure time is the price. The table below shows how many
     effective levels remain with exposure errors, noise, and other quantisers.
     """
+    from camctl.exposure.evaluation import evaluate as evaluate_exposures
     from camctl.exposure.objective import Objective
-    from camctl.exposure.objective import evaluate as evaluate_exposures
 
-    real = real_camera.response()
+    camera = noise.camera(real_camera)
+    real = camera.response
     for note in real.notes:
         print_warning(note)
     response = desired.desired()
     score = Objective(levels_wanted, objective.p, objective.noise_term(), objective.jitter)
-    quality = evaluate_exposures(real, response, ratios, objective=score)
+    quality = evaluate_exposures(
+        real, response, ratios, objective=score, noise=camera.frame_noise([1.0] * len(ratios))
+    )
     robustness = None
     if quality.levels <= QUICK_LEVELS if sensitivity is None else sensitivity:
         from camctl.exposure.robustness import sensitivity as robustness_of
 
         robustness = robustness_of(real, response, ratios, levels_wanted=quality.levels_wanted)
-    result = _Result(real, response, ratios, quality, frame_noise, robustness)
+    result = _Result(camera, response, ratios, quality, robustness)
     if as_json:
         print_json(result.to_json())
     else:
@@ -141,35 +117,16 @@ def evaluate(
 class _Result:
     """The quality of one set of exposures."""
 
-    real: CameraResponse
+    camera: KnownCamera
     desired: DesiredResponse
     exposures: tuple[float, ...]
     quality: Evaluation
-    frame_noise: FrameNoise
     robustness: Robustness | None
 
-    def with_noise(self) -> tuple[float, float] | None:
-        """Return the effective levels with noise, and those of equal exposures, if noise is given.
-
-        The equal exposures are as many, each as long as the shortest.
-        """
-        if self.frame_noise.electrons is None and self.frame_noise.read_noise is None:
-            return None
-        from camctl.exposure.effective import EffectiveCamera
-        from camctl.exposure.noise import noisy_effective_levels
-
-        electrons = self.frame_noise.electrons
+    def of_equal_exposures(self) -> float:
+        """Return the effective levels of as many exposures, each as long as the shortest."""
         equal = [self.exposures[0]] * len(self.exposures)
-        with_noise, of_equal = (
-            noisy_effective_levels(
-                EffectiveCamera.of(self.real, exposures),
-                self.desired,
-                read_noise_levels=self.frame_noise.read_noise or 0.0,
-                electrons_per_level=math.inf if electrons is None else electrons,
-            )
-            for exposures in (self.exposures, equal)
-        )
-        return with_noise, of_equal
+        return self.camera.rate(self.desired, equal).effective_levels
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON output."""
@@ -178,15 +135,11 @@ class _Result:
             "exposures": self.exposures,
             "response": self.desired.name,
             "dynamic_range": self.desired.dynamic_range,
-            "camera": self.real.name,
+            "camera": self.camera.response.name,
+            "noise": self.camera.noise_json(),
         }
-        if noisy := self.with_noise():
-            result["with_noise"] = {
-                "electrons_per_level": self.frame_noise.electrons,
-                "read_noise_levels": self.frame_noise.read_noise or 0.0,
-                "effective_levels": noisy[0],
-                "effective_levels_equal_exposures": noisy[1],
-            }
+        if self.camera.noise is not None:
+            result["effective_levels_equal_exposures"] = self.of_equal_exposures()
         if self.robustness is not None:
             result["sensitivity"] = sensitivity_json(self.robustness)
         return result
@@ -194,17 +147,18 @@ class _Result:
     def to_text(self, *, counts_levels: bool) -> str:
         """Return the text output."""
         quality, n = self.quality, len(self.exposures)
+        noise_known = self.camera.noise is not None
         coinciding = quality.levels - quality.levels_distinct
         rows = [
             ("desired", format_request(self.desired.name, self.desired.dynamic_range, n)),
-            ("camera", self.real.name),
+            ("camera", self.camera.response.name),
             ("exposures", "  ".join(map(format_number, self.exposures))),
             format_objective(quality.xi, quality.levels_wanted, counts_levels=counts_levels),
-            ("effective levels", format_number(quality.effective_levels, 4)),
+            ("effective levels", format_effective(quality, noise_known=noise_known)),
         ]
-        if noisy := self.with_noise():
-            equal = f" ({n} equal exposures: {format_number(noisy[1], 4)})" if n > 1 else ""
-            rows.append(("  with that noise", f"{format_number(noisy[0], 4)}{equal}"))
+        if noise_known and n > 1:
+            of_equal = f"{format_number(self.of_equal_exposures(), 4)} with noise"
+            rows.append((f"  of {n} equal exposures", of_equal))
         rows += [
             (
                 "levels",

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from camctl.cli import options
-from camctl.cli.capture_output import new_directory
 from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions, LightOptions
-from camctl.cli.output import print_text, print_warning
+from camctl.cli.output import print_text, print_warning, visible
 from camctl.cli.parameter_types import PANEL, PATH
-from camctl.errors import UsageError
+from camctl.errors import UsageError, unknown_name
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+    from camctl.camera import Camera
+    from menu.ports import Panel
+
+CAMERAS, PANELS = "camctl.cameras", "camctl.panels"  # as in `camctl.backends`, which imports numpy
 
 
 @command(
     examples=(
         ("camctl menu", "on this terminal, with the simulated camera"),
         ("camctl menu --camera v4l2:/dev/video0 -o pictures", "a real camera; results in pictures"),
+        ("camctl menu --panel web:8080", "in the browser, on http://127.0.0.1:8080"),
     )
 )
 @options.camera_options
@@ -28,9 +37,10 @@ from camctl.errors import UsageError
     type=PANEL,
     default="terminal",
     metavar="NAME[:ADDRESS]",
-    help="Panel that shows the menu; terminal is this terminal, with the arrow keys.",
+    help="Panel that shows the menu: terminal (this one, with the arrow keys), "
+    "cfa635:/dev/ttyUSB0, framebuffer:/dev/fb0, web[:PORT], image:DIR.",
 )
-@options.light_options
+@options.light_options()
 @click.option(
     "-o",
     "--output",
@@ -40,36 +50,88 @@ from camctl.errors import UsageError
     metavar="PATH",
     help="Folder in which each capture gets a folder of its own.",
 )
-def menu(camera: CameraOptions, panel_id: str, light: LightOptions, parent: Path) -> None:
+@click.option(
+    "--menu-settings",
+    "settings",
+    type=PATH,
+    metavar="FILE",
+    help="File in which the menu keeps what was selected; else in the user's state folder.",
+)
+def menu(
+    camera: CameraOptions,
+    panel_id: str,
+    light: LightOptions,
+    parent: Path,
+    settings: Path | None,
+) -> None:
     """Choose a picture in a menu with a few keys, and shoot it.
 
-    First the response, then the dynamic range, then the number of exposures. Each number is shown
-    with its total exposure time and the effective levels that it gives.
+    First the response, then the dynamic range, then the number of exposures, a time budget or an
+    accuracy. Each choice is shown with its exposure time, the time of the capture, and the
+    effective levels that it gives with this camera.
     """
-    from camctl.backends import PANELS, load
-    from camctl.captures.request import CaptureRequest
     from menu.app import run
-    from menu.camera_job import CameraJob
+    from menu.ports import Job
 
+    def open_camera(camera_id: str) -> tuple[Camera, dict[str, Any]]:
+        if not camera_id or camera_id == camera.camera_id:
+            return camera.open(), camera.source()
+        from camctl import backends
+
+        return backends.open_camera(camera_id), {"camera": camera_id, "options": {}}
+
+    def make_job() -> Job:
+        from camctl.captures.request import CaptureRequest
+        from menu.camera_job import CameraJob
+
+        request = CaptureRequest(**light.request_fields())
+        return CameraJob(open_camera, parent, _settings_path(settings), request=request)
+
+    # What is wrong with the command line is reported before the panel is opened.
+    camera.source()
+    _entry_point("camera", CAMERAS, camera.camera_id.partition(":")[0])
+    last = run(_panel(panel_id), make_job)
+    if last is not None:
+        for note in last.notes:
+            print_warning(note)
+        print_text(f"the last picture is in {visible(last.folder)}")
+
+
+def _panel(panel_id: str) -> Panel:
+    """Return the panel of an entry point, not opened yet."""
     name, _, address = panel_id.partition(":")
-    kind = load(PANELS, "panel", name)
+    point = _entry_point("panel", PANELS, name)
     try:
-        panel = kind(address) if address else kind()
+        kind = point.load()
+    except (ImportError, AttributeError):
+        from camctl import backends  # imports numpy, which the first screen does not wait for
+
+        kind = backends.load(PANELS, "panel", name)
+    try:
+        panel: Panel = kind(address) if address else kind()
     except TypeError as error:
         problem = "takes no address" if address else "needs an address"
         raise UsageError(
             f"panel '{name}' {problem}",
             hint=f"use --panel {name}{'' if address else ':ADDRESS'}",
         ) from error
-    with camera.open() as opened:
-        job = CameraJob(
-            opened,
-            lambda: new_directory(parent),
-            request=CaptureRequest(**light.request_fields()),
-            source=camera.source(),
-        )
-        last = run(panel, job)
-    if last is not None:
-        for note in last.notes:
-            print_warning(note)
-        print_text(f"the last picture is in {last.folder}")
+    return panel
+
+
+def _entry_point(kind: str, group: str, name: str) -> EntryPoint:
+    """Return an entry point without loading it; raise `UsageError` where there is none."""
+    from importlib.metadata import entry_points
+
+    found = {point.name: point for point in entry_points(group=group)}
+    if name not in found:
+        raise unknown_name(kind, name, found)
+    return found[name]
+
+
+def _settings_path(given: Path | None) -> Path:
+    """Return the file of the menu's settings."""
+    if given is not None:
+        return given
+    from platformdirs import user_state_path
+
+    return user_state_path("camctl") / "menu.json"

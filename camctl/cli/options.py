@@ -13,12 +13,13 @@ from click.core import ParameterSource
 
 from camctl.cli.parameter_types import (
     CAMERA,
+    PATH,
     SCENE,
     SENSOR,
-    DynamicRange,
     FrameSize,
     KeyValue,
     Name,
+    Number,
     WholeNumber,
 )
 from camctl.errors import UsageError
@@ -83,16 +84,6 @@ def refuse_together(
         raise UsageError(f"{option} cannot be combined with {', '.join(conflicts)}", hint=hint)
 
 
-dynamic_range = click.option(
-    "--range",
-    "dynamic_range",
-    type=DynamicRange(),
-    default="medium",
-    metavar="low|medium|high|NUMBER",
-    help="Dynamic range of the picture, brightest over darkest light: 256, 1,000, 16,000, or any "
-    "NUMBER.",
-)
-
 COUNT = WholeNumber(least=1, most=16)
 
 count = click.option(
@@ -103,6 +94,24 @@ count = click.option(
     default=3,
     metavar="N",
     help="Number of exposures.",
+)
+
+objective_kind = click.option(
+    "--objective",
+    "objective_kind",
+    type=Name("objective", ("xi", "accuracy")),
+    metavar="xi|accuracy",
+    help="Choose exposures by the levels that they miss (xi), or by the least predicted error with "
+    "the camera's noise (accuracy): of sets within 0.5 % of the most effective levels the one of "
+    "least time.",
+)
+
+accuracy = click.option(
+    "--accuracy",
+    type=Number("a number of effective levels from 1", least=1),
+    metavar="LEVELS",
+    help="Reach so many effective levels, noise included, in the least time; with as many "
+    "exposures as that needs, up to 6, unless -n is given.",
 )
 
 seed = click.option(
@@ -123,6 +132,21 @@ as_json = click.option(
 force = click.option("--force", is_flag=True, help="Replace existing files.")
 
 
+def result_folder(kind: str) -> Decorator:
+    """Return -o and --force of a command whose result is a folder of this kind."""
+    return all_of(
+        click.option(
+            "-o",
+            "--output",
+            "directory",
+            type=PATH,
+            metavar="PATH",
+            help=f"Folder for the result.  [default: {kind}-DATE-TIME in the working directory]",
+        ),
+        click.option("--force", is_flag=True, help="Replace an earlier capture in that folder."),
+    )
+
+
 @dataclass(frozen=True)
 class SceneOptions:
     """What the simulated camera looks at, and with which sensor; None is the default."""
@@ -131,6 +155,7 @@ class SceneOptions:
     sensor: str | None
     size: str | None
     seed: int | None
+    faults: str | None = None
 
     def camera_options(self) -> dict[str, Any]:
         """Return those that were given, by their names as options of the simulated camera."""
@@ -170,7 +195,31 @@ def scene_options(default_sensor: str | None = None) -> Decorator:
             metavar="N",
             help="Seed of the simulated noise; the same seed gives the same frames.  [default: 0]",
         ),
+        click.option(
+            "--fault",
+            "faults",
+            metavar="FAULT,...",
+            help="Faults of the simulated camera, such as unplug@3 or wrong@1=0.5 (see "
+            "docs/ci.md).  [default: none]",
+        ),
     )
+
+
+camera_settings = click.option(
+    "-O",
+    "--camera-option",
+    "camera_settings",
+    type=KeyValue(),
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Option of this kind of camera, such as format=y16; may be given several times.",
+)
+
+no_profile = click.option(
+    "--no-profile",
+    is_flag=True,
+    help="Leave out what calibrations of this camera have measured; the same as -O profile=none.",
+)
 
 
 @dataclass(frozen=True)
@@ -178,9 +227,10 @@ class CameraOptions:
     """Which camera to open, and the options to open it with."""
 
     camera_id: str
-    settings: tuple[tuple[str, str], ...]
+    camera_settings: tuple[tuple[str, str], ...]
     scenery: SceneOptions
     real_time: bool
+    no_profile: bool = False
     simulation_tolerance: float | None = None
 
     def camera_options(self) -> dict[str, str]:
@@ -191,21 +241,34 @@ class CameraOptions:
         if self.simulation_tolerance is not None:
             simulation["tolerance"] = self.simulation_tolerance
         options = {name: str(value) for name, value in simulation.items()}
-        for name, value in self.settings:
+        for name, value in self.camera_settings:
             if name in options:
                 raise UsageError(f"camera option '{name}' is given twice", hint="give it once")
             options[name] = value
+        if self.no_profile:
+            options["profile"] = "none"
         return options
 
-    def open(self) -> Camera:
-        """Open the camera."""
+    def open(self, *, profile: str = "all") -> Camera:
+        """Open the camera, with these parts of its profile unless the user names others."""
         from camctl.backends import open_camera
 
-        return open_camera(self.camera_id, self.camera_options())
+        return open_camera(self.camera_id, {"profile": profile, **self.camera_options()})
 
     def source(self) -> dict[str, Any]:
-        """Return what a report must hold to open the camera again from any working directory."""
+        """Return what a report must hold to open the camera again from any working directory.
+
+        Raises:
+            UsageError: a name cannot be written to a report
+        """
         options = {name: _absolute(value) for name, value in self.camera_options().items()}
+        options.pop("faults", None)  # they would come again in a resumed capture
+        for name, value in options.items():
+            if value != value.encode("utf-8", "replace").decode():
+                raise UsageError(
+                    f"{name} {value} is not UTF-8, and a report cannot hold it",
+                    hint="rename the file",
+                )
         return {"camera": self.camera_id, "options": options}
 
 
@@ -226,22 +289,21 @@ camera_options = option_group(
         metavar="ID",
         help="Camera; `camctl cameras` lists the ids.",
     ),
-    click.option(
-        "-O",
-        "--camera-option",
-        "settings",
-        type=KeyValue(),
-        multiple=True,
-        metavar="NAME=VALUE",
-        help="Option of this kind of camera, such as format=y16; may be given several times.",
-    ),
+    camera_settings,
     scene_options(),
     click.option(
         "--real-time",
         is_flag=True,
         help="Let the simulated camera take as long as a real one would.",
     ),
+    no_profile,
 )
+
+
+CAMERA_PARAMETERS = {
+    field.name for model in (CameraOptions, SceneOptions) for field in fields(model)
+}
+"""Names of the parameters that say which camera is opened, and how."""
 
 
 @dataclass(frozen=True)
@@ -250,36 +312,59 @@ class LightOptions:
 
     mains: str | None
     use_aperture: bool
-    spend_shutter: bool
+    metering: str | None
+    estimate_ratios: bool
 
     def request_fields(self) -> dict[str, Any]:
         """Return the fields of a `CaptureRequest`."""
         return {
             "mains_hz": None if self.mains is None else float(self.mains),
             "use_aperture": self.use_aperture,
-            "spend_shutter": self.spend_shutter,
+            "spend_shutter": self.metering is not None,
+            "estimate_ratios": self.estimate_ratios,
         }
 
 
-light_options = option_group(
-    LightOptions,
-    "light",
-    click.option(
-        "--mains",
-        type=Name("mains frequency", ("50", "60")),
-        metavar="50|60",
-        help="Frequency in Hz of the mains that power the lamps: prefer whole flicker periods.",
-    ),
-    click.option(
-        "--aperture",
-        "use_aperture",
-        is_flag=True,
-        help="Also change the aperture where shutter time and gain do not reach.",
-    ),
-    click.option(
-        "--meter",
-        "spend_shutter",
-        is_flag=True,
-        help="Meter with full exposures on a camera that has no preview.",
-    ),
-)
+_METER_HELP = "Meter with full exposures on a camera that has no preview."
+
+
+def light_options(*, series: bool = False) -> Decorator:
+    """Return the options of `LightOptions`; with `series` --meter also says when to meter."""
+    meter = (
+        click.option(
+            "--meter",
+            "metering",
+            is_flag=False,
+            flag_value="once",
+            type=Name("time to meter", ("once", "each")),
+            metavar="[once|each]",
+            help=f"{_METER_HELP}  In a series, meter once for all sets (as without --meter), or "
+            "each of them.",
+        )
+        if series
+        else click.option("--meter", "metering", flag_value="once", help=_METER_HELP)
+    )
+    return option_group(
+        LightOptions,
+        "light",
+        click.option(
+            "--mains",
+            type=Name("mains frequency", ("50", "60")),
+            metavar="50|60",
+            help="Frequency in Hz of the mains that power the lamps: prefer whole flicker periods.",
+        ),
+        click.option(
+            "--aperture",
+            "use_aperture",
+            is_flag=True,
+            help="Also change the aperture where shutter time and gain do not reach.",
+        ),
+        meter,
+        click.option(
+            "--estimate-ratios",
+            is_flag=True,
+            help="Estimate the true exposures from the pixels of the frames, and compute the "
+            "pictures with them; for shutters that are not exact, and for light that changes a "
+            "little.",
+        ),
+    )

@@ -1,39 +1,185 @@
-"""What commands print: text or one JSON value on standard output, progress on standard error."""
+"""What commands print: text or one JSON value on standard output, progress on standard error.
+
+Names in it come from files, cameras and arguments, and may hold characters that command a terminal
+(escape sequences) or turn the text around them (U+202E): see `visible`.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, cast
+
+from camctl.errors import StorageError
 
 if TYPE_CHECKING:
     from camctl.profile import DelayRecord
+
+
+NOISE_UNKNOWN = "noise unknown: quantisation only"
+"""Stands beside effective levels of a camera whose noise is not known."""
 
 
 class ClosedOutputError(Exception):
     """The reader of standard output has closed it, as `head` does after its last line."""
 
 
-def print_text(text: str) -> None:
-    """Write `text` and a line end to standard output."""
+#: Bytes of a file name that are not UTF-8 are lone surrogates in Python: 0xff is U+DCFF.
+_FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF
+
+
+def visible(text: object) -> str:
+    r"""Return `text` on one line; characters without a shape are written as in Python.
+
+    >>> print(visible("red \x1b[31m, two\nlines, \u202edlo, a byte \udcff"))
+    red \x1b[31m, two\nlines, \u202edlo, a byte \xff
+    """
+    return "".join(map(_visible_character, str(text)))
+
+
+def _visible_character(character: str) -> str:
+    if character.isprintable():
+        return character
+    if _FIRST_BYTE <= ord(character) <= _LAST_BYTE:
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return repr(character)[1:-1]
+
+
+@contextmanager
+def standard_streams() -> Iterator[None]:
+    """Let commands run without a standard input, output or error that they can use.
+
+    One that is closed is replaced by the null device: else the next file that is opened would have
+    its number, and text that libraries print would be written into it.  Text that cannot be written
+    to standard error is dropped; `print_text` reports what standard output does not take.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
+    before: TextIO | None = sys.stderr
+    stream = before if before is not None else open(os.devnull, "w")  # noqa: PTH123, SIM115 - stays
+    sys.stderr = cast(TextIO, _UnfailingStream(stream))
     try:
-        sys.stdout.write(text + "\n")
-        sys.stdout.flush()
-    except BrokenPipeError as error:
-        raise ClosedOutputError from error
+        yield
+    finally:
+        sys.stderr = stream
+
+
+class _UnfailingStream:
+    """A text stream that drops what it cannot write."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with self._dropping():
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._dropping():
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    @contextmanager
+    def _dropping(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:
+            discard(self._stream)
+
+
+def discard(stream: TextIO) -> None:
+    """Point a stream at the null device, so that the interpreter can flush it when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def print_text(text: str) -> None:
+    """Write `text`, of one or several lines, and a line end to standard output.
+
+    Raises:
+        ClosedOutputError: its reader has closed it
+        StorageError: it cannot be written
+    """
+    _write("\n".join(map(visible, text.split("\n"))))
+
+
+def _write(text: str) -> None:
+    stream: TextIO | None = sys.stdout
+    if stream is None:
+        raise _output_error("it is closed")
+    try:
+        stream.write(text.encode(stream.encoding, "backslashreplace").decode(stream.encoding))
+        stream.write("\n")
+        stream.flush()
+    except OSError as error:
+        discard(stream)
+        if isinstance(error, BrokenPipeError):
+            raise ClosedOutputError from error
+        raise _output_error((error.strerror or str(error)).lower()) from error
+
+
+def _output_error(reason: str) -> StorageError:
+    return StorageError(
+        f"cannot write to standard output: {reason}", hint="redirect it to a file or to /dev/null"
+    )
+
+
+def print_error(text: str) -> None:
+    """Write one line to standard error."""
+    sys.stderr.write(f"camctl: {visible(text)}\n")
 
 
 def print_warning(text: str) -> None:
     """Write one line of warning to standard error."""
-    sys.stderr.write(f"camctl: warning: {text}\n")
+    print_error(f"warning: {text}")
+
+
+@contextmanager
+def logged_warnings() -> Iterator[None]:
+    """Print what the packages of camctl log while the block runs, one line each."""
+    import logging  # help pages do not need it
+
+    def emit(record: logging.LogRecord) -> None:
+        report = print_error if record.levelno < logging.WARNING else print_warning
+        report(record.getMessage())
+
+    handler = logging.Handler(logging.INFO)
+    handler.emit = emit  # type: ignore[method-assign]
+    loggers = [logging.getLogger(name) for name in ("camctl", "drivers", "menu", "sim")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.INFO)
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.removeHandler(handler)
+            logger.setLevel(level)
 
 
 def print_json(value: object) -> None:
     """Write one JSON value to standard output; NaN and infinity become null."""
-    print_text(json.dumps(to_json(value), indent=2, allow_nan=False, ensure_ascii=False))
+    encoding = sys.stdout.encoding if sys.stdout is not None else "utf-8"
+    is_unicode = encoding.lower() in ("utf-8", "utf8")
+    text = json.dumps(to_json(value), indent=2, allow_nan=False, ensure_ascii=not is_unicode)
+    _write(
+        "".join(
+            character
+            if character.isprintable() or character == "\n"
+            else json.dumps(character)[1:-1]  # a lone surrogate, U+202E and others
+            for character in text
+        )
+    )
 
 
 def to_json(value: Any) -> Any:
@@ -99,6 +245,23 @@ def format_objective(xi: float, levels_wanted: float, *, counts_levels: bool) ->
     return "objective", f"{format_number(xi)} for {format_number(levels_wanted)} desired levels"
 
 
+class _Rated(Protocol):
+    """What has effective levels with noise and without."""
+
+    @property
+    def effective_levels(self) -> float: ...
+    @property
+    def effective_levels_noise_free(self) -> float | None: ...
+
+
+def format_effective(quality: _Rated, *, noise_known: bool) -> str:
+    """Return effective levels with what they count: noise where it is known."""
+    levels, noise_free = quality.effective_levels, quality.effective_levels_noise_free
+    if not noise_known or noise_free is None:
+        return f"{format_number(levels, 4)}, {NOISE_UNKNOWN}"
+    return f"{format_number(levels, 4)} with noise, {format_number(noise_free, 4)} without"
+
+
 def format_delay(record: DelayRecord) -> str:
     """Return a control delay such as: 2 frames; or: 1 to 3 frames, not constant."""
     if record.frames is None:
@@ -109,7 +272,7 @@ def format_delay(record: DelayRecord) -> str:
 def format_fields(rows: Sequence[tuple[str, str]]) -> str:
     """Return one `name  value` line per row, with the values in one column."""
     width = max(len(name) for name, _ in rows)
-    return "\n".join(f"{name:<{width}}  {value}".rstrip() for name, value in rows)
+    return "\n".join(f"{name:<{width}}  {visible(value)}".rstrip() for name, value in rows)
 
 
 def format_table(
@@ -117,7 +280,7 @@ def format_table(
 ) -> str:
     """Return a table of text; columns are left-aligned except those in `right_aligned`."""
     right = set(right_aligned)
-    lines = [list(headings), *[list(row) for row in rows]]
+    lines = [list(headings), *[list(map(visible, row)) for row in rows]]
     widths = [max(len(line[column]) for line in lines) for column in range(len(headings))]
     return "\n".join(
         "  ".join(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,13 +12,15 @@ import click
 from click.shell_completion import CompletionItem
 
 from camctl.errors import DataError, UsageError, unknown_name
+from camctl.input_files import exists, read_input_text
 
 if TYPE_CHECKING:
     AnyType = click.ParamType[Any]
 else:
     AnyType = click.ParamType  # generic only since click 8.3, and only for type checkers
 
-PATH = click.Path(path_type=Path)
+# A file that cannot be read is no usage error: whatever reads it gives the reason.
+PATH = click.Path(path_type=Path, readable=False)
 
 RANGE_NAMES = ("low", "medium", "high")
 """Names of `camctl.response.desired.RANGES`, here because that module imports numpy."""
@@ -118,15 +121,16 @@ class Number(_ValueType):
         *,
         above: float = -math.inf,
         least: float = -math.inf,
+        most: float = math.inf,
         below: float = math.inf,
     ) -> None:
         self.expected = expected
-        self._above, self._least, self._below = above, least, below
+        self._above, self._least, self._most, self._below = above, least, most, below
 
     def parse(self, text: str, option: str) -> float:
         """Return the number."""
         value = _float(text)
-        within = self._above < value < self._below and value >= self._least
+        within = self._above < value < self._below and self._least <= value <= self._most
         if not (within and math.isfinite(value)):
             raise invalid_value(option, text, f"expected {self.expected}")
         return value
@@ -186,19 +190,26 @@ class NameOrFile(Name):
 
 
 class DynamicRange(_ValueType):
-    """A dynamic range: low, medium, high, or a number above 1, also written 1:NUMBER."""
+    """A dynamic range: low, medium, high, a number above 1 or 1:NUMBER; with `auto` also auto."""
 
     name = "range"
 
-    def parse(self, text: str, option: str) -> float:
-        """Return the dynamic range as a number."""
+    def __init__(self, *, auto: bool = False) -> None:
+        self._auto = auto
+
+    def parse(self, text: str, option: str) -> float | str:
+        """Return the dynamic range as a number, or "auto"."""
         from camctl.response.desired import RANGES
 
+        if self._auto and text.lower() == "auto":
+            return "auto"
         if text.lower() in RANGES:
             return RANGES[text.lower()]
-        value = _float(text.removeprefix("1:").replace(",", ""))
+        number = text.removeprefix("1:")
+        grouped = re.fullmatch(r"[0-9]{1,3}(,[0-9]{3})+(\.[0-9]*)?", number)
+        value = _float(number.replace(",", "") if grouped else number)
         if math.isnan(value) and text.lower() != "nan":
-            raise unknown_name("dynamic range", text, RANGES)
+            raise unknown_name("dynamic range", text, self.suggestions())
         if not value > 1:
             raise invalid_value(option, text, "the range must be above 1")
         if math.isinf(value):
@@ -207,7 +218,7 @@ class DynamicRange(_ValueType):
 
     def suggestions(self) -> Iterable[str]:
         """Return the names of ranges."""
-        return RANGE_NAMES
+        return (*RANGE_NAMES, "auto") if self._auto else RANGE_NAMES
 
 
 class Seconds(_ValueType):
@@ -255,7 +266,7 @@ class FrameSize(_ValueType):
     def parse(self, text: str, option: str) -> str:
         """Return the size as WIDTHxHEIGHT."""
         width, _, height = text.lower().partition("x")
-        if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        if not all(re.fullmatch("0{0,9}[1-9][0-9]{0,8}", side) for side in (width, height)):
             raise invalid_value(option, text, "expected WIDTHxHEIGHT such as 640x480")
         return f"{int(width)}x{int(height)}"
 
@@ -272,11 +283,11 @@ class Settings(_ValueType):
 
     def parse(self, text: str, option: str) -> tuple[float, ...]:
         """Return the values in the order given; raise `UsageError`, or `DataError` for a file."""
-        if self.completes_files and (Path(text).exists() or not {",", ":"} & set(text)):
+        if self.completes_files and (exists(text) or not {",", ":"} & set(text)):
             return self._read(text)
         parts = text.split(":")
         if len(parts) == 3:
-            from camctl.exposure.grid_search import stepped
+            from camctl.exposure.settings_grid import stepped
 
             return tuple(stepped(*(self._value(part.strip(), option) for part in parts)).tolist())
         values = text.replace(",", " ").split()
@@ -290,11 +301,7 @@ class Settings(_ValueType):
         return value
 
     def _read(self, path: str) -> tuple[float, ...]:
-        try:
-            lines = Path(path).read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "it is not a text file"
-            raise DataError(f"settings file {path} cannot be read: {reason}") from error
+        lines = read_input_text(path, "settings file").splitlines()
         texts = [(row, line.partition("#")[0].strip()) for row, line in enumerate(lines, 1)]
         values = tuple(
             self._value(text, f"line {row} of settings file {path}") for row, text in texts if text

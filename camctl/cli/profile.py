@@ -2,22 +2,37 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from camctl.cli import options
 from camctl.cli.commands import LazyGroup, command
-from camctl.cli.output import format_delay, format_fields, format_table, print_json, print_text
-from camctl.cli.parameter_types import Text
-from camctl.errors import UsageError, unknown_name
+from camctl.cli.output import (
+    format_delay,
+    format_fields,
+    format_table,
+    print_json,
+    print_text,
+    visible,
+)
+from camctl.cli.parameter_types import PATH, Text
+
+if TYPE_CHECKING:
+    from camctl.noise_record import GainNoise
+    from camctl.profile import Profile
+    from camctl.response_record import ResponseRecord
 
 profile = LazyGroup(
     "profile",
-    help="Show or remove the kept measurements of each camera.",
+    help="Show, copy or remove the kept measurements of each camera.",
     examples=(
         ("camctl profile list", "all cameras that have a profile"),
-        ("camctl profile show NAME", "all measurements of one"),
+        ("camctl profile show NAME --plot response.png", "all measurements of one, and a plot"),
+        ("camctl profile export NAME -o camera.json", "for another computer, or as a copy"),
     ),
 )
 
@@ -46,14 +61,15 @@ def list_(as_json: bool) -> None:
 
     The first column is the name for show and remove.
     """
-    from camctl.profile import list_profiles, profile_directory
+    from camctl.profile import profile_directory
+    from camctl.profile_folder import list_profiles
 
     found = list_profiles()
     if as_json:
         print_json([{"name": each.name, **each.model_dump(mode="json")} for each in found])
         return
     if not found:
-        print_text(f"no profiles in {profile_directory()}; camctl calibrate creates them")
+        print_text(f"no profiles in {visible(profile_directory())}; camctl calibrate creates them")
         return
     headings = ("name", "make", "model", "serial", "delays", "formats")
     rows = [
@@ -74,24 +90,31 @@ def list_(as_json: bool) -> None:
     parent=profile,
     examples=(
         ("camctl profile show sim-camctl-simulated-standard-standard-34a1fb02", "one camera"),
+        ("camctl profile show NAME --plot response.png", "also draw what was measured"),
         ("camctl profile show NAME --json", "for a script; camctl profile list shows the names"),
     ),
 )
 @name_argument
+@click.option(
+    "--plot",
+    type=PATH,
+    metavar="FILE",
+    help="Draw the responses and the photon transfer curves, as PNG or SVG; needs matplotlib.",
+)
+@options.force
 @options.as_json
-def show(name: str, as_json: bool) -> None:
+def show(name: str, plot: Path | None, force: bool, as_json: bool) -> None:
     """Show all kept measurements of one camera."""
-    from camctl.profile import list_profiles, profile_directory
+    from camctl.profile import profile_directory
+    from camctl.profile_folder import find_profile
 
-    profiles = {each.name: each for each in list_profiles()}
-    if name not in profiles:
-        if not profiles:
-            raise UsageError(
-                f"unknown profile '{name}': there are no profiles",
-                hint="make one with camctl calibrate",
-            )
-        raise unknown_name("profile", name, profiles)
-    found = profiles[name]
+    found = find_profile(name)
+    if plot is not None:
+        from camctl.studies.plots import check_plots
+        from camctl.studies.profile_plot import draw_profile
+
+        check_plots((plot,), overwrite=force)
+        draw_profile(found, plot)
     if as_json:
         print_json({"name": name, **found.model_dump(mode="json")})
         return
@@ -99,15 +122,131 @@ def show(name: str, as_json: bool) -> None:
         ("camera", f"{found.make} {found.model}"),
         ("serial number", found.serial or "none"),
         ("driver", found.driver),
+        *_measurements(found),
+        ("file", str(profile_directory() / f"{name}.json")),
     ]
+    if plot is not None:
+        rows.append(("plot", str(plot)))
+    print_text(format_fields(rows))
+
+
+def _measurements(found: Profile) -> list[tuple[str, str]]:
+    """Return name and value of each record."""
+    rows = []
     for mode, delay in found.delays.items():
         rows.append((f"delay in {mode}", f"{format_delay(delay)}; {delay.trials} trials"))
         rows.append(("", f"measured {delay.measured_at}"))
     for kind, still in found.stills.items():
         size = f"{still.columns} x {still.rows}, {still.layout}, {still.bits} bits"
         rows.append((f"{kind} files", f"{size}, black {still.black}, white {still.white}"))
-    rows.append(("file", str(profile_directory() / f"{name}.json")))
-    print_text(format_fields(rows))
+    for mode, exposures in found.exposures.items():
+        wrong = sum(each.contradicts_label for each in (*exposures.times, *exposures.gains))
+        measured = f"{len(exposures.times)} times, {len(exposures.gains)} gains"
+        rows.append((f"exposures in {mode}", f"{measured}; {wrong} contradict the stated ones"))
+        rows.append(("", f"measured {exposures.measured_at}"))
+    for mode, response in found.responses.items():
+        levels = {f"black {each.black}, white {each.white}" for each in response.channels}
+        channels = ", ".join(each.name for each in response.channels)
+        rows.append((f"response in {mode}", f"channels {channels}; {'; '.join(sorted(levels))}"))
+        rows.append(("", f"measured {response.measured_at}, {response.frames} frames"))
+        rows += [("", line) for line in _curves(response)]
+    for mode, noise in found.noises.items():
+        for each in noise.gains:
+            conversion, read_noise = each.conversion_e_per_dn, each.read_noise_e
+            rows.append(
+                (
+                    f"noise in {mode}, gain {each.gain:g}",
+                    f"{conversion.value:.4g} electrons a level, read noise {read_noise.value:.3g} "
+                    "electrons",
+                )
+            )
+            rows += [("", line) for line in _transfer(each)]
+        hot = f", {len(noise.dark.hot_pixels)} hot pixels" if noise.dark is not None else ""
+        rows.append(("", f"full well {noise.full_well_e.value:.4g} electrons{hot}"))
+        rows.append(("", f"measured {noise.measured_at}"))
+    return rows
+
+
+def _transfer(noise: GainNoise) -> list[str]:
+    """Return some points of a photon transfer curve, on one line."""
+    points = noise.curve[:: max(1, len(noise.curve) // 4)]
+    if not points:
+        return []
+    text = ", ".join(f"{each.variance:.3g} at {each.mean:.3g}" for each in points)
+    return [f"variance in DN squared {text} DN"]
+
+
+def _curves(response: ResponseRecord) -> list[str]:
+    """Return the brightness of each channel at some irradiances, one line each."""
+    import numpy as np
+
+    shares = (0.01, 0.05, 0.2, 0.5)
+    return [
+        f"{channel.name}: "
+        + ", ".join(
+            f"{np.interp(share, channel.irradiance, channel.brightness):.1%} at {share:.0%}"
+            for share in shares
+        )
+        + " of full light"
+        for channel in response.channels
+    ]
+
+
+@command(
+    parent=profile,
+    examples=(
+        ("camctl profile export NAME -o camera.json", "one camera, for camctl profile import"),
+        ("camctl profile export NAME", "on standard output"),
+    ),
+)
+@name_argument
+@click.option("-o", "--output", type=PATH, metavar="FILE", help="File.  [default: standard output]")
+@options.force
+def export(name: str, output: Path | None, force: bool) -> None:
+    """Write the profile of one camera as one JSON file."""
+    from camctl.errors import StorageError
+    from camctl.files import write_bytes
+    from camctl.profile_folder import find_profile
+
+    text = find_profile(name).model_dump_json(indent=2)
+    if output is None:
+        print_text(text)
+        return
+    if output.exists() and not force:
+        raise StorageError(f"{output} exists", hint="choose another file, or add --force")
+    write_bytes(output, f"{text}\n".encode())
+    print_text(f"wrote {visible(output)}")
+
+
+@command(
+    parent=profile,
+    name="import",
+    examples=(
+        ("camctl profile import camera.json", "what camctl profile export has written"),
+        ("camctl profile import camera.json --force", "in place of what is known of that camera"),
+    ),
+)
+@click.argument("file", type=PATH, metavar="FILE")
+@click.option("--force", is_flag=True, help="Replace the camera's profile without asking.")
+@options.as_json
+def import_(file: Path, force: bool, as_json: bool) -> None:
+    """Keep a profile that was exported, for the camera that it names.
+
+    If the camera has a profile, it is replaced: on a terminal you are asked first.
+    """
+    from camctl.profile_folder import import_profile
+
+    def replace(earlier: Profile) -> bool:
+        if force or not (sys.stdin.isatty() and sys.stderr.isatty()):
+            return force
+        question = f"replace the profile of {visible(earlier.make)} {visible(earlier.model)}?"
+        return click.confirm(question, err=True)
+
+    kept = import_profile(file, replace=replace)
+    if as_json:
+        print_json({"name": kept.stem, "file": kept})
+    else:
+        print_text(f"kept as {visible(kept.stem)} in {visible(kept)}")
 
 
 @command(
@@ -121,10 +260,10 @@ def show(name: str, as_json: bool) -> None:
 @options.as_json
 def remove(name: str, as_json: bool) -> None:
     """Delete the profile of one camera."""
-    from camctl.profile import remove_profile
+    from camctl.profile_folder import remove_profile
 
     file = remove_profile(name)
     if as_json:
         print_json({"removed": file})
     else:
-        print_text(f"removed {file}")
+        print_text(f"removed {visible(file)}")

@@ -4,19 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from camctl.cli.options import (
     Decorator,
-    dynamic_range,
     given,
     option_group,
     refuse_together,
 )
-from camctl.cli.parameter_types import FILE, ListOf, Name, NameOrFile, Number, Text, WholeNumber
+from camctl.cli.parameter_types import (
+    FILE,
+    DynamicRange,
+    ListOf,
+    Name,
+    NameOrFile,
+    Number,
+    Text,
+    WholeNumber,
+)
 from camctl.errors import DataError, UsageError
+from camctl.input_files import exists, read_input_text
 
 if TYPE_CHECKING:
     from camctl.exposure.noise import NoiseTerm
@@ -37,7 +46,7 @@ class DesiredOptions:
     response: str
     gamma: float | None
     desired_file: str | None
-    dynamic_range: float
+    dynamic_range: float | Literal["auto"]
 
     def resolve(self) -> DesiredOptions:
         """Return the same, with `response` and `desired_file` as --gamma and files imply.
@@ -79,6 +88,7 @@ class DesiredOptions:
         resolved = self.resolve()
         if resolved.desired_file is not None:
             return read_desired(resolved.desired_file)
+        assert resolved.dynamic_range != "auto"  # only shoot and merge have it
         if resolved.gamma is not None:
             return desired_response("gamma", resolved.dynamic_range, gamma=resolved.gamma)
         return desired_response(resolved.response, resolved.dynamic_range)
@@ -100,8 +110,13 @@ class DesiredOptions:
         return values
 
 
-def desired_options(*, auto: bool = False) -> Decorator:
-    """Return the options of `DesiredOptions`, with `auto` also --response auto."""
+def desired_options(*, auto: bool = False, auto_range: bool = False) -> Decorator:
+    """Return the options of `DesiredOptions`.
+
+    Args:
+        auto: also --response auto
+        auto_range: also --range auto, which is then the default
+    """
     names = (*RESPONSES, "auto") if auto else RESPONSES
     explanation = (
         ", auto gives most levels to the brightnesses that are most frequent in the scene"
@@ -121,7 +136,7 @@ def desired_options(*, auto: bool = False) -> Decorator:
         ),
         click.option(
             "--gamma",
-            type=Number("an exponent from 0.01 to 100", least=0.01),
+            type=Number("an exponent from 0.01 to 100", least=0.01, most=100),
             metavar="Q",
             help="Exponent of a gamma response, brightness = light^Q; implies --response gamma.  "
             "[default: 0.5]",
@@ -134,7 +149,15 @@ def desired_options(*, auto: bool = False) -> Decorator:
             help="Desired response as a text file of two columns, irradiance and u (desired "
             "brightness); instead of --response and --range.",
         ),
-        dynamic_range,
+        click.option(
+            "--range",
+            "dynamic_range",
+            type=DynamicRange(auto=auto_range),
+            default="auto" if auto_range else "medium",
+            metavar=f"low|medium|high|{'auto|' if auto_range else ''}NUMBER",
+            help="Dynamic range of the picture, brightest over darkest light: 256, 1,000, 16,000, "
+            f"or any NUMBER{'; auto takes what the scene holds' if auto_range else ''}.",
+        ),
     )
 
 
@@ -163,7 +186,7 @@ class RealCameraOptions:
                 )
             return linear_response(self.bits, phase=self.phase)
         path = Path(self.curve)
-        if path.exists():
+        if exists(path):
             if _is_response_model(path):
                 return self._model_response(path)
             if self.coefficients is None:
@@ -180,7 +203,9 @@ class RealCameraOptions:
         if name == "power":
             if not gamma:
                 raise UsageError("--curve power needs a gamma", hint="for example power:2.2")
-            value = Number("a gamma from 0.05 to 20", least=0.05).parse(gamma, "--curve power")
+            value = Number("a gamma from 0.05 to 20", least=0.05, most=20).parse(
+                gamma, "--curve power"
+            )
             return standard_response(name, self.bits, phase=self.phase, gamma=value)
         if self.curve in STANDARDS:
             return standard_response(self.curve, self.bits, phase=self.phase)
@@ -208,10 +233,7 @@ class RealCameraOptions:
 
 def _is_response_model(path: Path) -> bool:
     """Return whether a file has the headings of a response model; a curve contains no '='."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return False  # reading it as a curve reports the reason
+    lines = read_input_text(path, "curve").splitlines()
     return any("=" in line.partition("#")[0] for line in lines)
 
 
@@ -253,7 +275,7 @@ real_camera_options = option_group(
 levels_wanted = click.option(
     "--levels",
     "levels_wanted",
-    type=Number("a positive number of levels", above=0),
+    type=Number("a number of levels from 1 to 1e7", least=1, most=1e7),
     metavar="G",
     help="Desired number of brightness levels in the picture.  "
     "[default: as many as the frames hold together]",
@@ -289,21 +311,21 @@ objective_options = option_group(
     "objective",
     click.option(
         "--p",
-        type=Number("a number of at least 1", least=1),
+        type=Number("a number from 1 to 16", least=1, most=16),
         default="1",
         metavar="P",
         help="Power of the objective, 1 to 16; only with 1 does it count missing levels.",
     ),
     click.option(
         "--noise",
-        type=Number("a number of at least 0", least=0),
+        type=Number("a number from 0 to 1000", least=0, most=1e3),
         metavar="SIGMA",
         help="Add the cost of noise; SIGMA is its standard deviation at exposure 1 relative to "
         "full scale.  [default: not added]",
     ),
     click.option(
         "--noise-weight",
-        type=Number("a number of at least 0", least=0),
+        type=Number("a number from 0 to 1e15", least=0, most=1e15),
         default="1",
         metavar="C",
         help="Cost, in levels, of a noise variance of one squared full scale.",
@@ -318,7 +340,7 @@ objective_options = option_group(
     ),
     click.option(
         "--jitter",
-        type=Number("a fraction of at least 0", least=0),
+        type=Number("a fraction from 0 to 0.2", least=0, most=0.2),
         default="0",
         metavar="FRACTION",
         help="Average over exposures with random errors of this relative size, up to 0.2; for "

@@ -6,7 +6,7 @@ import io
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from camctl.camera import Frame
     from camctl.controls import Control
     from sim.camera import SimulatedCamera
-    from sim.effects.budget import FramePlan
+    from sim.effects.budget import Decision, FramePlan
+    from sim.render import Comparison
 
 SUFFIXES = (".tiff", ".tif", ".png", ".npy")
 DEFAULT_SENSOR = "complete"
@@ -110,7 +111,10 @@ frame_settings = options.option_group(
     "frames of a bracket share it.  0 simulates all effects.",
 )
 @click.option(
-    "--explain", is_flag=True, help="Show each effect, its bound, and why it was simulated or not."
+    "--explain",
+    is_flag=True,
+    help="Show each effect, its bound, its time, and why it was simulated or not; and compare the "
+    "frame with one that has every effect.",
 )
 @click.option(
     "-o",
@@ -143,10 +147,10 @@ def simulate(
 
     camera_options = scenery.camera_options() | {"tolerance": tolerance_dn}
     texts = {name: str(value) for name, value in camera_options.items()}
-    with open_camera("sim", texts) as camera:
+    with open_camera("sim", texts, profile="none") as camera:
         assert isinstance(camera, SimulatedCamera)
         started = time.perf_counter()
-        frames = _take(camera, times_s, settings.gain, files)
+        frames = _take(camera, times_s, settings.gain, files, compare=explain)
         seconds = time.perf_counter() - started
     if as_json:
         print_json(_to_json(frames, tolerance_dn, seconds))
@@ -161,10 +165,16 @@ class _SimulatedFrame:
 
     properties: dict[str, Any]
     plan: FramePlan
+    comparison: Comparison | None
 
 
 def _take(
-    camera: SimulatedCamera, times_s: Sequence[float], gain: float, files: Sequence[Path | None]
+    camera: SimulatedCamera,
+    times_s: Sequence[float],
+    gain: float,
+    files: Sequence[Path | None],
+    *,
+    compare: bool,
 ) -> list[_SimulatedFrame]:
     """Shoot the frames at the nearest settings and write the files."""
     from camctl.controls import ExposureSetting
@@ -182,7 +192,8 @@ def _take(
         plan = camera.last_plan
         assert plan is not None
         properties = _frame_properties(frame, str(controls.layout)) | {"file": file}
-        frames.append(_SimulatedFrame(properties, plan))
+        comparison = camera.compare_last() if compare else None
+        frames.append(_SimulatedFrame(properties, plan, comparison))
         if file is not None:
             _write(frame, file)
     return frames
@@ -200,6 +211,9 @@ def _to_json(
 ) -> dict[str, Any]:
     """Return the JSON output: one frame, or a bracket with the worst decision on each effect."""
     parts = [frame.properties | frame.plan.as_data() for frame in frames]
+    for part, frame in zip(parts, frames, strict=True):
+        if frame.comparison is not None:
+            part["compared_with_every_effect"] = asdict(frame.comparison)
     whole = {"tolerance_dn": tolerance_dn, "seconds": seconds}
     if len(parts) == 1:
         return parts[0] | whole
@@ -207,7 +221,8 @@ def _to_json(
     for decisions in zip(*(frame.plan.effects for frame in frames), strict=True):
         worst = max(decisions, key=lambda one: (one.ran, one.bound_dn))
         bound = worst.bound_dn if math.isfinite(worst.bound_dn) else None
-        effects.append({"name": worst.name, "bound_dn": bound, "ran": worst.ran, "why": worst.why})
+        effect = {"name": worst.name, "bound_dn": bound, "ran": worst.ran, "why": worst.why}
+        effects.append(effect | {"milliseconds": worst.milliseconds})
     joint = sum(frame.plan.joint_bound_dn for frame in frames)
     return whole | {"joint_bound_dn": joint, "effects": effects, "frames": parts}
 
@@ -229,7 +244,7 @@ def _to_text(frame: _SimulatedFrame, *, explain: bool) -> str:
         ("effects simulated", ", ".join(simulated)),
         ("effects left out", ", ".join(left_out) or "none"),
         (
-            "error from those",
+            "error by those",
             f"at most {format_number(plan.joint_bound_dn, 3)} DN in any sample before the ADC "
             f"(tolerance {format_number(plan.tolerance_dn, 3)} DN)",
         ),
@@ -237,17 +252,48 @@ def _to_text(frame: _SimulatedFrame, *, explain: bool) -> str:
     ]
     if not explain:
         return format_fields(rows)
-    lines = [
+    if frame.comparison is not None:
+        rows[6:6] = _comparison_rows(frame.comparison, plan)
+    lines = [_effect_line(effect, plan) for effect in plan.effects]
+    header = ("effect", "simulated", "bound, DN", "time, ms", "saved, ms", "reason")
+    table = format_table(header, lines, right_aligned=(2, 3, 4))
+    return "\n\n".join((format_fields(rows[:4] + rows[6:]), table, _TABLE_NOTE))
+
+
+_TABLE_NOTE = """The bound is the largest change of any sample if this effect alone is left out.
+Times are those of a first frame, from the cost of each effect measured on one core."""
+
+
+def _comparison_rows(comparison: Comparison, plan: FramePlan) -> list[tuple[str, str]]:
+    """Return what leaving effects out has changed in this frame, and the time that it has saved."""
+    present = [e for e in plan.effects if e.ran or e.name in plan.left_out]
+    whole = sum(effect.milliseconds for effect in present)
+    saved = sum(effect.milliseconds for effect in present if not effect.ran)
+    share = f" ({format_percent(saved / whole)})" if whole else ""
+    return [
         (
-            effect.name,
-            format_number(effect.bound_dn, 3) if math.isfinite(effect.bound_dn) else "unbounded",
-            "yes" if effect.ran else "left out" if effect.name in plan.left_out else "absent",
-            effect.why,
-        )
-        for effect in plan.effects
+            "measured change",
+            f"a sample by at most {format_number(comparison.largest_dn, 3)} DN, the mean of the "
+            f"frame by {format_number(comparison.mean_dn, 2)} DN, against every effect",
+        ),
+        (
+            "time saved",
+            f"{format_number(saved, 3)} of {format_number(whole, 3)} ms{share} in a first frame; "
+            f"rendered again: {format_duration(comparison.seconds)}, with every effect "
+            f"{format_duration(comparison.everything_s)}",
+        ),
     ]
-    table = format_table(("effect", "bound, DN", "simulated", "reason"), lines, right_aligned=(1,))
-    return format_fields(rows[:4] + rows[6:]) + "\n\n" + table
+
+
+def _effect_line(effect: Decision, plan: FramePlan) -> tuple[str, ...]:
+    """Return a line of the table of effects."""
+    bound = format_number(effect.bound_dn, 3) if math.isfinite(effect.bound_dn) else "unlimited"
+    took = format_number(effect.milliseconds, 2)
+    if effect.ran:
+        return effect.name, "yes", bound, took, "", effect.why
+    if effect.name in plan.left_out:
+        return effect.name, "left out", bound, "", took, effect.why
+    return effect.name, "absent", "", "", "", effect.why
 
 
 def _check_files(output: Path | None, count: int, *, force: bool) -> list[Path | None]:

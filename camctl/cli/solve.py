@@ -7,13 +7,14 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.noise_options import KnownCamera, NoiseOptions, noise_options
 from camctl.cli.output import (
     ProgressBar,
     print_json,
@@ -22,7 +23,6 @@ from camctl.cli.output import (
     progress_bar,
     without_stage,
 )
-from camctl.cli.parameter_types import Number, Seconds, Settings
 from camctl.cli.response_options import (
     DesiredOptions,
     ObjectiveOptions,
@@ -32,6 +32,7 @@ from camctl.cli.response_options import (
     objective_options,
     real_camera_options,
 )
+from camctl.cli.search_limits import SearchLimits, search_limits
 from camctl.cli.solve_output import SettingsResult, SolveResult
 from camctl.errors import UsageError
 
@@ -40,14 +41,6 @@ if TYPE_CHECKING:
     from camctl.exposure.lower_bound import Certificate
     from camctl.response.camera import CameraResponse
     from camctl.response.desired import DesiredResponse
-
-CONFLICTS = {
-    "tolerance": {"p", "noise", "jitter", "total_limit", "settings", "time_limit"},
-    "settings": {"noise", "jitter", "time_limit"},
-    "gains": {"total_limit"},
-    "certificate": {"p", "noise", "jitter", "total_limit", "settings", "tolerance"},
-}
-"""Parameters, and those that each cannot be combined with."""
 
 MOST_FOR_TOLERANCE = 16
 """Exposures that --tolerance may take where -n is not given."""
@@ -58,6 +51,9 @@ SAME_EXPOSURE = 1e-8
 DEFAULT_EVALUATIONS = 400_000
 """Sets of exposures to evaluate without a time limit: a proof for two exposures, up to 10 bits."""
 
+_MOST_SETS = 1e12
+"""Sets of exposures that no time limit exceeds: months of work."""
+
 _TIMED_SETS = 256
 """Sets that are evaluated to measure this machine's speed."""
 
@@ -65,91 +61,16 @@ _REFRESH_S = 0.2
 """Time between two updates of the progress bar, s."""
 
 
-@dataclass(frozen=True)
-class SearchLimits:
-    """What the exposures are chosen from, and how long the search may take."""
-
-    count: int
-    tolerance: float | None
-    total_limit: float | None
-    settings: tuple[float, ...] | None
-    gains: tuple[float, ...] | None
-    certificate: bool
-    time_limit: float | None
-    seed: int
-
-    def check(self, levels_wanted: float | None) -> None:
-        """Raise `UsageError` where options contradict each other or one that is needed lacks."""
-        if self.tolerance is not None and levels_wanted is None:
-            raise UsageError("--tolerance needs --levels", hint="give the desired number of levels")
-        if self.gains is not None and self.settings is None:
-            raise UsageError(
-                "--gains needs --settings", hint="give the shutter times to choose from"
-            )
-        context = click.get_current_context()
-        for option in CONFLICTS.keys() & options.given(context):
-            options.refuse_together(context, f"--{option}", CONFLICTS[option])
-
-
-search_limits = options.option_group(
-    SearchLimits,
-    "limits",
-    options.count,
-    click.option(
-        "--tolerance",
-        type=Number("a number of levels of at least 0", least=0),
-        metavar="X",
-        help="Find the fewest exposures with at most X desired levels missing; needs --levels, and "
-        "-n is then the most.  [default: as many as -n]",
-    ),
-    click.option(
-        "--total-limit",
-        type=Number("a positive number", above=0),
-        metavar="X",
-        help="Limit the total exposure time to X times the shortest exposure, or with --settings "
-        "to X seconds.  [default: no limit]",
-    ),
-    click.option(
-        "--settings",
-        type=Settings(
-            "a file of times, a list of times or MIN:MAX:STEP in seconds", unit=Seconds(), file=True
-        ),
-        metavar="FILE|MIN:MAX:STEP",
-        help="Choose among a camera's shutter times, for the shortest exposure too: a file with "
-        "true seconds, one per line, such as 0.004 or 1/32; or even steps.  [default: any times]",
-    ),
-    click.option(
-        "--gains",
-        type=Settings(
-            "gains such as 1,2,4, or MIN:MAX:STEP", unit=Number("a gain above 0", above=0)
-        ),
-        metavar="A,B,...|MIN:MAX:STEP",
-        help="Gains, as factors, that can be combined with each of --settings.  [default: 1]",
-    ),
-    click.option(
-        "--certificate",
-        is_flag=True,
-        help="Also compute how much better any other exposures could be: for two exposures of up "
-        "to 10 bits a proof that none are (takes seconds); for more, a lower bound.",
-    ),
-    click.option(
-        "--time-limit",
-        type=Number("a time in seconds above 0", above=0),
-        metavar="SECONDS",
-        help="Stop the search after this time; with --certificate, stop bounding after about this "
-        "time.  [default: no limit]",
-    ),
-    options.seed,
-)
-
-
 @command(
     examples=(
         ("camctl solve", "three exposures for equal contrast over 1:1,000, 8-bit linear camera"),
-        ("camctl solve --response linear --range 2048 -n 4 --json", "for a script"),
         ("camctl solve -n 2 --certificate", "with a proof that no other two are better"),
         ("camctl solve --settings 0.0001:1:0.0001 --gains 1,2,4", "what a real camera can set"),
-        ("camctl solve --tolerance 30 --levels 256", "as few as leave 30 of 256 levels missing"),
+        ("camctl solve --sensor standard --objective accuracy", "with the noise of a camera"),
+        (
+            "camctl solve --tolerance 30 --levels 256 --json",
+            "as few as leave 30 of 256 levels missing",
+        ),
     )
 )
 @desired_options()
@@ -157,6 +78,7 @@ search_limits = options.option_group(
 @real_camera_options
 @levels_wanted
 @objective_options
+@noise_options
 @options.as_json
 def solve(
     desired: DesiredOptions,
@@ -164,23 +86,27 @@ def solve(
     real_camera: RealCameraOptions,
     levels_wanted: float | None,
     objective: ObjectiveOptions,
+    noise: NoiseOptions,
     as_json: bool,
 ) -> None:
     """Find the best exposures for a desired response.
 
     Exposures are relative to the shortest. Two numbers rate them: missing levels (xi), how many of
     the desired brightness levels they do not give (less is better); and effective levels, the
-    number of equal steps of brightness that would be as accurate (more is better).
+    number of equal steps of brightness that would be as accurate (more is better). Where the
+    noise is known (--sensor, --camera, --electrons, --read-noise), effective levels count it in.
     """
     limits.check(levels_wanted)
-    real = real_camera.response()
-    for note in real.notes:
+    camera = noise.camera(real_camera)
+    for note in camera.response.notes:
         print_warning(note)
     response = desired.desired()
-    if limits.certificate:
-        result = _solve_with_certificate(real, response, limits, levels_wanted)
+    if limits.by_accuracy:
+        result = _solve_by_accuracy(camera, response, limits)
+    elif limits.certificate:
+        result = _solve_with_certificate(camera, response, limits, levels_wanted)
     else:
-        result = _solve(real, response, limits, levels_wanted, objective)
+        result = _solve(camera, response, limits, levels_wanted, objective)
     if as_json:
         print_json(result.to_json(limits.seed))
     else:
@@ -188,18 +114,20 @@ def solve(
 
 
 def _solve(
-    real: CameraResponse,
+    camera: KnownCamera,
     desired: DesiredResponse,
     limits: SearchLimits,
     levels_wanted: float | None,
     objective: ObjectiveOptions,
 ) -> SolveResult:
-    from camctl.exposure.grid_search import SettingsGrid, solve_settings
+    from camctl.exposure.grid_search import solve_settings
     from camctl.exposure.objective import Objective
+    from camctl.exposure.settings_grid import SettingsGrid
     from camctl.exposure.solver import SearchOptions
     from camctl.exposure.solver import solve as search
     from camctl.exposure.tradeoff import fewest_exposures
 
+    real = camera.response
     total_limit = math.inf if limits.total_limit is None else limits.total_limit
     with progress_bar("searching") as bar:
         if limits.tolerance is not None and levels_wanted is not None:
@@ -226,7 +154,7 @@ def _solve(
                 progress=without_stage(bar),
             )
         if limits.settings is None:
-            return SolveResult(real, desired, found)
+            return SolveResult(camera, desired, found)
         restricted = solve_settings(
             real,
             desired,
@@ -235,11 +163,47 @@ def _solve(
             objective=Objective(levels_wanted, objective.p),
             search=SearchOptions(limits.seed),
         )
-    return SolveResult(real, desired, found, restricted=_with_gains(restricted, limits))
+    return SolveResult(camera, desired, found, restricted=_with_gains(restricted, limits))
+
+
+def _solve_by_accuracy(
+    camera: KnownCamera, desired: DesiredResponse, limits: SearchLimits
+) -> SolveResult:
+    from camctl.exposure.accuracy import solve_accuracy
+    from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
+
+    if camera.noise is None:
+        raise UsageError(
+            "exposures cannot be chosen by accuracy: the camera's noise is not known",
+            hint="name a camera with --sensor or --camera, or give --electrons and --read-noise",
+        )
+    total_limit = math.inf if limits.total_limit is None else limits.total_limit
+    problem = AccuracyProblem(camera.response, desired, camera.noise, black=camera.black)
+    with progress_bar("searching") as bar:
+        if limits.settings is None:
+            found = solve_accuracy(
+                problem,
+                limits.counts,
+                total_limit=total_limit,
+                accuracy=limits.accuracy,
+                progress=without_stage(bar),
+            )
+            return SolveResult(camera, desired, found, objective="accuracy")
+        available = AvailableExposures(limits.settings, limits.gains or (1.0,), unit_s=1.0)
+        restricted = solve_accuracy(
+            replace(problem, available=available),
+            limits.counts,
+            total_limit=total_limit,
+            accuracy=limits.accuracy,
+            progress=without_stage(bar),
+        )
+        found = solve_accuracy(problem, [len(restricted.exposures)])
+    settings = SettingsResult(restricted, restricted.times, restricted.gains)
+    return SolveResult(camera, desired, found, restricted=settings, objective="accuracy")
 
 
 def _solve_with_certificate(
-    real: CameraResponse,
+    camera: KnownCamera,
     desired: DesiredResponse,
     limits: SearchLimits,
     levels_wanted: float | None,
@@ -247,6 +211,7 @@ def _solve_with_certificate(
     from camctl.exposure.objective import ExposureProblem, Objective
     from camctl.exposure.solver import Solution
 
+    real = camera.response
     certificate = _certify(
         real,
         desired,
@@ -261,7 +226,7 @@ def _solve_with_certificate(
         seconds=certificate.seconds,
         evaluations=certificate.evaluations,
     )
-    return SolveResult(real, desired, found, certificate=certificate)
+    return SolveResult(camera, desired, found, certificate=certificate)
 
 
 def _with_gains(solution: SettingsSolution, limits: SearchLimits) -> SettingsResult:
@@ -297,7 +262,7 @@ def _certify(
     most = DEFAULT_EVALUATIONS
     rate = _sets_per_second(real, desired, n)
     if time_limit_s is not None:
-        most = max(1, int(time_limit_s * rate))
+        most = max(1, int(min(time_limit_s * rate, _MOST_SETS)))
     label = "proving" if n <= 2 else "bounding"
     with progress_bar(label) as bar, _advance_with_time(bar, most / rate):
         return certify(

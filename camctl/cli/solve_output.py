@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from camctl.cli.output import (
     format_duration,
+    format_effective,
     format_fields,
     format_number,
     format_objective,
@@ -15,10 +17,12 @@ from camctl.cli.output import (
 )
 
 if TYPE_CHECKING:
+    from camctl.cli.noise_options import KnownCamera
+    from camctl.exposure.accuracy import AccuracySolution
+    from camctl.exposure.evaluation import Evaluation
     from camctl.exposure.grid_search import SettingsSolution
     from camctl.exposure.lower_bound import Certificate
     from camctl.exposure.solver import Solution
-    from camctl.response.camera import CameraResponse
     from camctl.response.desired import DesiredResponse
 
 PROOF_GAP = 1.01e-4
@@ -29,7 +33,7 @@ PROOF_GAP = 1.01e-4
 class SettingsResult:
     """The best exposures among a camera's settings, with the time, s, and gain of each."""
 
-    solution: SettingsSolution
+    solution: SettingsSolution | AccuracySolution
     times_s: tuple[float, ...]
     gains: tuple[float, ...]
 
@@ -38,25 +42,45 @@ class SettingsResult:
 class SolveResult:
     """Exposures found for any times, and where asked a certificate or those on a camera's grid."""
 
-    real: CameraResponse
+    camera: KnownCamera
     desired: DesiredResponse
     found: Solution
     certificate: Certificate | None = None
     restricted: SettingsResult | None = None
+    objective: str = "xi"
 
     @property
     def best(self) -> Solution:
         """The exposures to use."""
         return self.found if self.restricted is None else self.restricted.solution
 
+    @property
+    def noise_known(self) -> bool:
+        """Whether effective levels count noise."""
+        return self.camera.noise is not None
+
+    @cached_property
+    def quality(self) -> Evaluation:
+        """The quality of the best exposures with the camera's noise."""
+        if self.restricted is None:
+            return self.camera.rate(self.desired, self.best.exposures)
+        restricted = self.restricted
+        return self.camera.rate(
+            self.desired, self.best.exposures, restricted.gains, restricted.times_s
+        )
+
     def to_json(self, seed: int) -> dict[str, Any]:
         """Return the JSON output."""
-        keys = ("exposures", "xi", "levels_wanted", "effective_levels", "total_exposure")
+        keys = ("exposures", "xi", "levels_wanted", "total_exposure")
         result: dict[str, Any] = {
             **_attributes(self.best, (*keys, "seconds", "evaluations")),
+            "effective_levels": self.quality.effective_levels,
+            "effective_levels_noise_free": self.quality.effective_levels_noise_free,
+            "noise": self.camera.noise_json(),
+            "objective": self.objective,
             "response": self.desired.name,
             "dynamic_range": self.desired.dynamic_range,
-            "camera": self.real.name,
+            "camera": self.camera.response.name,
             "seed": seed,
         }
         if self.certificate is not None:
@@ -66,22 +90,27 @@ class SolveResult:
             result["gains"] = self.restricted.gains
             result["shutter_s"] = sum(self.restricted.times_s)
             result["exhaustive"] = self.restricted.solution.enumerated
-            result["unrestricted"] = _attributes(
-                self.found, ("exposures", "xi", "effective_levels")
-            )
+            rated = self.camera.rate(self.desired, self.found.exposures)
+            result["unrestricted"] = {
+                **_attributes(self.found, ("exposures", "xi")),
+                "effective_levels": rated.effective_levels,
+                "effective_levels_noise_free": rated.effective_levels_noise_free,
+            }
         return result
 
     def to_text(self, seed: int, *, counts_levels: bool) -> str:
         """Return the text output."""
         best, restricted = self.best, self.restricted
         request = format_request(self.desired.name, self.desired.dynamic_range, len(best.exposures))
-        rows = [("desired", request), ("camera", self.real.name)]
+        rows = [("desired", request), ("camera", self.camera.response.name)]
+        if self.objective == "accuracy":
+            rows.append(("chosen by", "accuracy with this camera's noise"))
         if restricted is not None:
             rows.append(("settings", _settings_text(restricted)))
         rows += [
             ("exposures", "  ".join(map(format_number, best.exposures))),
             format_objective(best.xi, best.levels_wanted, counts_levels=counts_levels),
-            ("effective levels", format_number(best.effective_levels, 4)),
+            ("effective levels", format_effective(self.quality, noise_known=self.noise_known)),
         ]
         if restricted is None:
             total = f"{format_number(best.total_exposure)} x the shortest exposure"
@@ -91,11 +120,27 @@ class SolveResult:
         if self.certificate is None:
             rows.append(("search", _search_text(best, restricted, seed)))
         if restricted is not None:
-            rows += _comparison(best, self.found)
+            rows += self._comparison()
         text = format_fields(rows)
         if self.certificate is None:
             return text
         return f"{text}\n\n{certificate_text(self.certificate)}"
+
+    def _comparison(self) -> list[tuple[str, str]]:
+        """Return rows that compare exposures on a camera's settings with those of any times."""
+        unrestricted = self.camera.rate(self.desired, self.found.exposures)
+        share = self.quality.effective_levels / unrestricted.effective_levels
+        kept = f"the camera's settings reach {format_number(100 * share, 3)} % of these levels"
+        if share > 1:
+            kept = "the camera's settings give as many effective levels or more"
+        effective = format_effective(unrestricted, noise_known=self.noise_known)
+        exposures = "  ".join(map(format_number, self.found.exposures))
+        return [
+            ("with any times", exposures),
+            ("", f"{format_number(self.found.xi, 5)} missing levels (xi)"),
+            ("", f"effective levels: {effective}"),
+            ("", kept),
+        ]
 
 
 def _attributes(solution: Solution, names: Iterable[str]) -> dict[str, Any]:
@@ -116,20 +161,6 @@ def _search_text(best: Solution, restricted: SettingsResult | None, seed: int) -
         f"{format_number(best.seconds, 3)} s, {best.evaluations:,} sets of exposures{exhaustive}, "
         f"seed {seed}"
     )
-
-
-def _comparison(best: Solution, unrestricted: Solution) -> list[tuple[str, str]]:
-    """Return rows that compare exposures on a camera's settings with those of any times."""
-    share = best.effective_levels / unrestricted.effective_levels
-    kept = f"the camera's settings reach {format_number(100 * share, 3)} % of these levels"
-    if share > 1:
-        kept = "the camera's settings give as many effective levels or more"
-    rated = (
-        f"{format_number(unrestricted.xi, 5)} missing levels (xi), "
-        f"{format_number(unrestricted.effective_levels, 4)} effective levels"
-    )
-    exposures = "  ".join(map(format_number, unrestricted.exposures))
-    return [("with any times", exposures), ("", rated), ("", kept)]
 
 
 def _certificate_json(certificate: Certificate) -> dict[str, Any]:
@@ -167,7 +198,7 @@ def certificate_text(certificate: Certificate) -> str:
         ),
         (
             "  search",
-            f"{certificate.evaluations:,} sets evaluated in "
+            f"{certificate.evaluations:,} set{'s' * (certificate.evaluations > 1)} evaluated in "
             f"{format_number(certificate.seconds, 3)} s",
         ),
     ]

@@ -10,16 +10,18 @@ therefore be of one kind.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from platformdirs import user_cache_dir
 
-from camctl.errors import StorageError, UsageError
+from camctl.errors import DataError, StorageError, UsageError
 from camctl.exposure.effective import check_count
 from camctl.exposure.objective import Objective
 from camctl.exposure.solver import Progress, SearchOptions, solve
@@ -30,16 +32,41 @@ from camctl.exposure.table import (
     read_entry,
     write_text,
 )
+from camctl.interrupts import uninterrupted
 from camctl.response.camera import CameraResponse
 from camctl.response.desired import RANGES, RESPONSES, DesiredResponse, desired_response
+
+_log = logging.getLogger(__name__)
 
 COUNTS: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
 """Numbers of exposures of a table, by default."""
 
 
+class TableJob(Protocol):
+    """One row to solve."""
+
+    @property
+    def name(self) -> str:
+        """Text that identifies the row, used as a file name."""
+        ...
+
+    @property
+    def work(self) -> float:
+        """Estimate of the time that solving it takes, in any unit."""
+        ...
+
+    def solve(self, progress: Progress | None = None) -> TableEntry:
+        """Solve the row."""
+        ...
+
+    def matches(self, entry: TableEntry) -> bool:
+        """Return whether `entry` is this row."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One row to solve.  It can be pickled and sent to another process.
+    """One row to solve, chosen by xi.  It can be pickled and sent to another process.
 
     Attributes:
         response: the response of the real camera
@@ -70,35 +97,43 @@ class Job:
         )
         return f"{self.response.fingerprint}-{hashlib.sha256(rest.encode()).hexdigest()[:16]}"
 
+    @property
+    def work(self) -> float:
+        """Estimate of the time that solving it takes, in any unit."""
+        return float(self.n * self.response.M)
+
+    def solve(self, progress: Progress | None = None) -> TableEntry:
+        """Solve it; the random numbers follow from `name`."""
+        seed = int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:8], "little")
+        found = solve(
+            self.response,
+            self.desired,
+            self.n,
+            objective=Objective(self.levels_wanted),
+            search=SearchOptions(seed=seed),
+            progress=progress,
+        )
+        return TableEntry(
+            response=self.desired.key,
+            dynamic_range=self.desired.dynamic_range,
+            n=self.n,
+            camera=self.response.fingerprint,
+            camera_name=self.response.name,
+            levels_wanted=found.levels_wanted,
+            exposures=found.exposures,
+            xi=found.xi,
+            effective_levels=found.effective_levels,
+            total_exposure=found.total_exposure,
+        )
+
     def matches(self, entry: TableEntry) -> bool:
         """Return whether `entry` is this row, whatever its seed."""
         return entry.matches(self.response, self.desired, self.n, self.levels_wanted)
 
 
-def solve_job(job: Job, progress: Progress | None = None) -> TableEntry:
-    """Solve one row; the random numbers follow from `Job.name`."""
-    found = solve(
-        job.response,
-        job.desired,
-        job.n,
-        objective=Objective(job.levels_wanted),
-        search=SearchOptions(
-            seed=int.from_bytes(hashlib.sha256(job.name.encode()).digest()[:8], "little")
-        ),
-        progress=progress,
-    )
-    return TableEntry(
-        response=job.desired.key,
-        dynamic_range=job.desired.dynamic_range,
-        n=job.n,
-        camera=job.response.fingerprint,
-        camera_name=job.response.name,
-        levels_wanted=found.levels_wanted,
-        exposures=found.exposures,
-        xi=found.xi,
-        effective_levels=found.effective_levels,
-        total_exposure=found.total_exposure,
-    )
+def solve_job(job: TableJob, progress: Progress | None = None) -> TableEntry:
+    """Solve one row."""
+    return job.solve(progress)
 
 
 def cache_folder() -> Path:
@@ -118,9 +153,6 @@ def look_up(
 ) -> TableEntry:
     """Return the exposures for a camera: from the default table, from the cache, or solved now.
 
-    Solved rows are kept in `cache_folder()`.  If that cannot be written, the row is solved again
-    the next time.
-
     Args:
         response: the response of the real camera
         desired: the desired response
@@ -130,19 +162,44 @@ def look_up(
 
     Raises:
         UsageError: n or G is out of range
-        DataError: the row in the cache is damaged; names the file to delete
     """
     found = default_table().find(response, desired, n, levels_wanted)
     if found is not None:
         return found
-    job = Job(response, desired, n, levels_wanted=levels_wanted)
+    return cached_row(Job(response, desired, n, levels_wanted=levels_wanted), progress)
+
+
+def cached_row(job: TableJob, progress: Progress | None = None) -> TableEntry:
+    """Return a row from `cache_folder()`, or solve it and keep it there.
+
+    If the folder cannot be written, the row is solved again the next time.
+    """
     path = cache_folder() / f"{job.name}.json"
-    if path.exists():
-        return read_entry(path, job.matches)
-    entry = solve_job(job, progress)
-    with suppress(StorageError):
-        write_text(path, entry.model_dump_json() + "\n")
+    entry = _saved_row(path, job)
+    if entry is None:
+        entry = solve_job(job, progress)
+        with suppress(StorageError):
+            write_text(path, entry.to_json() + "\n")
     return entry
+
+
+def _saved_row(path: Path, job: TableJob) -> TableEntry | None:
+    """Return the row in a file; None where there is none.
+
+    A file that cannot be used is renamed, with a warning in the log, and does not count.
+    """
+    try:
+        return read_entry(path, job.matches) if path.exists() else None
+    except OSError:  # the folder cannot be searched
+        return None
+    except DataError as error:
+        aside = path.with_name(f"{path.name}.damaged")
+        try:
+            path.replace(aside)
+            _log.warning("%s; set aside as %s, and computed again", error.what, aside.name)
+        except OSError:
+            _log.warning("%s; computed again", error.what)
+        return None
 
 
 def table_jobs(
@@ -181,7 +238,7 @@ def table_jobs(
 
 
 def build_table(
-    jobs: Sequence[Job],
+    jobs: Sequence[TableJob],
     *,
     executor: Executor | None = None,
     state: str | Path | None = None,
@@ -198,7 +255,6 @@ def build_table(
 
     Raises:
         UsageError: there are no rows
-        DataError: a row in `state` is damaged; names the file to delete
         StorageError: `state` cannot be written
     """
     if not jobs:
@@ -209,24 +265,25 @@ def build_table(
     folder = None if state is None else Path(state)
     done: dict[str, TableEntry] = {}
 
-    def keep(job: Job, entry: TableEntry) -> None:
+    def keep(job: TableJob, entry: TableEntry) -> None:
         done[job.name] = entry
         if progress is not None:
             progress(len(done), len(jobs))
 
-    def save(job: Job, entry: TableEntry) -> None:
+    @uninterrupted  # a row that is saved is counted
+    def save(job: TableJob, entry: TableEntry) -> None:
         if folder is not None:
-            write_text(folder / f"{job.name}.json", entry.model_dump_json() + "\n")
+            write_text(folder / f"{job.name}.json", entry.to_json() + "\n")
         keep(job, entry)
 
-    waiting: list[Job] = []
+    waiting: list[TableJob] = []
     for job in jobs:
-        saved = None if folder is None else folder / f"{job.name}.json"
-        if saved is not None and saved.exists():
-            keep(job, read_entry(saved, job.matches))
-        else:
+        saved = None if folder is None else _saved_row(folder / f"{job.name}.json", job)
+        if saved is None:
             waiting.append(job)
-    waiting.sort(key=lambda job: -job.n * job.response.M)  # the longest first
+        else:
+            keep(job, saved)
+    waiting.sort(key=lambda job: -job.work)  # the longest first
     if executor is None:
         for job in waiting:
             save(job, solve_job(job))
@@ -241,9 +298,11 @@ def build_table(
 
 
 def _solve_all(
-    executor: Executor, jobs: Sequence[Job], save: Callable[[Job, TableEntry], None]
+    executor: Executor, jobs: Sequence[TableJob], save: Callable[[TableJob, TableEntry], None]
 ) -> None:
-    futures: dict[Future[TableEntry], Job] = {executor.submit(solve_job, job): job for job in jobs}
+    futures: dict[Future[TableEntry], TableJob] = {
+        executor.submit(solve_job, job): job for job in jobs
+    }
     pending = set(futures)
     try:
         while pending:

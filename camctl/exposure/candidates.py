@@ -1,4 +1,4 @@
-"""Candidates of a search: the objective of whole batches, and random sets and moves.
+"""The objective of whole batches of candidates of a search.
 
 The objective of a batch is the same integral as in `camctl.exposure.objective`, computed by numpy
 gap by gap without branches, in float32 (relative rounding error of a level 6e-8) for cameras of up
@@ -10,6 +10,7 @@ candidates: a search ends with the exact objective.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -27,9 +28,6 @@ MAX_BATCH = 64
 
 MAX_FLOAT32_LEVELS = 4096
 """Cameras of more levels are scored in float64: their gaps approach float32's rounding, 6e-8."""
-
-SMALLEST_MOVE, LARGEST_MOVE = 1e-5, 2.0
-"""Scales of the random moves, in ln e: far below an 8-bit interleave (4e-3) up to a factor of 7."""
 
 Work = NDArray[Any]
 
@@ -101,9 +99,25 @@ class BatchScore:
         high = edges[row, above].astype(np.float64)
         width = high - edges[row, above - 1].astype(np.float64)
         np.maximum(edges, e_min, out=edges)
+        if self.problem.objective.kind == "levels":
+            rise = self._rises(edges)
+            return np.asarray((rise * rise * rise).sum(axis=1), dtype=np.float64)
         missing = self._gaps(edges[:, :-1], edges[:, 1:], [work[:rows] for work in self._work])
         missing[row, above - 1] = self._straddling(high, width)
         return np.asarray(missing.sum(axis=1), dtype=np.float64)
+
+    def _rises(self, edges: Work) -> Work:
+        """Return the difference of u between neighbouring edges from e_min on."""
+        desired, low, high = self._desired, edges[:, :-1], edges[:, 1:]
+        if isinstance(desired, LinearDesired):
+            rise = (high - low) / (1 - desired.e_min)
+        elif isinstance(desired, LogDesired):
+            rise = np.log1p((high - low) / low) / math.log(desired.dynamic_range)
+        elif isinstance(desired, GammaDesired) and desired.gamma == 0.5:
+            rise = np.diff(np.sqrt(edges), axis=1) / (1 - desired.e_min**0.5)
+        else:
+            rise = np.diff(desired.u(edges), axis=1)
+        return np.asarray(rise)
 
     def _straddling(self, high: FloatArray, width: FloatArray) -> FloatArray:
         """Return the integral over the gap that contains e_min: of full width, from e_min on."""
@@ -214,81 +228,3 @@ class BatchScore:
         rise = k * (np.sqrt(stop) - np.sqrt(low))
         square = k * k / 4 * np.log1p(span / floor)
         return np.asarray(np.maximum(square - (2 * rise - span / width) / width, 0))
-
-
-class RandomSets:
-    """Random sets of n exposures for a camera of M levels, and random changes of sets.
-
-    Sets are natural logarithms of the exposures, at most `reach`.  Good sets consist of groups of
-    nearly equal exposures whose levels interleave, the groups a factor apart; and good factors lie
-    close to ratios of small whole numbers, at which the levels of two exposures would coincide.
-    Both kinds are drawn deliberately.
-    """
-
-    def __init__(self, rng: np.random.Generator, n: int, M: int, reach: float) -> None:
-        self.rng = rng
-        self.n = n
-        self.reach = reach
-        self.interleave = 1 / (M + 1)
-
-    def starts(self, count: int) -> FloatArray:
-        """Return (count, n) ascending sets from 0: groups at random, or at equal factors."""
-        rng, n = self.rng, self.n
-        sets = np.zeros((count, n))
-        for row in sets:
-            groups = int(rng.integers(1, n + 1))
-            sizes = 1 + np.bincount(rng.integers(0, groups, n - groups), minlength=groups)
-            centres = np.sort(np.append(0.0, rng.uniform(0, 0.9 * self.reach, groups - 1)))
-            if groups > 1 and rng.random() < 0.5:
-                least = min(0.3, self.reach / groups)
-                centres = np.arange(groups) * rng.uniform(least, self.reach / (groups - 1))
-            steps = self.interleave * rng.uniform(0.3, 1.5, groups)
-            within = np.concatenate([np.arange(size) for size in sizes])
-            row[:] = np.repeat(centres, sizes) + within * np.repeat(steps, sizes)
-        sets.sort(axis=1)
-        return self.normalised(sets)
-
-    def normalised(self, sets: FloatArray) -> FloatArray:
-        """Return the sets ascending, from 0, within reach."""
-        sets = np.minimum(np.abs(sets), self.reach)
-        sets[..., 0] = 0.0
-        sets.sort(axis=-1)
-        return sets
-
-    def around(self, sets: FloatArray, count: int) -> FloatArray:
-        """Return (P, count, n) changed copies of (P, n) sets.
-
-        Half of them move one exposure, the others a block of neighbours or all above one, by steps
-        of every size; some place a factor close to a ratio of small whole numbers; some place one
-        exposure anywhere.
-        """
-        rng, n = self.rng, self.n
-        shape = (len(sets), count)
-        step = np.exp(rng.uniform(np.log(SMALLEST_MOVE), np.log(LARGEST_MOVE), shape))
-        step *= rng.standard_normal(shape)
-        one, other = rng.integers(1, n, shape), rng.integers(1, n, shape)
-        kind = rng.random(shape)
-        other = np.where(kind < 0.5, one, other)
-        first, last = np.minimum(one, other), np.maximum(one, other)
-        last = np.where(rng.random(shape) < 0.2, n - 1, last)
-        rational = rng.random(shape) < 0.35
-        step = np.where(rational, self._step_to_whole_ratio(sets, first), step)
-        index = np.arange(n)
-        block = (index >= first[..., np.newaxis]) & (index <= last[..., np.newaxis])
-        changed = sets[:, np.newaxis, :] + block * step[..., np.newaxis]
-        elsewhere = (kind > 0.88) & ~rational
-        beside = np.take_along_axis(sets, rng.integers(0, n, shape), axis=1)
-        beside = beside + rng.uniform(-2, 2, shape) * self.interleave
-        position = np.where(rng.random(shape) < 0.5, beside, rng.uniform(0, self.reach, shape))
-        replaced = elsewhere[..., np.newaxis] & (index == one[..., np.newaxis])
-        return self.normalised(np.where(replaced, position[..., np.newaxis], changed))
-
-    def _step_to_whole_ratio(self, sets: FloatArray, index: np.ndarray) -> FloatArray:
-        """Return the step that makes an exposure a/q (1 + small) times the one below it."""
-        rng, shape = self.rng, index.shape
-        below = np.take_along_axis(sets, index - 1, axis=1)
-        current = np.take_along_axis(sets, index, axis=1)
-        q = rng.integers(1, 3, shape)
-        a = np.maximum(q, np.round(np.exp(current - below) * q) + rng.integers(-2, 3, shape))
-        small = 10 ** rng.uniform(-5, -1.5, shape) * rng.choice([-1, 1], shape)
-        return np.asarray(below + np.log(a / q) + small - current)

@@ -181,7 +181,11 @@ def effective_levels(camera: EffectiveCamera, desired: DesiredResponse) -> float
     through u.  N equal steps give exactly N: L is the rms quantisation error in u, as a number of
     steps.  Noise is not included; see `camctl.exposure.noise`.
     """
-    levels = camera.levels
+    return quantisation_levels(camera.levels, desired)
+
+
+def quantisation_levels(levels: FloatArray, desired: DesiredResponse) -> float:
+    """Return `effective_levels` of a camera with these ascending levels, (N,)."""
     inside = levels[(levels > desired.e_min) & (levels < 1)]
     edges = np.concatenate([[desired.e_min], inside, [1.0]])
     gaps = desired.rise(edges[:-1], edges[1:])

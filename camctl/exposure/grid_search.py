@@ -9,24 +9,19 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from camctl.errors import DataError, UsageError
+from camctl.errors import UsageError
 from camctl.exposure.candidates import CACHE_ELEMENTS, BatchScore
 from camctl.exposure.objective import ExposureProblem, Objective
+from camctl.exposure.settings_grid import SAME_RATIO, SettingsGrid
 from camctl.exposure.solver import SearchOptions, Solution, solve
 from camctl.response.camera import CameraResponse, FloatArray
-from camctl.response.desired import DesiredResponse, TabulatedDesired
-
-MAX_SETTINGS = 200_000
-"""Settings of one control, at most: bounds memory."""
-
-SAME_RATIO = 1e-9
-"""Relative difference up to which two exposures, or two steps of a grid, count as equal."""
+from camctl.response.desired import DesiredResponse
+from camctl.response.tabulated import TabulatedDesired
 
 MAX_ENUMERATED_SETS = 400_000
 """Sets that are all scored, at most: about 1 s for 8 bits."""
@@ -53,65 +48,6 @@ MAX_BASES, RANDOM_SETS = 4096, 256
 """Starts: the best arbitrary exposures rounded, at most once for each base; and random sets."""
 
 Indices = NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class SettingsGrid:
-    """The settings of a camera, and the limits on sets of them.
-
-    Attributes:
-        times: (S,) true exposure times or relative exposures, any order
-        gains: gains that combine with each time
-        base: smallest and largest value of the shortest exposure, in the unit of `times`
-        total_limit: largest sum of the exposures, in the unit of `times`; infinite: no limit
-    """
-
-    times: ArrayLike
-    gains: ArrayLike = (1.0,)
-    base: tuple[float, float] | None = None
-    total_limit: float = math.inf
-
-    @cached_property
-    def exposures(self) -> FloatArray:
-        """The different products time x gain, (S,) float64 ascending.
-
-        Products that agree to `SAME_RATIO` count as one.
-
-        Raises:
-            UsageError: one of the lists is empty
-            DataError: a setting is not a positive, finite number
-        """
-        times, gains = (np.ravel(np.asarray(v, np.float64)) for v in (self.times, self.gains))
-        for values in (times, gains):
-            if values.size == 0:
-                raise UsageError("the list of settings is empty", hint="give one setting or more")
-            wrong = values[~(np.isfinite(values) & (values > 0))]
-            if wrong.size:
-                raise DataError(f"invalid setting {wrong[0]:g}: expected a positive, finite number")
-        products = np.sort((times[:, np.newaxis] * gains).ravel())
-        new = np.concatenate([[True], np.diff(np.log(products)) > SAME_RATIO])
-        return np.asarray(products[new])
-
-
-def stepped(minimum: float, maximum: float, step: float) -> FloatArray:
-    """Return the settings from `minimum` to `maximum` in equal steps, (S,) float64 ascending.
-
-    Raises:
-        UsageError: the values are out of range, or give more than 200,000 settings
-    """
-    values = (minimum, maximum, step)
-    if not all(math.isfinite(v) for v in values) or not (0 < minimum <= maximum and step > 0):
-        raise UsageError(
-            f"invalid settings {minimum:g} to {maximum:g} in steps of {step:g}: "
-            "expected 0 < minimum <= maximum and a step above 0"
-        )
-    count = math.floor((maximum - minimum) / step * (1 + 1e-12) + 1e-9) + 1
-    if count > MAX_SETTINGS:
-        raise UsageError(
-            f"too many settings ({count}): expected at most {MAX_SETTINGS}",
-            hint="choose a larger step",
-        )
-    return np.asarray(minimum + step * np.arange(count))
 
 
 @dataclass(frozen=True)

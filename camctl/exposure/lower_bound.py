@@ -112,8 +112,9 @@ def certify(
     found = solve(
         response, desired, n, objective=problem.objective, search=SearchOptions(seed=seed)
     )
-    if n == 1:
-        return Certificate((1.0,), found.xi, found.xi, 1, time.process_time() - started)
+    if n == 1 or found.xi == 0:  # xi is never negative: nothing is better than 0
+        seconds = time.process_time() - started
+        return Certificate(found.exposures, found.xi, found.xi, found.evaluations, seconds)
     top = max(0.0, math.log(float(response.levels[-1]) / desired.e_min)) + MARGIN
     search = _Boxes(problem, top)
     best, bound = search.run(found, tolerance, max_evaluations)

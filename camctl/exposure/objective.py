@@ -16,15 +16,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from camctl.errors import UsageError
+from camctl.errors import UsageError, unknown_name
 from camctl.exposure.effective import (
     EffectiveCamera,
     check_count,
     check_exposures,
-    effective_levels,
+    quantisation_levels,
     union_of_levels,
 )
 from camctl.exposure.noise import NoiseTerm
@@ -79,12 +80,22 @@ def _excess_of(pieces: _Pieces, desired: DesiredResponse, levels_wanted: float) 
     return _Pieces(crossing, high, width)
 
 
-def _check_norm(levels_wanted: float, p: float) -> None:
-    if not (math.isfinite(levels_wanted) and levels_wanted > 0):
+MAX_LEVELS_WANTED = 1e7
+"""Ten times what 16 frames of 16 bit hold.  The powers of larger numbers overflow in searches."""
+
+
+def check_levels_wanted(levels_wanted: float) -> None:
+    """Raise `UsageError` unless G is a number of levels from 1 to `MAX_LEVELS_WANTED`."""
+    if not 1 <= levels_wanted <= MAX_LEVELS_WANTED:
         raise UsageError(
-            f"invalid number of desired levels {levels_wanted:g}: expected a positive number",
+            f"invalid number of desired levels {levels_wanted:g}: expected 1 to "
+            f"{MAX_LEVELS_WANTED:,.0f}",
             hint="for example 765",
         )
+
+
+def _check_norm(levels_wanted: float, p: float) -> None:
+    check_levels_wanted(levels_wanted)
     if not (math.isfinite(p) and 1 <= p <= 16):
         raise UsageError(f"invalid norm p = {p:g}: expected 1 to 16")
 
@@ -194,6 +205,9 @@ class Objective:
         noise: noise term that is added to xi, or None
         jitter: relative standard deviation of the exposures about their nominal values, 0 to 0.2;
             xi is then the mean over `JITTER_DRAWS` fixed Gaussian draws in opposite pairs
+        kind: "xi", or "levels" for the most effective levels without noise: the quantity is then
+            L^-2, and G and p are not used.  With the noise of a camera see
+            `camctl.exposure.accuracy`
 
     Raises:
         UsageError: a value is out of range
@@ -203,8 +217,11 @@ class Objective:
     p: float = 1.0
     noise: NoiseTerm | None = None
     jitter: float = 0.0
+    kind: Literal["xi", "levels"] = "xi"
 
     def __post_init__(self) -> None:
+        if self.kind not in ("xi", "levels"):
+            raise unknown_name("objective", self.kind, ("xi", "levels"))
         _check_norm(1.0 if self.levels_wanted is None else self.levels_wanted, self.p)
         if not (math.isfinite(self.jitter) and 0 <= self.jitter <= 0.2):
             raise UsageError(
@@ -256,74 +273,14 @@ class ExposureProblem:
         values = np.array(check_exposures(exposures))
         factors = self.jitter_factors()
         total = sum(
-            xi(
-                union_of_levels(self.response.levels, values * factor),
-                self.desired,
-                self.levels_wanted,
-                p=self.objective.p,
-            )
+            self._without_noise(union_of_levels(self.response.levels, values * factor))
             for factor in factors
         )
         noise = self.objective.noise
         cost = 0.0 if noise is None else float(noise.cost(values[np.newaxis])[0])
         return total / len(factors) + cost
 
-
-@dataclass(frozen=True)
-class Evaluation:
-    """The quality of a set of exposures.
-
-    Attributes:
-        xi: the objective; by default the number of desired levels that are missing
-        levels_wanted: G, the number of levels of the desired camera
-        levels: number of levels of the effective camera, n * M
-        levels_distinct: number of different levels among them
-        effective_levels: L, the number of equal steps in the desired response of the same accuracy,
-            without noise
-        total_exposure: sum of the exposures, in units of the shortest
-    """
-
-    xi: float
-    levels_wanted: float
-    levels: int
-    levels_distinct: int
-    effective_levels: float
-    total_exposure: float
-
-
-def evaluate(
-    response: CameraResponse,
-    desired: DesiredResponse,
-    exposures: Sequence[float],
-    *,
-    objective: Objective | None = None,
-) -> Evaluation:
-    """Return how well the sum of exposures of a camera approximates a desired response.
-
-    Args:
-        response: the response of the real camera
-        desired: the desired response; its E = 1 is full scale of the shortest exposure
-        exposures: 1 to 16 exposures relative to each other, for example 1, 2, 4 or times in s
-        objective: the definition of xi; None: missing levels of n * M
-
-    Raises:
-        UsageError: an exposure is not a positive, finite number, or there are none or more than 16
-
-    >>> from camctl.response.camera import linear_response
-    >>> from camctl.response.desired import desired_response
-    >>> found = evaluate(linear_response(8), desired_response("linear", 1000.0), (1, 2, 4))
-    >>> found.levels, found.levels_distinct, round(found.effective_levels), found.total_exposure
-    (765, 511, 336, 7.0)
-    """
-    values = check_exposures(exposures)
-    relative = tuple(sorted(value / min(values) for value in values))
-    problem = ExposureProblem(response, desired, len(relative), objective or Objective())
-    camera = EffectiveCamera.of(response, relative)
-    return Evaluation(
-        xi=problem.score(relative),
-        levels_wanted=problem.levels_wanted,
-        levels=camera.levels_total,
-        levels_distinct=camera.levels_distinct,
-        effective_levels=effective_levels(camera, desired),
-        total_exposure=math.fsum(relative),
-    )
+    def _without_noise(self, levels: FloatArray) -> float:
+        if self.objective.kind == "levels":
+            return quantisation_levels(levels, self.desired) ** -2
+        return xi(levels, self.desired, self.levels_wanted, p=self.objective.p)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ import numpy as np
 from camctl.exposure.effective import EffectiveCamera, check_exposures, effective_levels
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.objective import xi
+from camctl.noise_model import FrameNoise
 from camctl.response.camera import CameraResponse
 from camctl.response.desired import DesiredResponse
 
@@ -127,11 +129,11 @@ def sensitivity(
             for error in EXPOSURE_ERRORS
         },
         noise={
-            sigma: noisy_effective_levels(camera, desired, read_noise_levels=sigma)
+            sigma: noisy_effective_levels(camera, desired, [FrameNoise(math.inf, sigma)] * n)
             for sigma in NOISES
         },
         noise_of_equal={
-            sigma: noisy_effective_levels(equal, desired, read_noise_levels=sigma)
+            sigma: noisy_effective_levels(equal, desired, [FrameNoise(math.inf, sigma)] * n)
             for sigma in NOISES
         },
         phase=_spread(

@@ -18,9 +18,11 @@ from typing import Self
 import numpy as np
 
 from camctl.errors import UsageError
-from camctl.exposure.candidates import MAX_FLOAT32_LEVELS, BatchScore, RandomSets
+from camctl.exposure.candidates import MAX_FLOAT32_LEVELS, BatchScore
 from camctl.exposure.effective import MAX_EXPOSURES
-from camctl.exposure.objective import ExposureProblem, Objective, evaluate
+from camctl.exposure.evaluation import evaluate
+from camctl.exposure.objective import ExposureProblem, Objective
+from camctl.exposure.random_sets import RandomSets
 from camctl.response.camera import CameraResponse, FloatArray
 from camctl.response.desired import DesiredResponse
 
@@ -42,6 +44,14 @@ EVALUATIONS = {2: 10_000, 3: 25_000, 4: 100_000, 5: 160_000, 6: 330_000}
 
 MAX_EVALUATIONS = 400_000
 """Evaluations for more than 6 exposures."""
+
+CURVED_EFFORT = 2.0
+"""Factor on the evaluations for a curved camera, whose levels interleave in more ways."""
+
+SAME_SET = 4.0
+"""Interleave steps within which two sets for a curved camera count as the same.  Many starts end
+in the same minimum; only the best of them is kept, so that a better minimum which is reached more
+slowly is not discarded before."""
 
 MAX_SORTED_LEVELS = 2.5e9
 """Levels sorted in one search, at most (about 15 s): bounds the search for cameras of many bits."""
@@ -173,8 +183,10 @@ def solve(
             hint="raise the limit, or request fewer exposures",
         )
     started = process_time()
-    if n == 1 or total_limit == n:
-        found = Solution.of(problem, (1.0,) * n)
+    equal = (1.0,) * n
+    # xi is never below 0, and no set is shorter than equal exposures.
+    if n == 1 or total_limit == n or problem.score(equal) == 0:
+        found = Solution.of(problem, equal)
     else:
         running = _Search(problem, options, total_limit, progress)
         known = None
@@ -198,7 +210,7 @@ def _coarse_starts(
     response = problem.response
     kept = np.arange(1, COARSE_LEVELS + 1) * (response.M + 1) // (COARSE_LEVELS + 1) - 1
     coarse = CameraResponse(response.levels[kept], f"{response.name}, {COARSE_LEVELS} levels of it")
-    levels_wanted = problem.levels_wanted * COARSE_LEVELS / response.M
+    levels_wanted = max(1.0, problem.levels_wanted * COARSE_LEVELS / response.M)
     limit_s = None if search.time_limit_s is None else search.time_limit_s / 2
     found = solve(
         coarse,
@@ -229,12 +241,16 @@ class _Search:
         self.deadline = monotonic() + (search.time_limit_s or math.inf)
         n, M, levels = problem.n, problem.response.M, problem.response.levels
         darkest = max(problem.desired.e_min, float(levels[levels > 0][0]) / MAX_EXPOSURES)
-        self.moves = RandomSets(np.random.default_rng(search.seed), n, M, -math.log(darkest))
+        self.moves = RandomSets(
+            np.random.default_rng(search.seed), n, problem.response, -math.log(darkest)
+        )
         sorted_at_once = n * M * len(problem.jitter_factors())
         max_sorted = MAX_SORTED_LEVELS if M <= MAX_FLOAT32_LEVELS else MAX_SORTED_LEVELS_FLOAT64
-        budget = search.effort * min(
-            EVALUATIONS.get(n, MAX_EVALUATIONS), max_sorted / sorted_at_once
-        )
+        evaluations, self.same = float(EVALUATIONS.get(n, MAX_EVALUATIONS)), 0.0
+        if self.moves.is_curved:
+            evaluations *= CURVED_EFFORT
+            self.same = SAME_SET * self.moves.interleave
+        budget = search.effort * min(evaluations, max_sorted / sorted_at_once)
         self.budget = max(budget, 20.0 * STARTS)
         p = problem.objective.p
         passes = FINAL_PASSES if p == round(p) else FINAL_PASSES // 4
@@ -257,7 +273,7 @@ class _Search:
                 sets, scores = self._improve(sets, scores, moves)
                 if self.progress is not None:
                     self.progress(min(self.score.evaluations / self.budget, 0.99))
-            sets, scores = _best(sets, scores, max(2, len(sets) // 2))
+            sets, scores = _best(sets, scores, max(2, len(sets) // 2), apart=self.same)
             moves = min(2 * moves, MAX_MOVES)
         return min((self._finish(row) for row in sets), key=lambda found: found[1])[0]
 
@@ -313,6 +329,14 @@ class _Search:
         return self.problem.score(np.exp(logs).tolist())
 
 
-def _best(sets: FloatArray, scores: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    order = np.argsort(scores, kind="stable")[:count]
+def _best(
+    sets: FloatArray, scores: FloatArray, count: int, *, apart: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return the best sets, those within `apart` of a better one after all others."""
+    order = np.argsort(scores, kind="stable")
+    if apart > 0:
+        distance = np.abs(sets[order][:, np.newaxis] - sets[order]).max(axis=2)
+        repeated = np.any(np.tril(distance < apart, -1), axis=1)
+        order = np.concatenate([order[~repeated], order[repeated]])
+    order = order[:count]
     return sets[order], scores[order]

@@ -7,7 +7,7 @@ bits, with a black level or with a rounding quantiser never gets the row of an 8
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from camctl.errors import DataError
 from camctl.files import storage_error, write_bytes
+from camctl.input_files import read_input, read_input_text
 from camctl.response.camera import CameraResponse
 from camctl.response.desired import DesiredResponse
 
@@ -37,8 +38,14 @@ class TableEntry(BaseModel):
         levels_wanted: G, the number of levels of the desired camera
         exposures: relative, ascending from 1
         xi: the objective with p = 1: missing levels
-        effective_levels: L, without noise
+        effective_levels: L; with noise in a row chosen by accuracy, without in all others
         total_exposure: sum of the exposures: total exposure time in units of the shortest
+        accuracy: in a row chosen by accuracy, the key of what it was chosen for: noise, gains and
+            limits; None: chosen by xi
+        times: shutter time of each exposure in such a row, in the unit of `AvailableExposures`;
+            None: as the exposures
+        gains: gain of each; None: 1
+        effective_levels_noise_free: L without noise in such a row
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -53,11 +60,18 @@ class TableEntry(BaseModel):
     xi: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     effective_levels: Positive
     total_exposure: Positive
+    accuracy: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = None
+    times: tuple[Positive, ...] | None = None
+    gains: tuple[Positive, ...] | None = None
+    effective_levels_noise_free: Positive | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> TableEntry:
         if len(self.exposures) != self.n:
             raise ValueError(f"it has {len(self.exposures)} exposures, but n is {self.n}")
+        for name, values in (("times", self.times), ("gains", self.gains)):
+            if values is not None and len(values) != self.n:
+                raise ValueError(f"it has {len(values)} {name}, but n is {self.n}")
         if self.exposures[0] != 1 or list(self.exposures) != sorted(self.exposures):
             raise ValueError("the exposures do not ascend from 1")
         if not math.isclose(sum(self.exposures), self.total_exposure, rel_tol=1e-9):
@@ -74,12 +88,17 @@ class TableEntry(BaseModel):
         """Return whether this row is for that camera, desired response, n and G (None: n * M)."""
         G = n * response.M if levels_wanted is None else levels_wanted
         return (
-            self.n == n
+            self.accuracy is None
+            and self.n == n
             and self.camera == response.fingerprint
             and self.response == desired.key
             and math.isclose(self.dynamic_range, desired.dynamic_range, rel_tol=1e-12)
             and self.levels_wanted == G
         )
+
+    def to_json(self) -> str:
+        """Return the row as one line of JSON."""
+        return self.model_dump_json(exclude_none=True)
 
 
 class _TableFile(BaseModel):
@@ -122,17 +141,7 @@ class ExposureTable:
         Raises:
             DataError: the file is missing, damaged, or holds no row for that camera
         """
-        path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise DataError(
-                f"cannot read exposure table {path}: {error.strerror or error}"
-            ) from error
-        except UnicodeDecodeError as error:
-            raise DataError(
-                f"exposure table {path} is damaged: it is not a text file", hint=_REBUILD
-            ) from error
+        text = read_input_text(path, "exposure table", hint=_REBUILD)
         table = cls.parse(text, f"exposure table {path}", _REBUILD)
         if response is not None and all(e.camera != response.fingerprint for e in table.entries):
             others = sorted({entry.camera_name for entry in table.entries}) or ["no camera"]
@@ -161,7 +170,7 @@ class ExposureTable:
         Raises:
             StorageError: it could not be written
         """
-        rows = ",\n  ".join(entry.model_dump_json() for entry in self.entries)
+        rows = ",\n  ".join(entry.to_json() for entry in self.entries)
         head = '"format": "camctl exposure table",\n "version": 1,\n "entries": [\n  '
         write_text(Path(path), "{" + head + rows + "\n]}\n")
 
@@ -182,9 +191,23 @@ class ExposureTable:
 @cache
 def default_table() -> ExposureTable:
     """Return the table that is part of camctl: 8-bit linear, three responses and ranges, n <= 6."""
-    file = resources.files("camctl.exposure") / "default_table.json"
+    return _packaged("default_table.json")
+
+
+@cache
+def accuracy_rows() -> Mapping[str, TableEntry]:
+    """Return the rows chosen by accuracy that are part of camctl, by their `accuracy`.
+
+    They are for the built-in simulated sensors: three responses and ranges, n <= 6.
+    """
+    table = _packaged("default_accuracy_table.json")
+    return {entry.accuracy: entry for entry in table.entries if entry.accuracy is not None}
+
+
+def _packaged(name: str) -> ExposureTable:
+    file = resources.files("camctl.exposure") / name
     return ExposureTable.parse(
-        file.read_text(encoding="utf-8"), "the exposure table of camctl", "install camctl again"
+        file.read_text(encoding="utf-8"), f"{name} of camctl", "install camctl again"
     )
 
 
@@ -195,19 +218,9 @@ def read_entry(path: Path, matches: Callable[[TableEntry], bool]) -> TableEntry:
         DataError: the file cannot be read, is damaged, or holds another row; names the file
     """
     try:
-        entry = TableEntry.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise DataError(
-            f"cannot read cached exposures {path}: {error.strerror or error}"
-        ) from error
+        entry = TableEntry.model_validate_json(read_input(path, "cached exposures"))
     except ValidationError as error:
-        raise DataError(
-            f"cached exposures {path} are damaged: {_first_problem(error)}",
-            hint="delete that file",
-        ) from error
+        raise DataError(f"cached exposures {path} are damaged: {_first_problem(error)}") from error
     if not matches(entry):
-        raise DataError(
-            f"cached exposures {path} are for another camera or desired response",
-            hint="delete that file",
-        )
+        raise DataError(f"cached exposures {path} are for another camera or desired response")
     return entry

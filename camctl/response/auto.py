@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from camctl.errors import DataError, UsageError
 from camctl.response.camera import FloatArray
-from camctl.response.desired import DesiredResponse, tabulated_desired
+from camctl.response.desired import DesiredResponse
+from camctl.response.tabulated import tabulated_desired
 
 BINS = 64
 """Bins of the histogram, equally wide in ln E."""

@@ -149,8 +149,14 @@ def srgb_to_linear(B: FloatArray) -> FloatArray:
 
 
 def rec709_to_linear(B: FloatArray) -> FloatArray:
-    """Return the irradiance for Rec.709 brightness, both 0..1 (ITU-R BT.709, inverse OETF)."""
-    return np.where(B < 0.081, B / 4.5, ((B + 0.099) / 1.099) ** (1 / 0.45))
+    """Return the smallest irradiance that reaches a Rec.709 brightness, both 0..1.
+
+    ITU-R BT.709 defines brightness 4.5 E below E = 0.018 and 1.099 E^0.45 - 0.099 from there.  Its
+    rounded constants make brightness jump from 0.0810 to 0.0812 at 0.018: all brightness between
+    is reached there, which is 16 levels of a 16-bit camera.
+    """
+    curved = ((B + 0.099) / 1.099) ** (1 / 0.45)
+    return np.where(B <= 0.081, np.minimum(B / 4.5, 0.018), np.maximum(curved, 0.018))
 
 
 def standard_response(

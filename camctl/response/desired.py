@@ -1,24 +1,36 @@
 """Desired responses: u(E) rises from 0 at e_min = 1/DR to 1 at E = 1.
 
 DR is the dynamic range.  A desired response is a closed form (linear, gamma, constant contrast) or
-a monotone table.  A desired camera with G levels has the response g = G u.  All methods take arrays
-of irradiance (float64, any shape, within [e_min, 1]) and return arrays of the same shape.
+a monotone table (`camctl.response.tabulated`).  A desired camera with G levels has the response
+g = G u.  All methods take arrays of irradiance (float64, any shape, within [e_min, 1]) and return
+arrays of the same shape.
 """
 
 from __future__ import annotations
 
-import hashlib
 import math
 from abc import ABC, abstractmethod
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from camctl.errors import DataError, UsageError, unknown_name
+from camctl.errors import UsageError, unknown_name
 from camctl.response.camera import FloatArray
 
 RANGES: dict[str, float] = {"low": 256.0, "medium": 1000.0, "high": 16000.0}
 RESPONSES: tuple[str, ...] = ("linear", "gamma", "log")
+
+MAX_RANGE = 1e12
+"""Largest finite dynamic range: 40 stops, more than any scene has."""
+
+
+def check_range(dynamic_range: float) -> None:
+    """Raise `UsageError` unless a dynamic range is above 1 and at most `MAX_RANGE`, or infinite."""
+    if not (1 < dynamic_range <= MAX_RANGE or dynamic_range == math.inf):
+        raise UsageError(
+            f"invalid dynamic range {dynamic_range:g}: expected a number above 1, "
+            f"at most {MAX_RANGE:,.0f}"
+        )
 
 
 class DesiredResponse(ABC):
@@ -33,7 +45,7 @@ class DesiredResponse(ABC):
         knots: (K,) float64 strictly inside (e_min, 1), where the slope of a table changes
 
     Raises:
-        UsageError: the dynamic range is not above 1
+        UsageError: the dynamic range is not above 1, or is finite and above `MAX_RANGE`
     """
 
     name: str
@@ -41,8 +53,7 @@ class DesiredResponse(ABC):
     knots: FloatArray = np.empty(0)
 
     def __init__(self, dynamic_range: float) -> None:
-        if math.isnan(dynamic_range) or dynamic_range <= 1:
-            raise UsageError(f"invalid dynamic range {dynamic_range:g}: expected a number above 1")
+        check_range(dynamic_range)
         self.dynamic_range = float(dynamic_range)
         self.e_min = 1.0 / self.dynamic_range
 
@@ -144,13 +155,17 @@ class GammaDesired(DesiredResponse):
         return np.asarray(np.clip(power ** (1 / self.gamma), self.e_min, 1.0))
 
     def rise(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Return u(b) - u(a): (b - a) / (sqrt a + sqrt b) for the square root, else by expm1."""
+        """Return u(b) - u(a): (b - a) / (sqrt a + sqrt b) for the square root, else by expm1.
+
+        b^gamma - a^gamma = -b^gamma expm1(-gamma ln(b/a)), in which nothing overflows: b <= 1, and
+        expm1 of a negative number is at least -1.
+        """
         if self.gamma == 0.5:
             root = np.sqrt(a) + np.sqrt(b)
             return (b - a) / np.where(root > 0, root, 1.0) / self._span
         positive = np.where(a > 0, a, 1.0)
-        near = positive**self.gamma * np.expm1(self.gamma * np.log1p((b - a) / positive))
-        return np.where(a > 0, near, b**self.gamma) / self._span
+        share = -np.expm1(-self.gamma * np.log1p((b - a) / positive))
+        return b**self.gamma * np.where(a > 0, share, 1.0) / self._span
 
     def slope(self, E: FloatArray) -> FloatArray:
         """Return du/dE, infinite at E = 0 if gamma < 1."""
@@ -160,7 +175,8 @@ class GammaDesired(DesiredResponse):
 
     def inverse_slope(self, slope: FloatArray) -> FloatArray:
         """Return E with du/dE = slope."""
-        return np.asarray((slope * (self._span / self.gamma)) ** (1 / (self.gamma - 1)))
+        with np.errstate(over="ignore"):  # values that overflow lie above E = 1
+            return np.asarray((slope * (self._span / self.gamma)) ** (1 / (self.gamma - 1)))
 
 
 class LogDesired(DesiredResponse):
@@ -209,77 +225,6 @@ class LogDesired(DesiredResponse):
         return 1 / (slope * self._span)
 
 
-class TabulatedDesired(DesiredResponse):
-    """A monotone table, linear between its points; see `tabulated_desired`."""
-
-    def __init__(self, irradiance: ArrayLike, u: ArrayLike, name: str) -> None:
-        E = np.array(irradiance, dtype=np.float64)
-        values = np.array(u, dtype=np.float64)
-        if E.ndim != 1 or E.shape != values.shape or E.size < 2:
-            raise DataError(
-                f"invalid desired response '{name}': expected two or more pairs (irradiance, u)"
-            )
-        if not (np.all(np.isfinite(E)) and np.all(np.isfinite(values))):
-            raise DataError(f"invalid desired response '{name}': a number is not finite")
-        if np.any(np.diff(E) <= 0) or E[0] <= 0:
-            raise DataError(
-                f"invalid desired response '{name}': irradiance must be positive and increase "
-                "from row to row"
-            )
-        if np.any(np.diff(values) < 0) or values[-1] <= values[0]:
-            raise DataError(
-                f"invalid desired response '{name}': u must not decrease and must not be constant"
-            )
-        super().__init__(float(E[-1] / E[0]))
-        self.name = name
-        self._E = E / E[-1]
-        self.e_min = float(self._E[0])
-        self._u = (values - values[0]) / (values[-1] - values[0])
-        self._slopes = np.diff(self._u) / np.diff(self._E)
-        self.knots = self._E[1:-1]
-
-    @property
-    def key(self) -> str:
-        """The name, and the start of a hash of the table."""
-        data = np.concatenate([self._E, self._u]).astype("<f8").tobytes()
-        return f"{self.name}#{hashlib.sha256(data).hexdigest()[:16]}"
-
-    @property
-    def description(self) -> str:
-        """Name and range in one line, for messages."""
-        return f"{self.name}, {self._E.size} points, range 1:{self.dynamic_range:g}"
-
-    def u(self, E: ArrayLike) -> FloatArray:
-        """Return u at E, clamped."""
-        return np.asarray(np.interp(np.asarray(E, dtype=np.float64), self._E, self._u))
-
-    def inverse(self, u: ArrayLike) -> FloatArray:
-        """Return E with u(E) = u; on a flat run, its left end."""
-        target = np.clip(np.asarray(u, dtype=np.float64), 0.0, 1.0)
-        right = np.maximum(np.searchsorted(self._u, target, side="left"), 1)
-        left = right - 1
-        height = self._u[right] - self._u[left]
-        share = (target - self._u[left]) / np.where(height > 0, height, 1.0)
-        return np.asarray(self._E[left] + share * (self._E[right] - self._E[left]))
-
-    def rise(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Return u(b) - u(a), by the slope where a and b lie between the same points."""
-        same = self._piece(a) == self._piece_below(b)
-        return np.where(same, self.slope(a) * (b - a), self.u(b) - self.u(a))
-
-    def slope(self, E: FloatArray) -> FloatArray:
-        """Return du/dE; at a knot, the slope to the right of it."""
-        return np.asarray(self._slopes[self._piece(E)])
-
-    def _piece(self, E: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
-        last = self._slopes.size - 1
-        return np.clip(np.searchsorted(self._E, E, side="right") - 1, 0, last)
-
-    def _piece_below(self, E: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
-        last = self._slopes.size - 1
-        return np.clip(np.searchsorted(self._E, E, side="left") - 1, 0, last)
-
-
 def desired_response(
     name: str, dynamic_range: float | str, *, gamma: float | None = None
 ) -> DesiredResponse:
@@ -315,25 +260,3 @@ def desired_response(
             hint="choose the response 'gamma', or leave gamma out",
         )
     return LinearDesired(dynamic_range) if name == "linear" else LogDesired(dynamic_range)
-
-
-def tabulated_desired(
-    irradiance: ArrayLike, u: ArrayLike, *, name: str = "table"
-) -> DesiredResponse:
-    """Return a desired response given by points, linear between them.
-
-    The last irradiance over the first is the dynamic range.  Irradiance is scaled so that the last
-    is E = 1, and u so that it goes from 0 to 1.
-
-    Args:
-        irradiance: (K,) increasing, > 0, K >= 2
-        u: (K,) not decreasing, not constant: the desired brightness at each irradiance, any unit
-        name: name shown to people
-
-    Raises:
-        DataError: the points do not meet these conditions
-
-    >>> tabulated_desired([0.01, 0.1, 1.0], [0, 3, 4]).u([0.01, 0.1, 1.0]).tolist()
-    [0.0, 0.75, 1.0]
-    """
-    return TabulatedDesired(irradiance, u, name)

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camctl.errors import DataError, UsageError
+from camctl.input_files import read_input_text
 from camctl.response.camera import CameraResponse, FloatArray, check_quantiser, quantiser_name
-from camctl.response.desired import DesiredResponse, tabulated_desired
+from camctl.response.desired import DesiredResponse
+from camctl.response.tabulated import tabulated_desired
 
 MAX_REPAIR = 0.05
 """Largest change that the isotonic fit may make to a point, as a share of the curve's range.
@@ -182,15 +184,6 @@ class ResponseModel:
         return measured_response(self.irradiance, curve, bits=bits, phase=phase, name=name)
 
 
-def _read_text(path: Path, subject: str) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot read {subject} {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise DataError(f"cannot read {subject} {path}: not a text file") from error
-
-
 def read_columns(path: str | Path, second: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the two columns of a text file, irradiance and the column that `second` names.
 
@@ -201,7 +194,7 @@ def read_columns(path: str | Path, second: str) -> tuple[tuple[float, ...], tupl
     """
     path = Path(path)
     rows: list[tuple[float, float]] = []
-    for number, line in enumerate(_read_text(path, "curve").splitlines(), 1):
+    for number, line in enumerate(read_input_text(path, "curve").splitlines(), 1):
         fields = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
         if not fields:
             continue
@@ -224,11 +217,13 @@ def read_columns(path: str | Path, second: str) -> tuple[tuple[float, ...], tupl
     return irradiance, other
 
 
-def read_curve(path: str | Path, *, bits: int = 8, phase: float = 0.0) -> CameraResponse:
+def read_curve(
+    path: str | Path, *, bits: int = 8, phase: float = 0.0, levels: int | None = None
+) -> CameraResponse:
     """Return a measured response from a text file of two columns, irradiance and brightness.
 
-    Columns are separated by blanks, tabs, commas or semicolons; ``#`` starts a comment.  `bits` and
-    `phase` are those of `measured_response`.
+    Columns are separated by blanks, tabs, commas or semicolons; ``#`` starts a comment.  `bits`,
+    `phase` and `levels` are those of `measured_response`.
 
     Raises:
         UsageError: bits or phase are out of range
@@ -237,7 +232,12 @@ def read_curve(path: str | Path, *, bits: int = 8, phase: float = 0.0) -> Camera
     path = Path(path)
     irradiance, brightness = read_columns(path, "brightness")
     return measured_response(
-        irradiance, brightness, bits=bits, phase=phase, name=f"curve {path.name}"
+        irradiance,
+        brightness,
+        bits=bits,
+        phase=phase,
+        levels=levels,
+        name=f"curve {path.name}",
     )
 
 
@@ -255,7 +255,7 @@ def read_desired(path: str | Path) -> DesiredResponse:
     return tabulated_desired(irradiance, brightness, name=path.name)
 
 
-_HEADING = re.compile(r"^\s*(E|f0|h\s*\(\s*(\d+)\s*\))\s*=(.*)$")
+_HEADING = re.compile(r"^\s*(E|f0|h\s*\(\s*(\d{1,4})\s*\))\s*=(.*)$")
 
 
 def read_response_model(path: str | Path) -> ResponseModel:
@@ -270,7 +270,7 @@ def read_response_model(path: str | Path) -> ResponseModel:
     path = Path(path)
     blocks: dict[str, list[float]] = {}
     current: list[float] | None = None
-    for number, line in enumerate(_read_text(path, "response model").splitlines(), 1):
+    for number, line in enumerate(read_input_text(path, "response model").splitlines(), 1):
         rest = line
         if heading := _HEADING.match(line):
             key = f"h{heading[2]}" if heading[2] else heading[1]

@@ -8,15 +8,10 @@ the slot number of each frame, for example from the device's sequence numbers.  
 makes a numbered source of a stream that has only timestamps.
 """
 
+from camctl.streaming.control_delay import ControlDelay, DelayOrigin
 from camctl.streaming.frame_clock import FrameClock, TimestampedSource, TimestampedStream
-from camctl.streaming.pipeline import (
-    ControlDelay,
-    DelayOrigin,
-    ExposurePipeline,
-    Shot,
-    mean_brightness,
-)
-from camctl.streaming.source import FrameStamp, NumberedSource, Written
+from camctl.streaming.pipeline import ExposurePipeline, Shot, resting_setting
+from camctl.streaming.source import FrameStamp, NumberedSource, Written, mean_brightness
 
 __all__ = [
     "ControlDelay",
@@ -30,4 +25,5 @@ __all__ = [
     "TimestampedStream",
     "Written",
     "mean_brightness",
+    "resting_setting",
 ]

@@ -1,14 +1,16 @@
-"""Slot numbers from timestamps, for streams without sequence numbers.
+"""Slot numbers from timestamps, and from the driver's sequence numbers where there are any.
 
 Counting the frames that were read gives no slot numbers: frames are lost and discarded.  A camera
 that keeps its frame rate shows in its timestamps how many slots have passed: the frame of slot k
-ends at its timestamp, and slot k + 1 is exposed from then on.
+ends at its timestamp, and slot k + 1 is exposed from then on.  A sequence number counts the frames
+that reached the driver: it shows which were lost there, but not which the camera never sent.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from itertools import pairwise
 from statistics import median
 from typing import Generic, Protocol, TypeVar
@@ -24,6 +26,10 @@ DataT_co = TypeVar("DataT_co", covariant=True)
 #: A gap between timestamps may differ from a whole number of intervals by this share of one, which
 #: is more than their jitter; 0.5 would accept every gap.
 _GAP_TOLERANCE = 0.35
+#: The same where the sequence numbers show the same number of slots.
+_COUNTED_TOLERANCE = 0.5
+#: Sequence numbers have 32 bits and begin again at 0.
+_SEQUENCES = 2**32
 #: A measured interval that differs by more than this share from the announced one is another rate.
 _RATE_TOLERANCE = 0.1
 #: The interval is the median of the last gaps: of at most, and at least, this number of them.
@@ -67,22 +73,37 @@ class FrameClock:
         self.number: int | None = None
         self.time_s = -math.inf
         self._gaps: deque[float] = deque(maxlen=_MOST_GAPS)
+        self._sequence: int | None = None
 
-    def add(self, time_s: float) -> FrameStamp:
-        """Return the number of the frame with this timestamp."""
+    def add(self, time_s: float, sequence: int | None = None) -> FrameStamp:
+        """Return the number of the frame with this timestamp, and sequence number if it has one.
+
+        Both numbers must agree in how many slots have passed, or the timestamps alone must be
+        clear and show more than the sequence numbers: frames that the camera did not send.
+        """
         last, self.time_s = self.time_s, time_s
+        counted = self._counted(sequence)
         if self.number is None:
             self.number = 0
             return FrameStamp(0, time_s, is_certain=False)
         gap = (time_s - last) / self.interval_s
-        passed = max(1, round(gap))
+        passed = max(1, round(gap), counted)
         self.number += passed
-        is_certain = abs(gap - passed) <= _GAP_TOLERANCE
+        tolerance = _COUNTED_TOLERANCE if passed == counted else _GAP_TOLERANCE
+        is_certain = abs(gap - passed) <= tolerance
         if is_certain:
             self._gaps.append((time_s - last) / passed)
             if len(self._gaps) >= _FEWEST_GAPS:
                 self.interval_s = median(self._gaps)
         return FrameStamp(self.number, time_s, is_certain)
+
+    def _counted(self, sequence: int | None) -> int:
+        """Return how many frames the driver has counted since the last; 0 where that is unknown."""
+        last, self._sequence = self._sequence, sequence
+        if last is None or sequence is None:
+            return 0
+        passed = (sequence - last) % _SEQUENCES
+        return passed if passed < _SEQUENCES // 2 else 0
 
     def estimate_interval(self, times_s: list[float]) -> bool:
         """Estimate the interval from consecutive timestamps; False where they do not allow it.
@@ -149,15 +170,25 @@ class TimestampedStream(Generic[DataT]):
         source: the running stream
         clock: on which its timestamps are
         interval_s: time from frame to frame as announced, s
+        sequence: the driver's number of the frame grabbed last, where the stream has such numbers
 
     Attributes:
         frame_clock: numbers the frames
+        arrival_s: from the end of an exposure to the arrival of its frame, as measured by `start`
     """
 
-    def __init__(self, source: TimestampedSource[DataT], clock: Clock, interval_s: float) -> None:
+    def __init__(
+        self,
+        source: TimestampedSource[DataT],
+        clock: Clock,
+        interval_s: float,
+        sequence: Callable[[], int | None] = lambda: None,
+    ) -> None:
         self._source = source
+        self._sequence = sequence
         self._clock = clock
         self.frame_clock = FrameClock(interval_s)
+        self.arrival_s = 0.0
         self._write_window = (0.0, _WRITE_UNTIL)
 
     def start(self) -> None:
@@ -167,9 +198,12 @@ class TimestampedStream(Generic[DataT]):
             CameraProtocolError: the timestamps are not on the clock, or not regular
         """
         for _ in range(_ATTEMPTS):
-            times_s, delays_s = [], []
+            times_s: list[float] = []
+            delays_s: list[float] = []
+            sequences: list[int | None] = []
             for _ in range(_FIRST_FRAMES):
                 times_s.append(self._source.grab())
+                sequences.append(self._sequence())
                 delays_s.append(self._clock.now() - times_s[-1])
             if not abs(delays_s[-1]) < _SAME_CLOCK_S:
                 raise CameraProtocolError(
@@ -177,15 +211,16 @@ class TimestampedStream(Generic[DataT]):
                     hint="use another camera, or a newer kernel",
                 )
             if self.frame_clock.estimate_interval(times_s):
-                for time_s in times_s:
-                    self.frame_clock.add(time_s)
-                self._write_window = _write_window(min(delays_s) / self.frame_clock.interval_s)
+                for time_s, sequence in zip(times_s, sequences, strict=True):
+                    self.frame_clock.add(time_s, sequence)
+                self.arrival_s = max(0.0, min(delays_s))
+                self._write_window = _write_window(self.arrival_s / self.frame_clock.interval_s)
                 return
         raise irregular_frames()
 
     def next_frame(self) -> FrameStamp:
         """Wait for the next frame and number it."""
-        return self.frame_clock.add(self._source.grab())
+        return self.frame_clock.add(self._source.grab(), self._sequence())
 
     def read(self) -> DataT | None:
         """Return the frame that arrived last; None where it is damaged."""

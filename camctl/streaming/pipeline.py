@@ -4,31 +4,28 @@ The pipeline records for each setting that it wrote the first slot that may have
 slot that must have it, as libcamera's DelayedControls does for its sensors.  A frame belongs to a
 setting if its slot lies at or after the one in which the setting is in force at the latest, and
 before the one in which the next setting may be in force.  All other frames are discarded, so that a
-frame of unknown exposure is never yielded; a setting that is left without a frame is written again.
+frame of unknown exposure is never yielded.  A setting whose frame was lost or damaged is written
+again while the frames of those after it still come: it costs one slot.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import Generic, Self, TypeVar
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from heapq import heappop, heappush
+from typing import Generic, TypeVar
 
-import numpy as np
-
-from camctl.camera import Pixels
-from camctl.controls import ExposureSetting
+from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError
-from camctl.profile import DelayRecord
+from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay, DelayOrigin
 from camctl.streaming.source import NumberedSource, irregular_frames
 
 DataT = TypeVar("DataT")
 
-#: Largest delay, in frames, that is assumed where none was measured: twice that of usual webcams.
-_ASSUMED_LARGEST = 6
 #: Frames for which `step` waits at the first setting: it must not rely on a delay that it measures.
-_STEP_SETTLING = _ASSUMED_LARGEST + 2
+_STEP_SETTLING = ASSUMED_LARGEST + 2
 #: Two frames have the same exposure if their brightnesses differ by at most this share of the
 #: brightness, or of full scale: more than the noise of a mean, less than a step of exposure.
 _SAME_RELATIVE, _SAME_OF_FULL_SCALE = 0.02, 0.002
@@ -36,57 +33,6 @@ _SAME_RELATIVE, _SAME_OF_FULL_SCALE = 0.02, 0.002
 _ATTEMPTS = 16
 #: Old frames that are dropped at once at most: more than any driver has buffers.
 _OLD_FRAMES = 100
-#: Samples of which `mean_brightness` takes the mean, about: noise averages out to 1/128.
-_SAMPLES = 1 << 14
-
-
-class DelayOrigin(StrEnum):
-    """How the bounds of a control delay are known."""
-
-    GUARANTEED = "guaranteed"  # by the device's specification
-    MEASURED = "measured"  # in a limited number of trials
-    ASSUMED = "assumed"  # not at all
-
-
-@dataclass(frozen=True)
-class ControlDelay:
-    """Bounds of a camera's control delay.
-
-    Attributes:
-        smallest, largest: of the delay, frames
-        origin: how they are known
-    """
-
-    smallest: int
-    largest: int
-    origin: DelayOrigin = DelayOrigin.MEASURED
-
-    @classmethod
-    def from_record(cls, record: DelayRecord | None) -> Self:
-        """Return the delay that a profile records; None: the delay was never measured."""
-        if record is None:
-            return cls(0, _ASSUMED_LARGEST, DelayOrigin.ASSUMED)
-        return cls(record.smallest, record.largest)
-
-    @property
-    def frames(self) -> int | None:
-        """The delay if it is known and constant, for `ExposureControls.delay_frames`; else None."""
-        is_constant = self.smallest == self.largest and self.origin is not DelayOrigin.ASSUMED
-        return self.largest if is_constant else None
-
-    def notes(self, camera_id: str) -> tuple[str, ...]:
-        """Return what a person should know of the delay, for `ExposureControls.notes`."""
-        if self.origin is DelayOrigin.ASSUMED:
-            return (
-                "control delay not measured: the stream settles after each exposure; run camctl "
-                f"calibrate delay --camera {camera_id}",
-            )
-        if self.frames is None:
-            return (
-                f"the control delay is not constant ({self.smallest} to {self.largest} frames): "
-                "the stream settles after each exposure",
-            )
-        return ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +95,9 @@ class ExposurePipeline(Generic[DataT]):
             raise ValueError("brightness is needed unless the control delay is guaranteed")
         self._steps = 0
 
-    def shoot(self, settings: Sequence[ExposureSetting]) -> Generator[Shot[DataT], None, None]:
+    def shoot(
+        self, settings: Sequence[ExposureSetting], rest: ExposureSetting | None = None
+    ) -> Generator[Shot[DataT], None, None]:
         """Yield a frame for each setting, in order.
 
         With a constant delay of d frames, n settings take n + d frames: one setting is written in
@@ -157,13 +105,16 @@ class ExposurePipeline(Generic[DataT]):
         yielded, and settles: the largest delay passes and, unless that is guaranteed, two
         consecutive frames have the same brightness.
 
+        At the end `rest` is written, which costs no time: where a slot is as long as its exposure,
+        the next request then waits for short slots.
+
         Raises:
             CameraProtocolError: too many frames are lost, or the brightness does not settle
             CameraError: as the source raises; frames of earlier settings are yielded before that
         """
         if self._delay.frames is not None:
-            return self._pipelined(settings)
-        return self._settled_each(settings)
+            return self._pipelined(settings, rest)
+        return self._settled_each(settings, rest)
 
     def step(
         self, before: ExposureSetting, after: ExposureSetting, frames: int
@@ -194,8 +145,13 @@ class ExposurePipeline(Generic[DataT]):
                 return shots
         raise irregular_frames()
 
-    def _pipelined(self, settings: Sequence[ExposureSetting]) -> Generator[Shot[DataT], None, None]:
+    def _pipelined(
+        self, settings: Sequence[ExposureSetting], rest: ExposureSetting | None
+    ) -> Generator[Shot[DataT], None, None]:
+        to_write = settings if rest is None else (*settings, rest)
+        unwritten = list(range(len(to_write)))  # a heap: a setting without a frame comes first
         pending: deque[_Pending] = deque()
+        taken: dict[int, Shot[DataT]] = {}  # frames that wait for one of a setting before theirs
         done = attempts = 0
         while done < len(settings):
             if attempts > _ATTEMPTS:
@@ -203,35 +159,46 @@ class ExposurePipeline(Generic[DataT]):
             if not pending:
                 attempts += 1
                 self._drop_old_frames()
-            self._write_next(pending, settings, done)
+            self._write_next(pending, to_write, unwritten)
             if not pending:  # the time to write has just passed
                 continue
             if (error := pending[0].error) is not None:
-                raise error
+                if not unwritten or unwritten[0] > pending[0].index:
+                    raise error
+                _write_again(pending, 1, unwritten)
+                continue
             stamp = self._source.next_frame()
             if not stamp.is_certain:
-                pending.clear()
+                _write_again(pending, len(pending), unwritten)
                 continue
-            if stamp.number < pending[0].latest:
-                continue
-            if len(pending) > 1 and stamp.number >= pending[1].earliest:
-                pending.clear()  # the frame of this setting was lost
+            lost = sum(stamp.number >= later.earliest for later in list(pending)[1:])
+            attempts += lost
+            _write_again(pending, lost, unwritten)
+            if stamp.number < pending[0].latest or pending[0].error is not None:
                 continue
             # The next setting is written before the frame is yielded: the caller may take long.
-            self._write_next(pending, settings, done)
+            self._write_next(pending, to_write, unwritten)
             data = self._source.read()
             if data is None:
                 attempts += 1
+                # The last setting stays in force: the next frame has it, too.
+                _write_again(pending, len(pending) > 1, unwritten)
                 continue
             shot = pending.popleft()
-            yield Shot(shot.index, shot.applied, stamp.time_s, data)
-            done, attempts = done + 1, 0
+            taken[shot.index] = Shot(shot.index, shot.applied, stamp.time_s, data)
+            while done in taken:
+                yield taken.pop(done)
+                done, attempts = done + 1, 0
 
     def _settled_each(
-        self, settings: Sequence[ExposureSetting]
+        self, settings: Sequence[ExposureSetting], rest: ExposureSetting | None
     ) -> Generator[Shot[DataT], None, None]:
         for index, setting in enumerate(settings):
-            yield self._settled(self._write_now(index, setting))
+            shot = self._settled(self._write_now(index, setting))
+            if rest is not None and index + 1 == len(settings):
+                with suppress(CameraError):  # what was asked for has been shot
+                    self._source.write(rest)
+            yield shot
 
     def _settled(self, written: _Pending) -> Shot[DataT]:
         """Return the first frame after the delay, or the second of two that are equally bright."""
@@ -287,15 +254,18 @@ class ExposurePipeline(Generic[DataT]):
         raise irregular_frames()
 
     def _write_next(
-        self, pending: deque[_Pending], settings: Sequence[ExposureSetting], done: int
+        self,
+        pending: deque[_Pending],
+        settings: Sequence[ExposureSetting],
+        unwritten: list[int],
     ) -> None:
         """Write the next setting if there is one and the current slot has none yet."""
-        index = done + len(pending)
-        if index >= len(settings) or (pending and pending[-1].error is not None):
+        if not unwritten or (pending and pending[-1].error is not None):
             return
         upcoming = self._source.upcoming()
         if upcoming is None or (pending and upcoming <= pending[-1].slot):
             return
+        index = heappop(unwritten)
         try:
             pending.append(self._write(index, settings[index]))
         except CameraError as error:
@@ -320,7 +290,20 @@ class ExposurePipeline(Generic[DataT]):
         )
 
 
-def mean_brightness(pixels: Pixels, full_scale: int) -> float:
-    """Return the mean of about 16,000 samples of a frame, as a share of `full_scale`, DN."""
-    step = max(1, int((pixels.size / _SAMPLES) ** 0.5))
-    return float(np.mean(pixels[::step, ::step])) / full_scale
+def _write_again(pending: deque[_Pending], count: int, unwritten: list[int]) -> None:
+    """Put the first `count` settings that were written back among those to be written."""
+    for _ in range(count):
+        heappush(unwritten, pending.popleft().index)
+
+
+def resting_setting(
+    controls: ExposureControls, settings: Sequence[ExposureSetting]
+) -> ExposureSetting | None:
+    """Return the setting in which a stream rests after `settings`; None: as after the last one.
+
+    After frames that take longer than the usual interval it has a time below that.
+    """
+    usual_s = controls.frame_interval_s
+    if not settings or settings[-1].time_s <= usual_s:
+        return None
+    return replace(settings[-1], time_s=controls.time_s.nearest(usual_s / 2))

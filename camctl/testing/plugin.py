@@ -58,7 +58,7 @@ def camctl_camera_factory() -> Iterator[Callable[..., Camera]]:
     with ExitStack() as cameras:
 
         def open_simulated(**options: Any) -> Camera:
-            return cameras.enter_context(open_camera("sim", options))
+            return cameras.enter_context(open_camera("sim", options, profile="none"))
 
         yield open_simulated
 

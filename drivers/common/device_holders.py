@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,16 @@ def holding(node: str) -> Iterator[Holder]:
         allowed = 1 if process.name == str(os.getpid()) else 0
         try:
             if _count(node, process / "fd") > allowed:
-                yield Holder(int(process.name), (process / "comm").read_text().strip())
+                yield Holder(int(process.name), _program(process))
         except OSError:  # the process has ended, or belongs to another user
             continue
+
+
+def _program(process: Path) -> str:
+    """Return the name of a process's program, of which the kernel keeps 15 characters."""
+    kept = (process / "comm").read_text().strip()
+    called = PurePath(os.fsdecode((process / "cmdline").read_bytes().split(b"\0")[0])).name
+    return called if called.startswith(kept) else kept
 
 
 def _count(node: str, descriptors: Path) -> int:

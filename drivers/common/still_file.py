@@ -9,7 +9,6 @@ OpenCV and tifffile are imported when the first file is read, since listing came
 from __future__ import annotations
 
 import io
-import logging
 import re
 import struct
 import zlib
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from camctl.camera import Pixels
 from camctl.controls import Layout
 from camctl.errors import CameraProtocolError, UsageError
+from camctl.library_output import quiet_libraries
 from camctl.profile import StillRecord
 
 # The largest pictures of still cameras (medium format with pixel shift) have 400 million pixels.
@@ -52,9 +52,6 @@ _PATTERNS = {
     "GBRG": Layout.GBRG,
     "BGGR": Layout.BGGR,
 }
-
-# tifffile logs broken tags; without a handler the text would appear beside our own error.
-logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +104,11 @@ def read_still(data: bytes, name: str) -> Still:
         CameraProtocolError: it is damaged, cut short, or of an unknown format
         UsageError: the package that reads this format is not installed
     """
+    with quiet_libraries():
+        return _read(data, name)
+
+
+def _read(data: bytes, name: str) -> Still:
     suffix = PurePath(name).suffix.lower()
     if data.startswith(_JPEG):
         return _read_jpeg(data, name)

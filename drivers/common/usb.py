@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -45,6 +45,17 @@ _RELEASE_IT = (
 )
 _PLUG_IN_AGAIN = "plug it in and switch it on, then try again"
 _SYSFS = Path("/sys/bus/usb/devices")
+
+#: Makes whose own PTP operations the backend ptp knows, by USB vendor.
+PTP_MAKES: Mapping[int, str] = {
+    0x04B0: "Nikon",
+    0x04A9: "Canon",
+    0x054C: "Sony",
+    0x04CB: "Fujifilm",
+    0x07B4: "Olympus",
+    0x33A2: "OM System",
+    0x04DA: "Panasonic",
+}
 
 InterfaceKind: TypeAlias = tuple[int, int, int]
 """(class, subclass, protocol) of an interface."""

@@ -26,6 +26,7 @@ class CoolpixBackend:
     """Opens ``coolpix:PORT``, where PORT is any pyserial URL."""
 
     about = "Nikon CoolPix 990 on a serial port, looked for with --probe; any pyserial URL opens"
+    local_address = r"/dev/(tty|cu\.)[\w.-]+|/dev/serial/by-(id|path)/[\w.:+-]+|COM\d+"
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras that answer on the machine's serial ports; none without `probe`."""

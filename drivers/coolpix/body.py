@@ -57,6 +57,7 @@ class Shot:
         still: its contents
         applied: the setting read back before the shutter was released
         taken_s: when the camera reported the end of the exposure, on the clock
+        download_s: how long the file took to be transferred and decoded
         found_again: True if it was taken before the line was disconnected, and downloaded after
         left_on_card: name of a picture that was taken and not downloaded, or ""
     """
@@ -66,6 +67,7 @@ class Shot:
     still: Still
     applied: ExposureSetting
     taken_s: float
+    download_s: float
     found_again: bool
     left_on_card: str
 
@@ -150,7 +152,9 @@ class CoolpixBody:
                 picture = self._release(setting)
             pending = self._pending
             assert pending is not None
+            began_s = self._clock.now()
             data, still = download(self.sierra, picture, self._progress)
+            download_s = self._clock.now() - began_s
             self._check_file(data, picture, pending.applied)
         except SessionOverError:
             raise
@@ -158,7 +162,16 @@ class CoolpixBody:
             self._is_connected = False
             raise self._with_pending(error) from error
         left, self._left_on_card, self._pending = self._left_on_card, "", None
-        return Shot(picture.name, data, still, pending.applied, pending.taken_s, is_found, left)
+        return Shot(
+            name=picture.name,
+            data=data,
+            still=still,
+            applied=pending.applied,
+            taken_s=pending.taken_s,
+            download_s=download_s,
+            found_again=is_found,
+            left_on_card=left,
+        )
 
     def fetch_newest(self) -> tuple[str, Still] | None:
         """Return name and contents of the newest picture; None if its format or size differs."""

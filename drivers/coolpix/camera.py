@@ -7,12 +7,13 @@ from typing import Annotated, Literal
 
 from pydantic import field_validator
 
+from camctl.backends import LowerCase
 from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile
-from camctl.clock import Clock, RealClock
+from camctl.clock import CaptureTiming, Clock, RealClock
 from camctl.controls import Choices, ExposureControls, ExposureSetting
 from camctl.profile import StillRecord
 from camctl.response.camera import named_response
-from drivers.common.still_camera import LowerCase, StillOptions
+from drivers.common.still_camera import StillOptions, StillTimes
 from drivers.coolpix.body import CoolpixBody, Shot
 from drivers.coolpix.pictures import KnownFiles, Progress
 from drivers.coolpix.sierra.packets import SPEEDS, RefusedCommandError, Register
@@ -91,6 +92,7 @@ class CoolpixCamera(CameraBase):
         try:
             self._info = identity(self._body.sierra, self._url)
             self._files = KnownFiles(self._info, self._options.format)
+            self._times_taken = StillTimes(self._info, self._options.format)
         except BaseException:
             self._body.close()
             raise
@@ -118,6 +120,7 @@ class CoolpixCamera(CameraBase):
             black=record.black,
             white=record.white,
             response=named_response(word, record.bits, record.white - record.black),
+            timing=self._times_taken.timing or self._line_timing(),
             tolerance=_TOLERANCE,
             notes=self._notes(),
         )
@@ -126,7 +129,7 @@ class CoolpixCamera(CameraBase):
         controls = self.controls
         for index, setting in enumerate(settings):
             self._check_open()
-            shot = self._body.take(_nearest(controls, setting))
+            shot = self._take(_nearest(controls, setting))
             still = shot.still
             self._files.update(still)
             yield Frame(
@@ -141,6 +144,17 @@ class CoolpixCamera(CameraBase):
                 details=_details(shot),
             )
 
+    def _take(self, setting: ExposureSetting) -> Shot:
+        """Take and download a picture, and keep what it took beside the exposure."""
+        began_s = self._clock.now()
+        shot = self._body.take(setting)
+        rest_s = self._clock.now() - began_s - setting.time_s - shot.download_s
+        if not shot.found_again:
+            self._times_taken.add_exposure(rest_s, 0.0)  # the line does not show when it began
+            self._times_taken.add_download(shot.download_s)
+            self._times_taken.save(overlaps=False)
+        return shot
+
     def _learn_format(self) -> StillRecord:
         """Learn the format of the frames from a picture, taken if there is none of this format."""
         found = self._body.fetch_newest()
@@ -148,7 +162,7 @@ class CoolpixCamera(CameraBase):
             name, still = found
             self._files.notes.append(f"the format of its files was learnt from {name} on its card")
         else:
-            shot = self._body.take(ExposureSetting(self._times.nearest(_TEST_PICTURE_S)))
+            shot = self._take(ExposureSetting(self._times.nearest(_TEST_PICTURE_S)))
             name, still = shot.name, shot.still
             self._files.notes.append(f"{name} was taken to learn the format of its files")
         return self._files.update(still)
@@ -156,6 +170,10 @@ class CoolpixCamera(CameraBase):
     @property
     def _times(self) -> Choices:
         return Choices(tuple(us / _US_PER_S for us in self._body.dials.times_us))
+
+    def _line_timing(self) -> CaptureTiming:
+        """Return what follows from the speed of the line, until a picture was timed."""
+        return CaptureTiming(download_s=self._files.transfer_s(self._body.sierra.link.speed))
 
     def _notes(self) -> tuple[str, ...]:
         notes = [self._files.transfer_note(self._body.sierra.link.speed)]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from camctl.camera import CameraInfo
@@ -58,13 +60,21 @@ class KnownFiles:
                 self.notes.append(problem)
         return record
 
+    @property
+    def _size(self) -> int:
+        """Size of a file in bytes, about."""
+        if self.record is None or self._format != "tiff":
+            return FORMATS[self._format].typical_bytes
+        channels = 3 if self.record.layout is Layout.RGB else 1
+        return self.record.rows * self.record.columns * channels
+
+    def transfer_s(self, speed: int) -> float:
+        """Return about how long the transfer of a file takes at `speed` baud, s."""
+        return self._size * _BITS_PER_BYTE / speed
+
     def transfer_note(self, speed: int) -> str:
         """Return a note on how long the transfer of a file takes at `speed` baud."""
-        size = FORMATS[self._format].typical_bytes
-        if self.record is not None and self._format == "tiff":
-            channels = 3 if self.record.layout is Layout.RGB else 1
-            size = self.record.rows * self.record.columns * channels
-        seconds = size * _BITS_PER_BYTE / speed
+        size, seconds = self._size, self.transfer_s(speed)
         time = f"{seconds / 60:.2g} minutes" if seconds >= 60 else f"{seconds:.2g} s"
         return (
             f"a picture ({self._format}, about {size / 1e6:.2g} MB) takes {time} over the line at "
@@ -74,7 +84,7 @@ class KnownFiles:
 
 @dataclass(frozen=True)
 class CardPicture:
-    """A picture on the card: its number, from 1 (0: there is none), and its name or ""."""
+    """A picture on the card: its number in its folder, from 1 (0: there is none), and its name."""
 
     number: int
     name: str
@@ -86,12 +96,14 @@ class CardPicture:
 
 
 def newest_picture(sierra: Sierra) -> CardPicture:
-    """Return the picture with the highest number in the camera's folder."""
-    number = sierra.get(Register.PICTURES)
-    if number == 0:
-        return CardPicture(0, "")
+    """Return the newest picture, in whatever folder it is.
+
+    Registers 4, set to 0, and 79 tell; register 10 counts the pictures of one folder, and a camera
+    puts a picture into another one when that is full.
+    """
+    number = sierra.get(Register.PICTURE, picture=0)
     try:
-        return CardPicture(number, sierra.text(Register.PICTURE_NAME, picture=number))
+        return CardPicture(number, sierra.text(Register.PICTURE_NAME, picture=0))
     except RefusedCommandError:
         return CardPicture(number, "")
 
@@ -99,11 +111,21 @@ def newest_picture(sierra: Sierra) -> CardPicture:
 def is_next(later: CardPicture, earlier: CardPicture) -> bool:
     """Return whether `later` is the one picture taken since `earlier` was the newest.
 
-    When a folder is full, the camera counts from 1 again in another one.
+    When a folder is full, the camera counts from 1 again in another one; its names go on.
     """
-    is_another = later.name != earlier.name or not later.name
-    follows = later.number == earlier.number + 1
-    return is_another and (follows or 1 == later.number < earlier.number)
+    if later.name == earlier.name and (later.name or later.number == earlier.number):
+        return False
+    restarts = 1 == later.number < earlier.number
+    return later.number == earlier.number + 1 or restarts or _follows(later.name, earlier.name)
+
+
+def _follows(later: str, earlier: str) -> bool:
+    """Return whether the number in a name is the next one: DSCN0101.JPG after DSCN0100.JPG."""
+    numbers = [re.search(r"(\d+)\.\w+$", name) for name in (later, earlier)]
+    if numbers[0] is None or numbers[1] is None:
+        return False
+    width = len(numbers[0][1])
+    return bool(int(numbers[0][1]) == (int(numbers[1][1]) + 1) % 10**width)
 
 
 def wait_for_picture(
@@ -112,9 +134,8 @@ def wait_for_picture(
     """Return the next picture after `before`; None if there is none after `wait_s`."""
     deadline_s = clock.now() + wait_s
     while True:
-        # A camera that is still writing to its card may refuse to count its pictures.
-        number = read_register_or_none(sierra, Register.PICTURES)
-        if number is not None and number != before.number:
+        # A camera that is still writing to its card may refuse to tell.
+        with suppress(RefusedCommandError):
             picture = newest_picture(sierra)
             if is_next(picture, before):
                 return picture

@@ -1,9 +1,11 @@
-"""Still cameras on USB that speak PTP (ISO 15740).
+"""Still cameras on USB and in the network that speak PTP (ISO 15740).
 
-Layers, from the top: `backend` finds cameras; `camera` is the `camctl.camera.Camera`; `sequence`
+Layers, from the top: `backend` finds cameras on USB, and `network_backend` opens those in the
+network; `camera` is the `camctl.camera.Camera`; `sequence`
 and `shooting` take exposures and fetch their files, of the formats in `still_formats`; `body` and
 `properties` perform the operations of the tables in `dialects`, with the scales in `dials`;
-`session` performs transactions; `transport` moves containers; `datasets` and `codes` are the data.
+`session` performs transactions; `usb_transport` and `network_transport` (with `network_link`) move
+their containers, as `transport` states; `datasets` and `codes` are the data.
 """
 
 from drivers.ptp.backend import PtpBackend

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import usb.core
 
 from camctl.camera import CameraInfo
 from camctl.errors import CameraNotFoundError
-from drivers.common.usb import has_interface, no_libusb, typed_usb_errors, usb_identity
+from drivers.common.usb import PTP_MAKES, has_interface, no_libusb, typed_usb_errors, usb_identity
 from drivers.ptp.camera import PtpCamera, PtpOptions
-from drivers.ptp.transport import STILL_IMAGE
+from drivers.ptp.usb_transport import STILL_IMAGE
 
 # Device classes that can have a still-image interface: 0 (each interface states its class), still
 # image itself, composite devices (EF) and vendor-specific ones (FF).
@@ -27,6 +28,7 @@ class PtpBackend:
     """
 
     about = "still cameras on USB that speak PTP: DSLRs, mirrorless, compacts"
+    local_address = r"[\w.-]*|\d+:\d+"
 
     def __init__(self, backend: Any = None) -> None:
         self._backend = backend
@@ -37,7 +39,10 @@ class PtpBackend:
         Raises:
             CameraNotFoundError: libusb is missing
         """
-        return tuple(usb_identity(device, "ptp") for device in self._devices())
+        return tuple(
+            replace(usb_identity(device, "ptp"), remark=_remark(device.idVendor))
+            for device in self._devices()
+        )
 
     def open(self, address: str, options: Mapping[str, str]) -> PtpCamera:
         """Return the open camera at `address`; `options` are those of `PtpOptions`.
@@ -85,6 +90,14 @@ class PtpBackend:
                 f"several cameras match ptp:{address}".rstrip(":"), hint=f"choose one of: {ids}"
             )
         return matching[0]
+
+
+def _remark(vendor: int) -> str:
+    """Return which of the two backends for still cameras to use for a make, and why."""
+    make = PTP_MAKES.get(vendor)
+    if make is None:
+        return "by the standard alone; gphoto2: (pip install 'camctl[gphoto2]') knows more makes"
+    return f"with {make}'s own operations; gphoto2: if its model is refused"
 
 
 def _is_still_camera(device: Any) -> bool:

@@ -5,16 +5,19 @@ The dialects are tables (`drivers.ptp.dialects`); this module performs their ope
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError
 from drivers.ptp.codes import DEVICE_BUSY, OK, Event, Op, Prop, response_error
-from drivers.ptp.datasets import StorageInfo, parse_nikon_events
-from drivers.ptp.dialects import OPENING_TRANSACTION, Source, Step, dialect_of
+from drivers.ptp.datasets import Reader, StorageInfo
+from drivers.ptp.dialects import OPENING_TRANSACTION, Source, Step
 from drivers.ptp.dials import Dial
-from drivers.ptp.properties import Properties
+from drivers.ptp.maker_datasets import parse_nikon_events
+from drivers.ptp.makers import dialect_of
+from drivers.ptp.properties import Properties, unsupported_ignored
 from drivers.ptp.session import Session
 from drivers.ptp.transport import CAPTURE_S
 
@@ -22,7 +25,22 @@ from drivers.ptp.transport import CAPTURE_S
 _LOW_BATTERY_PERCENT = 5
 # Time-out of further events after the first: those that are already there.
 _NEXT_EVENT_S = 0.001
-_ADDED = (Event.OBJECT_ADDED, Event.SONY_OBJECT_ADDED, Event.NIKON_OBJECT_IN_MEMORY)
+# New objects; makers give one number different meanings.
+_ADDED = {
+    "standard": (Event.OBJECT_ADDED,),
+    "nikon": (Event.OBJECT_ADDED, Event.NIKON_OBJECT_IN_MEMORY),
+    "canon": (Event.OBJECT_ADDED,),
+    "sony": (Event.OBJECT_ADDED, Event.SONY_OBJECT_ADDED),
+    "fuji": (Event.OBJECT_ADDED, Event.FUJI_OBJECT_ADDED),
+    "olympus": (Event.OBJECT_ADDED, Event.OLYMPUS_OBJECT_ADDED, Event.OLYMPUS_OBJECT_ADDED_NEW),
+    "panasonic": (
+        Event.OBJECT_ADDED,
+        Event.PANASONIC_OBJECT_ADDED,
+        Event.PANASONIC_OBJECT_IN_MEMORY,
+    ),
+}
+# How long a half-pressed button may take to focus, and the pause between two requests.
+_FOCUS_S, _FOCUS_POLL_S = 10.0, 0.05
 # Property D215 counts waiting pictures; its top bit is set when the first can be fetched.
 _SONY_READY = 0x8000
 
@@ -35,11 +53,13 @@ class CameraEvents:
         added: handles of new objects, including folders
         is_complete: True if an exposure has ended
         is_full: True if the card is full
+        is_busy: True if the camera answered that it is busy
     """
 
     added: tuple[int, ...] = ()
     is_complete: bool = False
     is_full: bool = False
+    is_busy: bool = False
 
 
 class Body:
@@ -56,18 +76,59 @@ class Body:
     def __init__(self, session: Session, name: str) -> None:
         self.session, self._name = session, name
         info = session.info
-        self.dialect = dialect_of(info.vendor_extension, info.make, info.operations)
+        self.dialect = dialect_of(info.vendor_extension, info.make, info.operations, info.model)
         session.maker = self.dialect.name
+        session.correct_info(self.dialect.unlisted, self.dialect.unreliable, ())
         self.properties = Properties(session, self.dialect, name)
-        self._opening_transaction = 0
+        self._opening_transaction = self._way = 0
+        self._has_control = False
         session.after_reopening = self._enter_remote_mode
         self._enter_remote_mode()
-        self.properties.refresh()
+        session.correct_info(frozenset(), frozenset(), self._hidden_properties())
+        self.properties.read_first()
         self.properties.set_presets()
 
     def _enter_remote_mode(self) -> None:
         for step in self.dialect.opening:
             self._do(step, "switch to remote control")
+        self._ready_s = self.session.clock.now() + self.dialect.startup_s
+
+    def image_size(self) -> tuple[int, int] | None:
+        """Return (rows, columns) of the pictures that the camera is set to; None: not stated."""
+        current: object = ""
+        if Prop.IMAGE_SIZE in self.session.info.properties:
+            with unsupported_ignored():
+                current = self.session.description(Prop.IMAGE_SIZE).current
+        match = re.fullmatch(r"(\d+)\s*x\s*(\d+)", str(current), re.IGNORECASE)
+        return (int(match[2]), int(match[1])) if match else None
+
+    def take_control(self, dial: Dial) -> None:
+        """Take over what the mode dial decides, if the shutter time cannot be set otherwise."""
+        description, control = self.properties.description(dial.code), self.dialect.control
+        if control is None or description is None or description.is_writable:
+            return
+        self._has_control = True
+        self._do(control, "give control to the computer")
+        self.properties.refresh()
+
+    def _hidden_properties(self) -> list[int]:
+        """Return the properties that the maker's operations list."""
+        found: list[int] = []
+        for operation, parameters, size in self.dialect.hidden:
+            if operation in self.session.info.operations:
+                with suppress(CameraProtocolError):  # some bodies list it and do not have it
+                    answer = self.session.call(operation, *parameters, task="list its properties")
+                    found += Reader(answer.data, "list of properties").array(size)
+        return found
+
+    def close(self) -> None:
+        """Give the control back to the camera's dials and buttons."""
+        steps = self.dialect.closing
+        if self._has_control and self.dialect.control is not None:
+            steps = (*steps, replace(self.dialect.control, parameters=(0,)))
+        with suppress(CameraError):
+            for step in steps:
+                self._do(step, "end remote control")
 
     # ---- exposures
 
@@ -77,14 +138,32 @@ class Body:
         Raises:
             CameraError: the camera does not take one, with the reason it gives
         """
+        clock = self.session.clock
+        clock.sleep_until(max(clock.now(), self._ready_s))
         self.wait_ready()
-        for steps in self.dialect.releases:
-            if all(step.operation in self.session.info.operations for step in steps):
-                return self._run(steps, silence_s)
-        raise CameraError(
-            f"{self._name} cannot take pictures over USB",
-            hint="choose remote control or PTP in its USB menu; else its model is not supported",
-        )
+        operations = self.session.info.operations
+        ways = [
+            steps
+            for steps in self.dialect.releases
+            if all(step.operation in operations for step in steps)
+        ]
+        if not ways:
+            raise CameraError(
+                f"{self._name} cannot take pictures over USB",
+                hint="choose remote control or PTP in its USB menu; else it is not supported",
+            )
+        first_code = 0
+        for number, steps in enumerate(ways[self._way :], self._way):
+            if first_code and steps[0].operation != ways[number - 1][0].operation:
+                break
+            code = self._run(steps, silence_s)
+            if code in (OK, DEVICE_BUSY):
+                self._way = number
+                return code
+            first_code = first_code or code
+            if code not in self.dialect.retries:
+                break
+        raise self._release_error(first_code)
 
     def open_bulb(self, dial: Dial) -> None:
         """Set the shutter to bulb and open it."""
@@ -120,21 +199,33 @@ class Body:
             self.session.call(ready, task="become ready")
 
     def _run(self, steps: Iterable[Step], silence_s: float) -> int:
+        """Perform steps; return the response code of the first that is not OK, else OK."""
         for step in steps:
             answer = self.session.attempt(
                 step.operation, *step.parameters, data=step.data, silence_s=silence_s
             )
-            if answer.code == DEVICE_BUSY:
-                return answer.code
             if answer.code != OK:
-                raise self._release_error(answer.code)
+                return answer.code
             # Canon's bodies give a result number here; its meaning differs between models.
             if self.dialect.source is Source.EOS_EVENTS and any(answer.parameters[:1]):
                 raise CameraError(
                     f"{self._name} did not take a picture: result {answer.parameters[0]}",
                     hint="set the lens to manual focus (MF), take the lens cap off, check the card",
                 )
+            if step.busy_at is not None and self._wait_for(*step.busy_at) == step.fails_at:
+                raise CameraError(
+                    f"{self._name} did not take a picture: it cannot focus",
+                    hint="set the lens to manual focus (MF), and take the lens cap off",
+                )
         return OK
+
+    def _wait_for(self, code: int, busy: int) -> int | None:
+        """Return the value of a property as soon as it is not `busy`, or after 10 s."""
+        clock = self.session.clock
+        deadline_s = clock.now() + _FOCUS_S
+        while (value := self.properties.number(code)) == busy and clock.now() < deadline_s:
+            clock.sleep_until(clock.now() + _FOCUS_POLL_S)
+        return value
 
     def _release_error(self, code: int) -> CameraError:
         """Return the error for a picture that was not taken."""
@@ -147,6 +238,11 @@ class Body:
         return response_error(code, "take a picture", self._name, self.dialect.name)
 
     def _do(self, step: Step, task: str) -> None:
+        if step.is_optional:
+            if step.operation in self.session.info.operations:
+                with unsupported_ignored():
+                    self._do(replace(step, is_optional=False), task)
+            return
         self.session.call(
             step.operation, *step.parameters, task=task, data=step.data, repeatable=False
         )
@@ -154,56 +250,75 @@ class Body:
     # ---- events
 
     def poll_events(self, wait_s: float) -> CameraEvents:
-        """Return the events since the last poll, after up to `wait_s` if there is none yet."""
+        """Return the events since the last poll, after up to `wait_s` if there is none yet.
+
+        A camera may answer that it is busy during an exposure and the noise reduction after it:
+        that is not an error here.
+        """
         added = self.properties.take_added()
-        complete = full = False
+        complete = full = busy = False
         while (event := self.session.event(wait_s)) is not None:
             wait_s = _NEXT_EVENT_S
             parameter = event.parameters[0] if event.parameters else 0
-            if event.code in _ADDED:
+            if event.code in _ADDED[self.dialect.name]:
                 added.append(parameter)
             complete |= event.code == Event.CAPTURE_COMPLETE
             full |= event.code == Event.STORE_FULL
-        added.extend(self._requested_handles())
-        return CameraEvents(tuple(dict.fromkeys(added)), complete, full)
+        try:
+            added.extend(self._requested_handles())
+        except CameraBusyError:
+            busy = True
+        return CameraEvents(tuple(dict.fromkeys(added)), complete, full, busy)
 
     def _requested_handles(self) -> list[int]:
         """Return handles of new objects that the camera reports on request only."""
         if self.dialect.polled == Op.EOS_EVENTS:
-            self.properties.refresh()
+            self.properties.refresh(busy_s=0)
             return self.properties.take_added()
         if self.dialect.polled == Op.NIKON_EVENTS:
             if Op.NIKON_EVENTS not in self.session.info.operations:
                 return []
-            answer = self.session.call(Op.NIKON_EVENTS, task="report its events")
-            return [handle for event, handle in parse_nikon_events(answer.data) if event in _ADDED]
+            answer = self.session.call(Op.NIKON_EVENTS, task="report its events", busy_s=0)
+            events = parse_nikon_events(answer.data)
+            return [handle for event, handle in events if event in _ADDED["nikon"]]
         if self.dialect.source is Source.SONY_LIST and self.dialect.memory is not None:
-            waiting = self.properties.number(Prop.SONY_OBJECT_IN_MEMORY)
+            waiting = self.properties.number(Prop.SONY_OBJECT_IN_MEMORY, busy_s=0)
             return [self.dialect.memory] if waiting is not None and waiting >= _SONY_READY else []
         return []
 
     # ---- cards
 
+    @property
+    def lists_objects(self) -> bool:
+        """Whether the camera lists the objects on its cards."""
+        listed = Op.GET_OBJECT_HANDLES in self.session.info.operations
+        return listed and self.dialect.lists_objects
+
     def handles(self) -> frozenset[int] | None:
-        """Return all objects on its cards; None if it is busy or does not support the list."""
-        if Op.GET_OBJECT_HANDLES not in self.session.info.operations:
+        """Return all objects on its cards; None if it is busy or does not list them."""
+        if not self.lists_objects:
             return None
         try:
             return self.session.handles(busy_s=0)
         except CameraBusyError:
             return None
 
-    def check_card(self) -> None:
-        """Raise `CameraError` if no card can store a picture."""
+    def check_card(self) -> str | None:
+        """Return a note if the cards say that they are read-only; the release will show it.
+
+        Raises:
+            CameraError: no card has room for a picture
+        """
         if Op.GET_STORAGE_IDS not in self.session.info.operations:
-            return
+            return None
         stores: tuple[StorageInfo, ...] = ()
         with suppress(CameraProtocolError):  # if there is a problem, the release will report it
             stores = self.session.stores()
-        if stores and not any(store.is_writable for store in stores):
-            raise CameraError(f"the card of {self._name} is write-protected", hint="unlock it")
         if stores and all(store.free_bytes == 0 and store.free_images == 0 for store in stores):
             raise CameraError(
                 f"the card of {self._name} is full",
                 hint="make room on it or put another one in",
             )
+        if stores and all(store.is_read_only for store in stores):
+            return "its card says that it is read-only: unlock it if no picture is taken"
+        return None

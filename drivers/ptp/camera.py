@@ -9,17 +9,32 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from camctl.backends import LowerCase
 from camctl.camera import CameraBase, CameraInfo, Frame
 from camctl.clock import Clock, RealClock
 from camctl.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
-from camctl.errors import CameraError, UsageError
+from camctl.errors import CameraError, CameraProtocolError, UsageError
 from camctl.response.camera import named_response
-from drivers.common.still_camera import LowerCase, StillOptions, save_record
-from drivers.common.still_file import read_still
+from drivers.common.known_format import (
+    FormatChangedError,
+    KnownFormat,
+    WrongFormatError,
+    has_size,
+    saved_format,
+)
+from drivers.common.still_camera import (
+    StillOptions,
+    StillTimes,
+    forget_record,
+    save_record,
+    stated_exposure,
+)
+from drivers.common.still_file import Still, read_still
 from drivers.common.usb import device_name, usb_identity
 from drivers.ptp.body import Body
 from drivers.ptp.dialects import STANDARD
@@ -28,16 +43,18 @@ from drivers.ptp.session import Session
 from drivers.ptp.shooting import Shooter
 from drivers.ptp.still_formats import (
     CardPicture,
-    FormatChangedError,
-    KnownFormat,
     format_of,
-    newest_picture,
-    saved_format,
+    is_of_model,
+    key_of,
+    newest_pictures,
 )
-from drivers.ptp.transport import CAPTURE_S, NORMAL_S, UsbTransport
+from drivers.ptp.transport import CAPTURE_S, NORMAL_S, Transport
+from drivers.ptp.usb_transport import UsbTransport
 
 # Shutter time of a picture that is taken to learn the file format, s: short, with little blur.
 _TEST_PICTURE_S = 0.01
+# Pictures of the card that are fetched to learn the format before a test picture is taken.
+_MAX_PICTURES_READ = 2
 # How long `close` waits for a cancelled exposure beyond its exposure time.
 _CLOSE_S = 5.0
 
@@ -80,26 +97,32 @@ class PtpCamera(CameraBase):
         silence_s: float = NORMAL_S,
         capture_s: float = CAPTURE_S,
     ) -> None:
-        name = f"the camera at USB {device.bus:03d}:{device.address:03d}"
-        super().__init__(name, clock if clock is not None else RealClock())
+        super().__init__(
+            f"the camera at {self._place(device)}", clock if clock is not None else RealClock()
+        )
         self._device = device
         self._options = options if options is not None else PtpOptions()
         self._format_name = None if self._options.format == "auto" else self._options.format
         self._silence_s, self._capture_s = silence_s, capture_s
         self._known: KnownFormat | None = None
 
+    @classmethod
+    def _place(cls, device: Any) -> str:
+        return f"USB {device.bus:03d}:{device.address:03d}"
+
     def _open(self) -> None:
-        name = self._name = device_name(self._device)
         self._notes: list[str] = []
         self._controls = self._known = None
         with ExitStack() as undo:
-            transport = UsbTransport(self._device, name, self._clock)
+            transport = self._connect()
             undo.callback(transport.close)
+            name = self._name
             silence_s = self._silence_s
             session = Session(transport, name, self._clock, silence_s=silence_s, busy_s=silence_s)
             session.open()
             undo.callback(session.close)
             self._body = Body(session, name)
+            undo.callback(self._body.close)
             self._dials = self._find_dials()
             self._check_bulb()
             self._sequence = ExposureSequence(
@@ -112,6 +135,11 @@ class PtpCamera(CameraBase):
             self._info = self._identity()
             self._closing = undo.pop_all()
 
+    def _connect(self) -> Transport:
+        """Return the connection to the camera, whose name is then known."""
+        self._name = device_name(self._device)
+        return UsbTransport(self._device, self._name, self._clock)
+
     def _close(self) -> None:
         with self._closing, suppress(CameraError):
             self._sequence.finish_pending(_CLOSE_S)
@@ -119,10 +147,17 @@ class PtpCamera(CameraBase):
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         known = self._known_format()
         try:
-            yield from self._sequence.run(settings, known)
+            yield from self._sequence.run(settings, known, self._times_taken)
+            self._times_taken.save(overlaps=self._sequence.overlaps)
+            self._controls = replace(self.controls, timing=self._times_taken.timing)
         except FormatChangedError as error:
             save_record(self.info, known.format, error.record)
             self._controls = self._known = None
+            raise
+        except WrongFormatError:
+            if self._format_name is None:  # the next sequence takes what the camera saves now
+                forget_record(self.info, known.format)
+                self._controls = self._known = None
             raise
 
     def _identity(self) -> CameraInfo:
@@ -162,6 +197,7 @@ class PtpCamera(CameraBase):
             response = named_response(word, record.bits, record.white - record.black)
             notes.insert(0, f"the response {word} is assumed until it is measured")
         gain, f_number = self._dials.gain, self._dials.f_number
+        self._times_taken = StillTimes(self.info, known.format)
         return ExposureControls(
             time_s=self._times(),
             shape=(record.rows, record.columns),
@@ -172,6 +208,7 @@ class PtpCamera(CameraBase):
             black=record.black,
             white=record.white,
             response=response,
+            timing=self._times_taken.timing,
             notes=tuple(notes),
         )
 
@@ -187,7 +224,8 @@ class PtpCamera(CameraBase):
 
     def _find_dials(self) -> Dials:
         dialect, properties = self._body.dialect, self._body.properties
-        self._body.check_card()
+        note = self._body.check_card()
+        self._notes.extend([note] if note else [])
         dial = properties.dial("time_s", dialect.times)
         if dial is None:
             properties.check_mode(dialect.times[0].code)
@@ -195,6 +233,7 @@ class PtpCamera(CameraBase):
                 f"{self._name} has no shutter time that can be set over USB",
                 hint="turn the mode dial to M; if it is at M, its model is not supported",
             )
+        self._body.take_control(dial)
         properties.check_mode(dial.code)
         dial = properties.dial("time_s", dialect.times) or dial
         if dialect is not STANDARD:
@@ -232,15 +271,39 @@ class PtpCamera(CameraBase):
         return self._known
 
     def _find_format(self) -> KnownFormat:
-        picture = newest_picture(self._body, self._format_name)
-        format_name = self._format_name or (picture.format if picture is not None else None)
-        known = saved_format(self.info, format_name)
-        if known is not None:
+        size = self._body.image_size()
+        for picture in newest_pictures(self._body, self._format_name)[:_MAX_PICTURES_READ]:
+            known = saved_format(self.info, picture.format)
+            if known is None or not has_size(known, size):
+                known = self._format_in(picture)
+            if known is not None and has_size(known, size):
+                return known
+        known = saved_format(self.info, self._format_name)
+        if known is not None and has_size(known, size):
             return known
-        if picture is None:
-            picture = self._take_test_picture()
+        picture = self._take_test_picture()
+        return self._saved(picture, self._read(picture))
+
+    def _format_in(self, picture: CardPicture) -> KnownFormat | None:
+        """Return the format of a picture on the card.
+
+        None if it is damaged, incomplete, or of another model: the card may have been elsewhere.
+        """
+        try:
+            still = self._read(picture, of_model=self.info.model)
+        except CameraProtocolError:
+            return None
+        return self._saved(picture, still)
+
+    def _read(self, picture: CardPicture, of_model: str = "") -> Still:
         data = self._body.session.object(picture.handle, picture.info.size)
-        still = read_still(data, picture.info.name)
+        if not is_of_model(stated_exposure(data).model, of_model):
+            raise CameraProtocolError(
+                f"{picture.info.name} is not a picture of {self._name}", hint="use another card"
+            )
+        return read_still(data, picture.info.name)
+
+    def _saved(self, picture: CardPicture, still: Still) -> KnownFormat:
         problem = save_record(self.info, picture.format, still.record)
         self._notes.extend((*still.notes, *((problem,) if problem else ())))
         return KnownFormat(picture.format, still.record)
@@ -251,8 +314,10 @@ class PtpCamera(CameraBase):
         gain = self._dials.gain
         setting = ExposureSetting(time_s, gain.control.nearest(1.0) if gain is not None else 1.0)
         shot = self._sequence.take(setting, self._format_name)
-        if self._format_name is None and (best := newest_picture(self._body, None)) is not None:
-            return best  # of raw and JPEG, the raw file may be saved last
+        if self._format_name is None:  # of raw and JPEG, the raw file may be saved last
+            for best in newest_pictures(self._body, None):
+                if key_of(best.info) == key_of(shot.info):
+                    return best
         name = format_of(shot.info)
         assert name is not None  # the shooter ignores other objects
         return CardPicture(shot.handle, shot.info, name)

@@ -37,10 +37,14 @@ class Op(IntEnum):
     INITIATE_OPEN_CAPTURE = 0x101C
 
     NIKON_CAPTURE = 0x90C0
+    NIKON_CAMERA_MODE = 0x90C2
     NIKON_EVENTS = 0x90C7
     NIKON_READY = 0x90C8
+    NIKON_PROPERTY_CODES = 0x90CA
+    NIKON_LIVE_VIEW = 0x9201
     NIKON_CAPTURE_TO = 0x9207
     NIKON_TERMINATE_CAPTURE = 0x920C
+    NIKON_CODES = 0x9439
 
     EOS_RELEASE = 0x910F
     EOS_SET_PROPERTY = 0x9110
@@ -59,6 +63,15 @@ class Op(IntEnum):
     SONY_CONTROL = 0x9207
     SONY_PROPERTIES = 0x9209
 
+    OLYMPUS_CAPTURE = 0x9481
+
+    PANASONIC_OPEN = 0x9102
+    PANASONIC_CLOSE = 0x9103
+    PANASONIC_DESCRIPTION = 0x9108
+    PANASONIC_GET = 0x9402
+    PANASONIC_SET = 0x9403
+    PANASONIC_CAPTURE = 0x9404
+
 
 class Event(IntEnum):
     """Events; those of Canon are record types in the answer to EOS_EVENTS."""
@@ -73,12 +86,18 @@ class Event(IntEnum):
     EOS_PROPERTY_CHANGED = 0xC189
     EOS_CHOICES_CHANGED = 0xC18A
     SONY_OBJECT_ADDED = 0xC201
+    FUJI_OBJECT_ADDED = 0xC004
+    OLYMPUS_OBJECT_ADDED = 0xC002
+    OLYMPUS_OBJECT_ADDED_NEW = 0xC102
+    PANASONIC_OBJECT_ADDED = 0xC108
+    PANASONIC_OBJECT_IN_MEMORY = 0xC109
 
 
 class Prop(IntEnum):
     """Device properties."""
 
     BATTERY_LEVEL = 0x5001
+    IMAGE_SIZE = 0x5003
     F_NUMBER = 0x5007
     EXPOSURE_TIME = 0x500D
     EXPOSURE_PROGRAM = 0x500E
@@ -93,11 +112,30 @@ class Prop(IntEnum):
     EOS_ISO = 0xD103
     EOS_PROGRAM = 0xD105
     EOS_DESTINATION = 0xD11C
+    EOS_OUTPUT = 0xD1B0
+
+    FUJI_PRIORITY = 0xD207
+    FUJI_BUTTON = 0xD208
+    FUJI_FOCUS_STATE = 0xD209
+
+    OLYMPUS_APERTURE = 0xD002
+    OLYMPUS_ISO = 0xD007
+    OLYMPUS_PROGRAM = 0xD00C
+    OLYMPUS_SHUTTER = 0xD01C
+    OLYMPUS_CONTROL_MODE = 0xD052
+
+    # Panasonic's codes have 32 bits: what is set, and its description.
+    PANASONIC_ISO = 0x0200_0020
+    PANASONIC_SHUTTER = 0x0200_0030
+    PANASONIC_APERTURE = 0x0200_0040
 
     SONY_SHUTTER = 0xD20D
     SONY_OBJECT_IN_MEMORY = 0xD215
     SONY_BATTERY = 0xD218
     SONY_ISO = 0xD21E
+    SONY_ISO_SET = 0xD226
+    SONY_SHUTTER_SET = 0xD229
+    SONY_PRIORITY = 0xD25A
     SONY_BUTTON_FOCUS = 0xD2C1
     SONY_BUTTON_SHUTTER = 0xD2C2
 
@@ -111,13 +149,19 @@ ALL_STORES = 0xFFFFFFFF
 
 _UNSUPPORTED = "its model is not supported"
 _M_DIAL = "turn the mode dial to M"
+_TO_SHOOTING = f"{_M_DIAL}, and leave playback, menus and movie mode on the camera"
+_LENS = (
+    CameraError,
+    "its lens is not in working position",
+    "extend a retractable lens, turn an aperture ring to its highest number, mount the lens firmly",
+)
 
 # Response code: error type, reason, what to do.
 _STANDARD: dict[int, tuple[type[CameraError], str, str]] = {
     0x2002: (
         CameraProtocolError,
         "it reports a general error",
-        "see the camera's own display: focus, lens cap, card and battery are the usual causes",
+        "see the camera's own display: focus, lens, cap, card and battery are the usual causes",
     ),
     0x2003: (CameraDisconnectedError, "its session is closed", "open it again"),
     0x2004: (CameraProtocolError, "transaction numbers do not match", "open it again"),
@@ -129,11 +173,7 @@ _STANDARD: dict[int, tuple[type[CameraError], str, str]] = {
     0x200A: (CameraProtocolError, "it does not support this property", _UNSUPPORTED),
     0x200C: (CameraError, "its card is full", "make room on the card or put another one in"),
     0x200E: (CameraError, "its card is write-protected", "unlock the card"),
-    0x200F: (
-        CameraError,
-        "it denies access",
-        f"{_M_DIAL}, and leave playback and menus on the camera",
-    ),
+    0x200F: (CameraError, "it denies access", _TO_SHOOTING),
     0x2013: (CameraError, "it has no card", "put a card in and close the lid"),
     0x2019: (CameraBusyError, "it is busy", "wait until its lamp is off, then try again"),
     0x201B: (CameraProtocolError, "the format of the value is wrong", _UNSUPPORTED),
@@ -159,16 +199,19 @@ _MAKERS: dict[str, dict[int, tuple[type[CameraError], str, str]]] = {
     "nikon": {
         0xA001: (CameraError, "it reports a hardware error", "switch it off and on again"),
         0xA002: _OUT_OF_FOCUS,
-        0xA004: (CameraError, "it cannot do that now", _M_DIAL),
+        0xA003: (CameraError, "it does not change to remote control", _TO_SHOOTING),
+        0xA004: (CameraError, "it cannot do that in its present mode", _TO_SHOOTING),
         0xA005: (CameraError, "the property cannot be set now", _M_DIAL),
         0xA008: (CameraError, "its shutter is set to bulb", "set another shutter time"),
         0xA009: (CameraError, "its mirror is up", "set the release mode to single"),
+        0xA00A: _LENS,
         0xA200: (CameraBusyError, "a bulb exposure is running", "wait until it has ended"),
         0xA201: (CameraBusyError, "a silent exposure is running", "wait until it has ended"),
+        0xA202: (CameraBusyError, "it is recording a movie", "stop that, and leave movie mode"),
     },
     "canon": {
         0xA001: (CameraProtocolError, "it does not support this command", _UNSUPPORTED),
-        0xA005: (CameraError, "it refuses", _M_DIAL),
+        0xA005: (CameraError, "it refuses that in its present mode", _TO_SHOOTING),
         0xA006: (CameraError, "its lens is covered", "take the lens cap off"),
         0xA101: _BATTERY,
         0xA102: (CameraBusyError, "the picture is not ready", "try again"),

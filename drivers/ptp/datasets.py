@@ -1,20 +1,15 @@
-"""Datasets of PTP (ISO 15740, section 5) and of makers: parsers, and packers of what we send.
+"""Datasets of PTP (ISO 15740, section 5): parsers, and packers of what we send.
 
 All numbers are little-endian (USB).  Any bytes are parsed into a value or rejected with a
 `CameraProtocolError`; counts are checked against the bytes present before anything is allocated.
-
-Makers do not publish the layouts of their datasets; the parsers read the parts that others have
-found and that taking a picture needs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from camctl.errors import CameraProtocolError
-from drivers.ptp.codes import Event
 
 Value: TypeAlias = int | str | tuple[int, ...]
 
@@ -33,7 +28,8 @@ _INTEGERS: dict[int, tuple[int, bool]] = {
 }
 _ARRAY = 0x4000
 STRING = 0xFFFF
-UINT32 = 0x0006
+_READ_ONLY = 1  # access to a storage; 0: read and write, 2: read and delete
+UINT16, UINT32 = 0x0004, 0x0006
 
 
 class Reader:
@@ -182,9 +178,15 @@ class ObjectInfo:
 
 @dataclass(frozen=True)
 class StorageInfo:
-    """Write access and free space of a card, ISO 15740 section 5.5.3."""
+    """Write access and free space of a card, ISO 15740 section 5.5.3.
 
-    is_writable: bool
+    Attributes:
+        is_read_only: True if neither pictures can be stored nor objects deleted; cards to which
+            a host cannot send files, but which take pictures, say "read-only with object deletion"
+        free_bytes, free_images: free space
+    """
+
+    is_read_only: bool
     free_bytes: int
     free_images: int
 
@@ -195,7 +197,7 @@ class StorageInfo:
         reader.take(2 + 2)  # types of storage and file system
         access = reader.u16()
         reader.take(8)  # capacity
-        return cls(access == 0, reader.integer(8), reader.u32())
+        return cls(access == _READ_ONLY, reader.integer(8), reader.u32())
 
 
 @dataclass(frozen=True)
@@ -248,100 +250,3 @@ def read_form(
 def read_choices(reader: Reader, data_type: int) -> tuple[Value, ...]:
     """Return the values of an enumeration, stored after their 16-bit count."""
     return tuple([reader.value(data_type) for _ in range(reader.u16())])
-
-
-# ---- makers
-
-_EOS_HEADER_BYTES = 8
-_EOS_LIST = 3  # form of a list of choices
-_SONY_FIRST_PROPERTY = 0x5000
-
-
-@dataclass(frozen=True)
-class EosEvents:
-    """The answer to one poll of Canon's events, in the order of its records.
-
-    Attributes:
-        values: (property, number) of properties that changed
-        choices: (property, numbers) of lists of choices that changed
-        added: handles of new objects
-    """
-
-    values: tuple[tuple[int, int], ...]
-    choices: tuple[tuple[int, tuple[int, ...]], ...]
-    added: tuple[int, ...]
-
-    @classmethod
-    def parse(cls, data: bytes) -> EosEvents:
-        """Return the data of operation 9116."""
-        values: list[tuple[int, int]] = []
-        choices: list[tuple[int, tuple[int, ...]]] = []
-        added: list[int] = []
-        for kind, body in _eos_records(data):
-            reader = Reader(body, "event record")
-            if kind == Event.EOS_PROPERTY_CHANGED and reader.left >= 8:
-                values.append((reader.u32(), reader.u32()))
-            elif kind == Event.EOS_CHOICES_CHANGED and reader.left >= 12:
-                code, form, count = reader.u32(), reader.u32(), reader.u32()
-                if form == _EOS_LIST:
-                    choices.append((code, reader.integers(count, 4)))
-            elif kind in (Event.EOS_OBJECT_ADDED, Event.EOS_OBJECT_ADDED_64) and reader.left >= 4:
-                added.append(reader.u32())
-        return cls(tuple(values), tuple(choices), tuple(added))
-
-    def update(self, known: dict[int, PropertyDescription], codes: frozenset[int]) -> None:
-        """Update the descriptions of the properties `codes` in `known`."""
-        for code, number in self.values:
-            if code in codes:
-                before = known.get(code) or PropertyDescription(code, UINT32, False, number)
-                known[code] = replace(before, current=number)
-        for code, numbers in self.choices:
-            if code in codes:
-                before = known.get(code) or PropertyDescription(code, UINT32, False, 0)
-                # A property that cannot be set in this mode lists no choice, or one.
-                known[code] = replace(before, choices=numbers, is_writable=len(numbers) > 1)
-
-
-def _eos_records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield (type, body) of each record up to the one of type 0, which ends the list."""
-    reader = Reader(data, "list of events")
-    while reader.left >= _EOS_HEADER_BYTES:
-        size, kind = reader.u32(), reader.u32()
-        if size < _EOS_HEADER_BYTES:
-            raise reader.invalid(f"a record of {size} bytes")
-        if kind == 0:
-            return
-        yield kind, reader.take(size - _EOS_HEADER_BYTES)
-
-
-def pack_eos_property(code: int, number: int) -> bytes:
-    """Return the data of operation 9110."""
-    return b"".join(part.to_bytes(4, "little") for part in (12, code, number))
-
-
-def parse_sony_properties(data: bytes) -> dict[int, PropertyDescription]:
-    """Return the descriptions in the data of operation 9209, by property."""
-    reader = Reader(data, "list of properties")
-    reader.take(8)  # their number, in a format that differs between bodies
-    found: dict[int, PropertyDescription] = {}
-    while reader.left >= 6:
-        code, data_type, can_set, is_enabled = reader.u16(), reader.u16(), reader.u8(), reader.u8()
-        reader.value(data_type)
-        current = reader.value(data_type)
-        choices, span = read_form(reader, data_type)
-        # Newer bodies append a second list: the choices that can be set now.  Property codes of
-        # Sony start at 5000, so that a smaller number here is the count of that list.
-        if choices and reader.left >= 2 and reader.peek_u16() < _SONY_FIRST_PROPERTY:
-            choices = read_choices(reader, data_type) or choices
-        writable = can_set == 1 and is_enabled == 1
-        found[code] = PropertyDescription(code, data_type, writable, current, choices, span)
-    return found
-
-
-def parse_nikon_events(data: bytes) -> tuple[tuple[int, int], ...]:
-    """Return (event, parameter) of each event in the data of operation 90C7."""
-    reader = Reader(data, "list of events")
-    count = reader.u16() if reader.left else 0
-    if count * 6 > reader.left:
-        raise reader.invalid(f"{count} events in {reader.left} bytes")
-    return tuple((reader.u16(), reader.u32()) for _ in range(count))

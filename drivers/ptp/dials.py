@@ -9,6 +9,7 @@ notes say so.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -18,6 +19,8 @@ from camctl.errors import CameraProtocolError
 from drivers.ptp.datasets import PropertyDescription
 
 _MAX_NUMBER = 0xFFFFFFFF
+# Ranges of some cameras: all numbers of the data type, which says nothing of the settings.
+_ANY_NUMBER = ((0, 0xFFFF, 1), (0, 0xFFFFFFFF, 1))
 
 
 @dataclass(frozen=True)
@@ -29,11 +32,13 @@ class Scale:
         decode: number to SI value (s, linear gain with ISO 100 as 1, f-number); None for numbers
             without one, such as bulb or automatic
         unit: SI value of 1 if numbers are multiples of it, else None
+        set_by: another property through which some bodies set this one
     """
 
     code: int
     decode: Callable[[int], float | None]
     unit: Fraction | None = None
+    set_by: int | None = None
 
 
 # ---- numbers to SI values
@@ -66,31 +71,86 @@ def ratio(number: int) -> float | None:
     return float(Fraction(number >> 16, number & 0xFFFF))
 
 
+# Canon rounds thirds of a stop to eighths: 3 and 5 mean exactly 1/3 and 2/3.
+_EOS_THIRDS = {3: 1 / 3, 5: 2 / 3}
+
+
+def _eos_stops(steps: int) -> float:
+    """Return stops from the difference of Canon's codes to that of a whole stop."""
+    whole, eighths = divmod(steps, 8)
+    return whole + _EOS_THIRDS.get(eighths, eighths / 8)
+
+
 def eos_time(code: int) -> float | None:
-    """Return the seconds of Canon's code, 2^((0x38 - code) / 8); 0x0C is bulb, 0x10 the longest.
+    """Return the seconds of Canon's code, eighths of a stop from 1 s at 0x38; 0x0C is bulb.
 
     >>> eos_time(0x38), eos_time(0x68)
     (1.0, 0.015625)
+    >>> round(eos_time(0x3B), 4)  # a third of a stop less than 1 s, and not 3/8
+    0.7937
     """
-    return 2.0 ** ((0x38 - code) / 8) if 0x10 <= code <= 0xA8 else None
+    return float(2.0 ** -_eos_stops(code - 0x38)) if 0x10 <= code <= 0xA8 else None
 
 
 def eos_f_number(code: int) -> float | None:
-    """Return the f-number of Canon's code, 2^((code - 8) / 16).
+    """Return the f-number of Canon's code, eighths of a stop of light from f/1 at 0x08.
 
     >>> eos_f_number(0x08), eos_f_number(0x28)
     (1.0, 4.0)
     """
-    return 2.0 ** ((code - 8) / 16) if 1 <= code <= 0x78 else None
+    return float(2.0 ** (_eos_stops(code - 0x08) / 2)) if 1 <= code <= 0x78 else None
 
 
 def eos_gain(code: int) -> float | None:
-    """Return the gain of Canon's ISO code, 2^((code - 0x48) / 8); 0 is automatic.
+    """Return the gain of Canon's ISO code, eighths of a stop from ISO 100 at 0x48; 0: automatic.
 
     >>> eos_gain(0x48), eos_gain(0x58)
     (1.0, 4.0)
     """
-    return 2.0 ** ((code - 0x48) / 8) if 0x28 <= code <= 0xB8 else None
+    return float(2.0 ** _eos_stops(code - 0x48)) if 0x28 <= code <= 0xB8 else None
+
+
+# Fuji's numbers from 64 s on count minutes in their last digits; those of 2 to 60 minutes are
+# labels whose true times are not known.
+_FUJI_LONGEST = 64_000_000
+
+
+def fuji_time(number: int) -> float | None:
+    """Return the seconds of Fuji's property 500D: microseconds, cut off, of a third of a stop.
+
+    >>> fuji_time(15625), fuji_time(32_000_000)  # labelled 1/60 and 30"
+    (0.015625, 32.0)
+    >>> fuji_time(122) == 2**-13  # labelled 1/8000
+    True
+    """
+    if not 1 <= number <= _FUJI_LONGEST:
+        return None
+    stops = round(3 * math.log2(number / 1e6)) / 3
+    exact = 2.0**stops
+    # Numbers are within 2 microseconds, or 0.1 %, of their third of a stop.
+    is_third = abs(number - 1e6 * exact) <= max(2.0, 1e-3 * number)
+    return exact if is_third else number / 1e6
+
+
+def panasonic_time(number: int) -> float | None:
+    """Return the seconds of Panasonic's number: thousandths, of 1/s without the top bit.
+
+    >>> panasonic_time(125_000), panasonic_time(0x8000_0000 | 2500)
+    (0.008, 2.5)
+    """
+    thousandths = number & 0x7FFF_FFFF
+    if number >= _FIRST_SPECIAL or not thousandths:
+        return None
+    return thousandths / 1000 if number >> 31 else 1000 / thousandths
+
+
+def tenths(number: int) -> float | None:
+    """Return the f-number of Olympus and Panasonic.
+
+    >>> tenths(28)
+    2.8
+    """
+    return number / 10 if 0 < number < 0xFFF0 else None
 
 
 def hundredths(number: int) -> float | None:
@@ -102,13 +162,23 @@ def hundredths(number: int) -> float | None:
     return number / 100 if 0 < number < 0xFFFE else None
 
 
-def iso(number: int) -> float | None:
-    """Return the gain of an ISO number, 1 for ISO 100; numbers from FF00 on are automatic.
+# ISO numbers above 1,000 are multiples of 50; others, and those from FF00 to FFFF and from F0000000
+# on, are automatic or the maker's own.
+_ISO_STEP = 50
 
-    >>> iso(400)
-    4.0
+
+def iso(number: int) -> float | None:
+    """Return the gain of an ISO number, 1 for ISO 100; None for automatic and makers' numbers.
+
+    >>> iso(400), iso(102_400)
+    (4.0, 1024.0)
+    >>> iso(0xFFFF), iso(-1), iso(0xD001)  # automatic; Fuji; intelligent ISO of Panasonic
+    (None, None, None)
     """
-    return number / 100 if 0 < number < 0xFF00 else None
+    is_special = number <= 0 or 0xFF00 <= number <= 0xFFFF or number >= 0xF000_0000
+    if is_special or (number > 1000 and number % _ISO_STEP):
+        return None
+    return number / 100
 
 
 def sony_iso(number: int) -> float | None:
@@ -160,7 +230,12 @@ class Dial:
 
 
 def make_dial(
-    name: str, scale: Scale, description: PropertyDescription, listed: Iterable[int] = ()
+    name: str,
+    scale: Scale,
+    description: PropertyDescription,
+    listed: Iterable[int] = (),
+    *,
+    is_stepped: bool = True,
 ) -> Dial | None:
     """Return the dial for a property; None if none of its numbers has an SI value.
 
@@ -168,7 +243,8 @@ def make_dial(
         name: field of `camctl.controls.ExposureSetting`
         scale: the meaning of its numbers
         description: the camera's description of the property
-        listed: numbers that it can be stepped through if the camera lists none
+        listed: numbers that it can be set to if the camera lists none
+        is_stepped: True if it reaches those by steps up and down only
 
     Raises:
         CameraProtocolError: its range has no number with an SI value
@@ -177,21 +253,35 @@ def make_dial(
         numbers: list[int] = [n for n in (description.current,) if isinstance(n, int)]
     else:
         numbers = [n for n in description.choices if isinstance(n, int)]
-    if not numbers and description.span is not None and scale.unit is not None:
+    span = description.span if description.span not in _ANY_NUMBER else None
+    if not numbers and span is not None and scale.unit is not None:
         return Dial(name, scale, description.data_type, _steps(scale, description))
-    stepped_through = () if numbers else tuple(listed)
-    if not numbers and not stepped_through and isinstance(description.current, int):
+    others = () if numbers or not description.is_writable else _within(scale, span, listed)
+    if not numbers and not others and isinstance(description.current, int):
         numbers = [description.current]  # nothing to choose from: it stays at this setting
     by_value: dict[float, int] = {}
-    for number in (*numbers, *stepped_through):
+    for number in (*numbers, *others):
         value = scale.decode(number)
         if value is not None:
             by_value.setdefault(value, number)
     if not by_value:
         return None
     control = Choices(tuple(sorted(by_value)))
-    is_stepped = bool(stepped_through)
-    return Dial(name, scale, description.data_type, control, is_stepped, by_value)
+    return Dial(name, scale, description.data_type, control, bool(others) and is_stepped, by_value)
+
+
+def _within(
+    scale: Scale, span: tuple[int, int, int] | None, listed: Iterable[int]
+) -> tuple[int, ...]:
+    """Return the numbers whose values are in a range, whose ends may be in any order."""
+    ends = [scale.decode(number) for number in span[:2]] if span is not None else []
+    known = [end for end in ends if end is not None]
+    if len(known) < 2:
+        return tuple(listed)
+    values = ((number, scale.decode(number)) for number in listed)
+    return tuple(
+        n for n, value in values if value is not None and min(known) <= value <= max(known)
+    )
 
 
 def _steps(scale: Scale, description: PropertyDescription) -> Steps:

@@ -14,28 +14,35 @@ from camctl.errors import (
     RefusedSettingError,
 )
 from drivers.ptp.codes import Op, Prop
-from drivers.ptp.datasets import (
-    EosEvents,
-    PropertyDescription,
-    Reader,
-    pack_eos_property,
-    pack_integer,
-    parse_sony_properties,
-)
+from drivers.ptp.datasets import PropertyDescription, Reader, Value, pack_integer
 from drivers.ptp.dialects import Dialect, Source
 from drivers.ptp.dials import Dial, Scale, make_dial
+from drivers.ptp.maker_datasets import (
+    EosEvents,
+    pack_eos_property,
+    pack_panasonic_property,
+    parse_panasonic_property,
+    parse_panasonic_value,
+    parse_sony_properties,
+)
 from drivers.ptp.session import Session
 
 # How long bodies of Canon and Sony may take to show a setting that they have accepted, and the
 # pause between two readings.
 _READ_BACK_S, _READ_BACK_POLL_S = 3.0, 0.02
+# The pause between two readings after a step, which takes up to 0.7 s.
+_STEP_POLL_S = 0.1
 # More than the settings of any dial: a dial that has not reached its setting then never will.
 _MAX_STEPS = 200
+# How long a camera may report no shutter time after it was opened, and the pause between requests.
+_FIRST_READING_S, _FIRST_READING_POLL_S = 3.0, 0.1
+# Codes above are Panasonic's, of 32 bits.
+_LAST_STANDARD_CODE = 0xFFFF
 _M_DIAL = "turn the mode dial to M"
 
 
 @contextmanager
-def _unsupported_ignored() -> Iterator[None]:
+def unsupported_ignored() -> Iterator[None]:
     """Ignore the refusal of a property that a camera lists and does not support."""
     try:
         yield
@@ -56,10 +63,14 @@ class Properties:
 
     def __init__(self, session: Session, dialect: Dialect, name: str) -> None:
         self._session, self._dialect, self._name = session, dialect, name
-        scales = (*dialect.times, *dialect.gains, *dialect.f_numbers)
-        presets = [code for code, _ in dialect.presets]
+        scales = _scales(dialect)
+        others = [scale.set_by for scale in scales if scale.set_by is not None]
+        presets = [preset.code for preset in dialect.presets]
+        steps = [step for steps in dialect.releases for step in steps]
+        awaited = [step.busy_at[0] for step in steps if step.busy_at is not None]
         self._codes = frozenset(
-            {*(s.code for s in scales), *presets, dialect.program[0], dialect.battery}
+            {*(scale.code for scale in scales), *others, *presets, *awaited}
+            | {dialect.program[0], dialect.battery}
         )
         self._known: dict[int, PropertyDescription] = {}
         self._added: list[int] = []
@@ -74,32 +85,59 @@ class Properties:
         added, self._added = self._added, []
         return added
 
-    def refresh(self) -> None:
-        """Read the descriptions of the properties again."""
-        source = self._dialect.source
-        if source is Source.EACH_PROPERTY:
-            for code in sorted(self._codes.intersection(self._session.info.properties)):
-                with _unsupported_ignored():
-                    self._known[code] = self._session.description(code)
-        elif source is Source.SONY_LIST:
-            answer = self._session.call(Op.SONY_PROPERTIES, task="list its properties")
+    def read_first(self) -> None:
+        """Read the descriptions for the first time; some cameras send none until asked again."""
+        clock = self._session.clock
+        deadline_s = clock.now() + _FIRST_READING_S
+        while True:
+            self.refresh()
+            if self._dialect.source is Source.EACH_PROPERTY or self.has_any(self._dialect.times):
+                return
+            if clock.now() > deadline_s:
+                return
+            clock.sleep_until(clock.now() + _FIRST_READING_POLL_S)
+
+    def refresh(self, *, busy_s: float | None = None) -> None:
+        """Read the descriptions of the properties again; `busy_s` as in `Session.call`."""
+        source, session = self._dialect.source, self._session
+        if source is Source.SONY_LIST:
+            answer = session.call(Op.SONY_PROPERTIES, task="list its properties", busy_s=busy_s)
             self._known.update(parse_sony_properties(answer.data))
-        else:
-            answer = self._session.call(Op.EOS_EVENTS, task="report its events")
+        elif source is Source.EOS_EVENTS:
+            answer = session.call(Op.EOS_EVENTS, task="report its events", busy_s=busy_s)
             events = EosEvents.parse(answer.data)
             events.update(self._known, self._codes)
             self._added.extend(events.added)
+        else:
+            tried = self._dialect.tried.union(session.info.properties)
+            if source is Source.PANASONIC:
+                tried |= {scale.code for scale in _scales(self._dialect)}
+            for code in sorted(self._codes & tried):
+                with unsupported_ignored():
+                    self._known[code] = self._describe(code)
 
-    def number(self, code: int) -> int | None:
+    def _describe(self, code: int) -> PropertyDescription:
+        if code <= _LAST_STANDARD_CODE:
+            return self._session.description(code)
+        task = f"describe property {code:08X}"
+        answer = self._session.call(Op.PANASONIC_DESCRIPTION, code, 0, 0, task=task)
+        return parse_panasonic_property(answer.data, code)
+
+    def number(self, code: int, *, busy_s: float | None = None) -> int | None:
         """Return the current number of a property; None if the camera does not report it."""
-        if self._dialect.source is Source.EACH_PROPERTY:
+        task = f"report property {code:04X}"
+        value: Value
+        if code > _LAST_STANDARD_CODE:
+            answer = self._session.call(Op.PANASONIC_GET, code, task=task, busy_s=busy_s)
+            value = parse_panasonic_value(answer.data)
+        elif self._dialect.source in (Source.EACH_PROPERTY, Source.PANASONIC):
             description = self._known.get(code)
             if description is None:
                 return None
-            answer = self._session.call(Op.GET_PROPERTY, code, task=f"report property {code:04X}")
+            answer = self._session.call(Op.GET_PROPERTY, code, task=task, busy_s=busy_s)
             value = Reader(answer.data, "property").value(description.data_type)
         else:
-            self.refresh()
+            self.refresh(busy_s=busy_s)
             description = self._known.get(code)
             value = description.current if description else ""
         return value if isinstance(value, int) else None
@@ -117,17 +155,23 @@ class Properties:
     # ---- modes
 
     def set_presets(self) -> None:
-        """Set the dialect's presets, as far as the camera supports them."""
-        for code, number in self._dialect.presets:
-            description = self._known.get(code)
-            if (
-                description is not None
-                and description.is_writable
-                and description.current != number
-                and (not description.choices or number in description.choices)
+        """Set the dialect's presets, as far as the camera supports them.
+
+        Raises:
+            CameraError: the camera keeps another value of one that it must have
+        """
+        for preset in self._dialect.presets:
+            description = self._known.get(preset.code)
+            if description is None or description.current == preset.number:
+                continue
+            if description.is_writable and (
+                not description.choices or preset.number in description.choices
             ):
-                with _unsupported_ignored():
-                    self.write(description, number)
+                with unsupported_ignored():
+                    self.write(description, preset.number)
+            if preset.refusal and self._read_back(preset.code, preset.number) != preset.number:
+                what, hint = preset.refusal
+                raise CameraError(f"{self._name} {what}", hint=hint)
 
     def check_mode(self, code: int) -> None:
         """Set manual exposure if necessary.
@@ -139,33 +183,51 @@ class Properties:
             CameraError: the camera chooses the shutter time itself, and that cannot be changed
         """
         program, manual = self._dialect.program
-        mode = self._known.get(program)
-        description = self._known.get(code)
-        in_manual = mode is None or mode.current in manual
-        if in_manual and (description is None or description.is_writable):
+        if self._can_set(code):
             return
+        mode = self._known.get(program)
+        in_manual = mode is None or not manual or mode.current in manual
         if not in_manual and mode is not None and mode.is_writable:
             with suppress(CameraError):
                 self.write(mode, min(manual))
                 self.refresh()
-                description = self._known.get(code)
-                if description is None or description.is_writable:
-                    return
+        if self._can_set(code):
+            return
+        if in_manual and manual:
+            raise CameraError(
+                f"{self._name} does not let a computer set the shutter time",
+                hint="its mode dial is at M: choose remote control in its USB menu, and leave "
+                "playback, menus and movie mode; else its model is not supported",
+            )
         raise CameraError(f"{self._name} chooses the shutter time itself", hint=_M_DIAL)
+
+    def _can_set(self, code: int) -> bool:
+        """Return whether manual exposure is set, as far as is known, and a property can be set."""
+        program, manual = self._dialect.program
+        mode, description = self._known.get(program), self._known.get(code)
+        in_manual = mode is None or not manual or mode.current in manual
+        return in_manual and (description is None or description.is_writable)
 
     # ---- dials
 
     def dial(self, name: str, scales: Iterable[Scale]) -> Dial | None:
-        """Return the dial of the first of these properties that the camera has, or None."""
+        """Return the dial of the first of these properties that the camera has, or None.
+
+        Where the first cannot be set, one that can be set is preferred.
+        """
+        found: list[Dial] = []
+        listed = self._dialect.listed_times if name == "time_s" else ()
         for scale in scales:
             description = self._known.get(scale.code)
             if description is None:
                 continue
-            listed = self._dialect.stepped_times if name == "time_s" else ()
-            dial = make_dial(name, scale, description, listed)
-            if dial is not None:
+            is_stepped = self._dialect.is_stepped
+            dial = make_dial(name, scale, description, listed, is_stepped=is_stepped)
+            if dial is not None and description.is_writable:
                 return dial
-        return None
+            if dial is not None:
+                found.append(dial)
+        return found[0] if found else None
 
     def has_any(self, scales: Iterable[Scale]) -> bool:
         """Return whether the camera has one of these properties."""
@@ -201,6 +263,11 @@ class Properties:
     def write(self, description: PropertyDescription, number: int) -> None:
         """Set a property; the result is not read back."""
         code, task = description.code, f"set property {description.code:04X}"
+        if code > _LAST_STANDARD_CODE:
+            # What is set has the next code after that of the description.
+            data = pack_panasonic_property(code + 1, number, description.data_type)
+            self._session.call(Op.PANASONIC_SET, code + 1, task=task, data=data)
+            return
         if self._dialect.source is Source.EOS_EVENTS:
             data = pack_eos_property(code, number)
             self._session.call(Op.EOS_SET_PROPERTY, task=task, data=data)
@@ -213,7 +280,10 @@ class Properties:
     def _turn(self, dial: Dial, number: int) -> None:
         description = self._known[dial.code]
         try:
-            if dial.is_stepped or dial.code in self._stepped:
+            by = self._known.get(dial.scale.set_by) if dial.scale.set_by is not None else None
+            if by is not None and by.is_writable:
+                self.write(by, number)
+            elif dial.is_stepped or dial.code in self._stepped:
                 self._step_to(dial, number)
             else:
                 self.write(description, number)
@@ -228,12 +298,16 @@ class Properties:
             raise
 
     def _step_to(self, dial: Dial, number: int) -> None:
-        """Step a dial up or down until it shows `number`."""
+        """Step a dial up or down until it shows `number`.
+
+        Each step is awaited before the next: a body may need 0.7 s to take it.  A dial that stays
+        where it is, or that passes the setting, is left there; reading back will show.
+        """
         up, down = (1).to_bytes(1, "little"), (0xFF).to_bytes(1, "little")
         goal, direction, distance = dial.value(number), up, float("inf")
         assert goal is not None
+        shown = self.number(dial.code)
         for _ in range(_MAX_STEPS):
-            shown = self.number(dial.code)
             if shown == number:
                 return
             now = dial.value(shown) if shown is not None else None
@@ -243,6 +317,19 @@ class Properties:
             self._session.call(
                 Op.SONY_CONTROL, dial.code, task="turn a dial", data=direction, repeatable=False
             )
+            last, shown = shown, self._changed_from(dial.code, shown)
+            if shown == last and direction == down:
+                return  # at the end of the dial, and up was tried before
+            if shown == last:
+                direction = down
+
+    def _changed_from(self, code: int, before: int | None) -> int | None:
+        """Return the number of a property as soon as it is not `before`, or after 3 s."""
+        clock = self._session.clock
+        deadline_s = clock.now() + _READ_BACK_S
+        while (shown := self.number(code)) == before and clock.now() < deadline_s:
+            clock.sleep_until(clock.now() + _STEP_POLL_S)
+        return shown
 
     def _read_back(self, code: int, number: int) -> int | None:
         """Return the number of a property: `number` if the camera shows it in time."""
@@ -258,3 +345,7 @@ class Properties:
                 task = f"report property {code:04X}"
                 self._session.call(Op.EOS_REQUEST_PROPERTY, code, task=task)
             clock.sleep_until(clock.now() + _READ_BACK_POLL_S)
+
+
+def _scales(dialect: Dialect) -> tuple[Scale, ...]:
+    return (*dialect.times, *dialect.gains, *dialect.f_numbers)

@@ -15,16 +15,14 @@ from pathlib import PurePath
 from camctl.camera import Frame, OriginalFile
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
-from drivers.common.still_camera import exposure_time_s
+from drivers.common.known_format import KnownFormat, check_exposure, matched_pixels
+from drivers.common.still_camera import StillTimes
 from drivers.common.still_file import read_still
 from drivers.ptp.body import Body
 from drivers.ptp.dials import Dial
 from drivers.ptp.shooting import ExposureRequest, PendingExposure, Shooter, Shot
-from drivers.ptp.still_formats import KnownFormat, matched_pixels
 from drivers.ptp.transport import NORMAL_S
 
-# Labels and true times of one setting differ by up to 10 %, neighbouring settings by 26 %.
-_MAX_TIME_RATIO = 1.2
 # Largest error of a bulb exposure, s; the load of the computer decides how precisely it is held.
 _MAX_BULB_ERROR_S = 0.25
 
@@ -60,10 +58,17 @@ class ExposureSequence:
         self._fetched: list[Shot] = []
         self._overlaps = True
 
+    @property
+    def overlaps(self) -> bool:
+        """Whether files are fetched during exposures; it shows in the first sequence."""
+        return self._overlaps
+
     def run(
-        self, settings: Sequence[ExposureSetting], known: KnownFormat
+        self, settings: Sequence[ExposureSetting], known: KnownFormat, times: StillTimes
     ) -> Generator[Frame, None, None]:
         """Yield a frame for each setting; `known` is the format of all frames.
+
+        What the exposures and the files took is added to `times`.
 
         Raises:
             CameraError: as `camctl.camera.Camera.shoot`; lists what was taken and not fetched
@@ -76,18 +81,24 @@ class ExposureSequence:
             for index, setting in enumerate(settings):
                 # While the computer holds the shutter of a bulb exposure it can fetch nothing.
                 if not self._overlaps or self._is_bulb(setting):
-                    yield from self._fetch_waiting(known)
+                    yield from self._fetch_waiting(known, times)
+                began_s = self._clock.now()
                 request = ExposureRequest(setting, self._apply(setting), index)
                 pending = self._release(request, may_wait=self._waiting is None)
                 if pending is None:
                     self._overlaps = False
-                    yield from self._fetch_waiting(known)
+                    yield from self._fetch_waiting(known, times)
+                    began_s = self._clock.now()
                     pending = self._release(request, may_wait=True)
                 assert pending is not None
-                yield from self._fetch_waiting(known)
+                is_alone = self._waiting is None
+                yield from self._fetch_waiting(known, times)
                 self._waiting = self._wait(pending, known.format)
+                if is_alone:  # else its file may have waited for the end of the transfer
+                    readout_s = self._clock.now() - pending.ends_s
+                    times.add_exposure(pending.released_s - began_s, readout_s)
                 self._delete_fetched()
-            yield from self._fetch_waiting(known)
+            yield from self._fetch_waiting(known, times)
             self._delete_fetched()
         except CameraError as error:
             self._add_unfetched(error)
@@ -173,10 +184,12 @@ class ExposureSequence:
 
     # ---- files
 
-    def _fetch_waiting(self, known: KnownFormat) -> Iterator[Frame]:
+    def _fetch_waiting(self, known: KnownFormat, times: StillTimes) -> Iterator[Frame]:
         """Fetch the file that waits in the camera, if there is one, and yield its frame."""
         if self._waiting is not None:
+            began_s = self._clock.now()
             frame = self._frame(self._waiting, known)
+            times.add_download(self._clock.now() - began_s)
             self._fetched.append(self._waiting)
             self._waiting = None
             yield frame
@@ -195,13 +208,14 @@ class ExposureSequence:
         """Fetch a file and return it as a frame."""
         busy_s, times_busy = NORMAL_S, self._body.session.times_busy
         if self._pending is not None:
-            busy_s += max(0.0, self._pending.ends_s - self._clock.now())
+            busy_s = max(busy_s, self._pending.busy_until_s - self._clock.now())
         data, took_s = self._shooter.fetch(shot, busy_s=busy_s)
         if self._pending is not None and self._body.session.times_busy > times_busy:
             # It sends nothing during an exposure: then a frame need not wait for the next one.
             self._overlaps = False
         fetched_s = self._clock.now()
-        _check_exposure(shot, data)
+        applied = shot.exposure.request.applied
+        check_exposure(shot.info.name, data, applied, has_gain=self._dials.gain is not None)
         still = read_still(data, shot.info.name)
         pixels, changes = matched_pixels(still, known, shot.info.name)
         exposure, request = shot.exposure, shot.exposure.request
@@ -238,14 +252,3 @@ class ExposureSequence:
         if unfetched:
             error.what = f"{error.what}; taken and not fetched: {' and '.join(unfetched)}"
             error.args = (f"{error.what}; {error.hint}" if error.hint else error.what,)
-
-
-def _check_exposure(shot: Shot, data: bytes) -> None:
-    """Raise `CameraProtocolError` if the exposure time in the file is that of another exposure."""
-    stated_s, time_s = exposure_time_s(data), shot.exposure.request.applied.time_s
-    if stated_s is None or 1 / _MAX_TIME_RATIO < stated_s / time_s < _MAX_TIME_RATIO:
-        return
-    raise CameraProtocolError(
-        f"{shot.info.name} states an exposure time of {stated_s:.6g} s, but {time_s:.6g} s was set",
-        hint="shoot it again, and do not use the camera's own buttons during the capture",
-    )

@@ -7,9 +7,9 @@ time-out or an invalid answer, and opens the session again if the camera has los
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from camctl.clock import Clock
 from camctl.errors import (
@@ -29,7 +29,7 @@ from drivers.ptp.codes import (
     response_error,
 )
 from drivers.ptp.datasets import DeviceInfo, ObjectInfo, PropertyDescription, Reader, StorageInfo
-from drivers.ptp.transport import DATA, NORMAL_S, Container, IncompleteDataError, UsbTransport
+from drivers.ptp.transport import DATA, NORMAL_S, Container, IncompleteDataError, Transport
 
 #: Size of objects whose size does not fit 32 bits or is not known.
 UNKNOWN_SIZE = 0xFFFFFFFF
@@ -59,7 +59,7 @@ class Session:
     """A session with one camera.
 
     Args:
-        transport: its pipes
+        transport: the connection to it
         name: name of the camera in error messages
         clock: for waiting while the camera is busy
         silence_s: how long the camera may send nothing
@@ -76,7 +76,7 @@ class Session:
 
     def __init__(
         self,
-        transport: UsbTransport,
+        transport: Transport,
         name: str,
         clock: Clock,
         *,
@@ -100,6 +100,17 @@ class Session:
             answer = self.call(Op.GET_DEVICE_INFO, task="report its device information")
             self._info = DeviceInfo.parse(answer.data)
         return self._info
+
+    def correct_info(
+        self, added: frozenset[int], removed: frozenset[int], properties: Iterable[int]
+    ) -> None:
+        """Correct the device information: operations, and properties that it leaves out."""
+        info = self.info
+        self._info = replace(
+            info,
+            operations=(info.operations | added) - removed,
+            properties=tuple(dict.fromkeys((*info.properties, *properties))),
+        )
 
     def open(self) -> None:
         """Open the session; one that another program left open is closed first.
@@ -218,9 +229,7 @@ class Session:
         if self._is_open:
             self._transaction = number + 1 if number < _LAST_TRANSACTION else 1
         self.last_transaction = number
-        self._transport.send_command(operation, number, parameters)
-        if data is not None:
-            self._transport.send_data(operation, number, data)
+        self._transport.send(operation, number, parameters, data)
         received = b""
         container = self._transport.receive(number, limit=limit)
         if container.kind == DATA:
@@ -275,9 +284,9 @@ class Session:
         )
         return frozenset(Reader(answer.data, "list of objects").array(4))
 
-    def object_info(self, handle: int) -> ObjectInfo:
-        """Return the description of an object."""
-        answer = self.call(Op.GET_OBJECT_INFO, handle, task="describe a file")
+    def object_info(self, handle: int, *, busy_s: float | None = None) -> ObjectInfo:
+        """Return the description of an object; `busy_s` as in `call`."""
+        answer = self.call(Op.GET_OBJECT_INFO, handle, task="describe a file", busy_s=busy_s)
         return ObjectInfo.parse(answer.data)
 
     def object(self, handle: int, size: int, *, busy_s: float | None = None) -> bytes:

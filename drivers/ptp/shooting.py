@@ -7,22 +7,25 @@ object handles are read, and each new object is asked for its description.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError, CameraTimeoutError
+from drivers.common.known_format import WrongFormatError
 from drivers.ptp.body import Body
 from drivers.ptp.codes import DEVICE_BUSY, FOLDER
 from drivers.ptp.datasets import ObjectInfo
 from drivers.ptp.session import UNKNOWN_SIZE
-from drivers.ptp.still_formats import format_of, stem_of
+from drivers.ptp.still_formats import FileKey, format_of, key_of
 from drivers.ptp.transport import CAPTURE_S, NORMAL_S
 
 # Handles are listed beside events: first this long after the exposure, then less and less often,
 # since the list of a full card is long.
 _FIRST_LIST_S, _LONGEST_LIST_S = 0.1, 1.0
-# How long a poll waits for an event, and a poll of those that are already there.
-_EVENT_S, _WAITING_EVENT_S = 0.05, 0.001
+# How long a poll waits for an event, at least and at most; the share of the time since the end of
+# the exposure; and the wait for events that are already there.
+_EVENT_S, _LONGEST_EVENT_S, _EVENT_SHARE, _WAITING_EVENT_S = 0.05, 1.0, 0.05, 0.001
 # Added to the rest of an exposure, so that a poll ends after the exposure and not just before it.
 _EVENT_MARGIN_S = 0.005
 # How long after the end of an exposure its files may still appear.
@@ -31,6 +34,11 @@ _LATE_FILES_S = 3.0
 # picture to be fetched first.  Pauses are doubled from the first to the longest.
 _SHORT_BUSY_S = 0.3
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.02, 0.3
+# A camera may take a dark exposure of the same time, to reduce the noise, and answer "busy" until
+# its end.  This is what libgphoto2 waits; it is added to both exposures here.
+_BUSY_AFTER_EXPOSURE_S = 1000.0
+# A camera that has not answered that it is busy for so long is no longer busy.
+_BUSY_PAUSE_S = 3 * _LONGEST_LIST_S
 # More pictures than a camera can have in its memory.
 _MAX_IN_MEMORY = 32
 
@@ -57,7 +65,8 @@ class PendingExposure:
     Attributes:
         request: the exposure
         released_s: when the shutter was released, on the camera's clock
-        deadline_s: when the camera counts as unresponsive if there is no file
+        deadline_s: when the camera counts as unresponsive if there is no file; it includes a dark
+            exposure of the same time
         held_s: how long the computer held a bulb exposure; None: the camera timed the exposure
     """
 
@@ -70,6 +79,12 @@ class PendingExposure:
     def ends_s(self) -> float:
         """When the shutter should close, on the camera's clock."""
         return self.released_s + self.request.setting.time_s
+
+    @property
+    def busy_until_s(self) -> float:
+        """Until when the camera may answer that it is busy."""
+        dark_s = self.request.setting.time_s
+        return max(self.ends_s + dark_s + _BUSY_AFTER_EXPOSURE_S, self.deadline_s)
 
 
 @dataclass(frozen=True)
@@ -110,7 +125,12 @@ class Shooter:
         self._clock = body.session.clock
         self._silence_s = silence_s
         self._known: set[int] = set()
-        self._used_stems: set[str] = set()
+        self._undescribed: set[int] = set()  # announced while the camera was busy
+        # Files of one exposure share folder and stem; pictures that were deleted free theirs for a
+        # file of the same format.
+        self._used: set[FileKey] = set()
+        self._last: set[FileKey] = set()
+        self._deleted: dict[FileKey, int] = {}
 
     def ignore_existing(self) -> None:
         """Ignore the pictures that are in the camera now."""
@@ -118,7 +138,11 @@ class Shooter:
             if self._body.dialect.memory not in self._body.poll_events(_WAITING_EVENT_S).added:
                 break
             self._discard_from_memory()
-        self._known.update(self._body.handles() or ())
+        handles = self._body.handles()
+        if handles is not None:  # else the camera is busy, or does not list them
+            # Handles and names of pictures that were deleted since may be used again; files of the
+            # latest exposure may still come.
+            self._known, self._used = set(handles), set(self._last)
 
     def release(self, request: ExposureRequest, *, may_wait: bool) -> PendingExposure | None:
         """Release an exposure; None if the camera is busy and `may_wait` is False.
@@ -131,7 +155,7 @@ class Shooter:
         pause_s = _FIRST_PAUSE_S
         while True:
             pending = self.pending(request)
-            if self._body.release(self._silence_s + request.setting.time_s) != DEVICE_BUSY:
+            if self._body.release(self._silence_s + 2 * request.setting.time_s) != DEVICE_BUSY:
                 return pending
             if self._clock.now() > deadline_s:
                 if not may_wait:
@@ -146,41 +170,45 @@ class Shooter:
     def pending(self, request: ExposureRequest) -> PendingExposure:
         """Return `request` as an exposure that is released now."""
         now_s = self._clock.now()
-        return PendingExposure(request, now_s, now_s + request.setting.time_s + self._silence_s)
+        longest_s = 2 * request.setting.time_s + self._silence_s
+        return PendingExposure(request, now_s, now_s + longest_s)
 
     def wait(self, exposure: PendingExposure, format_name: str | None) -> Shot:
         """Return the file of an exposure as soon as the camera has it.
 
         Args:
             exposure: the exposure
-            format_name: one of `drivers.ptp.still_formats.FORMATS`; None: the first file of any
+            format_name: one of `drivers.common.known_format.FORMATS`; None: the first file of any
                 format
 
         Raises:
-            CameraTimeoutError: no file appeared within the exposure time and `silence_s`
-            CameraError: the camera saved files of other formats only, or its card is full
+            CameraTimeoutError: no file appeared within twice the exposure time and `silence_s`, or
+                longer if the camera answers that it is busy
+            WrongFormatError: the camera saved files of other formats only, or its card is full
         """
         found: dict[int, ObjectInfo] = {}
         discarded: list[ObjectInfo] = []
         complete_s: float | None = None
+        busy_s = -math.inf  # when the camera last answered that it is busy
         list_pause_s = _FIRST_LIST_S
         next_list_s = exposure.ends_s + list_pause_s
         while True:
-            events = self._body.poll_events(
-                min(_EVENT_S, _EVENT_MARGIN_S + self._remaining_s(exposure))
-            )
+            events = self._body.poll_events(self._event_wait_s(exposure))
             if events.is_full:
                 raise CameraError(
                     f"the card of {self._name} is full",
                     hint="make room on it or put another one in",
                 )
-            new = set(events.added)
+            new, is_busy = set(events.added), False
             if self._clock.now() >= next_list_s:
                 list_pause_s = min(2 * list_pause_s, _LONGEST_LIST_S)
-                new |= self._body.handles() or frozenset()
+                handles = self._body.handles()
+                is_busy = handles is None and self._body.lists_objects
+                new |= handles or frozenset()
                 next_list_s = self._clock.now() + list_pause_s
-            for handle in sorted(new - self._known - set(found)):
-                self._describe(handle, found)
+            is_busy |= events.is_busy
+            for handle in sorted((new | self._undescribed) - self._known - set(found)):
+                is_busy |= not self._describe(handle, found)
             chosen = _first_of_format(found, format_name)
             if chosen is not None:
                 return self._shot(exposure, chosen, found)
@@ -196,41 +224,66 @@ class Shooter:
             if complete_s is not None and now_s > complete_s + late_s:
                 self._known.update(found)
                 raise self._wrong_format(saved, format_name)
-            if now_s > exposure.deadline_s:
+            busy_s = now_s if is_busy else busy_s
+            is_waiting = now_s < busy_s + _BUSY_PAUSE_S and now_s < exposure.busy_until_s
+            if now_s > exposure.deadline_s and not is_waiting:
                 raise CameraTimeoutError(
                     f"{self._name} has saved no picture in the "
                     f"{now_s - exposure.released_s:.0f} s since its shutter was released",
                     hint="look at its display: focus, card and battery; then resume",
                 )
 
+    def _event_wait_s(self, exposure: PendingExposure) -> float:
+        """Return how long to wait for an event: to the end of the exposure, then a share of it.
+
+        An event ends the wait; only pictures that are reported on request come later by it.
+        """
+        after_s = self._clock.now() - exposure.ends_s
+        if after_s < 0:
+            return min(_LONGEST_EVENT_S, _EVENT_MARGIN_S - after_s)
+        return min(_LONGEST_EVENT_S, max(_EVENT_S, _EVENT_SHARE * after_s))
+
     def _remaining_s(self, exposure: PendingExposure) -> float:
         return max(0.0, exposure.ends_s - self._clock.now())
 
-    def _describe(self, handle: int, found: dict[int, ObjectInfo]) -> None:
-        """Add a new object to `found` if it is a picture of this exposure; else ignore it."""
+    def _describe(self, handle: int, found: dict[int, ObjectInfo]) -> bool:
+        """Add a new object to `found` if it is a picture of this exposure; else ignore it.
+
+        Returns False if the camera is busy; the object is then described later.
+        """
         try:
-            info = self._body.session.object_info(handle)
+            info = self._body.session.object_info(handle, busy_s=0)
+        except CameraBusyError:
+            self._undescribed.add(handle)
+            return False
         except CameraProtocolError:
-            return  # deleted, or not yet complete: the next list will show
+            return True  # deleted, or not yet complete: the next list will show
+        self._undescribed.discard(handle)
         is_memory = handle == self._body.dialect.memory
-        is_sibling = not is_memory and stem_of(info) in self._used_stems
-        if info.format == FOLDER or format_of(info) is None or is_sibling:
+        key = key_of(info)
+        is_new = is_memory or key not in self._used or self._deleted.get(key) == info.format
+        if info.format == FOLDER or format_of(info) is None or not is_new:
             self._known.add(handle)
         else:
             found[handle] = info
+        return True
 
     def _shot(self, exposure: PendingExposure, handle: int, found: dict[int, ObjectInfo]) -> Shot:
         info = found[handle]
         memory = self._body.dialect.memory
         self._known.update(h for h in found if h != memory)
         if handle != memory:
-            self._used_stems.add(stem_of(info))
+            self._last = {key_of(info)}
+            self._used |= self._last
+            self._deleted.pop(key_of(info), None)
         others = tuple(other.name for h, other in found.items() if h != handle)
         return Shot(exposure, handle, info, min(self._clock.now(), exposure.ends_s), others)
 
-    def _wrong_format(self, saved: tuple[ObjectInfo, ...], format_name: str | None) -> CameraError:
+    def _wrong_format(
+        self, saved: tuple[ObjectInfo, ...], format_name: str | None
+    ) -> WrongFormatError:
         formats = sorted({format_of(info) or "?" for info in saved})
-        return CameraError(
+        return WrongFormatError(
             f"{self._name} saved {' and '.join(formats)} instead of {format_name}",
             hint=f"set its image quality to {format_name}, or give -O format={formats[0]}",
         )
@@ -245,20 +298,26 @@ class Shooter:
         return data, self._clock.now() - began_s
 
     def delete(self, shot: Shot) -> None:
-        """Delete a shot's file from the card."""
+        """Delete a shot's file from the card; its handle and its name may then be used again."""
         if shot.handle != self._body.dialect.memory:
             self._body.session.delete(shot.handle)
+            self._known.discard(shot.handle)
+            self._deleted[key_of(shot.info)] = shot.info.format
 
     def wait_for_end(self, exposure: PendingExposure, limit_s: float) -> None:
         """Wait for the end of an exposure whose file is not needed; the file stays on the card.
 
-        Returns `limit_s` after the exposure time at the latest.
+        Returns `limit_s` after the exposure time at the latest, or after as long a dark exposure if
+        the camera answers that it is busy.
         """
         deadline_s = self._clock.now() + self._remaining_s(exposure) + limit_s
-        while self._clock.now() < deadline_s:
+        latest_s = max(deadline_s, exposure.deadline_s)
+        is_busy = False
+        while self._clock.now() < (latest_s if is_busy else deadline_s):
             events = self._body.poll_events(_EVENT_S)
             is_over = self._remaining_s(exposure) == 0
             handles = self._body.handles() if is_over else None
+            is_busy = events.is_busy or (is_over and handles is None and self._body.lists_objects)
             new = (set(events.added) | set(handles or ())) - self._known
             self._known.update(new)
             memory = self._body.dialect.memory
@@ -279,7 +338,7 @@ class Shooter:
         found: dict[int, ObjectInfo] = {}
         for handle in sorted(handles):
             self._describe(handle, found)
-        self._used_stems.update(stem_of(info) for info in found.values())
+        self._used.update(key_of(info) for info in found.values())
         return bool(found)
 
 

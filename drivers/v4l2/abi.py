@@ -7,13 +7,13 @@ those of 64-bit Linux; a test compares their sizes and the ioctl numbers with th
 from __future__ import annotations
 
 import ctypes
-import os
 from enum import IntEnum, IntFlag
-from typing import Protocol
 
 _U8, _U32, _S32 = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_int32
+_U64, _S64 = ctypes.c_uint64, ctypes.c_int64
 
 CAPTURE_BUFFER = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
+MAPPED_MEMORY = 1  # V4L2_MEMORY_MMAP
 
 
 class Capability(ctypes.Structure):
@@ -146,6 +146,67 @@ class IntervalQuery(ctypes.Structure):
     )
 
 
+class BufferRequest(ctypes.Structure):
+    """How many buffers a stream has: struct v4l2_requestbuffers."""
+
+    _fields_ = (
+        ("count", _U32),
+        ("type", _U32),
+        ("memory", _U32),
+        ("capabilities", _U32),
+        ("flags", _U32),
+    )
+
+
+class Buffer(ctypes.Structure):
+    """A buffer of a stream: struct v4l2_buffer; the timestamp in seconds and microseconds."""
+
+    _fields_ = (
+        ("index", _U32),
+        ("type", _U32),
+        ("bytesused", _U32),
+        ("flags", _U32),
+        ("field", _U32),
+        ("_alignment", _U32),
+        ("seconds", _S64),
+        ("microseconds", _S64),
+        ("_timecode", _U32 * 4),
+        ("sequence", _U32),
+        ("memory", _U32),
+        ("offset", _U64),
+        ("length", _U32),
+        ("_reserved", _U32),
+        ("_request", _U32),
+        ("_end", _U32),
+    )
+
+
+class BufferType(ctypes.Structure):
+    """The kind of buffers that is started or stopped: an int."""
+
+    _fields_ = (("type", _S32),)
+
+
+class LongValue(ctypes.Structure):
+    """A control's value of up to 64 bits: struct v4l2_ext_control (packed)."""
+
+    _pack_ = 1
+    _fields_ = (("id", _U32), ("size", _U32), ("_reserved", _U32), ("value", _S64))
+
+
+class LongValues(ctypes.Structure):
+    """A list of such values: struct v4l2_ext_controls."""
+
+    _fields_ = (
+        ("which", _U32),
+        ("count", _U32),
+        ("error_index", _U32),
+        ("_request", _S32),
+        ("_reserved", _U32 * 2),
+        ("controls", ctypes.POINTER(LongValue)),
+    )
+
+
 _READ, _WRITE = 2, 1
 
 
@@ -161,11 +222,18 @@ class Request(IntEnum):
     ENUM_FMT = _request(_READ | _WRITE, 2, FormatDescription)
     G_FMT = _request(_READ | _WRITE, 4, Format)
     S_FMT = _request(_READ | _WRITE, 5, Format)
-    G_PARM = _request(_READ | _WRITE, 21, StreamParameters)
+    REQBUFS = _request(_READ | _WRITE, 8, BufferRequest)
+    QUERYBUF = _request(_READ | _WRITE, 9, Buffer)
+    QBUF = _request(_READ | _WRITE, 15, Buffer)
+    DQBUF = _request(_READ | _WRITE, 17, Buffer)
+    STREAMON = _request(_WRITE, 18, BufferType)
+    STREAMOFF = _request(_WRITE, 19, BufferType)
+    S_PARM = _request(_READ | _WRITE, 22, StreamParameters)
     G_CTRL = _request(_READ | _WRITE, 27, ControlValue)
     S_CTRL = _request(_READ | _WRITE, 28, ControlValue)
     QUERYCTRL = _request(_READ | _WRITE, 36, ControlQuery)
     QUERYMENU = _request(_READ | _WRITE, 37, MenuQuery)
+    G_EXT_CTRLS = _request(_READ | _WRITE, 71, LongValues)
     ENUM_FRAMESIZES = _request(_READ | _WRITE, 74, SizeQuery)
     ENUM_FRAMEINTERVALS = _request(_READ | _WRITE, 75, IntervalQuery)
 
@@ -176,6 +244,12 @@ class Caps(IntFlag):
     VIDEO_CAPTURE = 0x00000001
     STREAMING = 0x04000000
     DEVICE_CAPS = 0x80000000
+
+
+class BufferFlag(IntFlag):
+    """Bits of `Buffer.flags`."""
+
+    ERROR = 0x0040  # the frame is damaged
 
 
 class ControlFlag(IntFlag):
@@ -212,13 +286,14 @@ class Quantization(IntEnum):
 
 COLORSPACE_JPEG = 7
 
-_USER, _CAMERA = 0x00980900, 0x009A0900
+_USER, _CAMERA, _SOURCE, _PROCESSING = 0x00980900, 0x009A0900, 0x009E0900, 0x009F0900
 
 
 class ControlId(IntEnum):
     """The controls that set the exposure, and those that would change it automatically."""
 
     AUTO_WHITE_BALANCE = _USER + 12
+    EXPOSURE = _USER + 17
     AUTOGAIN = _USER + 18
     GAIN = _USER + 19
     BACKLIGHT_COMPENSATION = _USER + 28
@@ -230,6 +305,10 @@ class ControlId(IntEnum):
     WIDE_DYNAMIC_RANGE = _CAMERA + 21
     ISO_SENSITIVITY_AUTO = _CAMERA + 24
     HDR_SENSOR_MODE = _CAMERA + 36
+    VBLANK = _SOURCE + 1
+    HBLANK = _SOURCE + 2
+    ANALOGUE_GAIN = _SOURCE + 3
+    PIXEL_RATE = _PROCESSING + 2
 
 
 MANUAL_EXPOSURE = 1  # entry of the menu EXPOSURE_AUTO
@@ -244,37 +323,3 @@ def text(field: ctypes.Array[ctypes.c_uint8]) -> str:
     """Return the text of a field up to its first NUL, with "?" for unprintable characters."""
     decoded = bytes(field).split(b"\0", 1)[0].decode("utf-8", "replace")
     return "".join(letter if letter.isprintable() else "?" for letter in decoded).strip()
-
-
-class Kernel(Protocol):
-    """The system calls for a node; they raise `OSError` as Linux does."""
-
-    def open(self, path: str) -> int:
-        """Return a descriptor of the node."""
-        ...
-
-    def ioctl(self, descriptor: int, request: Request, argument: ctypes.Structure) -> None:
-        """Let the node read and change `argument`."""
-        ...
-
-    def close(self, descriptor: int) -> None:
-        """Close the descriptor."""
-        ...
-
-
-class Linux:
-    """The running kernel."""
-
-    def open(self, path: str) -> int:
-        """Open the node without blocking."""
-        return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
-
-    def ioctl(self, descriptor: int, request: Request, argument: ctypes.Structure) -> None:
-        """Call the node's driver."""
-        import fcntl  # only on POSIX systems; without it, this module can still be imported
-
-        fcntl.ioctl(descriptor, int(request), argument, True)
-
-    def close(self, descriptor: int) -> None:
-        """Close the descriptor."""
-        os.close(descriptor)

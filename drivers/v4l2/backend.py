@@ -10,8 +10,8 @@ from typing import Any
 
 from camctl.camera import CameraInfo
 from camctl.errors import CameraError, CameraNotFoundError
-from drivers.v4l2.abi import Kernel
 from drivers.v4l2.camera import V4l2Camera, V4l2Options
+from drivers.v4l2.kernel import Kernel
 from drivers.v4l2.node import Node
 from drivers.v4l2.system import DRIVER, camera_info, node_paths
 
@@ -20,6 +20,7 @@ class V4l2Backend:
     """Opens ``v4l2:/dev/v4l/by-id/...`` and ``v4l2:/dev/videoN``; see `V4l2Options`."""
 
     about = "webcams and machine-vision cameras that Linux shows as /dev/video0 and so on"
+    local_address = r"(/dev/(video\d+|v4l/by-(id|path)/[\w.:+-]+))?"
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras whose nodes can be opened; no stream is started."""

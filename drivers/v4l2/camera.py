@@ -1,20 +1,20 @@
 """Webcams and machine-vision cameras through Video4Linux.
 
-Frames come through OpenCV (`drivers.v4l2.capture`), controls, formats and names through ioctls on a
-second descriptor (`drivers.v4l2.node`).  `camctl.streaming` assigns exposures to frames by the
-frames' timestamps.
+Frames come from buffers that the kernel fills (`drivers.v4l2.capture`), controls, formats and names
+through ioctls (`drivers.v4l2.node`).  `camctl.streaming` assigns exposures to frames by the frames'
+timestamps and sequence numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, StringConstraints
 
-from camctl.backends import BackendOptions, FrameShape
-from camctl.camera import CameraBase, Frame, Pixels
+from camctl.backends import BackendOptions, FrameShape, LowerCase
+from camctl.camera import Frame, Pixels
 from camctl.clock import Clock, RealClock
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CameraProtocolError
@@ -26,26 +26,20 @@ from camctl.streaming import (
     TimestampedStream,
     mean_brightness,
 )
-from drivers.v4l2.abi import Kernel
-from drivers.v4l2.capture import (
-    Capture,
-    StreamMode,
-    VideoOpener,
-    choose_interval,
-    choose_size,
-    open_video,
-)
+from drivers.common.stream_camera import StreamCamera
+from drivers.v4l2.capture import Capture, StreamMode, choose_interval, choose_size
 from drivers.v4l2.controls import ExposureControl, GainUnit, parse_gain
 from drivers.v4l2.formats import SampleScale, choose_format, sample_scale
+from drivers.v4l2.kernel import Kernel
 from drivers.v4l2.node import Node
-from drivers.v4l2.packing import DamagedFrameError
 from drivers.v4l2.system import camera_info
 
 _Word = Annotated[str, StringConstraints(strip_whitespace=True, to_lower=True)]
 
 
-def _lower(value: object) -> object:
-    return value.strip().lower() if isinstance(value, str) else value
+#: Frames from a request until the first one whose exposure begins after the write, on average: the
+#: rest of the running one, and the next, since the write comes after the running one was grabbed.
+_LEAD_FRAMES = 1.5
 
 
 class V4l2Options(BackendOptions):
@@ -57,7 +51,7 @@ class V4l2Options(BackendOptions):
         size: of a frame; None: the largest
         fps: frames a second; None: the fewest that the camera offers, because no exposure is
             longer than the interval between frames
-        bits: bits that the samples of y16 use; None: all
+        bits: bits that the samples of y16 or bayer16 use; None: all
         black: brightness without light, DN; None: 0, or 16 of limited luma
         gain: what the steps of the gain add; None: unknown, so that the gain is held
         range: of luma; "auto": as V4L2 reports
@@ -71,11 +65,11 @@ class V4l2Options(BackendOptions):
     bits: int | None = Field(default=None, ge=9, le=16)
     black: int | None = Field(default=None, ge=0)
     gain: Annotated[GainUnit | None, BeforeValidator(parse_gain)] = None
-    range: Annotated[Literal["auto", "full", "limited"], BeforeValidator(_lower)] = "auto"
+    range: Annotated[Literal["auto", "full", "limited"], LowerCase] = "auto"
     response: _Word = "auto"
 
 
-class V4l2Camera(CameraBase):
+class V4l2Camera(StreamCamera):
     """A V4L2 camera; a `PreviewingCamera` and a `StreamingCamera` of `camctl.camera`.
 
     The constructor does no I/O; `open` starts the stream and raises the errors below.
@@ -84,7 +78,7 @@ class V4l2Camera(CameraBase):
         path: of its node, best the link in /dev/v4l/by-id
         options: see `V4l2Options`
         clock: the clock of the frames' timestamps; the system's monotonic one by default
-        kernel, opener: system calls and video, replaced in tests
+        kernel: the system calls, replaced in tests
 
     Raises:
         UsageError: an option that this camera does not support
@@ -95,7 +89,6 @@ class V4l2Camera(CameraBase):
 
     _mode: StreamMode
     _scale: SampleScale
-    _pipeline: ExposurePipeline[Pixels]
     _open_resources: ExitStack
 
     def __init__(
@@ -105,27 +98,17 @@ class V4l2Camera(CameraBase):
         *,
         clock: Clock | None = None,
         kernel: Kernel | None = None,
-        opener: VideoOpener = open_video,
     ) -> None:
         super().__init__(path, clock or RealClock())
         self._path = path
         self._options = options or V4l2Options()
         self._kernel = kernel
-        self._opener = opener
 
     @property
     def mode(self) -> str:
         """Pixel format, size and frame rate, such as yuyv-640x480-30."""
         self._check_open()
         return self._mode.name
-
-    def preview(self, setting: ExposureSetting) -> Frame:
-        """Return one frame at `setting`, for metering; raises as `shoot` does."""
-        frames = self.shoot((setting,))
-        try:
-            return next(frames)
-        finally:
-            frames.close()
 
     def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
         """Return the frames after a change of exposure; see `StreamingCamera.step`."""
@@ -148,10 +131,10 @@ class V4l2Camera(CameraBase):
         format_ = choose_format(node.formats(), options.format, path)
         shape = choose_size(node.sizes(format_.fourcc), options.size, path)
         interval_s = choose_interval(node.intervals(format_.fourcc, shape), options.fps, path)
-        capture = Capture(node, StreamMode(format_, shape, interval_s), self._clock, self._opener)
+        capture = Capture(node, StreamMode(format_, shape, interval_s))
         resources.callback(capture.close)
-        self._mode = StreamMode(format_, shape, node.current_interval_s() or interval_s)
-        exposure = ExposureControl(node, options.gain)
+        self._mode = StreamMode(format_, shape, capture.interval_s)
+        exposure = ExposureControl(node, shape[1], options.gain)
         self._scale = scale = sample_scale(
             format_,
             node.current_format(),
@@ -160,8 +143,10 @@ class V4l2Camera(CameraBase):
             luma_range=options.range,
             response=options.response,
         )
-        source = _Frames(path, capture, exposure, self._mode, scale)
-        stream = TimestampedStream[Pixels](source, self._clock, self._mode.interval_s)
+        source = _Frames(path, capture, exposure, scale)
+        stream = TimestampedStream[Pixels](
+            source, self._clock, self._mode.interval_s, sequence=lambda: capture.sequence
+        )
         stream.start()
         delay = ControlDelay.from_record(load_profile(info).delays.get(self._mode.name))
         self._pipeline = ExposurePipeline(
@@ -174,12 +159,18 @@ class V4l2Camera(CameraBase):
             gain=exposure.gains,
             shape=shape,
             layout=format_.layout,
+            pixel_format=format_.name,
             bits=scale.bits,
             black=scale.black,
             white=scale.white,
             response=scale.response,
             delay_frames=delay.frames,
             frame_interval_s=measured_s,
+            timing=replace(
+                delay.timing(_LEAD_FRAMES),
+                readout_s=delay.readout_s or stream.arrival_s,
+                rests=delay.frames is not None,
+            ),
             notes=(
                 *scale.notes,
                 *exposure.notes,
@@ -190,11 +181,6 @@ class V4l2Camera(CameraBase):
 
     def _close(self) -> None:
         self._open_resources.close()
-
-    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
-        for shot in self._pipeline.shoot(settings):
-            yield self._frame(shot, settings[shot.index])
-            self._check_open()
 
     def _frame(self, shot: Shot[Pixels], requested: ExposureSetting) -> Frame:
         return Frame(
@@ -212,16 +198,10 @@ class _Frames:
     """The stream of an open node: a `camctl.streaming.TimestampedSource` of pixels."""
 
     def __init__(
-        self,
-        path: str,
-        capture: Capture,
-        exposure: ExposureControl,
-        mode: StreamMode,
-        scale: SampleScale,
+        self, path: str, capture: Capture, exposure: ExposureControl, scale: SampleScale
     ) -> None:
         self._path = path
         self._capture = capture
-        self._mode = mode
         self._bits = scale.bits
         self.write = exposure.write
         self.grab = capture.grab
@@ -232,13 +212,9 @@ class _Frames:
         Raises:
             CameraProtocolError: a sample has more bits than the format
         """
-        data = self._capture.retrieve()
-        if data is None:
-            return None
-        try:
-            pixels = self._mode.format.packing.samples(data, self._mode.shape)
-        except DamagedFrameError:
-            return None
+        pixels = self._capture.retrieve()
+        if pixels is None or self._bits == 8 * pixels.itemsize:
+            return pixels
         most = int(pixels.max())
         if most >= 2**self._bits:
             raise CameraProtocolError(

@@ -1,23 +1,16 @@
-"""Frames through OpenCV: choose a stream mode, open the stream, grab frames, explain failures.
+"""The stream of a video node: its mode, its buffers, and the frames in them.
 
-OpenCV's V4L2 backend ignores its time-out properties; it waits OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT
-seconds (a whole number, read once in a process; 10 if it is not set) for each frame.  It reports
-no reason for a failure, so the kernel is asked.
+The kernel fills buffers that are mapped into this process.  A buffer that was filled says when,
+with which sequence number, with how many bytes, and whether the driver saw an error in it.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
-
-from camctl.clock import Clock
+from camctl.camera import Pixels
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -25,15 +18,22 @@ from camctl.errors import (
     CameraTimeoutError,
     UsageError,
 )
+from drivers.v4l2 import abi
 from drivers.v4l2.formats import PixelFormat
+from drivers.v4l2.kernel import Memory
 from drivers.v4l2.node import Node, Shape, SizeGrid, size_text
-from drivers.v4l2.system import PLUG_IN, busy_error, processes_using
+from drivers.v4l2.packing import DamagedFrameError
+from drivers.v4l2.system import PLUG_IN
 
 #: Buffers that the kernel fills while no frame is taken: enough for the frames that are on their
 #: way to a late consumer with a control delay of 5 frames.
 BUFFERS = 8
-#: Attempts to grab a frame that fails at once, and the pause between them.
-_ATTEMPTS, _PAUSE_S = 3, 0.3
+#: A stream without at least so many buffers loses frames: one is read while others are filled.
+_FEWEST_BUFFERS = 3
+#: Silence after which the camera counts as frozen: at least so many seconds and so many frames.
+_SILENCE_S, _SILENCE_FRAMES = 10.0, 5
+#: Attempts to take a frame where that fails at once.
+_ATTEMPTS = 3
 #: Frame interval where the camera offers no list, s.
 _USUAL_INTERVAL_S = 1 / 30
 #: Frame rates that differ by at most this share are the same: 29.97 is 30.
@@ -70,152 +70,143 @@ def choose_size(grid: SizeGrid, requested: Shape | None, path: str) -> Shape:
 def choose_interval(offered: Sequence[float], fps: float | None, path: str) -> float:
     """Return the frame interval, s, for `fps` frames a second, or the longest.
 
-    The longest is the default, because no exposure may be longer than the interval.  Only those
-    intervals count that OpenCV can request: the nearest to a whole number of frames a second.
+    The longest is the default, because no exposure may be longer than the interval.
 
     Raises:
         UsageError: the camera does not offer that rate
     """
-    usable = [
-        interval_s
-        for interval_s in offered
-        if min(offered, key=lambda each: abs(each - 1 / _whole_rate(interval_s))) == interval_s
-    ]
-    if not usable:
+    if not offered:
         return 1 / fps if fps is not None else _USUAL_INTERVAL_S
     if fps is None:
-        return max(usable)
-    nearest = min(usable, key=lambda interval_s: abs(math.log(interval_s * fps)))
+        return max(offered)
+    nearest = min(offered, key=lambda interval_s: abs(math.log(interval_s * fps)))
     if abs(nearest * fps - 1) > _SAME_RATE:
-        known = ", ".join(f"{1 / interval_s:.4g}" for interval_s in sorted(usable, reverse=True))
+        known = ", ".join(f"{1 / interval_s:.4g}" for interval_s in sorted(offered, reverse=True))
         raise UsageError(
             f"{path} does not offer {fps:g} frames a second", hint=f"it offers {known}"
         )
     return nearest
 
 
-def _whole_rate(interval_s: float) -> int:
-    """Return the nearest whole number of frames a second: OpenCV can request no other rate."""
-    return max(1, round(1 / interval_s))
-
-
-class Video(Protocol):
-    """The part of `cv2.VideoCapture` that the driver uses."""
-
-    def isOpened(self) -> bool: ...  # noqa: N802, D102
-    def set(self, propId: int, value: float) -> bool: ...  # noqa: D102
-    def get(self, propId: int) -> float: ...  # noqa: D102
-    def grab(self) -> bool: ...  # noqa: D102
-    def retrieve(self) -> tuple[bool, NDArray[Any]]: ...  # noqa: D102
-    def release(self) -> None: ...  # noqa: D102
-
-
-class VideoOpener(Protocol):
-    """Opens the video of a node."""
-
-    def __call__(self, path: str) -> Video:
-        """Return the video, opened or not."""
-        ...
-
-
-def open_video(path: str) -> Video:
-    """Open a node with OpenCV, whose log is silenced from then on."""
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    return cv2.VideoCapture(path, cv2.CAP_V4L2)
-
-
-def select_timeout_s() -> float:
-    """Return how long OpenCV waits for a frame, s."""
-    try:
-        return float(int(os.environ["OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"]))
-    except (KeyError, ValueError):
-        return 10.0
-
-
 class Capture:
-    """A running stream.
+    """The running stream of an open node.
 
     Args:
-        node: the same device on the driver's own descriptor, to find out what failed
+        node: the device; its format and stream are then this object's
         mode: what to stream
-        clock: monotonic, as are the timestamps of the frames
-        opener: opens the video
+
+    Attributes:
+        sequence: the driver's number of the frame that was grabbed last
+        interval_s: the frame interval that the driver has set
 
     Raises:
         CameraBusyError: another process streams from the device
         CameraProtocolError: the device does not stream in that mode
     """
 
-    def __init__(
-        self, node: Node, mode: StreamMode, clock: Clock, opener: VideoOpener = open_video
-    ) -> None:
+    def __init__(self, node: Node, mode: StreamMode) -> None:
+        self.sequence = 0
         self._node = node
-        self._clock = clock
-        self._video = opener(node.path)
+        self._mode = mode
+        self._silence_s = max(_SILENCE_S, _SILENCE_FRAMES * mode.interval_s)
+        self._memory: list[Memory] = []
+        self._held: abi.Buffer | None = None
         try:
-            if not self._video.isOpened():
-                raise self._no_stream("cannot be opened for streaming")
-            self._set_up(mode)
+            self._line_bytes = self._set_mode()
+            self._allocate()
+            self._node.query(abi.Request.STREAMON, _all_buffers(), "start the stream of")
         except BaseException:
-            self._video.release()
+            self.close()
             raise
 
     def close(self) -> None:
-        """Stop the stream."""
-        self._video.release()
+        """Stop the stream and give its buffers back; what fails is ignored."""
+        self._held = None
+        self._memory.clear()
+        for request, argument in (
+            (abi.Request.STREAMOFF, _all_buffers()),
+            (abi.Request.REQBUFS, _buffer_request(0)),
+        ):
+            try:
+                self._node.query(request, argument, "stop the stream of")
+            except CameraError:
+                continue
 
     def grab(self) -> float:
         """Wait for the next frame; return its timestamp, s, which is when its exposure ended.
 
         Raises:
-            CameraTimeoutError: no frame arrived for as long as OpenCV waits
+            CameraTimeoutError: no frame arrived within the time-out
             CameraDisconnectedError: the camera was unplugged
-            CameraBusyError: another process took the stream
             CameraProtocolError: the stream failed several times in a row
         """
-        for _ in range(_ATTEMPTS):
-            began_s = self._clock.now()
-            if self._video.grab():
-                return self._video.get(cv2.CAP_PROP_POS_MSEC) / 1000
-            silence_s = self._clock.now() - began_s
-            self._check_plug()
-            if silence_s > select_timeout_s() / 2:
-                raise CameraTimeoutError(
-                    f"no frame from {self._node.path} for {silence_s:.0f} s",
-                    hint="unplug it, plug it in again and resume",
-                )
-            self._clock.sleep_until(self._clock.now() + _PAUSE_S)
-        raise self._no_stream("delivers no frames")
+        attempts = _ATTEMPTS
+        while True:
+            try:
+                return self._next_frame()
+            except CameraTimeoutError:
+                self._check_plug()
+                raise
+            except CameraError:
+                self._check_plug()
+                attempts -= 1
+                if not attempts:
+                    raise
 
-    def retrieve(self) -> NDArray[Any] | None:
-        """Return the frame grabbed last as OpenCV delivers it; None where that fails."""
-        try:
-            is_there, data = self._video.retrieve()
-        except cv2.error:
+    def retrieve(self) -> Pixels | None:
+        """Return the samples of the frame grabbed last; None where it is damaged or incomplete."""
+        held = self._held
+        if held is None or held.flags & abi.BufferFlag.ERROR:
             return None
-        return data if is_there and isinstance(data, np.ndarray) and data.size else None
+        data = self._memory[held.index][: held.bytesused]
+        try:
+            return self._mode.format.packing.samples(data, self._mode.shape, self._line_bytes)
+        except DamagedFrameError:
+            return None
 
-    def _set_up(self, mode: StreamMode) -> None:
-        # Each of the first four restarts the stream; a rate is accepted only while it is stopped.
-        video, (rows, columns) = self._video, mode.shape
-        video.set(cv2.CAP_PROP_CONVERT_RGB, 0)
-        video.set(cv2.CAP_PROP_BUFFERSIZE, BUFFERS)
-        video.set(cv2.CAP_PROP_FOURCC, mode.format.fourcc)
-        video.set(cv2.CAP_PROP_FRAME_WIDTH, columns)
-        video.set(cv2.CAP_PROP_FRAME_HEIGHT, rows)
-        video.set(cv2.CAP_PROP_FPS, _whole_rate(mode.interval_s))
-        if not video.isOpened():
-            raise self._no_stream("cannot be opened for streaming")
-        found = self._node.current_format()
-        if (found.pixelformat, found.height, found.width) != (mode.format.fourcc, rows, columns):
-            raise self._no_stream(f"does not stream {mode.format.name} at {size_text(mode.shape)}")
-        bytes_per_line = mode.format.packing.bytes_per_line
-        if bytes_per_line is not None and found.bytesperline > bytes_per_line(columns):
-            raise CameraError(
-                f"{self._node.path} pads its lines of {bytes_per_line(columns)} bytes to "
-                f"{found.bytesperline}, which OpenCV cannot read",
-                hint="choose another size with -O size=WIDTHxHEIGHT",
+    def _next_frame(self) -> float:
+        if self._held is not None:
+            held, self._held = self._held, None
+            self._node.query(abi.Request.QBUF, held, "take a frame of")
+        if not self._node.wait(self._silence_s):
+            raise CameraTimeoutError(
+                f"no frame from {self._node.path} for {self._silence_s:.0f} s",
+                hint="unplug it, plug it in again and resume",
             )
+        held = self._node.query(abi.Request.DQBUF, _buffer(0), "take a frame of")
+        if held.index >= len(self._memory):
+            raise self._node.invalid("a frame in buffer", held.index)
+        self._held, self.sequence = held, int(held.sequence)
+        return float(held.seconds) + float(held.microseconds) / 1e6
+
+    def _set_mode(self) -> int:
+        """Set pixel format, size and rate; return the bytes from line to line, 0 if unknown."""
+        node, (rows, columns), code = self._node, self._mode.shape, self._mode.format.fourcc
+        wanted = abi.Format(type=abi.CAPTURE_BUFFER, width=columns, height=rows, pixelformat=code)
+        found = node.query(abi.Request.S_FMT, wanted, "set the format of")
+        if (found.pixelformat, found.height, found.width) != (code, rows, columns):
+            raise CameraProtocolError(
+                f"{node.path} does not stream {self._mode.format.name} at "
+                f"{size_text(self._mode.shape)}",
+                hint="choose another size with -O size=WIDTHxHEIGHT, or another -O format=...",
+            )
+        self.interval_s = node.set_interval(self._mode.interval_s) or self._mode.interval_s
+        return int(found.bytesperline)
+
+    def _allocate(self) -> None:
+        """Map the buffers and hand them to the kernel."""
+        node = self._node
+        granted = node.query(abi.Request.REQBUFS, _buffer_request(BUFFERS), "stream from")
+        if granted.count < _FEWEST_BUFFERS:
+            raise CameraProtocolError(
+                f"{node.path} has {granted.count} buffers for frames, and {_FEWEST_BUFFERS} are "
+                "needed",
+                hint="choose a smaller size with -O size=WIDTHxHEIGHT",
+            )
+        for index in range(granted.count):
+            buffer = node.query(abi.Request.QUERYBUF, _buffer(index), "stream from")
+            self._memory.append(node.map(buffer))
+            node.query(abi.Request.QBUF, buffer, "stream from")
 
     def _check_plug(self) -> None:
         """Raise `CameraDisconnectedError` where the camera does not respond to the kernel."""
@@ -226,13 +217,14 @@ class Capture:
                 f"{self._node.path} was unplugged", hint=PLUG_IN
             ) from error
 
-    def _no_stream(self, what: str) -> CameraError:
-        self._check_plug()
-        processes = processes_using(self._node.path)
-        if processes:
-            return busy_error(self._node.path, processes)
-        return CameraProtocolError(
-            f"{self._node.path} {what}",
-            hint="close other programs that use it, give it a USB port of its own, or choose a "
-            "smaller size with -O size=WIDTHxHEIGHT",
-        )
+
+def _buffer(index: int) -> abi.Buffer:
+    return abi.Buffer(index=index, type=abi.CAPTURE_BUFFER, memory=abi.MAPPED_MEMORY)
+
+
+def _buffer_request(count: int) -> abi.BufferRequest:
+    return abi.BufferRequest(count=count, type=abi.CAPTURE_BUFFER, memory=abi.MAPPED_MEMORY)
+
+
+def _all_buffers() -> abi.BufferType:
+    return abi.BufferType(type=abi.CAPTURE_BUFFER)

@@ -19,7 +19,7 @@ from drivers.v4l2.abi import MANUAL_EXPOSURE, ControlId
 from drivers.v4l2.node import ControlRange, Node
 
 #: The unit of V4L2_CID_EXPOSURE_ABSOLUTE is 100 us.
-TICKS_PER_S = 10_000
+TICKS_PER_S = 10_000.0
 #: Gain steps that are listed at most; registers of real sensors have fewer.
 _MOST_GAIN_STEPS = 4096
 #: Linear gains from here on are not offered: no sensor has them.
@@ -87,11 +87,24 @@ AUTOMATICS = (
 )
 
 
+@dataclass(frozen=True)
+class TimeUnit:
+    """The control that sets the exposure time, and how many of its units a second has."""
+
+    control: ControlId
+    per_s: float
+
+
+#: The gain of webcams, and that of image sensors.
+GAINS = (ControlId.GAIN, ControlId.ANALOGUE_GAIN)
+
+
 class ExposureControl:
     """The exposure of an open node, set to manual.
 
     Args:
-        node: of the camera, streaming or not
+        node: of the camera, in the mode in which it streams
+        columns: of its frames
         gain: what the steps of its gain add; None: the gain stays at its default
 
     Attributes:
@@ -103,11 +116,15 @@ class ExposureControl:
         CameraProtocolError: a control does not keep the value that was set
     """
 
-    def __init__(self, node: Node, gain: GainUnit | None = None) -> None:
+    def __init__(self, node: Node, columns: int, gain: GainUnit | None = None) -> None:
         self._node = node
         self.notes: list[str] = []
+        self._gain_control = next(
+            (each for each in GAINS if node.control(each) is not None), ControlId.GAIN
+        )
         self._gain_registers: dict[float, int] = {}
         self._current_register: int | None = None
+        self._unit = self._time_unit(columns)
         self._set_manual()
         for automatic in AUTOMATICS:
             self._turn_off(automatic)
@@ -130,26 +147,27 @@ class ExposureControl:
             CameraError: the shortest is longer than the interval
             CameraProtocolError: there is none above 0
         """
-        control = self._node.control(ControlId.EXPOSURE_ABSOLUTE)
+        per_s = self._unit.per_s
+        control = self._node.control(self._unit.control)
         if control is None:
             raise self._not_manual("lost its control for the exposure time")
         step = control.step
         first = control.minimum
         if first <= 0:
             first += step * (-first // step + 1)
-        longest = min(control.maximum, math.floor(interval_s * TICKS_PER_S * (1 + 1e-9)))
+        longest = min(control.maximum, math.floor(interval_s * per_s * (1 + 1e-9)))
         if first > control.maximum:
             raise CameraProtocolError(
                 f"{self._node.path} offers no exposure above 0 s", hint=_REPLUG
             )
         if longest < first:
             raise CameraError(
-                f"the shortest exposure of {self._node.path}, {first / TICKS_PER_S:g} s, is longer "
+                f"the shortest exposure of {self._node.path}, {first / per_s:g} s, is longer "
                 f"than a frame of {interval_s:g} s",
                 hint="choose a lower frame rate with -O fps=...",
             )
         last = first + (longest - first) // step * step
-        return Steps(first / TICKS_PER_S, last / TICKS_PER_S, step / TICKS_PER_S)
+        return Steps(first / per_s, last / per_s, step / per_s)
 
     def write(self, setting: ExposureSetting) -> ExposureSetting:
         """Set a time of `times` and a gain of `gains`; return both as read back.
@@ -161,15 +179,17 @@ class ExposureControl:
         return ExposureSetting(self._write_time(setting.time_s), self._write_gain(setting.gain))
 
     def _write_time(self, time_s: float) -> float:
-        ticks = round(time_s * TICKS_PER_S)
-        applied = self._node.set(ControlId.EXPOSURE_ABSOLUTE, ticks)
+        per_s = self._unit.per_s
+        count = round(time_s * per_s)
+        applied = self._node.set(self._unit.control, count)
         if applied <= 0:
             raise CameraProtocolError(
-                f"{self._node.path} reports an exposure time of {applied} x 100 us", hint=_REPLUG
+                f"{self._node.path} reports an exposure time of {applied} x {1e6 / per_s:g} us",
+                hint=_REPLUG,
             )
-        if applied != ticks:
-            raise RefusedSettingError("time_s", time_s, applied / TICKS_PER_S)
-        return applied / TICKS_PER_S
+        if applied != count:
+            raise RefusedSettingError("time_s", time_s, applied / per_s)
+        return applied / per_s
 
     def _write_gain(self, requested: float) -> float:
         registers = self._gain_registers
@@ -178,7 +198,7 @@ class ExposureControl:
         gain = self.gains.nearest(requested)
         register = registers[gain]
         if register != self._current_register:
-            self._current_register = self._node.set(ControlId.GAIN, register)
+            self._current_register = self._node.set(self._gain_control, register)
         if self._current_register != register:
             applied = self._current_register
             nearest = min(registers, key=lambda each: abs(registers[each] - applied))
@@ -186,7 +206,7 @@ class ExposureControl:
         return gain
 
     def _use_gain(self, unit: GainUnit) -> None:
-        control = self._node.control(ControlId.GAIN)
+        control = self._node.control(self._gain_control)
         if control is None or control.is_read_only:
             raise UsageError(
                 f"{self._node.path} has no gain that can be set", hint="leave out -O gain"
@@ -204,11 +224,11 @@ class ExposureControl:
         The unit of V4L2_CID_GAIN depends on the vendor: dB, ISO or register values.  The default
         suits the sensor; below it, some sensors do not reach white.
         """
-        control = self._node.control(ControlId.GAIN)
+        control = self._node.control(self._gain_control)
         if control is None or control.is_read_only:
             return
         default = control.nearest(control.default)
-        if self._node.set(ControlId.GAIN, default) != default:
+        if self._node.set(self._gain_control, default) != default:
             self.notes.append("the gain cannot be held: frames with one exposure may differ")
             return
         steps = (control.maximum - control.minimum) // control.step
@@ -217,10 +237,37 @@ class ExposureControl:
             "add is not known; give it with -O gain"
         )
 
+    def _time_unit(self, columns: int) -> TimeUnit:
+        """Return the control for the exposure time: in units of 100 us, or in lines.
+
+        An image sensor exposes for a number of lines; a line takes (columns + horizontal blanking)
+        / pixel rate (Linux, Documentation/userspace-api/media/drivers/camera-sensor.rst).
+        """
+        if self._node.control(ControlId.EXPOSURE_ABSOLUTE) is not None:
+            return TimeUnit(ControlId.EXPOSURE_ABSOLUTE, TICKS_PER_S)
+        if self._node.control(ControlId.EXPOSURE) is None:
+            raise self._not_manual("has no control for the exposure time")
+        blanking = self._node.long_value(ControlId.HBLANK)
+        rate = self._node.long_value(ControlId.PIXEL_RATE)
+        missing = [
+            name
+            for name, value in (("pixel rate", rate), ("horizontal blanking", blanking))
+            if value is None or value < (name == "pixel rate")
+        ]
+        if missing or rate is None or blanking is None:
+            raise self._not_manual(
+                f"sets its exposure in lines, but does not report {' and '.join(missing)}, by "
+                "which a line would be known in seconds"
+            )
+        unit = TimeUnit(ControlId.EXPOSURE, rate / (columns + blanking))
+        self.notes.append(
+            f"the exposure is set in lines of {1e6 / unit.per_s:.4g} us, by the pixel rate and "
+            "the blanking that the sensor's driver reports"
+        )
+        return unit
+
     def _set_manual(self) -> None:
         auto = self._node.control(ControlId.EXPOSURE_AUTO)
-        if self._node.control(ControlId.EXPOSURE_ABSOLUTE) is None:
-            raise self._not_manual("has no control for the exposure time in seconds")
         if auto is None:
             self.notes.append(
                 "the camera has no switch for automatic exposure: it is assumed to be manual"
@@ -234,7 +281,8 @@ class ExposureControl:
     def _not_manual(self, why: str) -> CameraError:
         return CameraError(
             f"{self._node.path} {why}, so that no exposure can be set",
-            hint="use a camera for which v4l2-ctl --list-ctrls shows exposure_time_absolute",
+            hint="use a camera for which v4l2-ctl --list-ctrls shows exposure_time_absolute, or "
+            "exposure with pixel_rate and horizontal_blanking",
         )
 
     def _turn_off(self, automatic: Automatic) -> None:

@@ -15,11 +15,13 @@ from camctl.response.camera import CameraResponse, named_response
 from drivers.v4l2 import abi
 from drivers.v4l2.abi import fourcc
 from drivers.v4l2.packing import (
+    BITS_OF_10,
     BYTES,
     FIRST_OF_TWO,
     JPEG,
     MIPI_RAW10,
     MIPI_RAW12,
+    MIPI_RAW14,
     SECOND_OF_TWO,
     WORDS,
     Packing,
@@ -64,6 +66,7 @@ _PATTERNS = (Layout.RGGB, Layout.GRBG, Layout.GBRG, Layout.BGGR)
 _BAYER = (
     (16, WORDS, ("RG16", "GR16", "GB16", "BYR2")),
     (14, WORDS, ("RG14", "GR14", "GB14", "BG14")),
+    (14, MIPI_RAW14, ("pREE", "pgEE", "pGEE", "pBEE")),
     (12, WORDS, ("RG12", "BA12", "GB12", "BG12")),
     (12, MIPI_RAW12, ("pRCC", "pgCC", "pGCC", "pBCC")),
     (10, WORDS, ("RG10", "BA10", "GB10", "BG10")),
@@ -74,10 +77,12 @@ _BAYER = (
 FORMATS: tuple[PixelFormat, ...] = (
     PixelFormat("y16", "Y16 ", WORDS, 16),
     PixelFormat("y14", "Y14 ", WORDS, 14),
+    PixelFormat("y14", "Y14P", MIPI_RAW14, 14),
     PixelFormat("y12", "Y12 ", WORDS, 12),
     PixelFormat("y12", "Y12P", MIPI_RAW12, 12),
     PixelFormat("y10", "Y10 ", WORDS, 10),
     PixelFormat("y10", "Y10P", MIPI_RAW10, 10),
+    PixelFormat("y10", "Y10B", BITS_OF_10, 10),
     *(
         PixelFormat(f"bayer{bits}", code, packing, bits, layout)
         for bits, packing, codes in _BAYER
@@ -88,15 +93,6 @@ FORMATS: tuple[PixelFormat, ...] = (
     PixelFormat("uyvy", "UYVY", SECOND_OF_TWO, 8, is_raw=False, is_yuv=True),
     PixelFormat("nv12", "NV12", BYTES, 8, is_raw=False, is_yuv=True),
     PixelFormat("mjpg", "MJPG", JPEG, 8, is_raw=False, is_lossy=True),
-)
-
-#: Formats in which OpenCV opens a camera (cap_v4l.cpp); after that, any other can be set.
-OPENED_BY_OPENCV: frozenset[int] = frozenset(
-    fourcc(code)
-    for code in (
-        *("BGR3", "RGB3", "YV12", "YU12", "411P", "YUYV", "UYVY", "NV12", "NV21", "BA81", "GBRG"),
-        *("GRBG", "XR24", "AR24", "S910", "MJPG", "JPEG", "Y16 ", "Y12 ", "Y10 ", "GREY"),
-    )
 )
 
 
@@ -118,11 +114,6 @@ def choose_format(offered: Sequence[int], name: str, path: str) -> PixelFormat:
         raise CameraError(
             f"{path} offers no pixel format that camctl can read, only {codes or 'none at all'}",
             hint="use a camera that offers YUYV, MJPG or raw samples",
-        )
-    if OPENED_BY_OPENCV.isdisjoint(offered):
-        raise CameraError(
-            f"OpenCV cannot open {path}, because it offers only {codes}",
-            hint="use a camera that offers YUYV, MJPG, Y16 or 8-bit Bayer frames, too",
         )
     for format_ in usable:
         if name in (format_.name, "auto") or (name == "bayer" and format_.layout.is_mosaic):
@@ -170,7 +161,7 @@ def sample_scale(
     Args:
         format_: the pixel format
         current: what V4L2 reports of the format that is set
-        bits: bits that samples of y16 use; None: all
+        bits: bits that samples of 16 bits use; None: all
         black: brightness without light, DN; None: that of the range
         luma_range: "auto", "full" or "limited"
         response: one of `camctl.response.camera.RESPONSES`, or "auto"
@@ -178,10 +169,10 @@ def sample_scale(
     Raises:
         UsageError: an unknown response, or an option that does not fit the format
     """
-    if bits is not None and format_.name != "y16":
+    if bits is not None and format_.bits != 16:
         raise UsageError(
             f"the option bits={bits} does not apply to the pixel format {format_.name}",
-            hint="it states how many bits of y16 are used",
+            hint="it states how many bits of y16 or bayer16 are used",
         )
     if luma_range == "auto":
         is_limited = format_.is_yuv and _is_limited(current)

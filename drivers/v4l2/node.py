@@ -1,7 +1,7 @@
-"""A video node, queried through ioctls on a file descriptor of the driver's own.
+"""A video node: its lists, formats and controls, through ioctls on its file descriptor.
 
-Frames come through OpenCV on another descriptor.  This one never sets a format: the kernel grants
-that to one descriptor, which must be the one that streams.
+The kernel grants format and stream of a node to one descriptor at a time.  A `Node` therefore sets
+nothing of them by itself: `drivers.v4l2.capture` does.
 """
 
 from __future__ import annotations
@@ -15,13 +15,16 @@ from typing import Self, TypeAlias, TypeVar
 
 from camctl.errors import CameraError, CameraNotFoundError, CameraProtocolError
 from drivers.v4l2 import abi
+from drivers.v4l2.kernel import Kernel, Linux, Memory
 from drivers.v4l2.system import camera_error
 
 #: (rows, columns) of a frame.
 Shape: TypeAlias = tuple[int, int]
 
 #: Entries of a list that are read at most, for devices whose lists never end.
-MOST_FORMATS, MOST_SIZES, MOST_INTERVALS = 64, 256, 128
+MOST_FORMATS, MOST_SIZES, MOST_INTERVALS = 256, 256, 128
+#: Frame intervals are set in units of 100 ns, as USB cameras have them.
+_INTERVALS_PER_S = 10_000_000
 #: Attempts at a system call that signals interrupt.
 _ATTEMPTS = 10
 _REPLUG = "unplug it, plug it in again and try again"
@@ -98,9 +101,9 @@ class Node:
         CameraError: see `drivers.v4l2.system.camera_error`; so does every method
     """
 
-    def __init__(self, path: str, kernel: abi.Kernel | None = None) -> None:
+    def __init__(self, path: str, kernel: Kernel | None = None) -> None:
         self.path = path
-        self._kernel: abi.Kernel = kernel or abi.Linux()
+        self._kernel: Kernel = kernel or Linux()
         try:
             self._descriptor: int | None = self._kernel.open(path)
         except OSError as error:
@@ -123,7 +126,7 @@ class Node:
 
     def identity(self) -> Identity:
         """Return what the node reports of itself."""
-        found = self._query(abi.Request.QUERYCAP, abi.Capability(), "query")
+        found = self.query(abi.Request.QUERYCAP, abi.Capability(), "query")
         has_own = found.capabilities & abi.Caps.DEVICE_CAPS
         caps = found.device_caps if has_own else found.capabilities
         needed = abi.Caps.VIDEO_CAPTURE | abi.Caps.STREAMING
@@ -169,13 +172,13 @@ class Node:
         if ranges:
             least_w, most_w, step_w, least_h, most_h, step_h = ranges[0]
             if not (0 < least_w <= most_w and 0 < least_h <= most_h):
-                raise self._invalid("a range of sizes", ranges[0])
+                raise self.invalid("a range of sizes", ranges[0])
             steps = (max(step_h, 1), max(step_w, 1))
             return SizeGrid(((most_h, most_w),), (least_h, least_w), steps)
         listed = {(entry.words[1], entry.words[0]): None for entry in entries}
         usable = tuple(shape for shape in listed if min(shape) > 0)
         if not usable:
-            raise self._invalid("a list of sizes", [size_text(shape) for shape in listed])
+            raise self.invalid("a list of sizes", [size_text(shape) for shape in listed])
         return SizeGrid(usable)
 
     def intervals(self, pixelformat: int, shape: Shape) -> tuple[float, ...]:
@@ -199,19 +202,22 @@ class Node:
 
     def current_format(self) -> abi.Format:
         """Return the pixel format and size that are set."""
-        return self._query(abi.Request.G_FMT, abi.Format(type=abi.CAPTURE_BUFFER), "query")
+        return self.query(abi.Request.G_FMT, abi.Format(type=abi.CAPTURE_BUFFER), "query")
 
-    def current_interval_s(self) -> float | None:
-        """Return the frame interval that is set, s; None where the camera does not report it."""
+    def set_interval(self, interval_s: float) -> float | None:
+        """Set the frame interval; return the one that the driver chose, None where unknown."""
+        rate = abi.StreamParameters(
+            type=abi.CAPTURE_BUFFER,
+            numerator=round(interval_s * _INTERVALS_PER_S),
+            denominator=_INTERVALS_PER_S,
+        )
         try:
-            found = self._query(
-                abi.Request.G_PARM, abi.StreamParameters(type=abi.CAPTURE_BUFFER), "query"
-            )
-        except CameraProtocolError:
-            return None
-        if not (found.numerator and found.denominator):
-            return None
-        return float(found.numerator) / float(found.denominator)
+            self._call(abi.Request.S_PARM, rate)
+        except OSError as error:
+            if error.errno in (errno.EINVAL, errno.ENOTTY):
+                return None
+            raise camera_error(error, self.path, "set the frame rate of") from error
+        return rate.numerator / rate.denominator if rate.numerator and rate.denominator else None
 
     def control(self, control: int) -> ControlRange | None:
         """Return the range of a control; None where the camera does not have it.
@@ -232,7 +238,7 @@ class Node:
         step = 1 if is_switch else found.step
         if found.minimum > found.maximum or step <= 0:
             reported = f"{found.minimum}..{found.maximum} in steps of {found.step}"
-            raise self._invalid(f"a range of '{name}'", reported)
+            raise self.invalid(f"a range of '{name}'", reported)
         return ControlRange(
             name=name,
             minimum=found.minimum,
@@ -254,8 +260,20 @@ class Node:
 
     def get(self, control: int) -> int:
         """Return the value of a control."""
-        found = self._query(abi.Request.G_CTRL, abi.ControlValue(id=control), "read a control of")
+        found = self.query(abi.Request.G_CTRL, abi.ControlValue(id=control), "read a control of")
         return int(found.value)
+
+    def long_value(self, control: int) -> int | None:
+        """Return the value of a control of up to 64 bits; None where the camera has none."""
+        value = abi.LongValue(id=control)
+        values = abi.LongValues(count=1, controls=ctypes.pointer(value))
+        try:
+            self._call(abi.Request.G_EXT_CTRLS, values)
+        except OSError as error:
+            if error.errno in (errno.EINVAL, errno.ENOTTY):
+                return None
+            raise camera_error(error, self.path, "read a control of") from error
+        return int(value.value)
 
     def set(self, control: int, value: int) -> int:
         """Set a control and return the value read back, which may be another one."""
@@ -291,24 +309,42 @@ class Node:
             ):
                 return
 
-    def _query(self, request: abi.Request, argument: _StructureT, action: str) -> _StructureT:
+    def query(self, request: abi.Request, argument: _StructureT, action: str) -> _StructureT:
+        """Return `argument` as the node's driver fills it in; errors name the `action`."""
         try:
             return self._call(request, argument)
         except OSError as error:
             raise camera_error(error, self.path, action) from error
 
-    def _call(self, request: abi.Request, argument: _StructureT) -> _StructureT:
+    def map(self, buffer: abi.Buffer) -> Memory:
+        """Return the memory of a buffer of the stream."""
+        try:
+            return self._kernel.map(self._opened(), buffer.offset, buffer.length)
+        except (OSError, ValueError, OverflowError) as error:
+            reported = f"{buffer.length} bytes at {buffer.offset}"
+            raise self.invalid("a buffer", reported) from error
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for a frame or an error of the stream; return False where none comes in time."""
+        return self._kernel.wait(self._opened(), timeout_s)
+
+    def _opened(self) -> int:
         if self._descriptor is None:
             raise CameraError(f"{self.path} is closed", hint="open the camera again")
+        return self._descriptor
+
+    def _call(self, request: abi.Request, argument: _StructureT) -> _StructureT:
+        descriptor = self._opened()
         for _ in range(_ATTEMPTS):
             try:
-                self._kernel.ioctl(self._descriptor, request, argument)
+                self._kernel.ioctl(descriptor, request, argument)
             except InterruptedError:
                 continue
             return argument
         raise OSError(errno.EINTR, os.strerror(errno.EINTR))
 
-    def _invalid(self, what: str, reported: object) -> CameraProtocolError:
+    def invalid(self, what: str, reported: object) -> CameraProtocolError:
+        """Return the error for a response that contradicts itself."""
         return CameraProtocolError(
             f"{self.path} sent an invalid response: {what} of {reported}", hint=_REPLUG
         )

@@ -1,9 +1,4 @@
-"""The samples in the bytes of a frame, as V4L2 packs them.
-
-OpenCV (cap_v4l.cpp, CAP_PROP_CONVERT_RGB = 0) delivers Y10, Y12 and Y16 as uint16, YUYV as two
-channels, and each format that it does not know as the bytes that arrived.  All are read here as
-bytes.
-"""
+"""The samples in the bytes of a frame, as V4L2 packs them."""
 
 from __future__ import annotations
 
@@ -12,10 +7,11 @@ import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeAlias
 
-import cv2
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
@@ -41,29 +37,36 @@ class Packing:
     Attributes:
         bytes_per_line: bytes of a line with this number of columns; None where the length of a
             frame varies
-        unpack: from the bytes of all lines and the shape to samples, (rows, columns)
+        unpack: from the bytes of all lines and the shape to samples, (rows, columns); a copy
     """
 
     bytes_per_line: Callable[[int], int] | None
     unpack: Callable[[Bytes, Shape], Pixels]
 
-    def samples(self, data: NDArray[Any], shape: Shape) -> Pixels:
-        """Return the samples of a frame as OpenCV delivered it: (rows, columns).
+    def samples(self, data: Bytes, shape: Shape, line_bytes: int = 0) -> Pixels:
+        """Return the samples of a frame: (rows, columns).
+
+        Args:
+            data: its bytes
+            shape: (rows, columns)
+            line_bytes: from the start of a line to that of the next, where lines are padded
 
         Raises:
             DamagedFrameError: bytes are missing, or they cannot be decoded
         """
-        raw = np.ascontiguousarray(data).reshape(-1).view(np.uint8)
         if self.bytes_per_line is None:
-            return self.unpack(raw, shape)
+            return self.unpack(data, shape)
         rows, columns = shape
-        needed = self.bytes_per_line(columns) * rows
-        if raw.size < needed:
+        used = self.bytes_per_line(columns)
+        line_bytes = max(line_bytes, used)
+        needed = line_bytes * (rows - 1) + used
+        if data.size < needed:
             raise DamagedFrameError(
-                f"the frame has {raw.size} bytes instead of {needed}", hint="try again"
+                f"the frame has {data.size} bytes instead of {needed}", hint="try again"
             )
         # The chroma plane of NV12 follows its luma; other formats may be padded at the end.
-        return self.unpack(raw[:needed], shape)
+        lines = as_strided(data[:needed], (rows, used), (line_bytes, 1), writeable=False)
+        return self.unpack(np.ascontiguousarray(lines).reshape(-1), shape)
 
 
 def _words(data: Bytes, shape: Shape) -> Pixels:
@@ -83,18 +86,28 @@ def _second_of_two(data: Bytes, shape: Shape) -> Pixels:
     return data.reshape(*shape, 2)[:, :, 1].copy()
 
 
-def _mipi_raw10(data: Bytes, shape: Shape) -> Pixels:
-    """Unpack groups of five bytes: the upper 8 bits of four samples, then their lower 2 bits."""
+def _mipi(bits: int, count: int, data: Bytes, shape: Shape) -> Pixels:
+    """Unpack groups of bytes: the upper 8 bits of `count` samples, then all their lower bits.
+
+    The lower bits are one little-endian number, with those of the first sample lowest.
+    """
+    lower_bits = bits - 8
+    groups = data.reshape(-1, count * bits // 8).astype(np.uint32)
+    places = np.arange(count, dtype=np.uint32)
+    tail = groups[:, count:]
+    number = np.zeros(len(groups), np.uint32)
+    for place in range(tail.shape[1]):
+        number |= tail[:, place] << 8 * place
+    lower = number[:, None] >> places * lower_bits & 2**lower_bits - 1
+    return _lines((groups[:, :count] << lower_bits | lower).astype(np.uint16), shape)
+
+
+def _bits_of_10(data: Bytes, shape: Shape) -> Pixels:
+    """Unpack five bytes into four samples of 10 bits, one after the other, upper bits first."""
     groups = data.reshape(-1, 5).astype(np.uint16)
-    lower = (groups[:, 4:] >> np.array([0, 2, 4, 6], np.uint16)) & 3
-    return _lines((groups[:, :4] << 2 | lower).astype(np.uint16, copy=False), shape)
-
-
-def _mipi_raw12(data: Bytes, shape: Shape) -> Pixels:
-    """Unpack groups of three bytes: the upper 8 bits of two samples, then their lower 4 bits."""
-    groups = data.reshape(-1, 3).astype(np.uint16)
-    lower = (groups[:, 2:] >> np.array([0, 4], np.uint16)) & 15
-    return _lines((groups[:, :2] << 4 | lower).astype(np.uint16, copy=False), shape)
+    upper = groups[:, :4] << np.array([2, 4, 6, 8], np.uint16)
+    lower = groups[:, 1:] >> np.array([6, 4, 2, 0], np.uint16)
+    return _lines(((upper | lower) & 1023).astype(np.uint16), shape)
 
 
 def _lines(groups: Pixels, shape: Shape) -> Pixels:
@@ -121,6 +134,8 @@ def _decode_jpeg(stream: bytes) -> tuple[NDArray[Any] | None, list[str]]:
     libjpeg invents samples for damaged parts and reports that on standard error only.  That is
     redirected to a file meanwhile, so that it is read here and not printed.
     """
+    import cv2  # a second of loading that other formats do not need
+
     with _STANDARD_ERROR_LOCK, tempfile.TemporaryFile() as warnings:
         standard_error = os.dup(2)
         try:
@@ -137,8 +152,10 @@ def _decode_jpeg(stream: bytes) -> tuple[NDArray[Any] | None, list[str]]:
 
 WORDS = Packing(lambda columns: 2 * columns, _words)
 BYTES = Packing(lambda columns: columns, _bytes)
-MIPI_RAW10 = Packing(lambda columns: -(-columns // 4) * 5, _mipi_raw10)
-MIPI_RAW12 = Packing(lambda columns: -(-columns // 2) * 3, _mipi_raw12)
+MIPI_RAW10 = Packing(lambda columns: -(-columns // 4) * 5, partial(_mipi, 10, 4))
+MIPI_RAW12 = Packing(lambda columns: -(-columns // 2) * 3, partial(_mipi, 12, 2))
+MIPI_RAW14 = Packing(lambda columns: -(-columns // 4) * 7, partial(_mipi, 14, 4))
+BITS_OF_10 = Packing(lambda columns: -(-columns // 4) * 5, _bits_of_10)
 FIRST_OF_TWO = Packing(lambda columns: 2 * columns, _first_of_two)
 SECOND_OF_TWO = Packing(lambda columns: 2 * columns, _second_of_two)
 JPEG = Packing(None, _jpeg)

@@ -49,6 +49,11 @@ _MEANINGS: dict[int, tuple[type[CameraError], str, str]] = {
         "unplug it, plug it in again, and try another socket or cable",
     ),
     errno.EPIPE: (CameraProtocolError, "the camera rejected the request", _REPLUG),
+    errno.ENOSPC: (
+        CameraProtocolError,
+        "the USB bus has no bandwidth left",
+        "give the camera a USB port of its own, or choose a smaller size with -O size=WIDTHxHEIGHT",
+    ),
     errno.ETIMEDOUT: (CameraTimeoutError, "the camera does not respond", _REPLUG),
 }
 

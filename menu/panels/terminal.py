@@ -1,26 +1,31 @@
-"""The menu in a terminal: arrow keys, enter, and escape or q for exit."""
+"""The menu in a terminal: arrow keys, enter, and escape or q for exit; see `TerminalPanel`."""
 
 from __future__ import annotations
 
 import curses
 import locale
 import os
+import select
 import shutil
-import signal
 import sys
-import threading
-from collections.abc import Callable, Sequence
-from types import FrameType, TracebackType
-from typing import Any, NoReturn, Self
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Self
 
-from camctl.errors import UsageError
-from menu.ports import SMALLEST, Highlight, Key
+from camctl.errors import CamctlError, UsageError
+from camctl.interrupts import uninterrupted
+from menu.layout import SMALLEST, Grid, grid
+from menu.ports import Key, Screen
 
 _LARGEST = (60, 16)
 """(columns, rows) that the menu uses in a larger terminal."""
 
 _FRAME = 1
-"""Width of the frame, characters on each side."""
+"""Width of the frame, characters on each side, where there is room for one."""
+
+_LEAST_FRAMED = (24, 8)
+"""(columns, rows) of a terminal that shows a frame; smaller ones show the menu alone."""
 
 _TITLE = " camctl "
 
@@ -37,6 +42,17 @@ _KEYS = {
     13: Key.ENTER,
     27: Key.EXIT,
     ord("q"): Key.EXIT,
+    **{
+        ord(character): key
+        for characters, key in (
+            ("k8", Key.UP),
+            ("j2", Key.DOWN),
+            ("h4", Key.LEFT),
+            ("l6", Key.RIGHT),
+            (" 5", Key.ENTER),
+        )
+        for character in characters
+    },
 }
 
 _REDRAW = 12
@@ -44,11 +60,15 @@ _REDRAW = 12
 
 
 class TerminalPanel:
-    """A framed panel in the middle of the terminal; it adapts when the terminal is resized."""
+    """A panel in the middle of the terminal; it adapts when the terminal is resized.
+
+    A terminal without cursor keys, such as a serial console, has h, j, k, l and the digits 2, 4, 6,
+    8 in their place.
+    """
 
     def __init__(self) -> None:
         self._screen: curses.window | None = None
-        self._last: tuple[Sequence[str], Highlight | None] = ((), None)
+        self._last: Screen | None = None
         self._restore: list[Callable[[], Any]] = []
 
     def __enter__(self) -> Self:
@@ -69,6 +89,7 @@ class TerminalPanel:
             raise
         return self
 
+    @uninterrupted
     def __exit__(
         self,
         kind: type[BaseException] | None,
@@ -78,37 +99,47 @@ class TerminalPanel:
         """Restore the terminal."""
         self._close()
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """(columns, rows) within the frame."""
-        rows, columns = self._opened.getmaxyx()
-        inner = (columns - 2 * _FRAME, rows - 2 * _FRAME)
-        return (
-            min(max(inner[0], SMALLEST[0]), _LARGEST[0]),
-            min(max(inner[1], SMALLEST[1]), _LARGEST[1]),
+    def show(self, screen: Screen) -> int:
+        """Show `screen`, in a frame where there is room for one; return its last offset."""
+        self._last = screen
+        window = self._opened
+        rows, columns = window.getmaxyx()
+        is_framed = columns >= _LEAST_FRAMED[0] and rows >= _LEAST_FRAMED[1]
+        border = 2 * _FRAME * is_framed
+        # The last cell of a terminal cannot be written without scrolling it.
+        size = (
+            min(columns - border, _LARGEST[0]),
+            min(rows - border, _LARGEST[1]),
         )
-
-    def show(self, lines: Sequence[str], highlight: Highlight | None = None) -> None:
-        """Show `lines` in the frame, the highlight in reverse video, the first line bold."""
-        self._last = (lines, highlight)
-        screen = self._opened
-        screen.erase()
+        window.erase()
+        last_offset = 0
         try:
-            self._draw(screen, lines, highlight)
+            shown = grid(screen, max(size[0], SMALLEST[0]), max(size[1], SMALLEST[1]))
+            last_offset = shown.last_offset
+            self._draw(window, shown, is_framed=is_framed)
         except curses.error:
             # The user is making the terminal smaller than the panel.
-            screen.erase()
-            screen.insnstr(0, 0, "make the terminal larger", screen.getmaxyx()[1])
-        screen.refresh()
+            window.erase()
+            with suppress(curses.error):
+                window.insnstr(0, 0, "make the terminal larger", columns)
+        window.refresh()
+        return last_offset
 
     def key(self, timeout_s: float) -> Key | None:
-        """Return the next key; None after `timeout_s`, an unused key or a resize."""
+        """Return the next key; None after `timeout_s`, an unused key or a resize.
+
+        Raises:
+            CamctlError: the terminal was closed
+        """
         self._opened.timeout(max(0, round(1000 * timeout_s)))
         code = self._opened.getch()
+        if code == curses.ERR and _is_closed(sys.stdin.fileno()):
+            raise CamctlError("the terminal was closed")
         if code == _REDRAW:
             self._opened.redrawwin()
         if code in (_REDRAW, curses.KEY_RESIZE):
-            self.show(*self._last)
+            assert self._last is not None  # the menu shows a screen before it asks for keys
+            self.show(self._last)
         return _KEYS.get(code)
 
     @property
@@ -129,21 +160,16 @@ class TerminalPanel:
                 hint="use another terminal, or set TERM",
             )
         columns, rows = shutil.get_terminal_size()  # as curses, from COLUMNS and LINES first
-        smallest = (SMALLEST[0] + 2 * _FRAME, SMALLEST[1] + 2 * _FRAME)
-        if columns < smallest[0] or rows < smallest[1]:
+        if columns < SMALLEST[0] or rows < SMALLEST[1]:
             raise UsageError(
                 f"the terminal has only {columns} x {rows} characters",
-                hint=f"enlarge it to {smallest[0]} x {smallest[1]}",
+                hint=f"enlarge it to {SMALLEST[0]} x {SMALLEST[1]}",
             )
 
     def _open(self) -> None:
         before = locale.setlocale(locale.LC_CTYPE)
         locale.setlocale(locale.LC_CTYPE, "")  # else curses refuses characters outside ASCII
         self._restore.append(lambda: locale.setlocale(locale.LC_CTYPE, before))
-        if threading.current_thread() is threading.main_thread():
-            # Without a handler, SIGTERM would end the process with the terminal in full screen.
-            handler = signal.signal(signal.SIGTERM, _exit_with_signal)
-            self._restore.append(lambda: signal.signal(signal.SIGTERM, handler))
         screen = curses.initscr()
         self._restore.append(curses.endwin)
         self._screen = screen
@@ -160,26 +186,37 @@ class TerminalPanel:
 
     def _close(self) -> None:
         while self._restore:
-            self._restore.pop()()
+            with suppress(curses.error):  # the terminal may be gone
+                self._restore.pop()()
         self._screen = None
 
-    def _draw(
-        self, screen: curses.window, lines: Sequence[str], highlight: Highlight | None
-    ) -> None:
+    def _draw(self, screen: curses.window, shown: Grid, *, is_framed: bool) -> None:
         height, width = screen.getmaxyx()
-        columns, rows = max(map(len, lines), default=0), len(lines)
-        top = max(0, (height - rows - 2 * _FRAME) // 2)
-        left = max(0, (width - columns - 2 * _FRAME) // 2)
-        frame = screen.derwin(rows + 2 * _FRAME, columns + 2 * _FRAME, top, left)
-        frame.box()
-        frame.addstr(0, 2, _TITLE, curses.A_BOLD)
-        for row, text in enumerate(lines):
+        border = _FRAME * is_framed
+        columns, rows = len(shown.lines[0]), len(shown.lines)
+        top = max(0, (height - rows - 2 * border) // 2)
+        left = max(0, (width - columns - 2 * border) // 2)
+        frame = screen.derwin(rows + 2 * border, columns + 2 * border, top, left)
+        if is_framed:
+            frame.box()
+            frame.addstr(0, 2, _TITLE, curses.A_BOLD)
+        for row, text in enumerate(shown.lines):
             line = text.encode(screen.encoding, "replace").decode(screen.encoding)
-            frame.addstr(row + _FRAME, _FRAME, line, curses.A_BOLD if row == 0 else 0)
-        if highlight is not None:
-            row, column, count = highlight.row, highlight.column, highlight.width
-            frame.chgat(row + _FRAME, column + _FRAME, count, curses.A_REVERSE)
+            bold = curses.A_BOLD if row == 0 and rows > 2 else 0
+            # Unlike addstr, this writes the last cell of the terminal without scrolling it.
+            frame.insnstr(row + border, border, line, columns, bold)
+            if is_framed:
+                frame.insch(row + border, columns + border, curses.ACS_VLINE)
+        if shown.highlight is not None:
+            row, column = shown.highlight.row, shown.highlight.column
+            frame.chgat(row + border, column + border, shown.highlight.width, curses.A_REVERSE)
 
 
-def _exit_with_signal(number: int, frame: FrameType | None) -> NoReturn:
-    sys.exit(128 + number)
+def _is_closed(terminal: int) -> bool:
+    """Return whether the other end of a terminal is gone: reading it returns at once, without end.
+
+    SIGHUP reports that as well, but a process may ignore it.
+    """
+    poll = select.poll()
+    poll.register(terminal, 0)
+    return bool(poll.poll(0))

@@ -24,7 +24,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from pydantic_core import from_json
+
 from camctl.errors import CamctlError, CameraTimeoutError, DataError, UsageError, unknown_name
+from camctl.input_files import read_input
 from sim.devices.common import Controllable
 from sim.devices.usb.device import UsbDevice
 from sim.devices.usb.vhci import VhciPort
@@ -39,6 +42,7 @@ MakeDevice: TypeAlias = Callable[[Mapping[str, Any]], Controllable]
 KINDS: Mapping[str, str] = {
     "uvc": "sim.devices.uvc.camera",
     "ptp": "sim.devices.ptp.camera",
+    "ptpip": "sim.devices.ptp.network",
     "sierra": "sim.devices.sierra.device",
 }
 _SERIAL_KINDS = ("sierra",)
@@ -69,9 +73,9 @@ def read_config(path: Path) -> list[dict[str, Any]]:
         DataError: it cannot be read, or has no list of devices with different names
     """
     try:
-        devices = json.loads(path.read_text(encoding="utf-8"))["devices"]
+        devices = from_json(read_input(path, "configuration"))["devices"]
         names = [device["name"] for device in devices]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise DataError(
             f"{path} has no list of devices ({type(error).__name__}: {error})",
             hint='write {"devices": [{"name": "cam0", "kind": "uvc"}]}',

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 from sim.devices.clock import DeviceClock, ScheduledCall
 from sim.devices.common import VirtualSensor
@@ -51,6 +51,7 @@ class Exposure:
         light: share of the light that the aperture lets through, 1 for the widest
         formats: of the files to make
         quality: of JPEGs, 1 to 100
+        f_number: that the files state; None: none
     """
 
     time_s: float | None
@@ -58,6 +59,7 @@ class Exposure:
     light: float
     formats: tuple[str, ...]
     quality: int = 95
+    f_number: float | None = None
 
 
 @dataclass
@@ -69,6 +71,8 @@ class StillFaults:
         longest_s: longer shutter times are silently cut to this; None: they are not
         is_card_full: there is no room for a picture
         is_battery_low: there is too little charge for a picture
+        state: what keeps the camera from taking pictures: "playback", "movie" (modes), "lens" (in a
+            wrong position), "no card"; "": nothing
     """
 
     light_factor: float = 1.0
@@ -76,6 +80,7 @@ class StillFaults:
     longest_s: float | None = None
     is_card_full: bool = False
     is_battery_low: bool = False
+    state: str = ""
 
 
 @dataclass(frozen=True)
@@ -87,12 +92,18 @@ class BodyOptions:
         delay_s: from the end of an exposure until its files are on the card
         grey: one channel in the JPEG and TIFF of a mono sensor
         object_bytes: files shorter than this are padded with zeros at their end
+        model: that files state
+        states_iso: True if files state the sensitivity
+        reduces_noise: True if a dark exposure of the same time follows each exposure
     """
 
     stem: str
     delay_s: float = 0.0
     grey: bool = True
     object_bytes: int = 0
+    model: str = ""
+    states_iso: bool = False
+    reduces_noise: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +185,19 @@ class StillBody:
             exposure = replace(shot.exposure, time_s=now_s - shot.began_s)
             self._clock.call_at(now_s, partial(self._read_out, replace(shot, exposure=exposure)))
 
+    def now(self) -> float:
+        """Return the time on the camera's clock, s."""
+        return self._clock.now()
+
+    def call_later(self, delay_s: float, act: Callable[[], None]) -> None:
+        """Call `act` after `delay_s`, with the lock held."""
+
+        def locked() -> None:
+            with self._lock:
+                act()
+
+        self._clock.call_at(self._clock.now() + delay_s, locked)
+
     def note_download(self, name: str) -> None:
         """Record that the host has read a file to its end."""
         for shot in reversed(self.log):
@@ -205,7 +229,8 @@ class StillBody:
         files = self._make_files(shot.exposure, time_s)
         ended_s = shot.began_s + time_s
         deliver = partial(self._deliver, shot, ended_s, files)
-        self._clock.call_at(ended_s + self._options.delay_s, deliver)
+        dark_s = time_s if self._options.reduces_noise else 0.0
+        self._clock.call_at(ended_s + dark_s + self._options.delay_s, deliver)
 
     def _deliver(self, shot: _Shot, ended_s: float, files: Sequence[ImageFile]) -> None:
         with self._lock:
@@ -224,7 +249,15 @@ class StillBody:
         pixels = sensor.expose(time_s * light, exposure.gain, self.taken)
         self.taken += 1
         image = RawImage(
-            pixels, sensor.layout, sensor.model.bits, sensor.black, sensor.white, time_s
+            pixels,
+            sensor.layout,
+            sensor.model.bits,
+            sensor.black,
+            sensor.white,
+            time_s,
+            round(100 * exposure.gain) if options.states_iso else None,
+            exposure.f_number,
+            options.model,
         )
         small = thumbnail(image)
         rows, columns = pixels.shape[:2]
@@ -250,6 +283,10 @@ class StillFaultCommands:
     def do_battery_low(self) -> None:
         """Have too little charge for a picture."""
         self.body.faults.is_battery_low = True
+
+    def do_body_state(self, state: Literal["", "playback", "movie", "lens", "no card"]) -> None:
+        """Be in a state in which no picture can be taken; "": end it."""
+        self.body.faults.state = state
 
     def do_wrong_exposure(self, factor: float = 2.0, count: int = 1) -> None:
         """Give the next `count` pictures `factor` times the light."""

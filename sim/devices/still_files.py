@@ -48,6 +48,7 @@ class RawImage:
         layout: pixel layout
         bits, black, white: bit depth and levels of the sensor, DN
         time_s: exposure time that the file states
+        iso, f_number, model: what it states beside; None and "": nothing
     """
 
     pixels: Pixels
@@ -56,6 +57,9 @@ class RawImage:
     black: int
     white: int
     time_s: float
+    iso: int | None = None
+    f_number: float | None = None
+    model: str = ""
 
 
 def encode(form: str, image: RawImage, *, grey: bool = True, quality: int = 95) -> bytes:
@@ -88,7 +92,7 @@ def _jpeg(image: RawImage, grey: bool, quality: int) -> bytes:
     picture = _eight_bits(_developed(image, grey), image.bits)
     data = _cv2_jpeg(picture, quality)
     # The application segment of EXIF follows the start-of-image marker.
-    return data[:2] + _exif_segment(image.time_s) + data[2:]
+    return data[:2] + _exif_segment(image) + data[2:]
 
 
 def _tiff(image: RawImage, grey: bool, quality: int) -> bytes:
@@ -165,19 +169,43 @@ def _cv2_jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
     return bytes(data)
 
 
-def _rational(time_s: float) -> tuple[int, int]:
-    """Return a time as numerator and denominator of 32 bits each, to about nine digits."""
-    fraction = Fraction(time_s).limit_denominator(10**6 if time_s > 1e-3 else 10**9)
+def _rational(value: float) -> tuple[int, int]:
+    """Return a value as numerator and denominator of 32 bits each, to about nine digits."""
+    fraction = Fraction(value).limit_denominator(10**6 if value > 1e-3 else 10**9)
     return min(fraction.numerator, 2**32 - 1), fraction.denominator
 
 
-def _exif_segment(time_s: float) -> bytes:
-    """Return an APP1 segment with an EXIF directory that holds the exposure time only."""
-    top = struct.pack("<2sHIHHHIII", b"II", 42, 8, 1, 0x8769, _LONG, 1, 26, 0)
-    exif = struct.pack("<HHHIII", 1, 33434, _RATIONAL, 1, 44, 0) + struct.pack(
-        "<II", *_rational(time_s)
-    )
-    body = b"Exif\0\0" + top + exif
+def _exif_tags(image: RawImage) -> list[tuple[int, int, int, Any, bool]]:
+    """Return the tags of the exposure, as tifffile's extra tags."""
+    tags: list[tuple[int, int, int, Any, bool]] = [
+        (33434, _RATIONAL, 1, _rational(image.time_s), True)  # ExposureTime
+    ]
+    if image.f_number is not None:
+        tags.append((33437, _RATIONAL, 1, _rational(image.f_number), True))
+    if image.iso is not None:
+        tags.append((34855, _SHORT, 1, min(image.iso, 65535), True))
+    return tags
+
+
+def _exif_segment(image: RawImage) -> bytes:
+    """Return an APP1 segment: the model if there is one, and the exposure in an EXIF directory."""
+    model = image.model.encode("ascii", "replace") + bytes(4)  # at least the size of an offset
+    exif_tags, entries = _exif_tags(image), 1 + bool(image.model)
+    exif_at = 8 + 2 + 12 * entries + 4
+    values_at = exif_at + 2 + 12 * len(exif_tags) + 4
+    top, values = struct.pack("<2sHIH", b"II", 42, 8, entries), b""
+    if image.model:
+        top += struct.pack("<HHII", 272, _ASCII, len(model), values_at)
+        values += model + bytes(len(model) % 2)
+    top += struct.pack("<HHIII", 0x8769, _LONG, 1, exif_at, 0)
+    exif = struct.pack("<H", len(exif_tags))
+    for tag, kind, count, value, _ in exif_tags:
+        if kind == _SHORT:
+            exif += struct.pack("<HHIHH", tag, kind, count, value, 0)
+            continue
+        exif += struct.pack("<HHII", tag, kind, count, values_at + len(values))
+        values += struct.pack("<II", *value)
+    body = b"Exif\0\0" + top + exif + bytes(4) + values
     return b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
 
 
@@ -187,7 +215,7 @@ def _tiff_bytes(
     image: RawImage,
     tags: list[tuple[int, int, int, Any, bool]],
 ) -> bytes:
-    out = io.BytesIO()
+    out, model = io.BytesIO(), image.model or MODEL
     tifffile.imwrite(
         out,
         picture,
@@ -196,8 +224,8 @@ def _tiff_bytes(
         software=False,
         extratags=[
             (271, _ASCII, len(MAKE) + 1, MAKE, True),
-            (272, _ASCII, len(MODEL) + 1, MODEL, True),
-            (33434, _RATIONAL, 1, _rational(image.time_s), True),  # ExposureTime
+            (272, _ASCII, len(model) + 1, model, True),
+            *_exif_tags(image),
             *tags,
         ],
     )

@@ -17,8 +17,10 @@ With S the set of effects left out, in the order in which light goes through the
    and for a relative one, since m / s(m) grows with m up to the largest mean m,
 
        ``|s2 - s1| <= R m / (s(m) + s((1 - R) m))``,  ``|a2 - a1| <= min(1/6, -ln(1 - R) / 24)``.
-5. *Well.*  Clipping does not enlarge a difference.  Blooming does, by the factor 1 + its share: a
-   sample gets its own difference and those of its neighbours that reach the well.
+   z is at most 4.325.  Where whole electrons are counted it is at most 6.34, and counts differ
+   from the formula by `COUNT_ERROR_E` more.
+5. *Well.*  Clipping does not enlarge a difference.  Blooming does, at most by the number of rows:
+   it moves charge along a column, and can move all differences of the column to one sample.
 6. *Reading* adds its bounded noises, *gain* and the slope of the *ADC* multiply, the bow adds.
 7. *Rounding* in float32 is counted for each operation in which the two frames can differ.
 """
@@ -35,6 +37,7 @@ import numpy as np
 from sim.effects import EFFECTS
 from sim.effects.optics import rounding_count
 from sim.effects.record import LARGEST_NOISE, Change, Shot
+from sim.photon_counts import COUNT_ERROR_E, LARGEST_COUNT_NOISE
 
 _ULP = 2.0**-23  # twice the unit of rounding in float32, for the two frames
 _TILE_OPERATIONS, _ADC_OPERATIONS = 24, 6  # roundings of charge, and from charge to brightness
@@ -53,34 +56,34 @@ def _deviation(mean: float) -> float:
     return math.sqrt(mean - 2 * _skew(mean) ** 2)
 
 
-def _largest_photon_noise(mean: float) -> float:
-    return LARGEST_NOISE * _deviation(mean) + (LARGEST_NOISE**2 - 1) * _skew(mean)
+def _largest_photon_noise(mean: float, limit: float = LARGEST_NOISE) -> float:
+    return limit * _deviation(mean) + (limit**2 - 1) * _skew(mean)
 
 
-def absolute_shift(shift: float, least: float) -> float:
+def absolute_shift(shift: float, least: float, limit: float = LARGEST_NOISE) -> float:
     """Return by how much photon noise changes at most if its mean rises by `shift` electrons.
 
-    `least` is the smallest mean before the rise, electrons.
+    `least` is the smallest mean before the rise, electrons; `limit` is the largest abs(z).
     """
     if shift <= 0:
         return 0.0
     spread = math.sqrt(shift)
     if least > 0:
         spread = min(spread, shift / (2 * _deviation(least)))
-    return LARGEST_NOISE * spread + (LARGEST_NOISE**2 - 1) * (_skew(least + shift) - _skew(least))
+    return limit * spread + (limit**2 - 1) * (_skew(least + shift) - _skew(least))
 
 
-def relative_shift(share: float, most: float) -> float:
+def relative_shift(share: float, most: float, limit: float = LARGEST_NOISE) -> float:
     """Return by how much photon noise changes at most if its mean changes by the share `share`.
 
-    `most` is the largest mean, electrons.
+    `most` is the largest mean, electrons; `limit` is the largest abs(z).
     """
     if share <= 0 or most <= 0:
         return 0.0
     low = _deviation((1 - share) * most) if share < 1 else 0.0
     spread = share * most / (_deviation(most) + low)
     skew = min(1 / 6, -math.log1p(-share) / 24) if share < 1 else 1 / 6
-    return LARGEST_NOISE * spread + (LARGEST_NOISE**2 - 1) * skew
+    return limit * spread + (limit**2 - 1) * skew
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +110,16 @@ class Bounds:
     @cached_property
     def _has_photon_noise(self) -> bool:
         return any(change.is_noise for change in self.changes.values())
+
+    @property
+    def _noise_limit(self) -> float:
+        """Largest abs(z) of the photon noise."""
+        return LARGEST_COUNT_NOISE if self.shot.counts_photons else LARGEST_NOISE
+
+    @property
+    def _count_error_e(self) -> float:
+        """By how much whole photon noise differs from the formula, electrons."""
+        return COUNT_ERROR_E if self.shot.counts_photons else 0.0
 
     @cached_property
     def _largest_mean_e(self) -> float:
@@ -136,9 +149,25 @@ class Bounds:
         """Largest charge before the well, electrons."""
         peak = self._largest_mean_e
         if self._has_photon_noise:
-            peak += _largest_photon_noise(peak)
+            peak += _largest_photon_noise(peak, self._noise_limit) + self._count_error_e
         peak += sum(change.hit_e for change in self.changes.values())
         return peak * (1 + _ROUNDING_MARGIN)
+
+    @property
+    def overflows(self) -> bool:
+        """Whether charge can flow out of full wells into others."""
+        flows = any(change.spreads for change in self.changes.values())
+        return flows and self.peak_e > self.shot.sensor.full_well_e
+
+    @cached_property
+    def _overexposed_e(self) -> float:
+        """Mean charge from which every sample fills its well, whatever its photon noise."""
+        well = self.shot.sensor.full_well_e * (1 + _ROUNDING_MARGIN) + self._count_error_e
+        if not self._has_photon_noise:
+            return well
+        # x - z sqrt x >= well + 1/6, solved for sqrt x.
+        z = self._noise_limit
+        return ((z + math.sqrt(z * z + 4 * (well + 1 / 6))) / 2) ** 2
 
     @cached_property
     def _dn_per_electron(self) -> float:
@@ -165,14 +194,16 @@ class Bounds:
         is_below_well = self.peak_e <= sensor.full_well_e
         if not is_below_well and any(change.only_below_well for change in gone):
             return math.inf
-        if all(change.is_nothing or change.only_below_well for change in gone):
+        if all(change.nothing or change.only_below_well for change in gone):
             return 0.0
-        charge = self._charge_e(left_out, gone, stay) + self._rounding_e
+        charge = self._charge_e(left_out, gone, stay)
+        if charge > 0:
+            charge += self._rounding_e
         if not is_below_well:
             charge *= 1 + sum(change.spreads for change in stay)
         # Whatever came before, the well holds no more, and noise takes no more from nothing.
         charge = min(charge, sensor.full_well_e + _MOST_BELOW_ZERO_E)
-        charge += sum(change.read_e for change in gone)
+        charge += sum(change.read_e for change in gone) + self._rounding_e
         brightness = charge * self._dn_per_electron
         for change in stay:
             brightness *= 1 + change.slope
@@ -193,10 +224,15 @@ class Bounds:
         shift = per_photon_s * sum(change.light for change in gone)
         shift += sum(change.mean_e for change in gone)
         most = per_photon_s * self.shot.statistics.most
+        if share < 1 and not any(change.spreads for change in stay):
+            # More light than this fills the well with and without the effects.
+            most = min(most, (self._overexposed_e + shift) / (1 - share))
         charge = shift + share * most
         if any(change.is_noise for change in gone):
-            return charge + _largest_photon_noise(self._largest_mean_e)
-        if self._has_photon_noise:
+            noise = _largest_photon_noise(self._largest_mean_e, self._noise_limit)
+            return charge + noise + self._count_error_e
+        if self._has_photon_noise and charge > 0:
             least = self._smallest_light_e + sum(change.least_e for change in stay)
-            charge += absolute_shift(shift, least) + relative_shift(share, most)
+            charge += absolute_shift(shift, least, self._noise_limit)
+            charge += relative_shift(share, most, self._noise_limit) + self._count_error_e
         return charge

@@ -24,6 +24,7 @@ class Decision:
         ran: whether the frame has it
         why: the reason, for users
         is_present: whether scene and sensor have it at all
+        milliseconds: time of the effect in a frame of this size, by its cost on one core
     """
 
     name: str
@@ -31,6 +32,7 @@ class Decision:
     ran: bool
     why: str
     is_present: bool = True
+    milliseconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,11 @@ class FramePlan:
         return any(one.ran for one in self.effects if one.name == name)
 
     @property
+    def simulated(self) -> tuple[str, ...]:
+        """Names of the effects that the frame has."""
+        return tuple(e.name for e in self.effects if e.ran)
+
+    @property
     def left_out(self) -> frozenset[str]:
         """Names of the effects that sensor and scene have, but not this frame."""
         return frozenset(e.name for e in self.effects if e.is_present and not e.ran)
@@ -65,6 +72,7 @@ class FramePlan:
                 "bound_dn": one.bound_dn if math.isfinite(one.bound_dn) else None,
                 "ran": one.ran,
                 "why": one.why,
+                "milliseconds": one.milliseconds,
             }
             for one in self.effects
         ]
@@ -72,6 +80,15 @@ class FramePlan:
             "tolerance_dn": self.tolerance_dn,
             "joint_bound_dn": self.joint_bound_dn,
             "effects": effects,
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Return tolerance, bound, and the bound of each effect left out, for a report."""
+        bounds = {e.name: e.bound_dn for e in self.effects if e.name in self.left_out}
+        return {
+            "tolerance_dn": self.tolerance_dn,
+            "joint_bound_dn": self.joint_bound_dn,
+            "left_out": bounds,
         }
 
 
@@ -89,7 +106,8 @@ def plan_frame(
 
     Args:
         shot: the exposure
-        tolerance_dn: largest allowed change of any sample before the ADC; 0 leaves nothing out
+        tolerance_dn: largest allowed change of any sample before the ADC; 0 leaves out only what
+            changes no bit
         left_out: names of the effects to leave out instead, whatever that changes
 
     Raises:
@@ -100,7 +118,7 @@ def plan_frame(
     if left_out is not None:
         chosen: tuple[str, ...] = tuple(n for n in check_names(left_out) if n in bounds.changes)
     elif tolerance_dn == 0:
-        chosen = ()
+        chosen = tuple(name for name, bound in bounds.single.items() if bound == 0)
     else:
         chosen = greedy(bounds, tolerance_dn)
     joint = bounds.joint(chosen) if chosen else 0.0
@@ -146,25 +164,32 @@ def saved(effects: Sequence[Effect]) -> float:
 def _decision(
     effect: Effect, bounds: Bounds, chosen: Collection[str], tolerance_dn: float, joint: float
 ) -> Decision:
-    name = effect.name
+    name, shot = effect.name, bounds.shot
     if name not in bounds.changes:
         return Decision(name, 0.0, False, "neither scene nor sensor has it", is_present=False)
     alone = bounds.single[name]
-    if name in chosen:
-        if alone == 0:
-            return Decision(name, alone, False, "changes nothing in this frame")
-        together = f" alone, {joint:.2g} DN with all others left out" if len(chosen) > 1 else ""
-        return Decision(name, alone, False, f"changes at most {alone:.2g} DN{together}")
     change = bounds.changes[name]
+    milliseconds = effect.cost * shot.view.light.size * 1e-6
+    if name in chosen:
+        together = f" alone, {joint:.2g} DN with all others left out" if len(chosen) > 1 else ""
+        why = f"changes at most {alone:.2g} DN{together}"
+        if alone == 0:
+            why = change.nothing or "changes nothing in this frame"
+        return Decision(name, alone, False, why, milliseconds=milliseconds)
+    range_dn = 2.0**shot.sensor.bits
     if change.never:
         why = change.never
     elif change.only_below_well and math.isinf(alone):
-        well = bounds.shot.sensor.full_well_e
+        well = shot.sensor.full_well_e
         why = f"charge can reach {bounds.peak_e:.3g} e-, above the full well of {well:.3g} e-"
+    elif alone >= range_dn and bounds.overflows:
+        why = "wells overflow: less charge can end a streak a row earlier, and that sample is dark"
+    elif alone >= range_dn:
+        why = "can change a sample by the whole range of the ADC"
     elif tolerance_dn == 0:
-        why = "at a tolerance of 0 every effect runs"
+        why = "simulated, because the tolerance is 0 and it changes the frame"
     elif alone > tolerance_dn:
         why = f"can change {alone:.3g} DN, more than the tolerance of {tolerance_dn:g} DN"
     else:
         why = f"can change {alone:.2g} DN, too much together with the effects left out"
-    return Decision(name, alone, True, why)
+    return Decision(name, alone, True, why, milliseconds=milliseconds)

@@ -25,16 +25,12 @@ Hits = tuple[NDArray[np.int64], NDArray[np.float32]]
 _NO_LOWER_LIMIT = np.float32(-3e38)  # near the end of float32
 _LONGEST_TRACK_PX = 6
 _LARGEST_HIT = 20.0  # times the mean charge: an exponential exceeds it once in 5e8 hits
-_DRAIN_WELLS = 64.0  # full wells beyond which an anti-blooming drain removes charge
 _PLANNED_FRAMES = 8  # frames whose hits are kept from planning to rendering
 
 
 def _prnu(tile: Tile) -> None:
-    shot = tile.shot
-    z = tile.noise.normal(tile.values.size, shot.seed, PATTERN, Stream.PRNU, tile.index)
-    np.multiply(z, np.float32(shot.sensor.pixels.prnu), out=z)
-    np.add(z, np.float32(1), out=z)
-    np.multiply(tile.values, z, out=tile.values)
+    factors = tile.pattern(Stream.PRNU, tile.shot.sensor.pixels.prnu, 1.0)
+    np.multiply(tile.values, factors, out=tile.values)
 
 
 def _prnu_change(shot: Shot) -> Change:
@@ -62,8 +58,7 @@ def _lag_change(shot: Shot) -> Change:
 
 
 def _smear_lines(shot: Shot, _: RowTiming) -> Lines:
-    light = shot.view.light.reshape(shot.rows, shot.width)
-    column = np.mean(light, axis=0, dtype=np.float64)
+    column = shot.view.column_means
     per_photon = shot.sensor.quantum_efficiency * shot.sensor.pixels.smear_s
     return Lines(np.add, columns=np.asarray(column * per_photon, dtype=np.float32))
 
@@ -96,20 +91,26 @@ def _hottest_e(shot: Shot) -> float:
 
 def _hot(tile: Tile) -> None:
     shot = tile.shot
-    key = np.random.SeedSequence(shot.seed, spawn_key=(PATTERN, int(Stream.HOT), tile.index))
-    random = np.random.Generator(np.random.SFC64(key))
-    # Always for a whole tile, so that it is the same in a frame that ends within it.
-    count = int(TILE * shot.sensor.dark.hot_share + random.random())
-    places = (random.random(count) * TILE).astype(np.intp)
-    charge = (random.random(count) * _hottest_e(shot)).astype(np.float32)
-    places, first = np.unique(places, return_index=True)
-    inside = places < tile.values.size
-    tile.values[places[inside]] += charge[first][inside]
+
+    def draw() -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        key = np.random.SeedSequence(shot.seed, spawn_key=(PATTERN, int(Stream.HOT), tile.index))
+        random = np.random.Generator(np.random.SFC64(key))
+        # Always for a whole tile, so that it is the same in a frame that ends within it.
+        count = int(TILE * shot.sensor.dark.hot_share + random.random())
+        places = (random.random(count) * TILE).astype(np.intp)
+        shares = random.random(count)
+        places, first = np.unique(places, return_index=True)
+        inside = places < tile.values.size
+        return places[inside], shares[first][inside]
+
+    places, shares = tile.cache.get((Stream.HOT, tile.index), draw)
+    tile.values[places] += (shares * _hottest_e(shot)).astype(np.float32)
 
 
 def _photon_noise(tile: Tile) -> None:
-    shot = tile.shot
-    tile.noise.add_photon_noise(tile.values, shot.seed, shot.number, tile.index)
+    shot, noise = tile.shot, tile.noise
+    draw = noise.count_photons if shot.counts_photons else noise.add_photon_noise
+    draw(tile.values, shot.seed, shot.number, tile.index)
 
 
 def cosmic_hits(shot: Shot) -> Hits:
@@ -166,7 +167,7 @@ def _cosmic(tile: Tile) -> None:
 def _cosmic_change(shot: Shot) -> Change:
     places, charges = cosmic_hits(shot)
     if not places.size:
-        return Change(is_nothing=True)
+        return Change(nothing="none hits this frame")
     why = f"not left out: {places.size} samples were hit in this frame"
     return Change(never=why, hit_e=float(charges.max()))
 
@@ -174,27 +175,48 @@ def _cosmic_change(shot: Shot) -> Change:
 def _bloom(electrons: Light, shot: Shot) -> Light:
     """Let charge beyond the well flow along the columns, in place; (rows, columns[, 3]).
 
-    Half of the share `blooming` flows up and half down, exponentially less with distance; what
-    meets a full well or the border is lost.  The result is not clipped.
+    Half of the share `blooming` flows down and half up, and fills each well that it passes; the
+    rest is drained.  No charge is lost but beyond the border.  Only the columns that have a full
+    well are touched, and only the rows that charge reaches.
     """
-    import cv2
+    picture = electrons.reshape(shot.rows, shot.width)
+    full = float(np.float32(shot.sensor.full_well_e))
+    columns = np.flatnonzero(picture.max(axis=0) > full)
+    if columns.size == 0:
+        return electrons
+    charge = picture[:, columns].astype(np.float64)
+    flowing = np.maximum(charge - full, 0) * (shot.sensor.pixels.blooming / 2)
+    np.minimum(charge, full, out=charge)
+    _fill_wells(charge, flowing, full)
+    _fill_wells(charge[::-1], flowing[::-1], full)
+    picture[:, columns] = charge
+    return electrons
 
-    sensor = shot.sensor
-    full, reach = np.float32(sensor.full_well_e), sensor.pixels.blooming_px
-    weights = np.exp(-np.arange(1, reach + 1) / (reach / 3))
-    half = sensor.pixels.blooming / 2 * weights / weights.sum()
-    kernel = np.concatenate([half[::-1], [0.0], half]).astype(np.float32)
-    beyond = np.maximum(electrons - full, 0)
-    np.minimum(beyond, full * np.float32(_DRAIN_WELLS), out=beyond)
-    flown = cv2.sepFilter2D(
-        beyond, -1, np.ones(1, np.float32), kernel, borderType=cv2.BORDER_CONSTANT
-    )
-    np.minimum(electrons, full, out=electrons)
-    return np.add(electrons, flown.reshape(electrons.shape), out=electrons)
+
+def _fill_wells(charge: NDArray[np.float64], flowing: NDArray[np.float64], full: float) -> None:
+    """Let the charge `flowing` out of each pixel flow down and fill wells; in place.
+
+    Both (rows, columns) electrons.
+    """
+    sources = np.flatnonzero(flowing.any(axis=1))
+    if sources.size == 0:  # the share was too small for any number
+        return
+    carried = np.zeros(charge.shape[1])
+    for row in range(sources[0], len(charge)):
+        # More than all wells of a column cannot be taken up: without a limit, rounding would grow.
+        np.minimum(carried + flowing[row], full * len(charge), out=carried)
+        if row > sources[-1] and not carried.any():
+            return
+        taken = np.minimum(carried, full - charge[row])
+        charge[row] += taken
+        carried -= taken
 
 
 def _blooming_change(shot: Shot) -> Change:
-    return Change(only_below_well=True, spreads=shot.sensor.pixels.blooming)
+    # More charge anywhere is never less charge elsewhere, and none is created.  Such a map does not
+    # enlarge the sum of the differences in a column (Crandall and Tartar 1980), which is at most
+    # the largest one times the rows.
+    return Change(only_below_well=True, spreads=shot.rows - 1.0)
 
 
 def _well(tile: Tile) -> None:
@@ -252,7 +274,7 @@ CHARGE = (
     Effect(
         "photon noise",
         Stage.CHARGE,
-        "Poisson, electrons; see `sim.noise.TileNoise.add_photon_noise`",
+        "Poisson, electrons: whole numbers if read noise is below 2.5 e-, else continuous ones",
         present=lambda shot: shot.sensor.photon_noise,
         change=lambda _: Change(is_noise=True),
         cost=2.5,
@@ -270,7 +292,7 @@ CHARGE = (
     Effect(
         "blooming",
         Stage.WELL,
-        "charge beyond the well flows along the column, exponentially less with distance",
+        "a share of the charge beyond the well flows along the column and fills the wells it meets",
         present=lambda shot: shot.sensor.pixels.blooming > 0,
         change=_blooming_change,
         cost=4.5,

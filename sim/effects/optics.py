@@ -12,6 +12,9 @@ from sim.effects.record import Change, Effect, Light, Lines, RowTiming, Shot, St
 _GLARE_SAMPLES_PER_SIGMA = 2.5
 """Glare is computed at this many samples a standard deviation, enough for a smooth Gaussian."""
 
+_ROUNDED_SWING = 2.0**-26  # 1 plus or minus less than this is 1 in float32
+_STEADY = "over this exposure the light of the lamps averages out"
+
 
 def _has_moving_target(shot: Shot) -> bool:
     return shot.view.target is not None and shot.statistics.speed_px_s > 0
@@ -47,6 +50,8 @@ def _rolling_change(shot: Shot) -> Change:
     if lamps is None:
         return Change(light=light)
     swing = lamps.remaining_depth(shot.time_s)
+    if swing < _ROUNDED_SWING and light == 0:
+        return Change(nothing=_STEADY)
     change = min(2 * swing, 2 * math.pi * lamps.flicker_hz * late_s * swing)
     share = change / (1 - swing) if swing < 1 else math.inf
     return Change(light=light, less=min(share, 1.0), more=share, within="mains flicker")
@@ -130,20 +135,41 @@ def _crosstalk(light: Light, shot: Shot) -> Light:
 
 def _crosstalk_change(shot: Shot) -> Change:
     s, share = shot.statistics, shot.sensor.pixels.crosstalk
+    spread = s.most - s.least * (1 - shot.sensor.lens.vignetting)
     if s.is_mosaic:  # neighbours have other colours
-        return Change(light=4 * share * (s.most - s.least))
-    bend = s.bend + _glare_bend(shot)
-    return Change(light=share * min(bend, 4 * (s.most - s.least)))
+        return Change(light=4 * share * spread)
+    bend = s.bend + _glare_bend(shot) + _vignetting_bend(shot)
+    return Change(light=share * min(bend, 4 * spread))
 
 
-def _vignetting_lines(shot: Shot, _: RowTiming) -> Lines:
-    rows, pixels = shot.rows, shot.width // shot.channels
-    y = np.arange(rows) - (rows - 1) / 2
-    x = np.repeat(np.arange(pixels) - (pixels - 1) / 2, shot.channels)
-    corner = max(y[-1] ** 2 + x[-1] ** 2, 1.0)
-    loss = shot.sensor.lens.vignetting / corner
-    along, across = (1 - loss * y**2).astype(np.float32), (-loss * x**2).astype(np.float32)
-    return Lines(np.multiply, rows=along, columns=across)
+def _vignetting_loss(shot: Shot) -> tuple[float, float, float]:
+    """Return the loss a square pixel, and the distance of the edges from the middle, (y, x)."""
+    y, x = (shot.rows - 1) / 2, (shot.width // shot.channels - 1) / 2
+    return shot.sensor.lens.vignetting / max(y**2 + x**2, 1.0), y, x
+
+
+def _vignetting(light: Light, shot: Shot) -> Light:
+    rows, columns = light.shape[:2]
+    loss, top, left = _vignetting_loss(shot)
+    along = (1 - loss * (np.arange(rows) - top) ** 2).astype(np.float32)
+    across = (loss * (np.arange(columns) - left) ** 2).astype(np.float32)
+    factors = np.subtract(along[:, np.newaxis], across)
+    np.maximum(factors, np.float32(0), out=factors)
+    return light * (factors if light.ndim == 2 else factors[..., np.newaxis])
+
+
+def _vignetting_bend(shot: Shot) -> float:
+    """Return by how much vignetting can enlarge second differences, along rows plus along columns.
+
+    The second difference of a product V E is at most that of E, plus twice the product of the
+    slopes, plus E times the second difference of V; at a border, which is mirrored, plus E times
+    the slope of V instead.  A slope of E is at most its range.
+    """
+    s = shot.statistics
+    loss, *edges = _vignetting_loss(shot)
+    slopes = [2 * loss * edge for edge in edges]
+    bent = [2 * slope * (s.most - s.least) + s.most * max(slope, 2 * loss) for slope in slopes]
+    return sum(bent)
 
 
 def _flicker_lines(shot: Shot, timing: RowTiming) -> Lines:
@@ -154,6 +180,8 @@ def _flicker_lines(shot: Shot, timing: RowTiming) -> Lines:
 def _flicker_change(shot: Shot) -> Change:
     assert shot.view.lamps is not None
     swing = shot.view.lamps.remaining_depth(shot.time_s)
+    if swing < _ROUNDED_SWING:
+        return Change(nothing=_STEADY)
     return Change(less=swing, more=swing)
 
 
@@ -171,6 +199,8 @@ def rounding_count(shot: Shot) -> float:
         (columns, rows), kernel = _glare_samples(shot)
         averaged = shot.width / shot.channels / columns + shot.rows / rows
         count += 4 + lens.glare * (2 * kernel.size + 2 * averaged + 8)
+    if lens.vignetting > 0:
+        count += 3
     if shot.sensor.pixels.crosstalk > 0:
         count += 6
     if shot.view.target is not None:
@@ -224,6 +254,15 @@ OPTICS = (
         cost=0.0,
     ),
     Effect(
+        "vignetting",
+        Stage.SAMPLES,
+        "1 - v r^2, r from 0 in the middle to 1 in the corners: the first term of cos^4",
+        present=lambda shot: shot.sensor.lens.vignetting > 0,
+        change=lambda shot: Change(less=shot.sensor.lens.vignetting),
+        cost=0.4,
+        picture=_vignetting,
+    ),
+    Effect(
         "crosstalk",
         Stage.SAMPLES,
         "a share of a pixel's light goes to each of its four neighbours (diffusion)",
@@ -231,15 +270,6 @@ OPTICS = (
         change=_crosstalk_change,
         cost=0.6,
         picture=_crosstalk,
-    ),
-    Effect(
-        "vignetting",
-        Stage.MEAN,
-        "1 - v r^2, r from 0 in the middle to 1 in the corners: the first term of cos^4",
-        present=lambda shot: shot.sensor.lens.vignetting > 0,
-        change=lambda shot: Change(less=shot.sensor.lens.vignetting),
-        cost=0.4,
-        lines=_vignetting_lines,
     ),
     Effect(
         "mains flicker",

@@ -11,10 +11,8 @@ _SETS_BRIGHTNESS = "never left out: it determines brightness"
 
 
 def _dsnu(tile: Tile) -> None:
-    shot = tile.shot
-    z = tile.noise.normal(tile.values.size, shot.seed, PATTERN, Stream.DSNU, tile.index)
-    np.multiply(z, np.float32(shot.sensor.pixels.dsnu_e), out=z)
-    np.add(tile.values, z, out=tile.values)
+    offsets = tile.pattern(Stream.DSNU, tile.shot.sensor.pixels.dsnu_e, 0.0)
+    np.add(tile.values, offsets, out=tile.values)
 
 
 def _read_noise(tile: Tile) -> None:

@@ -16,7 +16,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.noise import TileNoise, largest_noise
+from sim.frame_cache import FrameCache
+from sim.noise import PATTERN, Stream, TileNoise, largest_noise
+from sim.photon_counts import READ_NOISE_THAT_HIDES_COUNTS_E
 from sim.scenes.view import Statistics, View
 from sim.sensors.sensor import Sensor
 
@@ -61,7 +63,7 @@ class Change:
         never: why the effect is never left out; empty if it may be
         only_below_well: no change while no sample reaches the well, else an unlimited one
         is_noise: the effect is the photon noise
-        is_nothing: leaving the effect out of this frame changes no bit
+        nothing: why leaving the effect out of this frame changes no bit; empty if it may
 
     The second group is what the effect does to a difference that others make:
 
@@ -83,7 +85,7 @@ class Change:
     never: str = ""
     only_below_well: bool = False
     is_noise: bool = False
-    is_nothing: bool = False
+    nothing: str = ""
     repeats: float = 0.0
     least_e: float = 0.0
     hit_e: float = 0.0
@@ -146,6 +148,11 @@ class Shot:
         return self.view.light.shape[2] if self.view.light.ndim == 3 else 1
 
     @property
+    def counts_photons(self) -> bool:
+        """Whether photon noise must be whole electrons: the read noise does not hide them."""
+        return self.sensor.read_noise_e < READ_NOISE_THAT_HIDES_COUNTS_E
+
+    @property
     def electrons_per_photon_s(self) -> float:
         """Electrons in this exposure for one photon a second."""
         return self.sensor.quantum_efficiency * self.time_s
@@ -183,6 +190,7 @@ class Tile:
         start: number of the first sample in the frame
         index: number of the tile in the frame
         noise: generator and working memory of the thread
+        cache: keeps what is the same in every frame
     """
 
     shot: Shot
@@ -190,6 +198,23 @@ class Tile:
     start: int
     index: int
     noise: TileNoise
+    cache: FrameCache
+
+    def pattern(self, stream: Stream, sigma: float, mean: float) -> Light:
+        """Return the numbers of a fixed pattern, normal around `mean`; do not write.
+
+        `sigma` and `mean` belong to the sensor, so that they are no part of the key.
+        """
+
+        def draw() -> tuple[Light]:
+            shot = self.shot
+            z = self.noise.normal(self.values.size, shot.seed, PATTERN, stream, self.index)
+            numbers = z * np.float32(sigma)
+            if mean:
+                numbers += np.float32(mean)
+            return (numbers,)
+
+        return self.cache.get((stream, self.index), draw)[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,14 +128,16 @@ class Target:
         here = slice(top - self.row, bottom - self.row)
         x = np.arange(low, high, dtype=np.float64)
         window = (x - first[:, np.newaxis], x - last[:, np.newaxis])
-        cover = _sampled(self.cover[here], window)
+        # Rounding of the means may leave 0 to 1 by an ulp, and light must not become negative.
+        cover = np.clip(_sampled(self.cover[here], window), 0.0, 1.0)
         area = planes[top:bottom, low:high]
         if planes.ndim == 2:
-            lit = _sampled(self.light[here] * self.cover[here], window)
+            lit = np.maximum(_sampled(self.light[here] * self.cover[here], window), 0.0)
             area[...] = lit + (1 - cover) * area
             return
         for channel in range(3):
             lit = _sampled(self.light[here][..., channel] * self.cover[here], window)
+            lit = np.maximum(lit, 0.0)
             area[..., channel] = lit + (1 - cover) * area[..., channel]
 
 

@@ -11,14 +11,16 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.errors import DataError
+from camctl.errors import DataError, OutOfMemoryError
+from camctl.input_files import check_regular
+from camctl.library_output import exr_source, quiet_libraries
 
 Result = TypeVar("Result")
 Shape: TypeAlias = tuple[int, ...]
 Map: TypeAlias = tuple[NDArray[Any], tuple[str, ...]]
 """A map (RGB order), and notes about what of its file was left out."""
 
-_SIZE = re.compile(rb"([-+])([XY]) +(\d+) +([-+])([XY]) +(\d+)\s*$")
+_SIZE = re.compile(rb"([-+])([XY]) +(\d{1,9}) +([-+])([XY]) +(\d{1,9})\s*$")
 _MOST_HEADER_LINES = 200
 _MOST_LINE_BYTES = 4096
 _FETCH_AGAIN = "the file is damaged, fetch it again"
@@ -46,19 +48,24 @@ def read_map(path: Path) -> Map:
 
     Raises:
         DataError: missing, unreadable, or not of the type that its suffix names
+        OutOfMemoryError: too large
     """
     return _read(path, _FILE_TYPES[path.suffix.lower()].read_map)
 
 
 def _read(path: Path, read: Callable[[Path], Result]) -> Result:
-    if not path.exists():
-        raise DataError(f"{path}: no such file", hint="give a scene's name or a radiance map")
+    check_regular(path, "", hint="give a scene's name or a radiance map")
     try:
-        return read(path)
+        with quiet_libraries():
+            return read(path)
     except DataError:
         raise
     except PermissionError as error:
         raise DataError(f"{path}: no permission to read it") from error
+    except MemoryError as error:
+        raise OutOfMemoryError(
+            f"{path}: not enough memory to read it", hint="give a smaller radiance map"
+        ) from error
     # The libraries raise errors of any type for a damaged file.
     except Exception as error:
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
@@ -104,7 +111,15 @@ def _rgbe_shape(path: Path) -> Shape:
 
 def _rgbe(path: Path) -> Map:
     header = _read_rgbe_header(path)
-    data = path.read_bytes()[header.pixels_at :]
+    # The shortest encoding is runs of 127 equal bytes; the longest, runs of one byte.
+    least = header.rows * min(4 * header.columns, 4 + 8 * (header.columns // 127))
+    most = header.rows * (8 * header.columns + 4)
+    size = path.stat().st_size - header.pixels_at
+    if size < least:
+        raise DataError(f"{path}: the data ends before the last row", hint=_FETCH_AGAIN)
+    with path.open("rb") as file:
+        file.seek(header.pixels_at)
+        data = file.read(min(size, most))
     rgbe = np.empty((header.rows, 4, header.columns), dtype=np.uint8)
     position = 0
     for row in range(header.rows):
@@ -202,7 +217,7 @@ def _tiff(path: Path) -> Map:
 def _exr_shape(path: Path) -> Shape:
     import OpenEXR
 
-    with OpenEXR.File(str(path), header_only=True) as file:
+    with exr_source(path) as source, OpenEXR.File(source, header_only=True) as file:
         low, high = file.header()["dataWindow"]
         return int(high[1] - low[1] + 1), int(high[0] - low[0] + 1), 3
 
@@ -210,7 +225,7 @@ def _exr_shape(path: Path) -> Shape:
 def _exr(path: Path) -> Map:
     import OpenEXR
 
-    with OpenEXR.File(str(path), separate_channels=True) as file:
+    with exr_source(path) as source, OpenEXR.File(source, separate_channels=True) as file:
         channels = {name: channel.pixels for name, channel in file.channels().items()}
     if all(name in channels for name in "RGB"):
         return np.stack([channels[name] for name in "RGB"], axis=-1), ()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from camctl.errors import DataError, UsageError, unknown_name
+from camctl.input_files import exists
 from sim.data_files import (
     FileModel,
     PictureShape,
@@ -236,7 +237,7 @@ def load_scene(
         return _from_file(file, path.parent, shape, usual, source=name)
     built_in = built_in_files("scenes")
     if name not in built_in:
-        if path.suffix and path.exists():
+        if path.suffix and exists(name):
             known = ", ".join((*SUFFIXES, ".json"))
             raise DataError(f"{path}: unknown file type {path.suffix}", hint=f"known: {known}")
         raise unknown_name("scene", name, built_in)

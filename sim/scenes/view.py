@@ -140,6 +140,12 @@ class View:
         return target.scaled(_photons_s(light, photons_per_unit(scene, sensor)))
 
     @cached_property
+    def column_means(self) -> NDArray[np.float64]:
+        """Mean light of each sample of a row over all rows, (width,), computed once."""
+        rows = self.light.shape[0] if self.light.ndim > 1 else 1
+        return np.asarray(np.mean(self.light.reshape(rows, -1), axis=0, dtype=np.float64))
+
+    @cached_property
     def statistics(self) -> Statistics:
         """Statistics of the light, computed once."""
         planes = self.planes()

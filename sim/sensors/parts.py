@@ -10,9 +10,9 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from sim.data_files import FileModel, NotNegative, Positive, Share
+from sim.data_files import FileModel, NotNegative, NotTiny, Positive, Share
 
-_MOST_DOUBLINGS = 100.0  # of a dark rate between two temperatures: 2^100 stays finite
+_MOST_DOUBLINGS = 60.0  # of a dark rate between two temperatures: 1e9 x 2^60 stays finite
 
 
 class Lens(FileModel):
@@ -27,12 +27,12 @@ class Lens(FileModel):
         blur_px: standard deviation of the point spread, pixels
     """
 
-    f_number: Positive = 4.0
+    f_number: Annotated[Positive, Field(ge=0.1, le=1e3)] = 4.0
     transmission: Annotated[float, Field(gt=0, le=1)] = 0.9
     vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.0
     glare: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    glare_width: Annotated[float, Field(gt=0, le=0.5)] = 0.06
-    blur_px: Annotated[float, Field(ge=0, le=8)] = 0.0
+    glare_width: Annotated[float, Field(ge=1e-6, le=0.5)] = 0.06
+    blur_px: Annotated[NotNegative, Field(le=8), NotTiny] = 0.0
 
 
 class Dark(FileModel):
@@ -48,12 +48,12 @@ class Dark(FileModel):
             are spread evenly from 0 to it
     """
 
-    current_e_s: NotNegative = 0.0
+    current_e_s: Annotated[NotNegative, Field(le=1e9)] = 0.0
     temperature_c: Annotated[float, Field(ge=-200, le=150)] = 25.0
     reference_c: Annotated[float, Field(ge=-200, le=150)] = 25.0
     doubling_k: Positive = 8.0
     hot_share: Annotated[float, Field(ge=0, le=0.1)] = 0.0
-    hot_rate_e_s: NotNegative = 0.0
+    hot_rate_e_s: Annotated[NotNegative, Field(le=1e9)] = 0.0
 
     @property
     def rate_factor(self) -> float:
@@ -79,19 +79,19 @@ class Pixels(FileModel):
         prnu: standard deviation of the sensitivity over the pixels (EMVA 1288 PRNU), share
         dsnu_e: standard deviation of the offset over the pixels (EMVA 1288 DSNU), electrons
         crosstalk: share of a pixel's light that goes to each of its four neighbours
-        blooming: share of the charge beyond the well that flows along the column, half each way
-        blooming_px: pixels that it reaches
-        smear_s: seconds for which a pixel sees the mean of its column while charge is moved
+        blooming: share of the charge beyond the well that flows along the column, half each way,
+            and fills the wells that it meets; an anti-blooming drain takes the rest
+        smear_s: seconds for which a pixel sees the mean of its column while charge is moved; CCDs
+            only, since a CMOS sensor moves no charge
         lag: share of the charge of the frame before that stays in the pixel
     """
 
-    pitch_um: Positive = 3.45
+    pitch_um: Annotated[float, Field(ge=1e-3, le=1e4)] = 3.45
     prnu: Annotated[float, Field(ge=0, le=0.1)] = 0.0
-    dsnu_e: NotNegative = 0.0
+    dsnu_e: Annotated[NotNegative, Field(le=1e9)] = 0.0
     crosstalk: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     blooming: Share = 0.0
-    blooming_px: Annotated[int, Field(ge=1, le=64)] = 12
-    smear_s: NotNegative = 0.0
+    smear_s: Annotated[NotNegative, Field(le=1e5)] = 0.0
     lag: Annotated[float, Field(ge=0, le=0.5)] = 0.0
 
 
@@ -107,9 +107,9 @@ class ReadOut(FileModel):
         cosmic_e: mean charge of a hit, electrons
     """
 
-    row_noise_e: NotNegative = 0.0
-    column_noise_e: NotNegative = 0.0
-    row_s: NotNegative = 0.0
+    row_noise_e: Annotated[NotNegative, Field(le=1e9)] = 0.0
+    column_noise_e: Annotated[NotNegative, Field(le=1e9)] = 0.0
+    row_s: Annotated[NotNegative, Field(le=1e5)] = 0.0
     nonlinearity_dn: NotNegative = 0.0
-    cosmic_rate_s: NotNegative = 0.0
-    cosmic_e: Positive = 1500.0
+    cosmic_rate_s: Annotated[NotNegative, Field(le=1e5)] = 0.0
+    cosmic_e: Annotated[float, Field(gt=0, le=1e9)] = 1500.0

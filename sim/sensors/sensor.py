@@ -9,29 +9,36 @@ phase, floors, and clips at ``2^bits - 1``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from camctl.controls import Choices, Control, ExposureControls, Layout, Steps
+from camctl.controls import (
+    Choices,
+    Control,
+    ExposureControls,
+    Layout,
+    Steps,
+)
 from camctl.errors import unknown_name
-from camctl.response.camera import CameraResponse, FloatArray
+from camctl.noise_model import NoiseModel
+from camctl.response.camera import CameraResponse
 from camctl.response.measured import measured_response
 from sim.data_files import (
     FileModel,
     NotNegative,
+    NotTiny,
     PictureShape,
     Positive,
+    Seconds,
     built_in_files,
     read_file,
     read_text,
 )
 from sim.noise import largest_noise
+from sim.sensors.curve import curve_samples
 from sim.sensors.parts import Dark, Lens, Pixels, ReadOut
 
 DEFAULT_SENSOR = "standard"
@@ -47,44 +54,9 @@ _PHOTONS_PER_LUX_S_UM2 = 4091.0
 """Photons of 555 nm a second and square micrometre in one lux: 1 lx = 1/683 W/m^2 there, over
 h c / wavelength = 3.579e-19 J, times 1e-12 m^2."""
 
-_CURVE_SAMPLES = 4097
-_LOOKUP_BINS = 1 << 14
+_MOST_CHARGE_E = 1e9  # in a pixel
 
 Weights = tuple[NotNegative, NotNegative, NotNegative]
-
-
-@dataclass(frozen=True, eq=False)
-class LevelLookup:
-    """Looks up the level of an irradiance by its bin and then by comparing: exact and fast.
-
-    Attributes:
-        levels_below: (bins,) levels that are <= the start of each bin
-        next_level: (levels + 1,) irradiance of each level; infinite after the last
-        most_in_bin: most levels in one bin
-    """
-
-    levels_below: NDArray[np.uint16]
-    next_level: NDArray[np.float32]
-    most_in_bin: int
-
-    @classmethod
-    def of(cls, levels: NDArray[np.float64]) -> LevelLookup:
-        """Return the lookup for `levels`, (M,) irradiances in ascending order."""
-        edges = np.arange(_LOOKUP_BINS + 1) / _LOOKUP_BINS
-        # Levels are rounded to float32 as irradiance is, so that equal ones compare as equal.
-        rounded = levels.astype(np.float32)
-        below = np.searchsorted(rounded, edges.astype(np.float32), side="right")
-        ahead = np.append(rounded, np.float32(np.inf))
-        return cls(below[:-1].astype(np.uint16), ahead, int(np.diff(below).max()))
-
-    def brightness(self, irradiance: NDArray[np.float32]) -> NDArray[np.uint16]:
-        """Return how many levels are <= each irradiance, which is clipped to 0..1."""
-        inside = np.clip(irradiance, 0, np.float32(1))
-        place = np.minimum((inside * np.float32(_LOOKUP_BINS)).astype(np.intp), _LOOKUP_BINS - 1)
-        count = self.levels_below[place]
-        for _ in range(self.most_in_bin):
-            count += inside >= self.next_level[count]
-        return count
 
 
 class Sensor(FileModel):
@@ -92,7 +64,7 @@ class Sensor(FileModel):
 
     Attributes:
         name: of the sensor
-        bits: of the ADC, 4 to 16
+        bits: of the ADC, 1 to 16
         layout: pixel layout of its frames; None follows the scene: RGB for a coloured one,
             otherwise mono
         shape: (rows, columns) that a drawn scene has unless a size is requested
@@ -117,25 +89,25 @@ class Sensor(FileModel):
     """
 
     name: str
-    bits: int = Field(ge=4, le=16)
+    bits: int = Field(ge=1, le=16)
     layout: Layout | None = None
     shape: PictureShape = (480, 640)
-    full_well_e: Positive
+    full_well_e: Annotated[Positive, Field(le=_MOST_CHARGE_E)]
     electrons_per_dn: Positive = Field(default=None, validate_default=True)
     photon_noise: bool = True
     read_noise_e: NotNegative = 0.0
     black: int = Field(default=0, ge=0)
     phase: float = Field(default=0.0, ge=0, lt=1)
     curve: Literal["linear", "srgb"] | Positive | tuple[tuple[float, float], ...] = "linear"
-    quantum_efficiency: Positive = 0.5
-    time_minimum_s: Positive = 1e-5
-    time_maximum_s: Positive = 60.0
-    line_s: Positive = 1e-5
-    gain_maximum: float = Field(default=1.0, ge=1, allow_inf_nan=False)
-    gain_step: NotNegative = 0.0
+    quantum_efficiency: Annotated[Positive, Field(le=1e3)] = 0.5
+    time_minimum_s: Seconds = 1e-5
+    time_maximum_s: Seconds = 60.0
+    line_s: Seconds = 1e-5
+    gain_maximum: float = Field(default=1.0, ge=1, le=1e6, allow_inf_nan=False)
+    gain_step: Annotated[NotNegative, NotTiny] = 0.0
     delay_frames: int = Field(default=2, ge=0, le=30)
     delay_jitter_frames: int = Field(default=0, ge=0, le=30)
-    frame_interval_s: Positive = 1 / 30
+    frame_interval_s: Seconds = 1 / 30
     spectrum: tuple[Weights, Weights, Weights] | None = None
     lens: Lens = Lens()
     dark: Dark = Dark()
@@ -146,15 +118,15 @@ class Sensor(FileModel):
     @classmethod
     def _fill_in_gain(cls, data: object) -> object:
         if isinstance(data, dict) and data.get("electrons_per_dn") is None:
-            bits, black, well = (data.get(key) for key in ("bits", "black", "full_well_e"))
-            black = 0 if black is None else black
+            bits, black, well = data.get("bits"), data.get("black") or 0, data.get("full_well_e")
             # Values that are invalid are left for the checks of their own fields.
             if (
                 isinstance(bits, int)
                 and isinstance(black, int)
                 and isinstance(well, int | float)
+                and well <= _MOST_CHARGE_E
                 and 1 <= bits <= 16
-                and black < 2**bits
+                and 0 <= black < 2**bits
             ):
                 return {**data, "electrons_per_dn": well / (2**bits - black)}
         return data
@@ -243,11 +215,23 @@ class Sensor(FileModel):
         """
         if self.curve == "linear":
             return None
-        irradiance, brightness = _curve_samples(self.curve)
         label = self.curve if isinstance(self.curve, str) else "curve of " + self.name
         levels = self.white - self.black
         return measured_response(
-            irradiance, brightness, bits=self.bits, phase=self.phase, levels=levels, name=label
+            *curve_samples(self.curve), bits=self.bits, phase=self.phase, levels=levels, name=label
+        )
+
+    @property
+    def noise_model(self) -> NoiseModel:
+        """The noise that its parameters give; row and column noise count as read noise and DSNU."""
+        return NoiseModel(
+            conversion_e_per_dn=self.electrons_per_dn,
+            read_noise_e=((1.0, math.hypot(self.read_noise_e, self.read_out.row_noise_e)),),
+            full_well_e=self.full_well_e,
+            dark_current_e_s=self.dark.current_e_s * self.dark.rate_factor,
+            prnu=self.pixels.prnu,
+            dsnu_e=math.hypot(self.pixels.dsnu_e, self.read_out.column_noise_e),
+            photon_noise=self.photon_noise,
         )
 
     @property
@@ -258,9 +242,8 @@ class Sensor(FileModel):
     @property
     def gains(self) -> Control:
         """Linear gains."""
-        if self.gain_maximum == 1:
-            return Choices((1.0,))
-        return Steps(1.0, self.gain_maximum, self.gain_step)
+        most = self.gain_maximum
+        return Steps(1.0, most, self.gain_step) if most > 1 else Choices((1.0,))
 
     def layout_for(self, is_coloured: bool) -> Layout:
         """Return the layout of frames of a scene that is coloured or grey."""
@@ -272,7 +255,6 @@ class Sensor(FileModel):
         *,
         is_coloured: bool,
         photons_per_unit: float,
-        notes: tuple[str, ...] = (),
     ) -> ExposureControls:
         """Return the exposure controls of a camera with this sensor in front of a scene.
 
@@ -280,7 +262,6 @@ class Sensor(FileModel):
             shape: (rows, columns) of its frames
             is_coloured: whether the scene has colours
             photons_per_unit: photons a pixel a second for one unit of the scene's irradiance
-            notes: about the scene, for users
         """
         return ExposureControls(
             time_s=self.times,
@@ -295,23 +276,8 @@ class Sensor(FileModel):
             delay_frames=None if self.delay_jitter_frames else self.delay_frames,
             frame_interval_s=self.frame_interval_s,
             sensitivity=photons_per_unit * self.quantum_efficiency / self.full_scale_e,
-            notes=notes,
+            noise=self.noise_model,
         )
-
-
-def _curve_samples(
-    curve: str | float | tuple[tuple[float, float], ...],
-) -> tuple[FloatArray, FloatArray]:
-    """Return irradiance and brightness of samples of a curve, both from 0 to 1."""
-    if isinstance(curve, tuple):
-        table = np.array(curve, dtype=np.float64)
-        return table[:, 0], table[:, 1]
-    # Evenly spaced in brightness, so that the steep foot of the curve is sampled as finely.
-    brightness = np.linspace(0.0, 1.0, _CURVE_SAMPLES)
-    if curve == "srgb":
-        toe, power = brightness / 12.92, ((brightness + 0.055) / 1.055) ** 2.4
-        return np.where(brightness <= 0.04045, toe, power), brightness
-    return brightness ** (1 / float(curve)), brightness
 
 
 def sensor_names() -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The cost of a whole capture: memory, frame slots, and frames lost in real time.
+"""The cost of a whole capture: memory, time for its files, frame slots, frames lost in real time.
 
     python tests/bench/bench_capture.py [--megapixels 24]
 
@@ -14,10 +14,13 @@ import resource
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.camera import CameraBase, CameraInfo, Frame
 from camctl.captures.request import CaptureRequest
@@ -79,6 +82,37 @@ def memory(layout: Layout, megapixels: float) -> None:
     )
 
 
+def pictures(layout: Layout, megapixels: float) -> None:
+    """Print the time from the last frame to the last file against OpenCV's merge of the frames.
+
+    The merge gets frames in as many channels as the pictures have: a mosaic's are colour.
+    """
+    import cv2
+
+    columns = round((megapixels * 1e6 * 1.5) ** 0.5) // 2 * 2
+    rows = round(megapixels * 1e6 / columns) // 2 * 2
+    request = CaptureRequest("log", 16000.0, ratios=RATIOS, base_s=1e-3)
+    times = np.array(RATIOS, np.float32)
+    spent, merged = [], []
+    for _ in range(3):
+        with RowsCamera((rows, columns), layout) as camera, tempfile.TemporaryDirectory() as folder:
+            report = capture(camera, request, Path(folder) / "out")
+            spent.append(report.timing["writing_s"])
+            frames: list[NDArray[Any]] = [report.frame(place) for place in range(len(RATIOS))]
+        if layout.is_mosaic:
+            frames = [np.repeat(frame[..., np.newaxis], 3, axis=2) for frame in frames]
+        begin = time.perf_counter()
+        cv2.createMergeDebevec().process(frames, times)
+        merged.append(time.perf_counter() - begin)
+        del frames
+    ours, theirs = min(spent), min(merged)
+    what = f"files  {layout.value:5} {megapixels:g} MP, n = {len(RATIOS)}"
+    print(
+        f"{what}: {ours:5.2f} s after the last frame; cv2 MergeDebevec {theirs:5.2f} s; "
+        f"ratio {ours / theirs:.2f}"
+    )
+
+
 def resident_mb() -> float:
     """Return the resident memory of the process, MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -134,12 +168,17 @@ def main() -> None:
     chosen = parser.parse_args()
     parts = {
         **{f"memory-{kind}": kind for kind in (Layout.MONO, Layout.RGGB, Layout.RGB)},
+        **{f"pictures-{kind}": kind for kind in (Layout.MONO, Layout.RGGB, Layout.RGB)},
         "slots": slots,
         "real": real_time,
     }
     if chosen.only:
         part = parts[chosen.only]
-        memory(part, chosen.megapixels) if isinstance(part, Layout) else part()
+        if isinstance(part, Layout):
+            measure = memory if chosen.only.startswith("memory") else pictures
+            measure(part, chosen.megapixels)
+        else:
+            part()
         return
     for name in parts:
         command = [sys.executable, __file__, "--only", name, "--megapixels", str(chosen.megapixels)]

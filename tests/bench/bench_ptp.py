@@ -22,7 +22,7 @@ import virtual_devices as rig
 
 from camctl.clock import RealClock
 from drivers.ptp.session import Session
-from drivers.ptp.transport import HEADER, UsbTransport
+from drivers.ptp.usb_transport import HEADER, UsbTransport
 
 OBJECT_BYTES = 8 * 1024 * 1024
 ROUNDS = 3

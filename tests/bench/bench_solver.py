@@ -3,35 +3,35 @@
     python tests/bench/bench_solver.py [--no-scipy] [--largest N] [--times X]
 
 Needs scipy (for the comparison only).  Times are CPU seconds of one core, so that other work on the
-machine disturbs little.  scipy minimises the same objective, `camctl.exposure.objective.xi`; with
---share-kernel it uses the solver's own float32 batches, whole populations at a time, so that only
-the search strategies are compared.  "Equal xi" is within 0.05 % of what the search finds; its own
-time to that value is that of the smallest effort that reaches it.
+machine disturbs little.  scipy's optimisers use the solver's own fast objective, whole populations
+at a time, as in `camctl tradeoff solver`: only the search strategies are compared.  "Equal xi" is
+within 0.05 % of what the search finds; its own time to that value is that of the smallest effort
+that reaches it.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import statistics
 import sys
 import time
 import tracemalloc
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camctl.exposure.build import build_table, table_jobs
-from camctl.exposure.candidates import BatchScore
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.grid_search import SettingsGrid, solve_settings
-from camctl.exposure.objective import ExposureProblem, xi
+from camctl.exposure.grid_search import solve_settings
+from camctl.exposure.objective import xi
+from camctl.exposure.settings_grid import SettingsGrid
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.response.auto import auto_response
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response
+from camctl.studies.solver_study import SCIPY_METHODS, SolverRun, measure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from cells import CELLS, Cell
@@ -39,61 +39,6 @@ from cells import CELLS, Cell
 EIGHT_BIT = linear_response(8)
 EQUAL = 1.0005
 """xi within 0.05 % counts as equal."""
-
-Floats = NDArray[np.float64]
-
-
-class _Finished(Exception):  # noqa: N818 - ends a run, is no error
-    pass
-
-
-class RecordedObjective:
-    """The objective of a cell, which records its best values and ends at a time or a value."""
-
-    def __init__(self, cell: Cell, limit_s: float, target: float, share_kernel: bool) -> None:
-        self.problem = ExposureProblem(EIGHT_BIT, cell.desired, cell.n)
-        self.score = BatchScore(self.problem) if share_kernel else self.exact
-        self.limit_s, self.target = limit_s, target
-        self.best, self.reached_s = np.inf, np.inf
-        self.history: list[tuple[float, float]] = []
-        self.start = time.process_time()
-
-    def exact(self, exposures: Floats) -> Floats:
-        """Return the exact objective of each row."""
-        return np.array([self.problem.score(row) for row in exposures.tolist()])
-
-    def __call__(self, logs: Floats) -> Floats | float:
-        """Return the objective of (n - 1,) or, for a population, (n - 1, S) logarithms."""
-        sets = np.atleast_2d(logs.T)
-        ones = np.ones((len(sets), 1))
-        found = self.score(np.sort(np.concatenate([ones, np.exp(sets)], axis=1), axis=1))
-        spent = time.process_time() - self.start
-        if found.min() < self.best:
-            self.best = float(found.min())
-            self.history.append((spent, self.best))
-        if self.best <= self.target and np.isinf(self.reached_s):
-            self.reached_s = spent
-        if spent > self.limit_s or np.isfinite(self.reached_s):
-            raise _Finished
-        return found if logs.ndim == 2 else float(found[0])
-
-    def best_at(self, seconds: float) -> float:
-        """Return the best value found within so many CPU seconds."""
-        return min((value for spent, value in self.history if spent <= seconds), default=np.inf)
-
-
-def scipy_optimisers(cell: Cell) -> dict[str, Callable[[RecordedObjective], object]]:
-    """Return scipy's global optimisers, set up for a cell."""
-    from scipy.optimize import differential_evolution, dual_annealing
-
-    bounds = [(0.0, float(np.log(cell.desired.dynamic_range)))] * (cell.n - 1)
-    return {
-        "differential_evolution": lambda f: differential_evolution(
-            f, bounds, vectorized=True, updating="deferred", maxiter=10**6, tol=0, polish=False,
-            popsize=30, rng=0,
-        ),
-        "dual_annealing": lambda f: dual_annealing(f, bounds, maxiter=10**6, rng=0),
-    }  # fmt: skip
 
 
 def time_to_reach(cell: Cell, target: float) -> float:
@@ -105,7 +50,7 @@ def time_to_reach(cell: Cell, target: float) -> float:
     return solve(EIGHT_BIT, cell.desired, cell.n).seconds
 
 
-def bench_cells(largest: int, times: float, with_scipy: bool, share_kernel: bool) -> None:
+def bench_cells(largest: int, times: float, with_scipy: bool) -> None:
     """Print each cell; for scipy, its xi at equal time and its time to equal xi."""
     seconds, ratios = [], []
     print("cell          best known        xi   regret   CPU s" + " " * 4 * with_scipy, end="")
@@ -119,29 +64,29 @@ def bench_cells(largest: int, times: float, with_scipy: bool, share_kernel: bool
             end="",
         )
         if with_scipy:
-            fastest = np.inf
+            fastest = math.inf
             target = found.xi * EQUAL
             solver_s = time_to_reach(cell, target)
-            for name, run in scipy_optimisers(cell).items():
-                recorded = RecordedObjective(cell, times * found.seconds, target, share_kernel)
-                ending = ""
-                try:
-                    run(recorded)
-                    ending = " (ended by itself)"
-                except _Finished:
-                    pass
-                ratio = recorded.reached_s / solver_s
-                limit = f"> {times * found.seconds / solver_s:.0f}"
-                relative = f"{ratio:.1f}" if np.isfinite(ratio) else limit
+            limit_s = times * found.seconds
+            for method in SCIPY_METHODS:
+                dynamic_range = cell.desired.dynamic_range
+                run = SolverRun(method, cell.response, dynamic_range, cell.n, limit_s=limit_s)
+                points = measure(run)
+                equal_time = min((p.xi for p in points if p.cpu_s <= found.seconds), default=-1)
+                reached_s = next((p.cpu_s for p in points if p.xi <= target), math.inf)
+                ratio = reached_s / solver_s
+                shown = f"{ratio:.1f}" if math.isfinite(ratio) else f"> {limit_s / solver_s:.0f}"
                 fastest = min(fastest, ratio)
-                at_equal_time = recorded.best_at(found.seconds)
-                print(f"   {name}: {at_equal_time:.2f}, {relative}{ending}", end="")
+                print(f"   {method}: {equal_time:.2f}, {shown}", end="")
             ratios.append(fastest)
         print(flush=True)
     print(f"CPU s: median {statistics.median(seconds):.2f}, maximum {max(seconds):.2f}")
     if ratios:
-        median = statistics.median(ratios)
-        print(f"relative time of the faster scipy optimiser, median cell: {median:.1f}")
+        print(
+            "relative time of the faster scipy optimiser: "
+            f"median cell {statistics.median(ratios):.1f}, least {min(ratios):.1f}; "
+            f"not reached in {sum(math.isinf(ratio) for ratio in ratios)} of {len(ratios)} cells"
+        )
 
 
 def bench_growth() -> None:
@@ -199,13 +144,12 @@ def main() -> None:
     parser.add_argument(
         "--times",
         type=float,
-        default=12.0,
+        default=4.0,
         help="time limit of scipy, in units of the time of the solver",
     )
-    parser.add_argument("--share-kernel", action="store_true", help="scipy uses the batch score")
     arguments = parser.parse_args()
     with_scipy = not arguments.no_scipy
-    bench_cells(arguments.largest, arguments.times, with_scipy, arguments.share_kernel)
+    bench_cells(arguments.largest, arguments.times, with_scipy)
     bench_growth()
     bench_auto()
     bench_table()

@@ -20,6 +20,8 @@ import numpy as np
 from camctl.captures.accumulator import Accumulator
 from camctl.captures.pictures import Tables
 from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.inverse import Posterior
+from camctl.noise_model import FrameNoise
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response
 
@@ -53,7 +55,9 @@ def measure(name: str, shape: tuple[int, ...], count: int, rounds: int) -> None:
     real = linear_response(8, levels=WHITE)
     exposures = [1.0, 3.98, 16.0, 64.2, 305.4, 1130.0][:count]
     effective = EffectiveCamera.of(real, exposures)
-    tables = Tables.of(effective, desired_response("log", 16000), 0, 1.0)
+    tables = Tables.of(
+        Posterior(effective, desired_response("log", 16000), [FrameNoise(40.0, 0.1)] * count), 1.0
+    )
     flat = total.total.reshape(-1)
 
     def last_pass() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from camctl.captures.exposure_check import NeighbourCheck, suspects
+from camctl.captures.exposure_check import NeighbourCheck, lamp_factor
 from camctl.captures.report import RatioCheck
 from camctl.response.camera import CameraResponse, linear_response
 
@@ -29,7 +29,7 @@ def compare(
     check = NeighbourCheck(real, black)
     for position, exposure in enumerate(exposures):
         check.add(position, frame_of(E * exposure, real, black))
-    return check.check(1, reported)
+    return check.check(1, reported, (1.0, 1.0), None)
 
 
 @given(
@@ -69,7 +69,7 @@ def test_moving_object_changes_only_its_own_pixels() -> None:
     check.add(0, frame_of(E, real))
     E[:40] = 0.05
     check.add(1, frame_of(E * 2, real))
-    result = check.check(1, 2.0)
+    result = check.check(1, 2.0, (1.0, 1.0), None)
     assert result.agrees
     assert result.moved == pytest.approx(0.2, abs=0.03)
 
@@ -83,22 +83,10 @@ def test_frames_without_common_light_have_no_measured_ratio() -> None:
 
 
 @pytest.mark.parametrize(
-    ("disagreeing", "expected"),
-    [
-        ([], []),
-        ([1], [0, 1]),  # frames 0 and 1 disagree: either may be wrong
-        ([1, 2], [1]),  # frame 1 disagrees with both neighbours
-        ([2, 3], [2]),
-        ([3], [2, 3]),
-        ([1, 3], [0, 1, 2, 3]),
-        ([1, 2, 3], [1, 2]),
-    ],
+    ("times_s", "mains_hz", "expected"),
+    [((1e-6, 1e-6), None, 1.4 / 0.6), ((0.02, 0.04), 50, 1.0), ((10, 10), None, 1.0003)],
 )
-def test_suspects_are_the_frames_that_disagree_with_their_neighbours(
-    disagreeing: list[int], expected: list[int]
+def test_lamps_change_short_exposures_most(
+    times_s: tuple[float, float], mains_hz: float | None, expected: float
 ) -> None:
-    checks = [None] + [
-        RatioCheck(expected=2, measured=2, tolerance=0.1, agrees=later not in disagreeing, moved=0)
-        for later in range(1, 4)
-    ]
-    assert suspects(checks) == expected
+    assert lamp_factor(times_s, mains_hz) == pytest.approx(expected, abs=1e-4)

@@ -9,7 +9,7 @@ import pytest
 from small_cameras import small_camera
 
 import camctl
-from camctl.captures.frame_store import read_report
+from camctl.captures.folder_store import read_report
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.errors import CameraDisconnectedError, DataError, InterruptedCaptureError
@@ -102,3 +102,9 @@ def test_frame_out_of_range_is_a_usage_error() -> None:
         report = camctl.capture(camera, camctl.CaptureRequest(ratios=(1, 4)))
     with pytest.raises(camctl.UsageError, match="invalid frame position 2: expected 0 to 1"):
         report.frame(2)
+
+
+def test_a_capture_of_one_exposure_has_no_measured_noise() -> None:
+    with camctl.open_camera("sim", scene="ramp", size="64x48") as camera:
+        report = camctl.capture(camera, camctl.CaptureRequest(ratios=(1,)))
+    assert report.radiance().shape == (48, 64)

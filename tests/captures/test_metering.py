@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from small_cameras import WrappedCamera, small_camera
 
 from camctl.camera import FrameStream
-from camctl.captures.metering import OUTLIER_SHARE, meter
+from camctl.captures.metering import OUTLIER_SHARE, MeteringFrames, meter
 from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
 
@@ -26,7 +26,7 @@ def test_highlights_are_just_below_white(sensor: str, brightness: float) -> None
     light[:20] *= 0.01
     # Lines so short that all shutter times can be set.
     with small_camera(sensor, light, line_s=1e-7, time_minimum_s=1e-7) as camera:
-        metering = meter(camera)
+        metering = meter(MeteringFrames(camera))
         controls = camera.controls
     limit = controls.time_s.nearest(metering.limit_s)
     assert controls.sensitivity is not None
@@ -42,7 +42,7 @@ def test_fullest_channel_is_metered() -> None:
     light[..., 2] = 1.0
     with small_camera(light=light, layout="rggb", line_s=1e-7, time_minimum_s=1e-7) as camera:
         assert camera.controls.sensitivity is not None
-        blue = meter(camera).limit_s * camera.controls.sensitivity * 1.0
+        blue = meter(MeteringFrames(camera)).limit_s * camera.controls.sensitivity * 1.0
     assert 0.85 <= blue <= 1.0
 
 
@@ -50,7 +50,7 @@ def test_few_reflections_may_saturate_and_are_reported() -> None:
     light = uniform(0.1, (200, 300))
     light[0, :4] = 1e4
     with small_camera(light=light, line_s=1e-7, time_minimum_s=1e-7) as camera:
-        metering = meter(camera)
+        metering = meter(MeteringFrames(camera))
         assert camera.controls.sensitivity is not None
         assert metering.limit_s * camera.controls.sensitivity * 0.1 > 0.8
     assert metering.clipped == pytest.approx(4 / 60_000)
@@ -63,7 +63,7 @@ def test_black_scene_is_an_error() -> None:
             CaptureError, match="the picture is black even at 60 s; take the lens cap off"
         ),
     ):
-        meter(camera)
+        meter(MeteringFrames(camera))
 
 
 def test_overexposed_scene_is_an_error() -> None:
@@ -71,7 +71,7 @@ def test_overexposed_scene_is_an_error() -> None:
         small_camera(light=uniform(1e9)) as camera,
         pytest.raises(CaptureError, match="the picture is white even at 1e-05 s"),
     ):
-        meter(camera)
+        meter(MeteringFrames(camera))
 
 
 class Mechanical(WrappedCamera):
@@ -88,7 +88,7 @@ def test_shutter_of_a_camera_without_preview_is_actuated_on_request_only() -> No
     with small_camera() as simulated:
         camera = Mechanical(simulated)
         with pytest.raises(UsageError, match=r"no preview, and metering would cost .* --meter"):
-            meter(camera)
+            meter(MeteringFrames(camera))
         assert camera.shots == 0
-        metering = meter(camera, spend_shutter=True)
+        metering = meter(MeteringFrames(camera, spend_shutter=True))
     assert metering.frames == camera.shots > 0

@@ -9,24 +9,30 @@ import numpy as np
 import OpenEXR
 import pytest
 from numpy.typing import NDArray
+from picture_parts import details
 
 from camctl.captures import pictures
-from camctl.captures.frame_store import FolderStore, MemoryStore
+from camctl.captures.folder_store import FolderStore
+from camctl.captures.frame_store import MemoryStore
 from camctl.captures.picture_files import write_picture_files
 from camctl.captures.pictures import Rendering, Tables
 from camctl.controls import Layout
 from camctl.errors import DataError
 from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.inverse import Posterior
+from camctl.noise_model import FrameNoise
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response
 
 BLACK = 5
 EFFECTIVE = EffectiveCamera.of(linear_response(6), [1.0, 4.0])
+NOISE = [FrameNoise(50.0, 0.2, black=2), FrameNoise(50.0, 0.2, black=3)]
 
 
 def rendering(layout: Layout, response: str = "log") -> Rendering:
     desired = desired_response(response, 100.0)
-    return Rendering(layout, Tables.of(EFFECTIVE, desired, BLACK, 2.0), desired, 2.0)
+    tables = Tables.of(Posterior(EFFECTIVE, desired, NOISE), 2.0)
+    return Rendering(layout, (tables,), desired, 2.0)
 
 
 def random_sum(layout: Layout) -> NDArray[np.uint16]:
@@ -47,21 +53,22 @@ def test_strips_leave_no_seam(
         folder = tmp_path / str(samples)
         folder.mkdir()
         stores.append(FolderStore(folder))
-        write_picture_files(total, how, folder)
+        write_picture_files(total, how, details(), folder)
     whole, strips = stores
     assert np.array_equal(whole.image(), strips.image())
     assert np.array_equal(whole.radiance(), strips.radiance())
+    assert np.array_equal(whole.standard_deviation(), strips.standard_deviation())
     assert np.array_equal(whole.mask(), strips.mask())
     if not layout.is_mosaic:
-        assert np.array_equal(whole.image(), how.tables.code[total])
+        assert np.array_equal(whole.image(), how.tables[0].code[total])
 
 
 @pytest.mark.parametrize("layout", list(Layout))
 def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -> None:
     total, how = random_sum(layout), rendering(layout)
     folder, memory = FolderStore(tmp_path), MemoryStore()
-    files = folder.keep_pictures(total, how)
-    assert memory.keep_pictures(total, how) == {}
+    files = write_picture_files(total, how, details(), tmp_path)
+    assert memory.keep_pictures(total, how, details()) == {}
     assert {path.name for path in tmp_path.iterdir()} == set(files.values())
     shape = (37, 22) if layout is Layout.MONO else (37, 22, 3)
     for name, dtype in {"image": np.uint16, "radiance": np.float32, "mask": np.uint8}.items():
@@ -75,25 +82,28 @@ def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -
 
 @pytest.mark.parametrize("layout", list(Layout))
 def test_channels_of_radiance_exr(layout: Layout, tmp_path: Path) -> None:
-    write_picture_files(random_sum(layout), rendering(layout), tmp_path)
+    write_picture_files(random_sum(layout), rendering(layout), details(), tmp_path)
     with OpenEXR.File(str(tmp_path / "radiance.exr"), separate_channels=True) as file:
         types = {name: channel.pixels.dtype for name, channel in file.channels().items()}
     names = "Y" if layout is Layout.MONO else "RGB"
-    assert types == dict.fromkeys(names, np.float32) | {f"mask.{n}": np.uint32 for n in names}
+    expected: dict[str, type[np.generic]] = {f"mask.{name}": np.uint32 for name in names}
+    for name in names:
+        expected |= {name: np.float32, f"sd.{name}": np.float32}
+    assert types == expected
 
 
-def test_preview_is_small_and_looks_like_the_image(
+def test_preview_is_made_from_reduced_light(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camctl.captures.picture_files._PREVIEW_SIDE", 10)
+    monkeypatch.setattr("camctl.captures.preview.PREVIEW_SIDE", 10)
     monkeypatch.setattr(pictures, "STRIP_SAMPLES", 100)
     total = np.linspace(BLACK, EFFECTIVE.levels_total, 23 * 37 * 3).astype(np.uint16)
-    write_picture_files(total.reshape(23, 37, 3), rendering(Layout.RGB), tmp_path)
+    write_picture_files(total.reshape(23, 37, 3), rendering(Layout.RGB), details(), tmp_path)
     preview = cv2.imread(str(tmp_path / "preview.png"), cv2.IMREAD_UNCHANGED)
     assert preview is not None
-    image = FolderStore(tmp_path).image()
-    assert preview.shape == (6, 10, 3)
-    assert np.array_equal(preview[..., ::-1], np.rint(image[::4, ::4] / 257).astype(np.uint8))
+    assert preview.shape == (5, 9, 3)
+    rows = preview.mean(axis=(1, 2))
+    assert (np.diff(rows) > 0).all()
 
 
 @pytest.mark.parametrize(
@@ -103,6 +113,7 @@ def test_preview_is_small_and_looks_like_the_image(
         ("image.tiff", "image"),
         ("radiance.exr", "radiance"),
         ("radiance.exr", "mask"),
+        ("radiance.exr", "standard_deviation"),
         ("frames/frame-01.npy", "frame"),
     ],
 )
@@ -110,7 +121,8 @@ def test_preview_is_small_and_looks_like_the_image(
 def test_missing_or_damaged_file_is_a_data_error_that_names_it(
     file: str, method: str, content: bytes | None, tmp_path: Path
 ) -> None:
-    store = FolderStore.create(tmp_path / "here")
+    store = FolderStore(tmp_path / "here")
+    (tmp_path / "here" / "frames").mkdir(parents=True)
     if content is not None:
         (tmp_path / "here" / file).write_bytes(content)
     with pytest.raises(DataError, match=file) as failure:

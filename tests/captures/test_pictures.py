@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from camctl.captures.pictures import (
     DARK,
+    FULL_CODE,
     GOOD,
     SATURATED,
     Tables,
     colour_of,
     demosaic,
+    demosaic_deviation,
     demosaic_mask,
-    encode,
-    outside_shares,
-    planes,
 )
 from camctl.controls import Layout
 from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.inverse import Posterior
+from camctl.noise_model import FrameNoise
 from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
+from camctl.response.desired import DesiredResponse, desired_response
 
 MOSAICS = [layout for layout in Layout if layout.is_mosaic]
 BLACK = 5
@@ -59,10 +62,10 @@ def test_demosaic_is_exact_for_linear_light_inside(layout: Layout) -> None:
 def test_planes_hold_every_sample_once() -> None:
     frame = np.arange(24, dtype=np.uint8).reshape(4, 6)
     for layout in (Layout.MONO, *MOSAICS):
-        samples = np.concatenate([plane.ravel() for plane in planes(frame, layout)])
+        samples = np.concatenate([plane.ravel() for plane in layout.planes(frame)])
         assert sorted(samples) == list(range(24))
     colours = np.arange(24, dtype=np.uint8).reshape(4, 2, 3)
-    assert [plane.tolist() for plane in planes(colours, Layout.RGB)][2][0] == [2, 5]
+    assert [plane.tolist() for plane in Layout.RGB.planes(colours)][2][0] == [2, 5]
 
 
 def test_letters_of_a_layout_name_its_pattern_row_by_row() -> None:
@@ -77,23 +80,40 @@ def test_mask_of_a_mosaic_covers_all_interpolated_pixels() -> None:
     assert np.array_equal(wide[..., 0] == 2, np.pad(np.ones((3, 3), bool), 1))
 
 
+def tables_of(desired: DesiredResponse, electrons: float = math.inf) -> Tables:
+    noise = [FrameNoise(electrons, 0.0, black=2), FrameNoise(electrons, 0.0, black=3)]
+    return Tables.of(Posterior(EFFECTIVE, desired, noise), 2.0)
+
+
 def test_tables_are_the_inverse_response_with_black_subtracted_once() -> None:
     desired = desired_response("log", 100.0)
-    tables = Tables.of(EFFECTIVE, desired, BLACK, 2.0)
-    inverse = EFFECTIVE.irradiance_table()
-    top = inverse.size - 1
-    assert tables.irradiance.size == top + BLACK + 1
-    assert np.array_equal(tables.irradiance[BLACK:], (inverse / 2).astype(np.float32))
-    assert np.array_equal(tables.code[BLACK:], encode(desired, inverse))
+    tables = tables_of(desired)
+    edges = np.concatenate([[0.0], EFFECTIVE.levels])
+    assert tables.irradiance.size == EFFECTIVE.levels_total + BLACK + 1
+    within = slice(BLACK, BLACK + EFFECTIVE.levels_total)
+    low, high = edges[:-1] / 2, edges[1:] / 2
+    E = tables.irradiance[within]
+    assert np.all((low <= E) & (high >= E) | (low == high))  # coincident levels skip a sum
+    assert tables.irradiance[-1] == np.float32(edges[-1] / 2)
+    assert np.isinf(tables.deviation[-1])
+    assert np.isfinite(tables.deviation[:-1]).all()
+    inside = np.flatnonzero(edges[:-1] >= desired.e_min)
+    middle = (desired.u(edges[inside[:-1]]) + desired.u(edges[inside[:-1] + 1])) / 2
+    occurs = np.diff(edges)[inside[:-1]] > 0
+    code = tables.code[BLACK + inside[:-1]]
+    assert np.array_equal(code[occurs], np.rint(middle * FULL_CODE)[occurs])
     assert (tables.mask[: BLACK + 1] == DARK).all()
-    assert (tables.mask[BLACK + 1 : -1] == GOOD).all()
+    is_dark = tables.irradiance[BLACK + 1 : -1] * 2 < desired.e_min
+    assert 0 < np.count_nonzero(is_dark) < is_dark.size
+    assert np.array_equal(tables.mask[BLACK + 1 : -1], np.where(is_dark, DARK, GOOD))
     assert tables.mask[-1] == SATURATED
-    assert not tables.irradiance[: BLACK + 1].any()
 
 
-def test_outside_shares_count_saturated_and_dark_samples() -> None:
-    tables = Tables.of(EFFECTIVE, desired_response("log", 100.0), BLACK, 2.0)
-    total = np.full((10, 10), BLACK + 20, np.uint16)
-    total[0], total[1, :5] = BLACK + EFFECTIVE.levels_total, BLACK - 2
-    outside = outside_shares(total, tables)
-    assert (outside.saturated, outside.dark) == (0.1, 0.05)
+def test_deviation_of_a_mosaic_counts_independent_errors() -> None:
+    """A pixel's own colour has its own error; a mean of k equal errors has it over sqrt(k)."""
+    found = demosaic_deviation(np.full((6, 6), 3.0, np.float32), Layout.RGGB, 0)[2, 2]
+    np.testing.assert_allclose(found, [3.0, 3.0 / 2, 3.0 / 2], rtol=1e-6)
+    mosaic = np.ones((6, 6), np.float32)
+    mosaic[2, 2] = np.inf
+    red = demosaic_deviation(mosaic, Layout.RGGB, 0)[..., 0]
+    assert np.array_equal(np.isinf(red), np.pad(np.ones((3, 3), bool), ((1, 2), (1, 2))))

@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_cameras import WrappedCamera, small_camera
 
-from camctl.captures.frame_store import read_capture
+from camctl.captures.capture_plan import relative_exposures
+from camctl.captures.folder_store import read_capture
 from camctl.captures.plan import plan_capture
-from camctl.captures.request import CaptureRequest, relative_exposures
+from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
-from camctl.captures.setting_selection import BASE_SLACK_STOPS, SettingChooser
+from camctl.captures.setting_selection import BASE_SLACK_STOPS, SettingChooser, reach_shadows
 from camctl.controls import (
     Choices,
     Control,
@@ -163,9 +164,28 @@ def test_base_between_the_cameras_steps_causes_a_warning() -> None:
 
 def test_coarse_steps_cause_a_warning_with_the_levels_they_cost() -> None:
     with small_camera(line_s=1e-3, time_minimum_s=1e-3) as camera:
-        request = CaptureRequest("linear", 256.0, 3, base_s=0.003)
+        request = CaptureRequest("linear", 256.0, 3, base_s=0.003, objective="xi")
         plan = plan_capture(camera, request)
     assert any("the requested ratios would give" in warning for warning in plan.warnings)
+
+
+@pytest.mark.parametrize(
+    ("stops", "cut"),
+    [(-20.0, "the shortest exposure is 1e-05 s, -"), (-64.0, "-64 stops asks for")],
+)
+def test_compensation_beyond_the_camera_is_a_warning_with_numbers(stops: float, cut: str) -> None:
+    with small_camera() as camera:
+        plan = plan_capture(camera, CaptureRequest(ratios=(1.0, 2.0), compensation_stops=stops))
+        assert plan.base_s == camera.controls.time_s.minimum
+    (warning,) = (text for text in plan.warnings if "compensation" in text)
+    assert cut in warning
+    assert "but the camera has 1e-05 to 60 s" in warning
+
+
+def test_compensation_within_the_camera_is_no_warning() -> None:
+    with small_camera() as camera:
+        plan = plan_capture(camera, CaptureRequest(ratios=(1.0, 2.0), compensation_stops=-1.0))
+    assert not [text for text in plan.warnings if "compensation" in text]
 
 
 def test_compensation_shifts_the_shortest_exposure() -> None:
@@ -244,9 +264,15 @@ def test_time_budget_is_kept_and_used(budget_s: float) -> None:
     assert plan.xi >= free.xi * 0.99
 
 
-def test_time_budget_that_is_too_short_is_refused_with_the_least() -> None:
-    request = CaptureRequest("log", 1000.0, 3, time_budget_s=0.01)
-    with small_camera() as camera, pytest.raises(UsageError, match=r"the least is 0\.0[56]"):
+@pytest.mark.parametrize(
+    ("objective", "least"),
+    [("xi", r"the least is 0\.0[56]"), ("accuracy", r"3 exposures take 0\.0[56]\d* s at least")],
+)
+def test_time_budget_that_is_too_short_is_refused_with_the_least(
+    objective: str, least: str
+) -> None:
+    request = CaptureRequest("log", 1000.0, 3, time_budget_s=0.01, objective=objective)
+    with small_camera() as camera, pytest.raises(UsageError, match=least):
         plan_capture(camera, request)
 
 
@@ -281,7 +307,8 @@ def test_automatic_response_follows_the_light(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("request_", "message"),
     [
-        (CaptureRequest("auto"), "a table has no exposures for a time budget or an automatic"),
+        (CaptureRequest("auto"), "a table has no exposures for a time budget, an automatic"),
+        (CaptureRequest(dynamic_range="auto"), "name response and range"),
         (CaptureRequest(time_budget_s=1.0), "a table has no exposures for a time budget"),
     ],
 )
@@ -304,3 +331,40 @@ def test_longest_of_equally_good_bases_is_taken() -> None:
     assert isinstance(times, Steps)
     assert plan.metering is not None
     assert 0 <= plan.metering.limit_s - plan.base_s < times.step
+
+
+@pytest.mark.parametrize("count", [2, 3, 6])
+@pytest.mark.parametrize("dynamic_range", [1000.0, 1e5])
+def test_longest_exposure_reaches_the_darkest_light(count: int, dynamic_range: float) -> None:
+    """It gets two levels there, and no gap is left between the exposures."""
+    controls = controls_of(Steps(1e-4, 1000.0, 1e-4))
+    chosen = (ExposureSetting(0.01, 1.0),) * count
+    found = reach_shadows(
+        controls, CaptureRequest(), desired_response("linear", dynamic_range), chosen
+    )
+    assert found is not None
+    settings, ratios = found
+    exposures = relative_exposures(settings)
+    levels = controls.levels.levels
+    assert exposures[-1] * controls.levels.M / dynamic_range == pytest.approx(2, rel=0.02)
+    assert exposures == pytest.approx(ratios, rel=0.02)
+    assert len(settings) == count
+    steps = np.array(exposures[1:]) / exposures[:-1]
+    if count > 2:
+        assert steps.max() <= float(levels[-1] / levels[0]) / 8 * 1.02
+
+
+def test_exposures_that_reach_the_darkest_light_or_are_fixed_stay() -> None:
+    controls = controls_of(Steps(1e-4, 1000.0, 1e-4), gain=Choices((1.0, 2.0, 4.0)))
+    desired = desired_response("linear", 1000.0)
+    short = (ExposureSetting(0.01, 1.0), ExposureSetting(0.02, 1.0))
+    long = (ExposureSetting(0.01, 1.0), ExposureSetting(0.05, 1.0))
+    assert reach_shadows(controls, CaptureRequest(), desired, long) is None
+    assert reach_shadows(controls, CaptureRequest(), desired, short[:1]) is None
+    assert reach_shadows(controls, CaptureRequest(time_budget_s=1.0), desired, short) is None
+    # The camera's longest time and highest gain are the end.
+    brief = controls_of(Steps(1e-4, 0.01, 1e-4), gain=Choices((1.0, 2.0, 4.0)))
+    found = reach_shadows(brief, CaptureRequest(), desired, (ExposureSetting(0.01, 1.0),) * 2)
+    assert found is not None
+    assert found[0][-1] == ExposureSetting(0.01, 4.0)
+    assert reach_shadows(brief, CaptureRequest(), desired, found[0]) is None

@@ -9,9 +9,10 @@ import pytest
 import tifffile
 from small_cameras import small_camera, sum_of_frames
 
-from camctl.captures.frame_store import read_capture, read_report
+from camctl.captures.folder_store import read_capture, read_report
 from camctl.captures.request import CaptureRequest
-from camctl.captures.sequencer import Progress, capture, resume
+from camctl.captures.sequence import Progress
+from camctl.captures.sequencer import capture, resume
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -105,7 +106,7 @@ def test_resume_names_a_damaged_frame(unfinished: Path, content: bytes) -> None:
 def test_resume_refuses_complete_captures_other_cameras_and_empty_folders(tmp_path: Path) -> None:
     with small_camera() as camera:
         capture(camera, GIVEN, tmp_path / "out")
-        with pytest.raises(DataError, match="is complete: no frame is missing; shoot a new"):
+        with pytest.raises(DataError, match="is complete: all"):
             resume(camera, tmp_path / "out")
     with small_camera("phone") as camera, pytest.raises(DataError, match="connect the same camera"):
         resume(camera, tmp_path / "out")

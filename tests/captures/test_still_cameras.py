@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from still_fakes import THIRDS, StillCamera, ramp
 
 from camctl.camera import Frame
+from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.plan import plan_capture
-from camctl.captures.request import CapturePlan, CaptureRequest
+from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture, resume
 from camctl.controls import Choices, ExposureSetting
 from camctl.errors import CameraDisconnectedError, CaptureError, UsageError
@@ -36,7 +37,7 @@ class TestStillCamera(CameraConformance):
     """The fake camera conforms, or the tests below would prove nothing."""
 
     def open_camera(self) -> StillCamera:
-        return StillCamera(ramp(2.0), response="linear", bits=12, black=100, with_gain=True)
+        return StillCamera(ramp(8.0), response="linear", bits=12, black=100, with_gain=True)
 
 
 def test_metering_actuates_the_shutter_only_on_request() -> None:

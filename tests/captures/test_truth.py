@@ -35,7 +35,7 @@ def relative_errors(scene: Scene, sensor: Sensor, request: CaptureRequest) -> ND
     found = []
     for channel in range(radiance.shape[2]):
         E = truth[..., min(channel, truth.shape[2] - 1)].astype(np.float64) * full_scale
-        inside = (mask[..., channel] == 0) & (1 / request.dynamic_range <= E) & (E < 1)
+        inside = (mask[..., channel] == 0) & (1 / report.plan.dynamic_range <= E) & (E < 1)
         predicted = effective.standard_deviation(
             E[inside],
             electrons_per_level=[sensor.electrons_per_dn / gain for gain in gains],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from command_line import Run
 from camctl import backends
 from camctl.camera import Camera, CameraInfo
 from camctl.controls import Layout
-from camctl.profile import StillRecord, change_profile, list_profiles
+from camctl.profile import StillRecord, change_profile
+from camctl.profile_folder import list_profiles
 
 SMALL = ("--size", "64x48")
 STILL_CAMERA = CameraInfo("ptp:1", "Make", "Still 5", "77", "ptp")
@@ -35,6 +37,7 @@ def test_text_output_states_delay_consequence_and_file(run: Run) -> None:
     ran = run("calibrate", "delay", *SMALL)
     assert "2 frames, in 12 trials" in ran.out
     assert "n exposures take n + 2 frames" in ran.out
+    assert "33.3 ms, jitter" in ran.out
     assert ran.out.rstrip().endswith(".json")
     varied = run("calibrate", "delay", *SMALL, "-O", "sensor=consumer", "--trials", "30").out
     assert "1 to 2 frames, not constant, in 30 trials" in varied
@@ -116,7 +119,7 @@ def test_impossible_calibration_is_one_line(run: Run, line: str, message: str, s
     assert list_profiles() == []
 
 
-def test_still_camera_needs_no_delay(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_still_camera_has_a_timing_and_no_delay(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: Camera = backends.open_camera("sim", {"size": "32x24"})
 
     class Still:
@@ -125,6 +128,7 @@ def test_still_camera_needs_no_delay(run: Run, monkeypatch: pytest.MonkeyPatch) 
             self.shoot, self.close = opened.shoot, opened.close
 
         def __enter__(self) -> Still:
+            opened.__enter__()
             return self
 
         def __exit__(self, *_: object) -> None:
@@ -132,5 +136,64 @@ def test_still_camera_needs_no_delay(run: Run, monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(backends, "open_camera", lambda *_: Still())
     ran = run("calibrate", "delay")
-    assert ran.error == "this camera does not stream; a still camera has no control delay"
-    assert ran.status == 2
+    assert ran.status == 0, ran.err
+    assert "control delay       none: a still camera" in ran.out
+    assert "picture to picture" in ran.out
+    timing = run("calibrate", "delay", "--json").json["timing"]
+    assert timing["jitter_s"] == pytest.approx(0, abs=1e-9)
+    assert list_profiles() == []
+
+
+SMALL_PHONE = ("--sensor", "phone", "--size", "320x240")
+
+
+def test_true_exposures_are_measured_kept_and_used(run: Run) -> None:
+    ran = run("calibrate", "exposure", *SMALL_PHONE, "--longest", "0.3", "--json")
+    assert ran.status == 0
+    found = ran.json
+    assert found["mode"] == "rggb-320x240-1023"
+    times = found["times"]
+    assert len(times) > 5
+    assert all(each["low"] <= each["factor"] <= each["high"] for each in times)
+    assert [each["factor"] for each in times] == pytest.approx([1] * len(times), abs=2e-3)
+    kept = json.loads(Path(found["file"]).read_text())
+    assert kept["exposures"][found["mode"]]["times"] == times
+    name = Path(found["file"]).stem
+    shown = run("profile", "show", name)
+    assert f"{len(times)} times" in shown.out
+    ran = run("shoot", *SMALL_PHONE, "--ratios", "1,2,4", "--base", "0.02", "--json")
+    ratios = [frame["exposure_ratio"] for frame in ran.json["frames"]]
+    assert [ratio["used"] for ratio in ratios] == ["profile"] * 3
+    ran = run("shoot", *SMALL_PHONE, "--ratios", "1,2,4", "--estimate-ratios", "--json")
+    ratios = [frame["exposure_ratio"] for frame in ran.json["frames"]]
+    assert [ratio["used"] for ratio in ratios] == ["estimate"] * 3
+    assert ran.json["request"]["estimate_ratios"] is True
+
+
+def test_exposures_are_measured_in_a_capture_that_is_done(run: Run) -> None:
+    assert run("shoot", *SMALL_PHONE, "--ratios", "1,2,4", "-o", "here").status == 0
+    ran = run("calibrate", "exposure", "--from", "here")
+    assert ran.status == 0
+    assert "true / stated" in ran.out
+    assert "reference" in ran.out
+    found = run("calibrate", "exposure", "--from", "here", "--json").json
+    assert len(found["times"]) == 3
+    assert found["camera"]["model"] == "simulated phone"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("--from", "nowhere"), "nowhere holds no capture"),
+        (("--from", "here", "--repeats", "3"), "--from cannot be combined with --repeats"),
+        (("--response", "srgb"), "--camera cannot be combined with --response"),
+        (("--repeats", "1"), "invalid"),
+        (("--scene", "stars", "--longest", "0.01"), "the scene is too dark"),
+    ],
+)
+def test_exposures_that_cannot_be_measured_are_one_line(
+    run: Run, arguments: tuple[str, ...], problem: str
+) -> None:
+    ran = run("calibrate", "exposure", *arguments)
+    assert ran.status in (1, 2)
+    assert problem in ran.error

@@ -13,7 +13,7 @@ from sim.backend import SimulatedBackend
 
 def test_simulated_camera_and_its_backend_are_listed(run: Run) -> None:
     (camera,) = [each for each in run("cameras", "--json").json if each["id"] == "sim"]
-    assert set(camera) == {"id", "make", "model", "serial", "driver"}
+    assert set(camera) == {"id", "make", "model", "serial", "driver", "remark"}
     cameras, searches = run("cameras").out.split("\n\n")
     assert any(line.startswith("sim ") for line in cameras.splitlines()[1:])
     assert searches.splitlines()[0].split() == ["backend", "found", "cameras"]

@@ -7,6 +7,7 @@ import pty
 import select
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ from camctl.exposure.robustness import Robustness, Spread
 from camctl.exposure.solver import EVALUATIONS
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response
+from sim.sensors.sensor import load_sensor
 
 
 @pytest.mark.parametrize("response", ["linear", "gamma", "log"])
@@ -55,6 +57,13 @@ def test_text_output_of_a_proof(run: Run) -> None:
     assert " for any 2 exposures\n" in ran.out
     assert " sets evaluated in " in ran.out
     assert ran.err == ""
+
+
+def test_where_no_level_is_missing_the_proof_needs_no_search(run: Run) -> None:
+    ran = run("solve", "-n", "2", "--levels", "20", "--response", "linear", "--certificate")
+    assert "exposures            1  1\n" in ran.out
+    assert "  best known xi  0\n  lower bound    0 for any 2 exposures" in ran.out
+    assert "  search         1 set evaluated in " in ran.out
 
 
 def test_bound_is_not_called_a_proof(run: Run) -> None:
@@ -142,18 +151,60 @@ def test_sensitivity_is_left_out_where_it_takes_long(run: Run) -> None:
     assert "disturbance" not in run("evaluate", "--ratios", "1,30", "--no-sensitivity").out
 
 
-def test_noise_of_a_sensor_reduces_effective_levels(run: Run) -> None:
+def test_noise_reduces_effective_levels(run: Run) -> None:
     arguments = ("evaluate", "--ratios", "1,4", "--bits", "6", "--no-sensitivity")
-    noise_free = run(*arguments, "--json").json
-    assert "with_noise" not in noise_free
-    noisy = run(*arguments, "--electrons", "40", "--read-noise", "0.3", "--json").json["with_noise"]
-    assert noisy["effective_levels"] < noise_free["effective_levels"]
+    unknown = run(*arguments, "--json").json
+    assert unknown["noise"] is None
+    assert unknown["effective_levels"] == unknown["effective_levels_noise_free"]
+    assert "noise unknown: quantisation only" in run(*arguments).out
+    noisy = run(*arguments, "--electrons", "40", "--read-noise", "0.3", "--json").json
+    assert noisy["effective_levels"] < noisy["effective_levels_noise_free"]
+    assert noisy["effective_levels_noise_free"] == unknown["effective_levels"]
+    assert noisy["noise"]["conversion_e_per_dn"] == 40
     brighter = run(*arguments, "--electrons", "4000", "--read-noise", "0.3", "--json").json
-    assert brighter["with_noise"]["effective_levels"] > noisy["effective_levels"]
-    assert "  with that noise" in run(*arguments, "--electrons", "40").out
-    none = run(*arguments, "--read-noise", "0", "--json").json["with_noise"]
-    assert none["effective_levels"] == pytest.approx(noise_free["effective_levels"], rel=0.01)
-    assert none["electrons_per_level"] is None
+    assert brighter["effective_levels"] > noisy["effective_levels"]
+    text = run(*arguments, "--electrons", "40").out
+    assert "with noise, " in text
+    assert "of 2 equal exposures" in text
+    none = run(*arguments, "--read-noise", "0", "--json").json
+    assert none["effective_levels"] == pytest.approx(unknown["effective_levels"], rel=1e-9)
+    assert none["noise"]["photon_noise"] is False
+
+
+@pytest.mark.parametrize("name", ["webcam", "complete"])
+def test_a_sensor_brings_its_response_and_its_noise(run: Run, name: str) -> None:
+    sensor = load_sensor(name)
+    noise = asdict(sensor.noise_model)
+    noise["read_noise_e"] = [list(pair) for pair in noise["read_noise_e"]]
+    evaluated = run("evaluate", "--ratios", "1,4", "--sensor", name, "--json").json
+    solved = run("solve", "-n", "1", "--sensor", name, "--json").json
+    for found in (evaluated, solved):
+        assert found["noise"] == noise
+        assert found["effective_levels"] < 0.9 * found["effective_levels_noise_free"]
+        assert found["levels_wanted"] % (sensor.white - sensor.black) == 0
+    by_camera = ("evaluate", "--ratios", "1,4", "--camera", "sim", "--json")
+    assert run(*by_camera).json["noise"]["conversion_e_per_dn"] == 10000 / 256
+
+
+def test_table_rows_count_noise_where_it_is_known(run: Run) -> None:
+    arguments = ("table", "show", "--response", "log", "--range", "medium", "-n", "3")
+    (unknown,) = run(*arguments, "--json").json["entries"]
+    rows = run(*arguments, "--sensor", "standard", "--json").json["entries"]
+    assert [row["chosen_by"] for row in rows] == ["xi", "accuracy"]
+    known = rows[0]
+    assert unknown["effective_levels"] == unknown["effective_levels_noise_free"]
+    assert known["effective_levels_noise_free"] == unknown["effective_levels"]
+    assert known["effective_levels"] < 0.3 * unknown["effective_levels"]
+    assert "noise unknown: quantisation only" in run(*arguments).out
+    assert " with noise, " in run(*arguments, "--electrons", "40").out
+
+
+def test_a_sensor_excludes_the_options_that_describe_another_camera(run: Run) -> None:
+    ran = run(
+        "evaluate", "--ratios", "1,2", "--sensor", "webcam", "--bits", "8", "--electrons", "9"
+    )
+    assert ran.status == 2
+    assert "--sensor cannot be combined with --bits, --electrons" in ran.error
 
 
 @pytest.mark.parametrize(
@@ -161,10 +212,10 @@ def test_noise_of_a_sensor_reduces_effective_levels(run: Run) -> None:
     [
         (
             "--electrons 0",
-            "invalid value for --electrons: 0; expected a number of electrons above 0",
+            "invalid value for --electrons: 0; expected a number of electrons of at least 0.001",
         ),
-        ("--read-noise -1", "invalid value for --read-noise: -1; expected a noise of at least 0"),
-        ("--read-noise 65", "invalid read noise of 65 levels: expected 0 to 64"),
+        ("--read-noise -1", "invalid value for --read-noise: -1; expected a noise from 0 to 64"),
+        ("--read-noise 65", "invalid value for --read-noise: 65; expected a noise from 0 to 64"),
     ],
 )
 def test_invalid_noise_is_one_line(run: Run, line: str, message: str) -> None:

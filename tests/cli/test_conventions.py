@@ -21,7 +21,7 @@ from sim.sensors.sensor import sensor_names
 
 Path = tuple[str, ...]
 
-GROUPS: list[Path] = [("calibrate",), ("profile",), ("table",)]
+GROUPS: list[Path] = [("calibrate",), ("profile",), ("table",), ("tradeoff",)]
 LINES: list[Path] = [
     *((name,) for name in COMMANDS if (name,) not in GROUPS),
     ("help",),
@@ -31,6 +31,9 @@ LINES: list[Path] = [
     ("profile", "remove"),
     ("table", "show"),
     ("table", "build"),
+    ("tradeoff", "capture"),
+    ("tradeoff", "simulation"),
+    ("tradeoff", "solver"),
 ]
 HEAVY = {"numpy", "cv2", "pydantic", "rich", "tifffile", "camctl.camera", "menu"}
 """Modules that neither help nor completion may import: they take long."""
@@ -134,7 +137,7 @@ RATIOS = "expected positive numbers such as 1,2,4"
     [
         ("shot", "unknown command 'shot'; did you mean shoot?"),
         ("table biuld", "unknown command 'biuld'; did you mean build?"),
-        ("calibrate dealy", "unknown command 'dealy'; did you mean delay?"),
+        ("calibrate dealy", "unknown command 'dealy'; did you mean delay"),
         ("help table biuld", "unknown command 'biuld'; did you mean build?"),
         ("help solve x", "camctl solve has no commands of its own"),
         ("--debig", "unknown option '--debig'; did you mean --debug"),
@@ -161,11 +164,11 @@ RATIOS = "expected positive numbers such as 1,2,4"
         ),
         (
             "solve --levels 0",
-            "invalid value for --levels: 0; expected a positive number of levels",
+            "invalid value for --levels: 0; expected a number of levels from 1 to 1e7",
         ),
         (
             "solve --levels nan",
-            "invalid value for --levels: nan; expected a positive number of levels",
+            "invalid value for --levels: nan; expected a number of levels from 1 to 1e7",
         ),
         ("solve --seed -1", "invalid value for --seed: -1; expected a whole number of at least 0"),
         ("evaluate --ratios 1,-2", f"invalid value for --ratios: -2; {RATIOS}"),
@@ -176,7 +179,7 @@ RATIOS = "expected positive numbers such as 1,2,4"
         ("evaluate --ratios ,", f"invalid value for --ratios: ,; {RATIOS}"),
         (
             "evaluate --ratios 1 --p 0.5",
-            "invalid value for --p: 0.5; expected a number of at least 1",
+            "invalid value for --p: 0.5; expected a number from 1 to 16",
         ),
         ("shoot --base 0", f"invalid value for --base: 0; {A_TIME}, or auto"),
         ("shoot --base 1/0", f"invalid value for --base: 1/0; {A_TIME}, or auto"),
@@ -250,7 +253,7 @@ def fail_with(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
     ("error", "status", "line"),
     [
         (CamctlError("the disk is full", hint="free space"), 1, "the disk is full; free space"),
-        (CamctlError("two\nlines"), 1, "two lines"),
+        (CamctlError("two\nlines"), 1, "two\\nlines"),
         (UsageError("unknown option"), 2, "unknown option"),
         (CaptureError("frame 2 is missing"), 1, "frame 2 is missing"),
         (InterruptedCaptureError("stopped"), 130, "stopped"),
@@ -312,7 +315,7 @@ def test_error_with_json_is_an_object_and_one_line(
     ("line", "message", "hint"),
     [
         ("solve --json -n 0", "invalid value for --exposures: 0", WHOLE_TO_16),
-        ("solve --json --curv x", "unknown option '--curv'", "did you mean --curve?"),
+        ("solve --json --phas x", "unknown option '--phas'", "did you mean --phase?"),
         ("solv --json", "unknown command 'solv'", "did you mean solve?"),
         ("evaluate --json", "option --ratios is missing", "see camctl evaluate --help"),
     ],
@@ -388,7 +391,7 @@ def complete(run: Run, monkeypatch: pytest.MonkeyPatch, line: str) -> list[str]:
         ("camctl shoot --response ", ["linear", "gamma", "log", "auto"]),
         ("camctl solve --response ", ["<file>", "linear", "gamma", "log"]),
         ("camctl solve --response l", ["<file>", "linear", "log"]),
-        ("camctl shoot --range ", ["low", "medium", "high"]),
+        ("camctl shoot --range ", ["low", "medium", "high", "auto"]),
         ("camctl shoot --scene n", ["<file>", "night-street"]),
         ("camctl shoot --sensor ideal-1", ["<file>", "ideal-12"]),
         ("camctl shoot --camera s", ["sim"]),

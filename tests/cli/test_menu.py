@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from command_line import Run
 
 import menu.app
-from menu.ports import Choice, Job, Summary
+from menu.data import Choice, Summary
+from menu.ports import Job
 
 SMALL = ("--size", "64x48")
 
@@ -26,7 +28,6 @@ def test_menu_needs_a_terminal(run: Run) -> None:
         ("--panel", "termnal", "unknown panel 'termnal'; did you mean terminal?"),
         ("--panel", "terminal:7", "panel 'terminal' takes no address; use --panel terminal"),
         ("--camera", "smi", "unknown camera 'smi'"),
-        ("--scene", "nix", "unknown scene 'nix'"),
     ],
 )
 def test_usage_error_of_menu_is_one_line(run: Run, option: str, value: str, message: str) -> None:
@@ -36,11 +37,14 @@ def test_usage_error_of_menu_is_one_line(run: Run, option: str, value: str, mess
 
 
 def test_menu_shoots_into_the_given_folder(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    def shoot_at_once(panel: object, job: Job) -> Summary:
-        return job.shoot(job.plan(Choice("log", 256.0, 2)), lambda _: None, lambda: False)
+    def shoot_at_once(panel: object, make_job: Callable[[], Job]) -> Summary:
+        job = make_job()
+        plan = job.plan(Choice("log", 256.0, 2), lambda: False)
+        return job.shoot(plan, lambda _: None, lambda: False)
 
     monkeypatch.setattr(menu.app, "run", shoot_at_once)
     ran = run("menu", *SMALL, "-o", "pictures", "--mains", "50")
+    assert ran.status == 0, ran.err
     (folder,) = Path("pictures").iterdir()
     assert ran.out == f"the last picture is in {folder}\n"
     report = json.loads((folder / "report.json").read_text())

@@ -18,13 +18,13 @@ from command_line import Run
 from ptp_bench import bench
 from v4l2_model import Model
 
-from camctl.profile import list_profiles
+from camctl.profile_folder import list_profiles
 from drivers.common.usb import UDEV_RULES
 from drivers.coolpix import backend as coolpix_backend
 from drivers.coolpix.camera import CoolpixCamera
 from drivers.v4l2 import backend as v4l2
-from drivers.v4l2.abi import Linux
 from drivers.v4l2.camera import V4l2Camera, V4l2Options
+from drivers.v4l2.kernel import Linux
 from sim.devices.clock import RealDeviceClock
 from sim.devices.ptp.camera import PtpCamera as VirtualStill
 from sim.devices.sierra.device import SierraDevice, make
@@ -139,7 +139,7 @@ def webcam(monkeypatch: pytest.MonkeyPatch) -> Model:
     model = Model()
 
     def on_the_model(path: str, options: V4l2Options) -> V4l2Camera:
-        return V4l2Camera(path, options, clock=model.clock, kernel=model, opener=model.video)
+        return V4l2Camera(path, options, clock=model.clock, kernel=model)
 
     monkeypatch.setattr(v4l2, "V4l2Camera", on_the_model)
     return model
@@ -206,12 +206,14 @@ def test_still_camera_is_listed_and_shoots(run: Run, still: Callable[..., Virtua
         assert Path("here", frame["original"]).suffix == ".tif"
 
 
-def test_still_camera_needs_no_delay_and_meters_only_with_the_option(
+def test_still_camera_has_times_and_no_delay_and_meters_only_with_the_option(
     run: Run, still: Callable[..., VirtualStill]
 ) -> None:
     still(files="tiff")
-    error = error_of(run, "calibrate", "delay", "--camera", "ptp")
-    assert error == "this camera does not stream; a still camera has no control delay"
+    ran = run("calibrate", "delay", "--camera", "ptp")
+    assert ran.status == 0
+    assert "control delay       none: a still camera" in ran.out
+    assert "picture to picture" in ran.out
     assert "--meter" in error_of(run, "shoot", "--camera", "ptp")
 
 

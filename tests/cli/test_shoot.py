@@ -20,7 +20,16 @@ from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
 
 SMALL = ("--size", "64x48")
-RESULT = {"sum.tiff", "image.tiff", "radiance.exr", "preview.png", "report.json", "frames"}
+RESULT = {
+    "sum.tiff",
+    "image.tiff",
+    "radiance.exr",
+    "preview.png",
+    "contact.png",
+    "report.json",
+    "frames",
+}
+LOCK = ".camctl.lock"
 
 
 def shot(run: Run, *arguments: str | Path) -> Any:
@@ -33,13 +42,21 @@ def test_shoot_without_options_takes_a_picture(run: Run) -> None:
     assert ran.status == 0
     (folder,) = Path().iterdir()
     assert folder.name.startswith("capture-20")
-    assert {path.name for path in folder.iterdir()} == RESULT
+    assert {path.name for path in folder.iterdir()} - {LOCK} == RESULT
     report = json.loads((folder / "report.json").read_text())
     assert report["plan"]["response"] == "log"
-    assert report["plan"]["dynamic_range"] == 1000
+    assert report["request"]["dynamic_range"] == "auto"
+    light, span = report["plan"]["light"], report["plan"]["dynamic_range"]
+    assert light["needed"] <= span <= 2 * light["needed"]
     assert len(report["frames"]) == 3
     assert report["camera"]["id"] == "sim"
-    for text in ("log, 1:1,000, in 3 exposures", "effective levels", str(folder), "sum.tiff"):
+    for text in (
+        f"log, 1:{span:,.0f}, in 3 exposures",
+        "the scene spans",
+        "effective levels",
+        str(folder),
+        "sum.tiff",
+    ):
         assert text in ran.out
     assert ran.err == ""
 
@@ -84,7 +101,7 @@ def test_options_reach_plan_and_request(run: Run) -> None:
 
 
 def test_any_gamma_is_the_desired_response(run: Run) -> None:
-    arguments = ("--sensor", "ideal-4", "-n", "2")
+    arguments = ("--sensor", "ideal-4", "-n", "2", "--objective", "xi", "--range", "medium")
     report = shot(run, *arguments, "--gamma", "0.45", "-o", "a")
     assert report["request"]["response"] == report["plan"]["response"] == "gamma"
     assert report["request"]["gamma"] == 0.45
@@ -100,7 +117,7 @@ def test_any_gamma_is_the_desired_response(run: Run) -> None:
 def test_desired_response_comes_from_a_file(run: Run) -> None:
     rows = [(0.01, 0.0), (0.1, 0.7), (1.0, 1.0)]
     Path("desired.txt").write_text("\n".join(f"{E} {u}" for E, u in rows))
-    arguments = ("--sensor", "ideal-4", "-n", "2")
+    arguments = ("--sensor", "ideal-4", "-n", "2", "--objective", "xi")
     report = shot(run, *arguments, "--desired", "desired.txt", "-o", "a")
     assert report["request"]["response"] == "curve"
     assert report["request"]["desired_curve"] == [list(row) for row in rows]
@@ -122,7 +139,7 @@ def test_desired_response_comes_from_a_file(run: Run) -> None:
         ("--desired flat.txt --response auto", "--desired cannot be combined with --response", 2),
         ("--gamma 0.45 --response auto", "--gamma cannot be combined with --response auto", 2),
         ("--gamma 0", "invalid value for --gamma: 0; expected an exponent from 0.01 to 100", 2),
-        ("--gamma 200", "invalid gamma 200: expected 0.01 to 100", 2),
+        ("--gamma 200", "invalid value for --gamma: 200; expected an exponent from 0.01 to 100", 2),
     ],
 )
 def test_invalid_desired_response_is_one_line(
@@ -181,6 +198,7 @@ def test_folder_with_other_files_is_never_replaced(run: Run) -> None:
 class FaultyBackend:
     """The simulated camera, with faults the first time it is opened."""
 
+    local_address = ""
     faults: Faults | None = None
 
     def open(self, address: str, options: Mapping[str, str]) -> SimulatedCamera:
@@ -203,6 +221,23 @@ def test_resume_completes_a_broken_capture(run: Run, monkeypatch: pytest.MonkeyP
     assert ran.json["status"] == "complete"
     assert all(ran.json["frames"])
     assert ran.json["plan"] == kept["plan"]
+
+
+def test_untrustworthy_capture_ends_with_status_3(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backends, "load", lambda *_: FaultyBackend)
+    wrong = Faults(wrong_exposure=dict.fromkeys((1, 3, 4, 5), 0.25))
+    FaultyBackend.faults = wrong
+    ran = run("shoot", "--ratios", "1,2,4", "-o", "here", "--json")
+    assert ran.status == 3
+    assert ran.json["trustworthy"] is False
+    assert f"warning: not trustworthy: {ran.json['untrustworthy_because']}\n" in ran.err
+    assert {path.name for path in Path("here").iterdir()} >= set(ran.json["files"].values())
+    FaultyBackend.faults = wrong
+    ran = run("shoot", "--ratios", "1,2,4", "-o", "there")
+    assert ran.status == 3
+    assert "\nnot trustworthy " in ran.out
 
 
 def test_interrupted_capture_can_be_resumed_once(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,7 +28,7 @@ def test_json_output_describes_frame_and_effects(run: Run) -> None:
     output = run("simulate", *SMALL, "--json").json
     assert {"tolerance_dn", "joint_bound_dn", "effects", "seconds"} <= set(output)
     for effect in output["effects"]:
-        assert set(effect) == {"name", "bound_dn", "ran", "why"}
+        assert set(effect) == {"name", "bound_dn", "ran", "why", "milliseconds"}
     assert decisions(output)["photon noise"]
     assert not decisions(output)["colour mosaic"]
     assert (output["width"], output["height"]) == (64, 48)
@@ -114,6 +114,20 @@ def test_explain_shows_each_effect_with_bound_and_reason(run: Run) -> None:
         assert text in out
 
 
+def test_explain_states_time_and_measured_change(run: Run) -> None:
+    arguments = ("simulate", "--size", "320x240", "--scene", "ramp", "--time", "0.01", "--explain")
+    out = run(*arguments).out
+    for text in ("measured change", "the mean of the frame by", "time saved", "saved, ms"):
+        assert text in out
+    assert "none hits this frame" in out
+    data = run(*arguments, "--json").json
+    compared = data["compared_with_every_effect"]
+    assert 0 < compared["largest_dn"] <= data["joint_bound_dn"]
+    assert abs(compared["mean_dn"]) <= compared["largest_dn"]
+    exact = run(*arguments, "--tolerance", "0", "--json").json["compared_with_every_effect"]
+    assert exact["largest_dn"] == exact["mean_dn"] == 0
+
+
 def test_bracket_shares_the_tolerance_and_is_planned_per_frame(run: Run) -> None:
     arguments = ("simulate", "--scene", "room", *SMALL, "--time", "0.001", "--bracket", "1,8,512")
     output = run(*arguments, "-o", "room.npy", "--json").json
@@ -159,3 +173,28 @@ def test_invalid_simulation_is_one_line(run: Run, line: str, message: str, statu
     ran = run("simulate", *line.split())
     assert message in ran.error
     assert ran.status == status
+
+
+def test_shoot_explains_what_its_frames_lack(run: Run) -> None:
+    arguments = ("shoot", *SMALL, "--sensor", "complete", "--scene", "ramp", "--explain")
+    out = run(*arguments, "--simulation-tolerance", "0.5", "-o", "some").out
+    for text in ("effect left out", "in frames", "cosmic rays", "a sample of the sum by at most"):
+        assert text in out
+    report = json.loads(Path("some/report.json").read_text())
+    plans = [frame["details"]["simulation"] for frame in report["frames"]]
+    assert 0 < sum(plan["joint_bound_dn"] for plan in plans) <= 0.5
+    assert all("effects" not in plan for plan in plans)
+    exact = run(*arguments, "--simulation-tolerance", "0", "-o", "all").out
+    assert "a sample of the sum by at most 0 DN" in exact
+
+
+def test_the_command_line_causes_faults(run: Run) -> None:
+    small = ("--size", "64x48", "--ratios", "1,2,4,8", "--response", "log")
+    pulled = run("shoot", *small, "--fault", "unplug@3", "-o", "out")
+    assert pulled.status == 1
+    assert "unplugged" in pulled.err
+    assert run("shoot", "--resume", "out").status == 0
+    report = json.loads(Path("out/report.json").read_text())
+    assert report["status"] == "complete"
+    assert "faults" not in report["source"]["options"]
+    assert run("shoot", *small, "--fault", "bang@1").error.startswith("invalid fault 'bang@1'")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,8 @@ class StillBackend:
     """Opens a still camera with an option as backends of still cameras have."""
 
     opened: StillCamera
+
+    local_address = r"\d+"
 
     def open(self, address: str, options: Mapping[str, str]) -> StillCamera:
         kind = {"jpeg": ("srgb", 8, 0), "raw": ("linear", 10, 64)}[options.get("format", "jpeg")]
@@ -90,7 +92,8 @@ def test_resume_opens_the_camera_with_the_same_format(
     )
     assert run(*arguments).status == 0
     report = json.loads(Path("here/report.json").read_text())
-    report["frames"][1], report["status"] = None, "incomplete"
+    report["status"] = "incomplete"
+    Path("here/frames/frame-02.npy").unlink()
     Path("here/report.json").write_text(json.dumps(report))
     again = run("shoot", "--resume", "here", "--json").json
     assert again["status"] == "complete"
@@ -102,10 +105,17 @@ def test_menu_meters_only_with_the_option(
     run: Run, still_backend: type[StillBackend], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import menu.app
-    from menu.ports import Choice, Job, Summary
+    from menu.data import Choice, Summary
+    from menu.ports import Job
 
-    def shoot_at_once(panel: object, job: Job) -> Summary:
-        return job.shoot(job.plan(Choice("log", 256.0, 2)), lambda _: None, lambda: False)
+    def shoot_at_once(panel: object, make_job: Callable[[], Job]) -> Summary:
+        job = make_job()
+        job.open("ptp:77")
+        try:
+            plan = job.plan(Choice("log", 256.0, 2), lambda: False)
+            return job.shoot(plan, lambda _: None, lambda: False)
+        finally:
+            job.close()
 
     monkeypatch.setattr(menu.app, "run", shoot_at_once)
     arguments = ("menu", "--camera", "ptp:77", "-o", "pictures")

@@ -32,6 +32,34 @@ def test_show_prints_all_rows_or_some(run: Run) -> None:
     assert "camera: linear 8 bit" in text
 
 
+def test_show_says_beside_each_figure_that_noise_is_unknown(run: Run) -> None:
+    text = run("table", "show", "-n", "3").out
+    assert text.count("noise unknown: quantisation only") == 9
+    assert "name one with --sensor" in text
+
+
+def test_show_has_the_exposures_chosen_by_accuracy_for_a_sensor(run: Run) -> None:
+    options = ("--sensor", "standard", "-n", "3", "--range", "medium")
+    rows = run("table", "show", *options, "--json").json["entries"]
+    found = {(row["response"], row["chosen_by"]): row for row in rows}
+    assert len(found) == len(rows) == 6
+    linear = found["linear", "accuracy"]
+    assert linear["effective_levels"] > 69.5
+    assert sum(linear["exposures"]) <= 3.1
+    for response in ("linear", "gamma", "log"):
+        by_accuracy, by_xi = found[response, "accuracy"], found[response, "xi"]
+        assert by_accuracy["effective_levels"] >= 0.995 * by_xi["effective_levels"]
+        assert by_accuracy["effective_levels_noise_free"] < by_xi["effective_levels_noise_free"]
+    text = run("table", "show", *options).out
+    assert "69.98  with noise, 255.9 without" in text
+    assert "quantisation only" not in text
+    # This sensor's response has no xi rows in the built-in table.
+    curved = run("table", "show", "--sensor", "consumer", "--json").json["entries"]
+    assert {row["chosen_by"] for row in curved} == {"accuracy"}
+    ideal = run("table", "show", "--sensor", "ideal-8", "-n", "2")
+    assert "no exposures chosen by accuracy for this noise" in ideal.out
+
+
 def test_table_that_was_built_is_shown(run: Run) -> None:
     ran = run("table", "build", *SMALL, "-o", "three.json", "--workers", "1")
     assert ran.out == (
@@ -182,7 +210,7 @@ def test_sensitivity_finds_linear_cameras_by_their_levels(run: Run) -> None:
     assert run(*arguments, "--curve", "srgb", "-o", "s").status == 0
     ran = run("table", "show", "--sensitivity", "--table", "s")
     assert ran.error == (
-        "--sensitivity needs the response of the camera srgb 3 bit; "
+        "the response of the camera srgb 3 bit is unknown; "
         "give --bits, --phase and --curve as when the table was built"
     )
     assert ran.status == 2

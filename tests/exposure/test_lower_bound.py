@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from camctl.errors import UsageError
+from camctl.exposure import lower_bound
 from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.lower_bound import certify
-from camctl.exposure.objective import xi
+from camctl.exposure.objective import Objective, xi
+from camctl.exposure.solver import solve
 from camctl.response.camera import linear_response, standard_response
-from camctl.response.desired import DesiredResponse, desired_response, tabulated_desired
+from camctl.response.desired import DesiredResponse, desired_response
+from camctl.response.tabulated import tabulated_desired
 
 
 @pytest.mark.parametrize("name", ["linear", "gamma", "log"])
@@ -73,3 +76,31 @@ def test_one_exposure_has_no_gap() -> None:
 def test_responses_without_a_known_bound_are_refused(desired: DesiredResponse) -> None:
     with pytest.raises(UsageError, match="no lower bound is known for the desired response"):
         certify(linear_response(8), desired)
+
+
+@pytest.mark.parametrize(
+    ("bits", "name", "dynamic_range", "n", "wanted", "is_equal"),
+    [(8, "linear", 256.0, 3, 100.0, True), (4, "log", 4.0, 2, 8.0, False)],
+    ids=["equal exposures", "others"],
+)
+def test_a_set_without_missing_levels_needs_no_search_for_a_bound(
+    monkeypatch: pytest.MonkeyPatch,
+    bits: int,
+    name: str,
+    dynamic_range: float,
+    n: int,
+    wanted: float,
+    *,
+    is_equal: bool,
+) -> None:
+    def refuse(*_: object) -> None:
+        pytest.fail("boxes were searched for a bound")
+
+    monkeypatch.setattr(lower_bound, "_Boxes", refuse)
+    response, desired = linear_response(bits), desired_response(name, dynamic_range)
+    equal = xi(EffectiveCamera.of(response, (1.0,) * n), desired, wanted)
+    assert (equal == 0) is is_equal
+    proof = certify(response, desired, n, levels_wanted=wanted)
+    assert (proof.xi, proof.lower_bound, proof.gap) == (0.0, 0.0, 0.0)
+    found = solve(response, desired, n, objective=Objective(wanted))
+    assert proof.evaluations == found.evaluations

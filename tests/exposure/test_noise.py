@@ -1,12 +1,22 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from camctl.errors import UsageError
 from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.noise import NoiseTerm, noisy_effective_levels, quantiser_input
+from camctl.exposure.inverse import Posterior
+from camctl.exposure.noise import (
+    MAX_SIGMA,
+    MAX_WEIGHT,
+    NOISE_KINDS,
+    NoiseTerm,
+    noisy_effective_levels,
+)
 from camctl.exposure.robustness import sensitivity, shifted
+from camctl.noise_model import FrameNoise
 from camctl.response.camera import linear_response, standard_response
 from camctl.response.desired import desired_response
 
@@ -14,22 +24,14 @@ EIGHT_BIT = linear_response(8)
 LOG = desired_response("log", 1000.0)
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.5])
-def test_quantiser_input_of_a_linear_camera_is_linear(phase: float) -> None:
-    E = np.linspace(0, 0.99, 500)
-    found = quantiser_input(linear_response(8, phase=phase), E)
-    np.testing.assert_allclose(found, 256 * E + phase, atol=1e-9)
-
-
 @pytest.mark.parametrize(("sigma", "electrons"), [(0.3, np.inf), (1.5, np.inf), (0.5, 8.0)])
 def test_effective_levels_with_noise_agree_with_simulated_frames(
     sigma: float, electrons: float
 ) -> None:
-    """A million noisy sums of three frames, each converted to the midpoint of its gap."""
+    """A million noisy sums of three frames, each converted by the inverse of the sum."""
     camera = EffectiveCamera.of(EIGHT_BIT, (1, 9.91, 88.38))
-    predicted = noisy_effective_levels(
-        camera, LOG, read_noise_levels=sigma, electrons_per_level=electrons
-    )
+    noise = [FrameNoise(electrons, sigma)] * 3
+    predicted = noisy_effective_levels(camera, LOG, noise)
     rng = np.random.default_rng(21)
     u = rng.random(1_000_000)
     E = LOG.inverse(u)
@@ -38,10 +40,9 @@ def test_effective_levels_with_noise_agree_with_simulated_frames(
         spread = np.sqrt(sigma**2 + e * E * 256 / electrons)
         frame = np.floor(e * E * 256 + spread * rng.standard_normal(u.size))
         total += np.clip(frame, 0, 255).astype(np.int64)
-    heights = LOG.u(np.concatenate([[LOG.e_min], camera.levels, [1.0]]))
-    midpoints = (heights[1:] + heights[:-1]) / 2
-    simulated = (12 * np.mean((midpoints[total] - u) ** 2)) ** -0.5
-    assert predicted == pytest.approx(simulated, rel=0.01)
+    found = Posterior(camera, LOG, noise).inverse.u[total]
+    simulated = (12 * np.mean((found - u) ** 2)) ** -0.5
+    assert predicted == pytest.approx(simulated, rel=0.005)
 
 
 @pytest.mark.parametrize("exposures", [(1,), (1, 1.003, 2.985), (1, 9.91, 88.38)])
@@ -49,8 +50,10 @@ def test_zero_noise_gives_the_noise_free_effective_levels(exposures: tuple[float
     camera = EffectiveCamera.of(EIGHT_BIT, exposures)
     for name in ("linear", "gamma", "log"):
         desired = desired_response(name, 300.0)
-        noisy = noisy_effective_levels(camera, desired, read_noise_levels=0)
-        assert noisy == pytest.approx(effective_levels(camera, desired), rel=0.02)
+        noisy = noisy_effective_levels(
+            camera, desired, [FrameNoise(math.inf, 0.0)] * len(exposures)
+        )
+        assert noisy == pytest.approx(effective_levels(camera, desired), rel=1e-9)
 
 
 def test_interleaved_exposures_gain_nothing_with_half_a_level_of_noise() -> None:
@@ -96,15 +99,49 @@ def test_phase_spread_includes_truncation_and_rounding() -> None:
         (-1.0, 1.0, "invalid read noise of -1 levels: expected 0 to 64"),
         (float("nan"), 1.0, "invalid read noise of nan levels: expected 0 to 64"),
         (1e3, 1.0, "invalid read noise of 1000 levels: expected 0 to 64"),
-        (0.5, 0.0, "invalid number of electrons per level 0: expected a positive number"),
+        (0.5, 0.0, "invalid number of electrons per level 0: expected at least 0.001"),
     ],
 )
 def test_invalid_noise_is_refused(noise: float, electrons: float, message: str) -> None:
     camera = EffectiveCamera.of(EIGHT_BIT, (1, 2))
     with pytest.raises(UsageError, match=message):
-        noisy_effective_levels(camera, LOG, read_noise_levels=noise, electrons_per_level=electrons)
+        noisy_effective_levels(camera, LOG, [FrameNoise(electrons, noise)] * 2)
+
+
+def test_each_exposure_needs_its_noise() -> None:
+    camera = EffectiveCamera.of(EIGHT_BIT, (1, 2))
+    with pytest.raises(UsageError, match="noise of 1 frames for 2 exposures"):
+        noisy_effective_levels(camera, LOG, [FrameNoise(40.0, 1.0)])
+
+
+def test_noise_belongs_to_its_exposure() -> None:
+    """With (1, 100) the short exposure has few levels where the long one saturates."""
+    camera = EffectiveCamera.of(EIGHT_BIT, (1, 100))
+    quiet, loud = FrameNoise(40.0, 0.5), FrameNoise(40.0, 3.0)
+    short_is_loud = noisy_effective_levels(camera, LOG, [loud, quiet])
+    assert short_is_loud < 0.5 * noisy_effective_levels(camera, LOG, [quiet, loud])
 
 
 def test_unknown_noise_term_suggests_similar_names() -> None:
     with pytest.raises(UsageError, match="unknown noise term 'papr'; did you mean paper"):
         NoiseTerm(0.01, kind="papr")
+
+
+@pytest.mark.parametrize(
+    ("sigma", "weight", "message"),
+    [
+        (1e300, 1.0, r"invalid noise sigma 1e\+300: expected 0 to 1000"),
+        (math.nan, 1.0, "invalid noise sigma nan: expected 0 to 1000"),
+        (-1.0, 1.0, "invalid noise sigma -1: expected 0 to 1000"),
+        (1.0, 1e300, r"invalid noise weight 1e\+300: expected 0 to 1e\+15"),
+    ],
+)
+def test_noise_terms_beyond_use_are_refused(sigma: float, weight: float, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        NoiseTerm(sigma, weight)
+
+
+@pytest.mark.parametrize("kind", NOISE_KINDS)
+def test_the_largest_noise_term_is_finite(kind: str) -> None:
+    cost = NoiseTerm(MAX_SIGMA, MAX_WEIGHT, kind).cost(np.array([[1.0, 1.0], [1.0, 1e100]]))
+    assert np.all(np.isfinite(cost))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -16,7 +17,8 @@ from camctl.exposure.objective import xi
 from camctl.exposure.solver import Progress
 from camctl.exposure.table import ExposureTable, TableEntry, default_table
 from camctl.response.camera import CameraResponse, linear_response
-from camctl.response.desired import RANGES, RESPONSES, desired_response, tabulated_desired
+from camctl.response.desired import RANGES, RESPONSES, desired_response
+from camctl.response.tabulated import tabulated_desired
 
 EIGHT_BIT = linear_response(8)
 THREE_BIT = linear_response(3)
@@ -105,24 +107,45 @@ def test_look_up_distinguishes_tabulated_responses_of_the_same_name() -> None:
     assert look_up(THREE_BIT, one, 2).exposures != look_up(THREE_BIT, two, 2).exposures
 
 
-def test_damaged_cached_row_is_refused_with_its_file_name() -> None:
-    desired = desired_response("log", 20.0)
-    look_up(THREE_BIT, desired, 2)
-    (path,) = cache_folder().iterdir()
-    path.write_text(path.read_text()[:60])
-    with pytest.raises(DataError, match=f"{path.name} are damaged.*delete that file"):
-        look_up(THREE_BIT, desired, 2)
-
-
-def test_cached_row_of_another_camera_is_refused_with_its_file_name() -> None:
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda path, entry: path.write_text(entry.model_dump_json()[:60]), "are damaged: "),
+        (lambda path, entry: path.write_bytes(b"\xff\0"), "are damaged: "),
+        (
+            lambda path, entry: path.write_text(
+                entry.model_copy(update={"camera": "0" * 16}).model_dump_json()
+            ),
+            "are for another camera or desired response",
+        ),
+        (lambda path, entry: (path.unlink(), path.mkdir()), "cannot read cached exposures "),
+    ],
+)
+def test_damaged_cached_row_is_set_aside_and_solved_again(
+    caplog: pytest.LogCaptureFixture, damage: Callable[[Path, TableEntry], object], reason: str
+) -> None:
     desired = desired_response("log", 20.0)
     entry = look_up(THREE_BIT, desired, 2)
     (path,) = cache_folder().iterdir()
-    path.write_text(entry.model_copy(update={"camera": "0" * 16}).model_dump_json())
-    with pytest.raises(
-        DataError, match=f"{path.name} are for another camera or desired response; delete that file"
-    ):
-        look_up(THREE_BIT, desired, 2)
+    damage(path, entry)
+    assert look_up(THREE_BIT, desired, 2) == entry
+    (record,) = caplog.records
+    assert reason in record.getMessage()
+    assert f"set aside as {path.name}.damaged" in record.getMessage()
+    assert {file.name for file in cache_folder().iterdir()} == {path.name, f"{path.name}.damaged"}
+    assert look_up(THREE_BIT, desired, 2) == entry
+    assert len(caplog.records) == 1
+
+
+def test_cache_that_cannot_be_read_is_not_needed(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def deny(path: Path) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "exists", deny)
+    assert look_up(THREE_BIT, desired_response("log", 20.0), 2).n == 2
+    assert not caplog.records
 
 
 def test_look_up_works_without_a_writable_cache(
@@ -180,7 +203,7 @@ def test_missing_and_binary_table_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"cannot read exposure table .*table.json: No such file"):
         ExposureTable.load(path)
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DataError, match=r"table.json is damaged: it is not a text file"):
+    with pytest.raises(DataError, match=r"table.json: it is not a text file"):
         ExposureTable.load(path)
 
 

@@ -4,45 +4,74 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Self, TypeAlias
 
-from camctl.captures.request import CapturePlan
-from camctl.captures.sequencer import Progress
-from camctl.controls import ExposureSetting
 from camctl.errors import InterruptedCaptureError
-from menu.ports import Choice, Cost, Highlight, Key, Summary
-
-COSTS = tuple(
-    Cost(count, tuple(9.91**i for i in range(count)), 9.91**count / 9, 150.0 * count)
-    for count in range(1, 7)
+from menu.data import (
+    CameraEntry,
+    Choice,
+    Cost,
+    Loaded,
+    Past,
+    Picture,
+    Plan,
+    Progress,
+    Reading,
+    Settings,
+    Summary,
 )
+from menu.layout import grid
+from menu.ports import Key, Screen
+
+COST = Cost(3, 1.79, 1.88, 99.6, True)
+CAMERA = CameraEntry("sim", "Simulated phone")
+OTHER_CAMERA = CameraEntry("v4l2:/dev/video0", "HD Webcam")
+PICTURE = Picture(4, 3, bytes(range(0, 252, 7)))
+HISTOGRAM = tuple(index / 120 for index in range(16))
+READING = Reading(0.0199, 0.0012, HISTOGRAM, PICTURE, 12_300_000_000, CAMERA)
+SUMMARY = Summary(
+    97.0, 390.0, True, 98.4, 0.0031, "captures/x", histogram=HISTOGRAM, picture=PICTURE
+)
+CAPTURES = (Past("capture-0002-20261122-083000", False), Past("capture-0001", True))
 
 Script: TypeAlias = list[tuple[str, Key | Callable[[], object]]]
 """Texts to wait for on the screen, each with the key to press or the function to call then."""
 
-MOST_SILENCE_S = 60.0
+TO_REVIEW: Script = [
+    ("[Set]", Key.ENTER),
+    ("Desired", Key.ENTER),
+    ("Dynamic", Key.ENTER),
+    ("Exposures", Key.ENTER),
+]
+"""The keys from the idle screen to the review, with the defaults."""
+
+MOST_SILENCE_S = 20.0
 """A screen that does not change for this long, s, will never change: the script is wrong."""
 
 
-def plan_of(
-    settings: Sequence[ExposureSetting], response: str = "log", dynamic_range: float = 1000.0
-) -> CapturePlan:
-    """Return a plan with these settings."""
-    smallest = min(setting.exposure for setting in settings)
-    exposures = tuple(setting.exposure / smallest for setting in settings)
-    return CapturePlan(
-        response=response,
-        dynamic_range=dynamic_range,
-        ratios=exposures,
-        settings=tuple(settings),
-        exposures=exposures,
-        base_s=settings[0].time_s,
-        shutter_s=sum(setting.time_s for setting in settings),
-        levels_wanted=255.0 * len(settings),
+def quit_from(title: str) -> Script:
+    """Return the keys from a page whose exit key leads to the idle screen to the end."""
+    return [(title, Key.EXIT), ("[Set]", Key.EXIT), ("Quit", Key.RIGHT), ("[Quit]", Key.ENTER)]
+
+
+def plan_of(times: Sequence[float]) -> Plan:
+    """Return a plan with these shutter times, s."""
+    return Plan(
+        frames=tuple((f"{time_s:.7g} s", time_s / min(times)) for time_s in times),
+        shutter_s=sum(times),
+        wall_s=sum(times) + 0.1,
+        is_wall_known=True,
+        effective_levels=98.4,
+        effective_levels_noise_free=391.7,
+        noise_known=True,
         xi=219.81,
-        effective_levels=391.7,
+        levels_wanted=255.0 * len(times),
+        dynamic_range=1000.0,
+        needed_bytes=40_000_000,
+        free_bytes=12_300_000_000,
+        handle=object(),
     )
 
 
@@ -54,9 +83,14 @@ class FakeJob:
     """
 
     def __init__(self) -> None:
-        self.shot: list[CapturePlan] = []
+        self.shot: list[Plan] = []
         self.planned: list[Choice] = []
-        self.predicted: list[tuple[str, float]] = []
+        self.predicted: list[Choice] = []
+        self.resumed: list[Past] = []
+        self.saved: list[Settings] = []
+        self.opened: list[str] = []
+        self.running = 0  # captures at the same time
+        self.closed = False
         self.before: dict[str, Callable[[], object]] = {}
         self.frame_started = threading.Event()
         self.frame_may_end = threading.Event()
@@ -65,38 +99,98 @@ class FakeJob:
     def _call_before(self, method: str) -> None:
         self.before.get(method, lambda: None)()
 
-    def predict(self, response: str, dynamic_range: float) -> Iterable[Cost]:
-        """Return `COSTS`."""
-        self.predicted.append((response, dynamic_range))
-        self._call_before("predict")
-        return COSTS
+    def load(self) -> Loaded:
+        """Return the defaults."""
+        self._call_before("load")
+        return Loaded(Settings())
 
-    def plan(self, choice: Choice) -> CapturePlan:
-        """Return a plan with one setting for each exposure of `choice`."""
+    def save(self, settings: Settings) -> None:
+        """Record the settings."""
+        self._call_before("save")
+        self.saved.append(settings)
+
+    def find_cameras(self) -> tuple[CameraEntry, ...]:
+        """Return two cameras."""
+        self._call_before("find_cameras")
+        return (CAMERA, OTHER_CAMERA)
+
+    def open(self, camera_id: str) -> CameraEntry:
+        """Return the camera of this id."""
+        self.opened.append(camera_id)
+        self._call_before("open")
+        return OTHER_CAMERA if camera_id == OTHER_CAMERA.id else CAMERA
+
+    def meter(self) -> Reading:
+        """Return `READING`."""
+        self._call_before("meter")
+        return READING
+
+    def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
+        """Yield `COST` for each choice."""
+        self.predicted += choices
+        self._call_before("predict")
+        for _ in choices:
+            yield COST
+
+    def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
+        """Return a plan with one exposure for each of `choice`."""
         self.planned.append(choice)
         self._call_before("plan")
-        times = (0.0033 * 9.91**i for i in range(choice.count))
-        settings = [ExposureSetting(time_s) for time_s in times]
-        return plan_of(settings, choice.response, choice.dynamic_range)
+        return plan_of([0.0033 * 9.91**index for index in range(choice.count or 3)])
 
     def shoot(
         self,
-        plan: CapturePlan,
+        plan: Plan,
         on_progress: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> Summary:
         """Return a summary once `frame_may_end` is set; raise when cancelled before."""
         self.shot.append(plan)
         self._call_before("shoot")
-        for done in range(len(plan.settings)):
-            on_progress(Progress(done, len(plan.settings), "shooting"))
-            self.frame_started.set()
-            while not self.frame_may_end.wait(0.005):
-                if cancelled():
-                    raise InterruptedCaptureError(
-                        f"stopped after {done} frames", hint="camctl shoot --resume x"
-                    )
-        return Summary(390.0, 0.0031, "captures/x")
+        return self._capture(len(plan.frames), on_progress, cancelled)
+
+    def resume(
+        self,
+        past: Past,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Summary:
+        """Do as `shoot` does."""
+        self.resumed.append(past)
+        self._call_before("resume")
+        return self._capture(2, on_progress, cancelled)
+
+    def _capture(
+        self, count: int, on_progress: Callable[[Progress], None], cancelled: Callable[[], bool]
+    ) -> Summary:
+        self.running += 1
+        assert self.running == 1, "two captures at the same time"
+        try:
+            for done in range(count):
+                on_progress(Progress(done, count, "shooting", done / count))
+                self.frame_started.set()
+                while not self.frame_may_end.wait(0.005):
+                    if cancelled():
+                        raise InterruptedCaptureError(
+                            f"stopped after {done} frames", hint="camctl shoot --resume x"
+                        )
+            return SUMMARY
+        finally:
+            self.running -= 1
+
+    def captures(self) -> tuple[Past, ...]:
+        """Return `CAPTURES`."""
+        self._call_before("captures")
+        return CAPTURES
+
+    def look(self, past: Past) -> Summary:
+        """Return `SUMMARY`."""
+        self._call_before("look")
+        return SUMMARY
+
+    def close(self) -> None:
+        """Record that the camera is closed."""
+        self.closed = True
 
 
 class ScriptedPanel:
@@ -125,13 +219,16 @@ class ScriptedPanel:
         """Close the panel."""
         self.open = False
 
-    def show(self, lines: Sequence[str], highlight: Highlight | None = None) -> None:
+    def show(self, screen: Screen) -> int:
         """Record the lines."""
         assert self.open
-        assert [len(line) for line in lines] == [self.size[0]] * self.size[1]
-        self.lines = tuple(lines)
-        self.screens.append(self.lines)
-        self._last_change = time.monotonic()
+        shown = grid(screen, *self.size)
+        assert [len(line) for line in shown.lines] == [self.size[0]] * self.size[1]
+        if shown.lines != self.lines:
+            self._last_change = time.monotonic()
+            self.lines = shown.lines
+            self.screens.append(self.lines)
+        return shown.last_offset
 
     def key(self, timeout_s: float) -> Key | None:
         """Return the next key of the script once its text is shown, else None."""

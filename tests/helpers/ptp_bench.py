@@ -15,6 +15,7 @@ from sim.devices.clock import DeviceClock, VirtualDeviceClock
 from sim.devices.common import VirtualSensor
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera
 from sim.devices.ptp.config import PtpConfig
+from sim.devices.ptp.device import PtpDevice
 from sim.devices.usb.backend import VirtualBackend
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
@@ -41,6 +42,12 @@ class Bench:
         """Return our camera, opened with these options (linear response unless given)."""
         parsed = PtpOptions.parse({"response": "linear", **options})
         return PtpCamera(self.usb_device, parsed, clock=self.device.clock).open()
+
+
+def in_force(device: PtpDevice) -> ExposureSetting:
+    """Return the setting of the last exposure, as the virtual body has kept it."""
+    exposure = device.state()["exposure"]
+    return ExposureSetting(exposure["time_s"], exposure["gain"], exposure["f_number"])
 
 
 def virtual_sensor(scene: str = "ramp", sensor: str = "ideal-8") -> VirtualSensor:

@@ -22,7 +22,7 @@ from drivers.ptp.backend import PtpBackend
 from drivers.ptp.codes import Op
 from drivers.ptp.datasets import DeviceInfo, ObjectInfo, Reader
 from drivers.ptp.session import Session
-from drivers.ptp.transport import UsbTransport
+from drivers.ptp.usb_transport import UsbTransport
 
 OUT, IN = "2", "129"
 NAME = "the recorded camera"

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import CameraInfo, FrameStream
+from camctl.camera import Camera, CameraInfo, FrameStream
 from camctl.captures.report import CaptureReport
 from camctl.clock import Clock
 from camctl.controls import Control, ExposureControls, ExposureSetting
@@ -49,7 +49,7 @@ class WrappedCamera:
     It has no preview: to metering it is a camera with a mechanical shutter.
     """
 
-    def __init__(self, camera: SimulatedCamera, times: Control | None = None) -> None:
+    def __init__(self, camera: Camera, times: Control | None = None) -> None:
         self.camera = camera
         self._times = times
 

@@ -1,4 +1,4 @@
-"""A webcam as the kernel and OpenCV show it, in virtual time: slots, late controls, few buffers."""
+"""A webcam as the kernel shows it, in virtual time: slots, late controls, few buffers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,8 +22,13 @@ PATH = "/dev/video-of-the-model"
 ROWS, COLUMNS = 6, 8
 #: Light of each pixel; brightness is light x ticks (100 us), up to white.
 LIGHT = np.linspace(0.02, 0.5, ROWS * COLUMNS).reshape(ROWS, COLUMNS)
-_DESCRIPTOR = 7
-_OPENCV_TIMEOUT_S = 10
+#: Bytes of a buffer, and what the model fills the rest of it with.
+_BUFFER_BYTES, _JUNK = 4096, 0xA5
+
+#: Requests that the kernel grants to one descriptor at a time.
+_OF_THE_STREAM = frozenset(
+    (abi.Request.S_FMT, abi.Request.REQBUFS, abi.Request.STREAMON, abi.Request.STREAMOFF)
+)
 
 
 def put(text: str, field_: Any) -> None:
@@ -67,9 +71,20 @@ def registers() -> dict[int, Register]:
     }
 
 
+@dataclass(frozen=True)
+class Filled:
+    """A buffer with a frame: its index, the slot, the end of its exposure, ticks, and number."""
+
+    index: int
+    slot: int
+    end_s: float
+    ticks: int
+    sequence: int
+
+
 @dataclass
 class Model:
-    """The device with its kernel side (`open`, `ioctl`, `close`) and its OpenCV side (`video`).
+    """The device behind the system calls of `drivers.v4l2.kernel.Kernel`.
 
     Attributes:
         delay: control delay, frames
@@ -79,7 +94,11 @@ class Model:
         lateness_s: from the end of a frame to its arrival
         write_s: duration of writing a control
         jitter_s: error of a slot's timestamp, by its number
-        lose, damage: slots whose frames are lost or arrive damaged
+        lose: slots whose frames are lost on their way; the driver counts them
+        skip: slots whose frames the device does not send, so that the driver cannot count them
+        damage: slots whose frames have 5 bytes
+        flag: slots whose frames the driver flags as erroneous, with all their bytes
+        counts: whether frames have sequence numbers
         errors: errno by the request that fails with it
         first_error: errno with which opening fails
     """
@@ -95,19 +114,26 @@ class Model:
     jitter_s: Callable[[int], float] | None = None
     delays: Callable[[int], int] | None = None
     lose: set[int] = field(default_factory=set)
+    skip: set[int] = field(default_factory=set)
     damage: set[int] = field(default_factory=set)
+    flag: set[int] = field(default_factory=set)
+    counts: bool = True
     quantization: int = 1
     bytesperline: int = 0
     caps: int = abi.Caps.VIDEO_CAPTURE | abi.Caps.STREAMING
-    opens: bool = True
+    streams: bool = True
+    pixel_rate: int | None = None
     first_error: int | None = None
     errors: dict[abi.Request, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.clock = VirtualClock(1000.0)
         self.controls = registers()
-        self.buffers = 4
-        self.waiting: deque[tuple[int, float, int]] = deque()  # slot, end of exposure, ticks
+        self.memory: list[NDArray[np.uint8]] = []
+        self.queued: deque[int] = deque()  # buffers to fill
+        self.waiting: deque[Filled] = deque()
+        self.sequence = 0
+        self.is_streaming = False
         self.slot = 0  # the one being exposed
         self.slot_end_s: float | None = None
         self.pending: list[tuple[int, int]] = []  # first slot that has it, ticks
@@ -119,6 +145,8 @@ class Model:
         self.unplugged = False
         self.current: tuple[int, int, int] = (0, 0, 0)  # pixel format, width, height
         self.descriptors = 0
+        self.last_descriptor = 6
+        self.owner: int | None = None  # the descriptor that has the stream
         self.released = 0
         self.stamp_s: Callable[[float], float] = lambda end_s: end_s
 
@@ -142,9 +170,15 @@ class Model:
             if first <= self.slot:
                 self.ticks = ticks
                 self.pending.remove((first, ticks))
+        if self.slot in self.skip or not self.is_streaming:
+            return
+        self.sequence += self.counts
         jitter_s = self.jitter_s(self.slot) if self.jitter_s else 0.0
-        if len(self.waiting) < self.buffers and self.slot not in self.lose:
-            self.waiting.append((self.slot, self.slot_end_s + jitter_s, self.ticks))
+        if self.queued and self.slot not in self.lose:
+            end_s = self.slot_end_s + jitter_s
+            self.waiting.append(
+                Filled(self.queued.popleft(), self.slot, end_s, self.ticks, self.sequence)
+            )
 
     def write_exposure(self, ticks: int) -> None:
         self.advance()
@@ -153,27 +187,27 @@ class Model:
         self.written_in.append(self.slot)
         self.pending.append((self.slot + 1 + delay, ticks))
 
-    # OpenCV.
-
-    def video(self, path: str) -> Video:
-        return Video(self)
-
     # The kernel.
 
     def open(self, path: str) -> int:
         if self.first_error is not None:
             raise OSError(self.first_error, os.strerror(self.first_error))
         self.descriptors += 1
-        return _DESCRIPTOR
+        self.last_descriptor += 1
+        return self.last_descriptor
 
     def close(self, descriptor: int) -> None:
-        assert descriptor == _DESCRIPTOR
         self.descriptors -= 1
+        self.owner = None if descriptor == self.owner else self.owner
 
     def ioctl(self, descriptor: int, request: abi.Request, argument: ctypes.Structure) -> None:
         number = errno.ENODEV if self.unplugged else self.errors.get(request)
         if number is not None:
             self.fail(number)
+        if request in _OF_THE_STREAM:
+            if self.owner not in (None, descriptor):
+                self.fail(errno.EBUSY)
+            self.owner = descriptor
         getattr(self, request.name.lower())(argument)
 
     def fail(self, number: int = errno.EINVAL) -> None:
@@ -207,9 +241,86 @@ class Model:
         found.pixelformat, found.width, found.height = self.current
         found.bytesperline, found.quantization = self.bytesperline, self.quantization
 
-    def g_parm(self, found: abi.StreamParameters) -> None:
+    def s_fmt(self, found: abi.Format) -> None:
+        if not self.streams:
+            found.width, found.height = 2, 2
+        self.current = (found.pixelformat, found.width, found.height)
+        self.g_fmt(found)
+
+    def s_parm(self, found: abi.StreamParameters) -> None:
         announced_s = self.announced_s or self.interval_s
         found.numerator, found.denominator = round(announced_s * 1e6), 1_000_000
+
+    def reqbufs(self, found: abi.BufferRequest) -> None:
+        self.queued.clear()
+        self.waiting.clear()
+        self.memory = [np.full(_BUFFER_BYTES, _JUNK, np.uint8) for _ in range(found.count)]
+        self.released += found.count == 0
+
+    def querybuf(self, found: abi.Buffer) -> None:
+        found.offset, found.length = found.index * _BUFFER_BYTES, _BUFFER_BYTES
+
+    def map(self, descriptor: int, offset: int, length: int) -> NDArray[np.uint8]:
+        if length != _BUFFER_BYTES or not 0 <= offset < _BUFFER_BYTES * len(self.memory):
+            self.fail()
+        return self.memory[offset // _BUFFER_BYTES]
+
+    def qbuf(self, found: abi.Buffer) -> None:
+        self.advance()
+        if found.index in self.queued or found.index >= len(self.memory):
+            self.fail()
+        self.memory[found.index][:] = _JUNK
+        self.queued.append(found.index)
+
+    def streamon(self, found: abi.BufferType) -> None:
+        self.is_streaming = True
+        self.advance()
+
+    def streamoff(self, found: abi.BufferType) -> None:
+        self.is_streaming = False
+
+    def wait(self, descriptor: int, timeout_s: float) -> bool:
+        self.advance()
+        silent_s = self.clock.now() + timeout_s
+        while not self.waiting:
+            if self.unplugged:
+                return True
+            due_s = self.advance() + self.lateness_s
+            if self.frozen or due_s > silent_s:
+                self.clock.sleep_until(silent_s)
+                return False
+            self.clock.sleep_until(due_s)
+            self.advance()
+        self.clock.sleep_until(self.waiting[0].end_s + self.lateness_s)
+        return True
+
+    def dqbuf(self, found: abi.Buffer) -> None:
+        if not self.waiting:
+            self.fail(errno.EAGAIN)
+        filled = self.waiting.popleft()
+        self.used.append(filled.slot)
+        data = b"\0" * 5 if filled.slot in self.damage else self.packed(filled.ticks)
+        self.memory[filled.index][: len(data)] = np.frombuffer(data, np.uint8)
+        found.index, found.bytesused = filled.index, len(data)
+        found.flags = abi.BufferFlag.ERROR if filled.slot in self.flag else 0
+        found.sequence = filled.sequence % 2**32
+        microseconds = round(self.stamp_s(filled.end_s) * 1e6)
+        found.seconds, found.microseconds = divmod(microseconds, 1_000_000)
+
+    def packed(self, ticks: int) -> bytes:
+        """Return the bytes of a frame, its lines padded to `bytesperline`."""
+        code = self.current[0].to_bytes(4, "little").decode()
+        lines = packed_lines(code, ticks)
+        return b"".join(line.ljust(self.bytesperline, b"\xee") for line in lines)
+
+    def g_ext_ctrls(self, found: abi.LongValues) -> None:
+        value = found.controls[0]
+        if value.id == ControlId.PIXEL_RATE and self.pixel_rate is not None:
+            value.value = self.pixel_rate
+        elif value.id in self.controls:
+            value.value = self.controls[value.id].value
+        else:
+            self.fail()
 
     def queryctrl(self, found: abi.ControlQuery) -> None:
         if found.id not in self.controls:
@@ -234,66 +345,9 @@ class Model:
             control.value = found.value
             if control.clamp is not None:
                 control.value = min(control.value, control.clamp)
-        if found.id == ControlId.EXPOSURE_ABSOLUTE:
+        if found.id in (ControlId.EXPOSURE_ABSOLUTE, ControlId.EXPOSURE):
             self.write_exposure(control.value)
         self.clock.sleep_until(self.clock.now() + self.write_s / 2)
-
-
-class Video:
-    """The model's `cv2.VideoCapture`."""
-
-    def __init__(self, model: Model) -> None:
-        self.model = model
-        self.properties: dict[int, float] = {}
-        self.frame = (0, 0.0, 0)
-        self.is_first = True
-
-    def isOpened(self) -> bool:  # noqa: N802
-        return self.model.opens
-
-    def set(self, propId: int, value: float) -> bool:
-        self.properties[propId] = value
-        model = self.model
-        if propId == cv2.CAP_PROP_BUFFERSIZE:
-            model.buffers = int(value)
-        model.current = (
-            int(self.properties.get(cv2.CAP_PROP_FOURCC, 0)),
-            int(self.properties.get(cv2.CAP_PROP_FRAME_WIDTH, 0)),
-            int(self.properties.get(cv2.CAP_PROP_FRAME_HEIGHT, 0)),
-        )
-        return True
-
-    def get(self, propId: int) -> float:
-        assert propId == cv2.CAP_PROP_POS_MSEC
-        return self.model.stamp_s(self.frame[1]) * 1000
-
-    def grab(self) -> bool:
-        model = self.model
-        model.advance()
-        if model.unplugged:
-            return False
-        while not model.waiting:
-            if model.frozen:
-                model.clock.sleep_until(model.clock.now() + _OPENCV_TIMEOUT_S)
-                return False
-            model.clock.sleep_until(model.advance() + model.lateness_s)
-            model.advance()
-        self.frame = model.waiting.popleft()
-        model.clock.sleep_until(self.frame[1] + model.lateness_s)
-        if self.is_first:  # OpenCV discards the first frame of a stream
-            self.is_first = False
-            return self.grab()
-        model.used.append(self.frame[0])
-        return True
-
-    def retrieve(self) -> tuple[bool, NDArray[Any]]:
-        slot, _, ticks = self.frame
-        if slot in self.model.damage:
-            return True, np.zeros((1, 5), np.uint8)
-        return True, as_opencv(self.model.current[0], ticks)
-
-    def release(self) -> None:
-        self.model.released += 1
 
 
 def brightness(ticks: int, bits: int = 8) -> NDArray[np.float64]:
@@ -303,21 +357,37 @@ def brightness(ticks: int, bits: int = 8) -> NDArray[np.float64]:
     return samples
 
 
-def as_opencv(code: int, ticks: int) -> NDArray[Any]:
-    """Return a frame as OpenCV delivers it with CAP_PROP_CONVERT_RGB = 0."""
-    name = code.to_bytes(4, "little").decode()
-    if name == "YUYV":
+def packed_lines(code: str, ticks: int) -> list[bytes]:
+    """Return the lines of a frame as V4L2 packs them in a format; the whole of a JPEG."""
+    if code == "YUYV":
         luma = brightness(ticks).astype(np.uint8)
-        return np.stack([luma, np.full_like(luma, 128)], axis=-1)
-    if name in ("Y16 ", "Y12 ", "Y10 "):
-        return brightness(ticks, int(name[1:3])).astype(np.uint16)
-    if name == "RG10":
-        return brightness(ticks, 10).astype("<u2").view(np.uint8).reshape(1, -1)
-    if name == "MJPG":
+        return [line.tobytes() for line in np.stack([luma, np.full_like(luma, 128)], axis=-1)]
+    if code == "MJPG":
+        import cv2
+
         done, data = cv2.imencode(".jpg", brightness(ticks).astype(np.uint8))
         assert done
-        return data.reshape(1, -1)
-    return brightness(ticks).astype(np.uint8).reshape(1, -1)  # 8 bits, a byte each
+        return [data.tobytes()]
+    if code[0] == "p" or code.endswith("P"):  # MIPI: upper 8 bits, then lower bits
+        bits = {"A": 10, "C": 12, "E": 14}[code[3]] if code[0] == "p" else int(code[1:3])
+        return [mipi(line, bits) for line in brightness(ticks, bits).astype(int).tolist()]
+    deep = {"BYR2": 16, "BA10": 10, "BA12": 12}
+    digits = [int(code[at:][:2]) for at in (1, 2) if code[at:][:2].isdigit()]
+    bits = deep.get(code) or (digits[0] if digits and digits[0] != 81 else 8)
+    samples = brightness(ticks, bits)
+    return [line.astype("<u2" if bits > 8 else np.uint8).tobytes() for line in samples]
+
+
+def mipi(samples: list[int], bits: int) -> bytes:
+    """Return a line in MIPI CSI-2 packing (RAW10, RAW12, RAW14)."""
+    size = 2 if bits == 12 else 4
+    line = b""
+    for first in range(0, len(samples), size):
+        group = samples[first : first + size]
+        lower = sum((each % 2 ** (bits - 8)) << (bits - 8) * at for at, each in enumerate(group))
+        line += bytes(each >> bits - 8 for each in group)
+        line += lower.to_bytes(size * (bits - 8) // 8, "little")
+    return line
 
 
 def ticks_of(pixels: Pixels, bits: int = 8) -> int:

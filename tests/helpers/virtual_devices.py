@@ -80,11 +80,49 @@ MACHINE = Device(
     {**TWELVE_BITS_WITHOUT_BLACK, "formats": ["y16"], "fps": [15, 5], "delay": 1},
     {**LINEAR, "format": "y16", "bits": "12", "fps": "15"},
 )
+# OpenCV cannot open a camera that offers nothing but these frames.
+MOSAIC_SENSOR = {"name": "mosaic", "bits": 12, "layout": "rggb", "full_well_e": 21000}
+MOSAIC = Device(
+    "mosaic",
+    "uvc",
+    {
+        **RAMP,
+        "sensor": str(DIRECTORY / "mosaic.json"),
+        "formats": ["rggb16"],
+        "fps": [15, 5],
+        "delay": 2,
+    },
+    {"format": "bayer16", "bits": "12", "fps": "15"},
+)
 UNSTEADY = Device(
     "unsteady",
     "uvc",
     {**EIGHT_BITS, "formats": ["yuyv"], "fps": [15], "delay": 1, "jitter": 2, "luma": "full"},
     {**LINEAR, "format": "yuyv", "range": "full"},
+)
+# A sensor whose response no driver assumes, and whose noise is new in each frame.
+CURVED_SENSOR = {
+    "name": "curved",
+    "bits": 8,
+    "layout": "mono",
+    "curve": 0.55,
+    "full_well_e": 21000,
+    "electrons_per_dn": 80.0,
+    "read_noise_e": 8.0,
+}
+CURVED = Device(
+    "curved",
+    "uvc",
+    {
+        **RAMP,
+        "sensor": str(DIRECTORY / "curved.json"),
+        "repeat_noise": False,
+        "formats": ["yuyv"],
+        "fps": [15],
+        "delay": 2,
+        "luma": "full",
+    },
+    {"format": "yuyv", "range": "full", "fps": "15"},
 )
 STILL = Device(
     "still",
@@ -100,7 +138,7 @@ COOLPIX = Device(
     {**EIGHT_BITS, "files": ["tiff", "jpeg"], "line": "/dev/ttyGS0"},
     {**LINEAR, "format": "tiff", "speed": "115200"},
 )
-DEVICES = (WEB, MACHINE, UNSTEADY, STILL, RAW, SNAPSHOT, COOLPIX)
+DEVICES = (WEB, MACHINE, MOSAIC, UNSTEADY, CURVED, STILL, RAW, SNAPSHOT, COOLPIX)
 
 # Exposures that all backends have exactly; half of the ramp is saturated in the longest.
 EXPOSURES_S = (0.002, 0.008, 0.125)
@@ -147,6 +185,8 @@ def running_hub(devices: Sequence[Device] = DEVICES) -> Iterator[RecordingHub]:
 
 def _start_hub(devices: Sequence[Device]) -> Forked:
     DIRECTORY.mkdir(exist_ok=True, parents=True)
+    for sensor in (CURVED_SENSOR, MOSAIC_SENSOR):
+        (DIRECTORY / f"{sensor['name']}.json").write_text(json.dumps(sensor))
     config = DIRECTORY / "config.json"
     config.write_text(json.dumps({"devices": [device.config for device in devices]}))
     modprobe("-a", "vhci-hcd", "uvcvideo", "dummy_hcd", "cdc-acm")

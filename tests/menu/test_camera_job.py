@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from datetime import datetime
 from pathlib import Path
 
 import pytest
-from panel_fakes import Script, ScriptedPanel
+from panel_fakes import TO_REVIEW, Script, ScriptedPanel, quit_from
 
 from camctl import read_report
 from camctl.camera import Frame
 from camctl.captures.request import CaptureRequest
-from camctl.captures.sequencer import resume
 from camctl.controls import ExposureSetting
-from camctl.errors import CaptureError
+from camctl.errors import CaptureError, StorageError, UsageError
 from menu.app import run
 from menu.camera_job import CameraJob
-from menu.model import Model, State
-from menu.ports import Choice, Key
-from menu.screens import screen
+from menu.capture_list import list_captures, next_folder
+from menu.data import Choice, Past
+from menu.ports import Key
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
-from tests.menu.test_screens import settings_on
 
 SIZE = (60, 16)
 
@@ -30,9 +30,10 @@ SIZE = (60, 16)
 class RecordingCamera(SimulatedCamera):
     """Records the lists of settings that it shoots, and calls `on_frame` before each frame."""
 
-    def __init__(self, faults: Faults | None = None, *, sensor: str = "ideal-8") -> None:
+    def __init__(self, faults: Faults | None = None, *, sensor: str = "phone") -> None:
         scene = load_scene("tile-floor", (24, 32))
-        super().__init__(scene, load_sensor(sensor), faults=faults)
+        # With the same noise in every frame, two plans of the same light are equal.
+        super().__init__(scene, load_sensor(sensor), faults=faults, repeat_noise=True)
         self.lists: list[tuple[ExposureSetting, ...]] = []
         self.on_frame: Callable[[], object] = lambda: None
 
@@ -46,16 +47,20 @@ class RecordingCamera(SimulatedCamera):
             yield frame
 
 
-class Folders:
-    """A new folder for each capture; `given` lists them."""
+def job_with(
+    camera: SimulatedCamera, parent: Path, request: CaptureRequest | None = None
+) -> CameraJob:
+    """Return the job of a camera; opening it again returns the same camera."""
+    return CameraJob(
+        lambda camera_id: (camera.open(), {"camera": camera_id or "sim"}),
+        parent,
+        parent / "menu.json",
+        request=request,
+    )
 
-    def __init__(self, parent: Path) -> None:
-        self.parent = parent
-        self.given: list[Path] = []
 
-    def __call__(self) -> Path:
-        self.given.append(self.parent / f"capture-{len(self.given) + 1}")
-        return self.given[-1]
+def never() -> bool:
+    return False
 
 
 @pytest.fixture
@@ -64,103 +69,152 @@ def camera() -> Iterator[RecordingCamera]:
         yield opened
 
 
-@pytest.fixture
-def folders(tmp_path: Path) -> Folders:
-    return Folders(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("response", "dynamic_range", "count"), [(0, 1, 3), (1, 2, 2), (2, 0, 4), (0, 0, 1)]
 )
 def test_settings_reviewed_are_the_settings_shot(
-    camera: RecordingCamera, folders: Folders, response: int, dynamic_range: int, count: int
+    camera: RecordingCamera, tmp_path: Path, response: int, dynamic_range: int, count: int
 ) -> None:
-    job = CameraJob(camera, folders, source={"camera": "sim"})
-    script: Script = []
+    script: Script = [TO_REVIEW[0]]
     script += [("Desired", Key.DOWN)] * response + [("Desired", Key.ENTER)]
     script += [("Dynamic", Key.UP)] * 2 + [("Dynamic", Key.DOWN)] * dynamic_range
     script += [("Dynamic", Key.ENTER)]
-    script += [("Exposures", Key.UP)] * 6 + [("Exposures", Key.DOWN)] * (count - 1)
+    script += [("Exposures", Key.UP)] * 8 + [("Exposures", Key.DOWN)] * (count - 1)
     script += [("Exposures", Key.ENTER)]
     panel = ScriptedPanel(script, SIZE)
     reviewed: list[str] = []
     panel.script += [("Review", lambda: reviewed.extend(panel.lines)), ("Review", Key.ENTER)]
-    panel.script += [("Done", key) for key in (Key.RIGHT, Key.RIGHT, Key.ENTER)]
-    summary = run(panel, job)
+    panel.script += quit_from("Done")
+    summary = run(panel, lambda: job_with(camera, tmp_path))
 
-    report = read_report(folders.given[0])
-    assert report.status == "complete"
+    assert summary is not None
+    report = read_report(summary.folder)
     assert report.source == {"camera": "sim"}
     assert camera.lists[-1] == report.plan.settings
     assert len(report.plan.settings) == count
-    shot = Model(State.REVIEW, response, dynamic_range, count, plan=report.plan)
-    assert reviewed == list(screen(shot, *SIZE).lines)
-    assert [setting.time_s for setting in settings_on(shot, *SIZE)] == pytest.approx(
-        [setting.time_s for setting in camera.lists[-1]], rel=1e-6, abs=0
-    )
-    assert [r.applied.time_s for r in report.frames if r] == [
-        s.time_s for s in report.plan.settings
-    ]
-    assert summary is not None
-    assert report.achieved is not None
+    for place, setting in enumerate(report.plan.settings, start=1):
+        (line,) = [each for each in reviewed if each.startswith(f"{place} ")]
+        value, unit, *_ = line.split()[1:]
+        factor = {"s": 1.0, "ms": 1e-3, "us": 1e-6}[unit]
+        assert float(value) * factor == pytest.approx(setting.time_s, rel=1e-6, abs=0)
     assert summary.effective_levels == report.achieved.effective_levels
-    assert summary.folder == str(folders.given[0])
+    assert summary.picture is not None
+    assert summary.histogram == tuple(report.achieved.light_shares)
 
 
-def test_cost_is_the_sum_of_the_exposures(camera: RecordingCamera, folders: Folders) -> None:
-    costs = list(CameraJob(camera, folders).predict("log", 1000.0))
-    assert [cost.count for cost in costs] == [1, 2, 3, 4, 5, 6]
-    for cost in costs:
-        assert len(cost.exposures) == cost.count
-        assert cost.total_exposure == pytest.approx(sum(cost.exposures))
-    levels = [cost.effective_levels for cost in costs]
-    assert levels == sorted(levels)
+def test_predicted_costs_are_those_of_the_plan(camera: RecordingCamera, tmp_path: Path) -> None:
+    job = job_with(camera, tmp_path)
+    choices = [
+        Choice("log", 1000.0, 3),
+        Choice("linear", 256.0, 2),
+        Choice("auto", 1000.0, 2),
+        Choice("log", None, 2),
+        Choice("log", 1000.0, time_budget_s=0.5),
+    ]
+    for choice, cost in zip(choices, job.predict(choices, never), strict=True):
+        plan = job.plan(choice, never)
+        assert cost.problem == ""
+        assert cost.count == len(plan.frames)
+        assert cost.effective_levels == pytest.approx(plan.effective_levels)
+        assert cost.shutter_s == pytest.approx(plan.shutter_s)
+        assert cost.wall_s is not None
 
 
-def test_costs_are_computed_for_a_camera_outside_the_table(folders: Folders) -> None:
-    with RecordingCamera(sensor="ideal-4") as camera:
-        costs = list(CameraJob(camera, folders).predict("log", 256.0))
-    assert [cost.count for cost in costs] == [1, 2, 3, 4, 5, 6]
-    levels = [cost.effective_levels for cost in costs]
-    assert levels == sorted(levels)
+def test_impossible_choice_says_why(camera: RecordingCamera, tmp_path: Path) -> None:
+    job = job_with(camera, tmp_path)
+    (cost,) = job.predict([Choice("log", 1000.0, accuracy=500.0)], never)
+    assert "500 effective levels" in cost.problem or "noise" in cost.problem
+
+
+def test_prediction_ends_when_it_is_cancelled(camera: RecordingCamera, tmp_path: Path) -> None:
+    job = job_with(camera, tmp_path)
+    assert list(job.predict([Choice("log", 1000.0, 3)] * 3, lambda: True)) == []
 
 
 def test_request_supplies_what_the_menu_does_not_ask_for(
-    camera: RecordingCamera, folders: Folders
+    camera: RecordingCamera, tmp_path: Path
 ) -> None:
     request = CaptureRequest(base_s=0.002, ratios=(1.0, 2.0))
-    plan = CameraJob(camera, folders, request=request).plan(Choice("gamma", 256.0, 3))
-    assert (plan.response, plan.dynamic_range, len(plan.settings)) == ("gamma", 256.0, 3)
-    assert plan.base_s == pytest.approx(0.002, rel=0.01)
-    assert plan.metering is None
+    plan = job_with(camera, tmp_path, request).plan(Choice("gamma", 256.0, 3), never)
+    assert len(plan.frames) == 3
+    assert plan.frames[0][0].startswith("2 ms") or plan.frames[0][0].startswith("1.99")
 
 
-def test_cancelled_capture_keeps_its_frames(camera: RecordingCamera, folders: Folders) -> None:
-    job = CameraJob(camera, folders)
-    plan = job.plan(Choice("log", 1000.0, 3))
+def test_cancelled_capture_is_listed_and_resumed(camera: RecordingCamera, tmp_path: Path) -> None:
+    job = job_with(camera, tmp_path)
+    plan = job.plan(Choice("log", 1000.0, 3), never)
     frames: list[int] = []
     camera.on_frame = lambda: frames.append(1)
-    with pytest.raises(CaptureError, match=r"1 of 3 frames are kept; .*--resume .*capture-1"):
+    with pytest.raises(CaptureError, match=r"1 of 3 frames are kept; .*--resume .*capture-0001"):
         job.shoot(plan, lambda progress: None, lambda: bool(frames))
     camera.on_frame = lambda: None
-    assert resume(camera, folders.given[0]).status == "complete"
+    (past,) = job.captures()
+    assert not past.is_complete
+    assert job.load().unfinished == 1
+    summary = job.resume(past, lambda progress: None, never)
+    (complete,) = job.captures()
+    assert complete.is_complete
+    assert job.look(complete) == summary
 
 
-def test_disconnected_camera_is_reported_and_the_menu_goes_on(folders: Folders) -> None:
-    script: Script = [
-        ("Desired", Key.ENTER),
-        ("Dynamic", Key.ENTER),
-        ("Exposures", Key.ENTER),
-        ("Review", Key.ENTER),
-        ("Capture failed", Key.RIGHT),
-        ("Capture failed", Key.ENTER),
-        ("Review", Key.EXIT),
-        ("Exposures", Key.EXIT),
-        ("Dynamic", Key.EXIT),
-        ("Desired", Key.EXIT),
-    ]
-    panel = ScriptedPanel(script, SIZE)
-    with RecordingCamera(Faults(unplug_after=1)) as camera:
-        assert run(panel, CameraJob(camera, folders)) is None
+def test_camera_that_was_unplugged_is_opened_again(tmp_path: Path) -> None:
+    script: Script = [*TO_REVIEW, ("Review", Key.ENTER), ("Capture failed", Key.ENTER)]
+    panel = ScriptedPanel([*script, ("Review", Key.ENTER), *quit_from("Done")], SIZE)
+    opened: list[RecordingCamera] = []
+
+    def open_camera(_: str) -> tuple[RecordingCamera, dict[str, str]]:
+        opened.append(RecordingCamera(None if opened else Faults(unplug_after=1)))
+        return opened[-1].open(), {}
+
+    job = CameraJob(open_camera, tmp_path, tmp_path / "menu.json")
+    assert run(panel, lambda: job) is not None
+    assert len(opened) == 2
     failed = next(lines for lines in panel.screens if lines[0].startswith("Capture failed"))
     assert "1 of 3 frames are kept" in " ".join(" ".join(failed).split())
+
+
+def test_reading_shows_the_light(camera: RecordingCamera, tmp_path: Path) -> None:
+    reading = job_with(camera, tmp_path).meter()
+    assert reading.time_s > 0
+    assert sum(reading.histogram) == pytest.approx(1.0)
+    assert reading.picture is not None
+    assert len(reading.picture.rgb) == 3 * reading.picture.columns * reading.picture.rows
+    assert reading.free_bytes > 0
+
+
+def test_capture_that_needs_more_space_than_is_free_is_refused(
+    camera: RecordingCamera, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = job_with(camera, tmp_path)
+    monkeypatch.setattr(CameraJob, "_free_bytes", lambda _: 1000)
+    with pytest.raises(StorageError, match="the capture needs 0 MB, and 0 MB are free"):
+        job.plan(Choice("log", 1000.0, 3), never)
+
+
+def test_menu_works_without_opencv_and_a_capture_says_that_it_needs_it(
+    camera: RecordingCamera, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    job = job_with(camera, tmp_path)
+    assert job.meter().picture is not None
+    plan = job.plan(Choice("log", 1000.0, 2), never)
+    with pytest.raises(UsageError, match="cv2 is not installed; install it with: pip install"):
+        job.shoot(plan, lambda progress: None, never)
+    assert camera.lists == []
+
+
+def test_names_count_up_whatever_the_clock_shows(tmp_path: Path) -> None:
+    unset, later = datetime(1970, 1, 1, 0, 0, 9), datetime(2030, 5, 6, 7, 8, 9)
+    names = []
+    for now in (later, unset, unset, later):
+        folder = next_folder(tmp_path, now)
+        folder.mkdir()
+        (folder / "report.json").write_text('{"status": "complete"}')
+        names.append(folder.name)
+    assert names == [
+        "capture-0001-20300506-070809",
+        "capture-0002",
+        "capture-0003",
+        "capture-0004-20300506-070809",
+    ]
+    assert list_captures(tmp_path) == tuple(Past(name, True) for name in reversed(names))

@@ -6,6 +6,7 @@ import pytest
 from camctl.errors import DataError, UsageError
 from camctl.response.camera import (
     CameraResponse,
+    FloatArray,
     linear_response,
     named_response,
     standard_response,
@@ -33,6 +34,26 @@ def test_standard_responses_invert_their_formulas(
 ) -> None:
     level = int(brightness * 256) - 1
     assert standard_response(name, 8).levels[level] == pytest.approx(irradiance, rel=1e-9)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.5, 0.999])
+@pytest.mark.parametrize("bits", [8, 12, 13, 14, 15, 16])
+def test_rec709_levels_are_where_the_printed_formula_reaches_them(bits: int, phase: float) -> None:
+    """Its constants are rounded: brightness jumps from 0.0810 to 0.0812 at irradiance 0.018."""
+
+    def brightness(E: FloatArray) -> FloatArray:
+        return np.where(E < 0.018, 4.5 * E, 1.099 * E**0.45 - 0.099)
+
+    levels = standard_response("rec709", bits, phase=phase).levels
+    wanted = (np.arange(1, 2**bits) - phase) / 2**bits
+    assert np.all(np.diff(levels) >= 0)
+    assert np.all(brightness(levels * (1 + 1e-12)) >= wanted)
+    assert np.all(brightness(levels * (1 - 1e-12)) < wanted)
+
+
+def test_rec709_levels_that_the_jump_skips_coincide() -> None:
+    assert np.count_nonzero(standard_response("rec709", 16).levels == 0.018) == 16
+    assert np.count_nonzero(standard_response("rec709", 8).levels == 0.018) == 0
 
 
 def test_unknown_standard_suggests_similar_names() -> None:

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import mpmath
 import numpy as np
 import pytest
 
 from camctl.errors import DataError, UsageError
-from camctl.response.desired import desired_response, tabulated_desired
+from camctl.response.desired import desired_response
+from camctl.response.tabulated import tabulated_desired
 
 
 @pytest.mark.parametrize(
@@ -41,6 +43,39 @@ def test_any_gamma_follows_its_formula(gamma: float) -> None:
     E = np.linspace(0.01, 1, 200)
     expected = (E**gamma - 0.01**gamma) / (1 - 0.01**gamma)
     np.testing.assert_allclose(desired.u(E), expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("gamma", [0.01, 0.45, 0.5, 1 - 1e-9, 1 + 1e-7, 2.2, 50.0, 100.0])
+@pytest.mark.parametrize("dynamic_range", [1.001, 1000.0, 1e7, 1e12])
+def test_rise_of_any_gamma_is_exact_over_any_range(gamma: float, dynamic_range: float) -> None:
+    """At gamma 100 and 1:10^7, e_min^gamma is 10^-700: far below the smallest float."""
+    desired = desired_response("gamma", dynamic_range, gamma=gamma)
+    power = np.random.default_rng(1).random((50, 2))
+    a, b = np.sort(desired.e_min**power, axis=1).T
+    b[:10] = np.minimum(a[:10] * (1 + 1e-14), 1.0)
+    with mpmath.workdps(50):
+        q = mpmath.mpf(gamma)
+        span = 1 - mpmath.mpf(desired.e_min) ** q
+        exact = [
+            float((mpmath.mpf(high) ** q - mpmath.mpf(low) ** q) / span)
+            for low, high in zip(a.tolist(), b.tolist(), strict=True)
+        ]
+    # 1 - e_min^gamma loses three digits at a range of 1.001, where e_min itself is rounded.
+    np.testing.assert_allclose(desired.rise(a, b), exact, rtol=1e-12, atol=1e-290)
+    np.testing.assert_allclose(desired.u(desired.inverse(power)), power, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("gamma", [0.01, 0.999, 1.001, 100.0])
+def test_a_slope_that_no_irradiance_has_overflows_silently(gamma: float) -> None:
+    found = desired_response("gamma", 1e7, gamma=gamma).inverse_slope(np.array([1e-300, 1e300]))
+    assert not np.isnan(found).any()
+
+
+@pytest.mark.parametrize("dynamic_range", [1e13, 1e308])
+@pytest.mark.parametrize("name", ["linear", "gamma", "log"])
+def test_dynamic_range_is_limited(name: str, dynamic_range: float) -> None:
+    with pytest.raises(UsageError, match="expected a number above 1, at most 1,000,000,000,000"):
+        desired_response(name, dynamic_range)
 
 
 def test_gammas_have_different_keys() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camctl.errors import DataError, UsageError
-from camctl.exposure.objective import evaluate
+from camctl.exposure.evaluation import evaluate
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.response.camera import FloatArray, linear_response
 from camctl.response.desired import desired_response
@@ -107,7 +107,7 @@ def test_missing_and_binary_curve_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"cannot read curve .*none.txt: No such file"):
         read_curve(tmp_path / "none.txt", bits=8)
     (tmp_path / "binary").write_bytes(b"\xff\x00\xfe")
-    with pytest.raises(DataError, match=r"cannot read curve .*binary: not a text file"):
+    with pytest.raises(DataError, match=r"cannot read curve .*binary: it is not a text file"):
         read_curve(tmp_path / "binary", bits=8)
 
 
@@ -168,6 +168,7 @@ def test_response_of_the_empirical_model(tmp_path: Path) -> None:
         ("E = 0 1\nf0 = 0 0.5 1\n", "block 'f0' has 3 numbers, expected 2"),
         ("E = 0 1\nf0 = 0 x\n", "line 2: '0 x' is not a row of numbers"),
         ("0 1\n", "line 1: numbers come before the first heading"),
+        ("E = 0 1\nh(" + "9" * 5000 + ") = 0 1\n", "line 2: 'h.9+' is not a row of numbers"),
     ],
 )
 def test_damaged_response_models_are_refused(tmp_path: Path, text: str, message: str) -> None:

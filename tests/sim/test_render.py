@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,6 +14,7 @@ from hypothesis import strategies as st
 from camctl.camera import Pixels
 from camctl.controls import Layout
 from camctl.errors import UsageError
+from sim.effects.budget import plan_frame
 from sim.noise import TILE
 from sim.render import Renderer
 from sim.scenes.scene import Scene, load_scene
@@ -20,6 +23,7 @@ from sim.sensors import parts
 from sim.sensors.sensor import Sensor, load_sensor, sensor_names
 
 STANDARD = load_sensor("standard")
+LEFT_OUT = ((), ("veiling glare", "PRNU"), ("point spread", "DSNU"))
 
 
 def frame_of(
@@ -32,11 +36,12 @@ def frame_of(
 def test_a_frame_depends_on_seed_and_number_but_not_on_threads(name: str) -> None:
     scene, sensor = load_scene("ball", (201, 307)), load_sensor(name)
     view = View.of(scene, sensor)
-    one, two = (Renderer(view, sensor, seed=5, threads=n).frame(0.01, 1.0, 0) for n in (1, 2))
+    time_s = min(0.01, sensor.full_well_e * 1e-6)
+    one, two = (Renderer(view, sensor, seed=5, threads=n).frame(time_s, 1.0, 0) for n in (1, 2))
     assert np.array_equal(one, two)
-    assert np.array_equal(one, frame_of(scene, sensor, seed=5))
-    other_seed = frame_of(scene, sensor, seed=6)
-    other_frame = frame_of(scene, sensor, seed=5, number=1)
+    assert np.array_equal(one, frame_of(scene, sensor, time_s, seed=5))
+    other_seed = frame_of(scene, sensor, time_s, seed=6)
+    other_frame = frame_of(scene, sensor, time_s, seed=5, number=1)
     assert np.array_equal(one, other_seed) is not sensor.photon_noise
     assert np.array_equal(one, other_frame) is not sensor.photon_noise
 
@@ -216,3 +221,41 @@ def test_the_well_clips_before_the_gain() -> None:
             sensor.black + sensor.phase + sensor.full_well_e * gain / sensor.electrons_per_dn
         )
         assert frame.tolist() == [expected, expected]
+
+
+@pytest.mark.parametrize("scene", ["ball", "moving-target", "night-street"])
+@pytest.mark.parametrize("sensor", ["complete", "mobile", "ccd"])
+def test_frames_are_the_same_whatever_is_kept_between_them(scene: str, sensor: str) -> None:
+    """With no cache, with one that is full before all is kept, and with all kept."""
+    chosen = load_sensor(sensor)
+    view = View.of(load_scene(scene, (60, 90)), chosen)
+    frames = []
+    for cache_bytes in (0, 30_000, 1 << 28):
+        renderer = Renderer(view, chosen, seed=3, threads=1, cache_bytes=cache_bytes)
+        taken = []
+        for number, time_s in enumerate((0.002, 0.02, 0.5, 0.02)):
+            shot = renderer.shot(time_s, 1.0, number, start_s=number / 30)
+            plans = [plan_frame(shot, 0.0, left_out=names) for names in LEFT_OUT]
+            taken += [renderer.expose(shot, plan) for plan in plans]
+        frames.append(taken)
+        assert renderer.cached_bytes <= cache_bytes
+    for others in frames[1:]:
+        assert all(np.array_equal(a, b) for a, b in zip(frames[0], others, strict=True))
+
+
+def test_the_light_of_a_scene_at_rest_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    sensor = load_sensor("complete")
+    calls = []
+    blur = cv2.sepFilter2D
+
+    def counted(*args: Any, **kwargs: Any) -> Any:
+        calls.append(args)
+        return blur(*args, **kwargs)
+
+    monkeypatch.setattr(cv2, "sepFilter2D", counted)
+    for name, computed in (("ball", 1), ("moving-target", 3)):
+        calls.clear()
+        renderer = Renderer(View.of(load_scene(name, (40, 60)), sensor), sensor)
+        for number in range(3):
+            renderer.frame(0.01, 1.0, number)
+        assert len(calls) == 2 * computed  # glare and point spread

@@ -84,8 +84,8 @@ def test_frame_has_the_size_of_a_radiance_map(tmp_path: Path) -> None:
         ({"tolerance": "-1"}, UsageError, "=-1; input should be greater than or equal to 0"),
         ({"tolerance": "nan"}, UsageError, "=nan; input should be a finite number"),
         ({"tolerance": "x"}, UsageError, "=x; input should be a valid number"),
-        ({"scene": "no-such.hdr"}, DataError, "no such file"),
-        ({"sensor": "no-such.json"}, DataError, "no such file"),
+        ({"scene": "no-such.hdr"}, DataError, "No such file"),
+        ({"sensor": "no-such.json"}, DataError, "No such file"),
     ],
 )
 def test_invalid_options_raise_one_line(

@@ -9,10 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.controls import ExposureSetting
+from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
 from camctl.errors import CameraProtocolError, CameraTimeoutError, RefusedSettingError
 from camctl.profile import DelayRecord
-from camctl.streaming import ControlDelay, DelayOrigin, ExposurePipeline, FrameStamp, Written
+from camctl.streaming import (
+    ControlDelay,
+    DelayOrigin,
+    ExposurePipeline,
+    FrameStamp,
+    Written,
+    resting_setting,
+)
 
 POWER_ON_S = 0.5
 
@@ -106,6 +113,45 @@ def test_n_settings_take_n_plus_d_frames(times_s: list[float], delay: int) -> No
     assert [shot.time_s for shot in shots] == [float(delay + i) for i in range(len(times_s))]
     assert source.frames == len(times_s) + delay
     assert source.writes == list(range(len(times_s)))
+
+
+@pytest.mark.parametrize(
+    "delay", [constant(0), constant(3), ControlDelay(3, 3), ControlDelay(1, 3)], ids=str
+)
+def test_the_next_list_waits_for_no_long_frames(delay: ControlDelay) -> None:
+    """The stream goes on with a short time after a list that ended with the longest one."""
+    source = Numbered(lambda _: delay.largest)
+    shooting = pipeline(source, delay).shoot(settings_of([1.0, 5.0, 60.0]), ExposureSetting(1.0))
+    assert [shot.data for shot in shooting] == [1, 5, 60]
+    again = [source.next_frame() and source.read() for _ in range(delay.largest + 3)]
+    longest = 0 if delay.frames is not None else delay.largest + 1
+    assert again[longest:] == [1.0] * (len(again) - longest)
+
+
+@given(times, st.integers(0, 6))
+def test_the_stream_rests_after_the_last_setting_at_no_cost(
+    times_s: list[float], delay: int
+) -> None:
+    source = Numbered(lambda _: delay)
+    rest = ExposureSetting(0.25)
+    shots = list(pipeline(source, constant(delay)).shoot(settings_of(times_s), rest))
+    assert [shot.data for shot in shots] == times_s
+    assert source.frames == len(times_s) + delay
+    # It is written in the slot after that of the last setting, and in force in the next frames;
+    # without a delay there is a frame between.
+    source.next_frame()
+    if delay == 0:
+        source.next_frame()
+    assert source.read() == rest.time_s
+
+
+def test_a_stream_rests_only_after_frames_longer_than_its_interval() -> None:
+    controls = ExposureControls(
+        Steps(0.001, 60.0), (4, 4), Layout.MONO, 8, white=255, frame_interval_s=0.04
+    )
+    assert resting_setting(controls, []) is None
+    assert resting_setting(controls, settings_of([2.0, 0.04])) is None
+    assert resting_setting(controls, settings_of([0.01, 2.0])) == ExposureSetting(0.02)
 
 
 @given(

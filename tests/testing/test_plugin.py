@@ -155,7 +155,7 @@ def test_loading_the_plugin_imports_neither_numpy_nor_the_simulator(
 @pytest.mark.parametrize("faults", [{"unplug_after": 2}, Faults(unplug_after=2)])
 def test_faults_are_options_of_the_simulated_camera(faults: object) -> None:
     assert SimulatedOptions.parse({"faults": faults}).faults == Faults(unplug_after=2)
-    with pytest.raises(UsageError, match="invalid camera option faults=2; input should be"):
+    with pytest.raises(UsageError, match="invalid fault '2'; known are unplug@FRAME"):
         SimulatedOptions.parse({"faults": "2"})
 
 

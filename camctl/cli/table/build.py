@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import signal
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +12,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.output import print_json, print_text, print_warning, progress_bar
+from camctl.cli.output import print_json, print_text, print_warning, progress_bar, visible
 from camctl.cli.parameter_types import PATH, DynamicRange, ListOf, WholeNumber
 from camctl.cli.response_options import (
     RESPONSE,
@@ -23,6 +21,10 @@ from camctl.cli.response_options import (
     real_camera_options,
 )
 from camctl.errors import CamctlError, StorageError
+
+
+class LostWorkerError(CamctlError):
+    """A process that solved rows was ended, such as by the system for lack of memory."""
 
 
 class InterruptedBuildError(CamctlError):
@@ -134,7 +136,10 @@ def build(
     the table: after an interruption, the same command continues.
     """
     from camctl.exposure.build import build_table, table_jobs
+    from camctl.files import check_replaceable
+    from camctl.studies.parallel import processes
 
+    check_replaceable(output)
     if output.exists() and not force:
         raise StorageError(f"{output} exists", hint="choose another file with -o, or add --force")
     real = real_camera.response()
@@ -150,10 +155,11 @@ def build(
 
     finished_rows = output.with_name(f"{output.name}.parts")
     counts = range(1, content.count + 1)
+    count = min(workers or os.cpu_count() or 1, content.rows)
     try:
         with (
             progress_bar(f"solving {content.rows} rows") as bar,
-            _processes(min(workers or os.cpu_count() or 1, content.rows)) as executor,
+            nullcontext() if count == 1 else processes(count) as executor,
         ):
             table = build_table(
                 table_jobs(real, content.responses, content.ranges, counts, seed=seed),
@@ -161,9 +167,11 @@ def build(
                 state=finished_rows,
                 progress=count_rows,
             )
-    except KeyboardInterrupt:
-        raise InterruptedBuildError(
-            f"interrupted after {done} of {content.rows} rows",
+    except (KeyboardInterrupt, BrokenExecutor) as error:
+        is_lost = isinstance(error, BrokenExecutor)
+        what = "a worker process was ended" if is_lost else str(error) or "interrupted"
+        raise (LostWorkerError if is_lost else InterruptedBuildError)(
+            f"{what} after {done} of {content.rows} rows",
             hint=f"the same command continues, with the rows kept in {finished_rows}"
             if done
             else "",
@@ -173,36 +181,6 @@ def build(
         print_json({"file": output, "entries": [entry.model_dump() for entry in table.entries]})
     else:
         print_text(
-            f"wrote {output}: {content.rows} rows for {real.name}\n"
-            f"show it with: camctl table show --table {output}"
+            f"wrote {visible(output)}: {content.rows} rows for {visible(real.name)}\n"
+            f"show it with: camctl table show --table {visible(output)}"
         )
-
-
-@contextmanager
-def _processes(count: int) -> Iterator[Executor | None]:
-    """Yield an executor of `count` processes; None for one, which is this process."""
-    if count == 1:
-        yield None
-        return
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    pool = ProcessPoolExecutor(
-        count,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),  # Control-C is handled by this process
-    )
-    try:
-        yield pool
-    except BaseException:
-        # First the pool drops the waiting rows: its thread would otherwise report each of
-        # them as lost with the processes, and fail on those that `build_table` has cancelled.
-        pool.shutdown(wait=False, cancel_futures=True)
-        children = multiprocessing.active_children()
-        for child in children:
-            child.terminate()  # a row may take long, and its result is not needed any more
-        for child in children:
-            child.join()
-        raise
-    pool.shutdown()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,9 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.noise_options import KnownCamera, NoiseOptions, noise_options
 from camctl.cli.output import (
+    NOISE_UNKNOWN,
     format_number,
     format_range,
     format_table,
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
         ("camctl table show", "all rows of the built-in table"),
         ("camctl table show --response log --range high", "some of them"),
         ("camctl table show --table ten-bit.json --json", "a table of your own, for a script"),
+        ("camctl table show --electrons 40", "with the noise of a camera of 40 electrons a level"),
         ("camctl table show -n 3 --sensitivity", "with exposure errors and noise"),
     ),
 )
@@ -72,34 +76,38 @@ if TYPE_CHECKING:
     "of 8 bits.",
 )
 @real_camera_options
+@noise_options
 @options.as_json
-@click.pass_context
 def show(
-    context: click.Context,
     path: Path | None,
     response: str | None,
     dynamic_range: float | None,
     count: int | None,
     sensitivity: bool,
     real_camera: RealCameraOptions,
+    noise: NoiseOptions,
     as_json: bool,
 ) -> None:
     """Show the exposures in the table, how long they take and how good they are.
 
     Each row is for one camera, response, dynamic range and number of exposures. With --bits,
-    --phase or --curve only rows of that camera are shown.
+    --phase or --curve, or with --sensor or --camera, only rows of that camera are shown. Where the
+    noise is known (--sensor, --camera, --electrons, --read-noise), effective levels count it in.
+    The built-in table has exposures chosen by xi, and for some sensors (standard, webcam, consumer,
+    phone, machine-vision) others chosen by accuracy with their noise.
     """
     from camctl.exposure.table import ExposureTable, default_table
 
     found = default_table() if path is None else ExposureTable.load(path)
-    real = None
-    if options.given(context) & {"bits", "phase", "curve", "coefficients"}:
-        real = real_camera.response()
-        if all(entry.camera != real.fingerprint for entry in found.entries):
-            name = "the built-in table" if path is None else f"table {path}"
-            raise DataError(
-                f"{name} has no row for {real.name}", hint="build one with camctl table build"
-            )
+    camera = noise.camera(real_camera)
+    real = camera.response if noise.names_camera else None
+    if path is None and not sensitivity:
+        found = ExposureTable((*found.entries, *_chosen_by_accuracy(camera)))
+    if real is not None and all(entry.camera != real.fingerprint for entry in found.entries):
+        name = "the built-in table" if path is None else f"table {path}"
+        raise DataError(
+            f"{name} has no row for {real.name}", hint="build one with camctl table build"
+        )
     entries = [
         entry
         for entry in found.entries
@@ -114,27 +122,104 @@ def show(
             hint="camctl solve finds exposures for any response, range and number",
         )
     robustness = _robustness(entries, real) if sensitivity else []
+    levels = _effective_levels(entries, camera, real)
     if as_json:
-        rows = [entry.model_dump() for entry in entries]
+        rows = [
+            entry.model_dump()
+            | {
+                "chosen_by": _chosen_by(entry),
+                "effective_levels": with_noise,
+                "effective_levels_noise_free": _noise_free(entry),
+            }
+            for entry, with_noise in zip(entries, levels, strict=True)
+        ]
         for row, each in zip(rows, robustness, strict=False):
             row["sensitivity"] = sensitivity_json(each)
-        print_json({"entries": rows})
+        print_json({"entries": rows, "noise": camera.noise_json()})
     else:
-        print_text(sensitivity_table(entries, robustness) if robustness else _rows_text(entries))
+        noise_known = camera.noise is not None
+        text = (
+            sensitivity_table(entries, robustness)
+            if robustness
+            else _rows_text(entries, levels, noise_known=noise_known)
+        )
+        print_text(f"{text}\n{_hint(entries, camera)}" if path is None else text)
+
+
+def _chosen_by_accuracy(camera: KnownCamera) -> list[TableEntry]:
+    """Return the built-in rows chosen by accuracy with the noise of a camera, at gain 1."""
+    if camera.noise is None:
+        return []
+    from camctl.exposure.accuracy_lookup import accuracy_jobs
+    from camctl.exposure.exposure_choices import AccuracyProblem
+    from camctl.exposure.table import accuracy_rows
+    from camctl.response.desired import RANGES, RESPONSES, desired_response
+
+    problems = [
+        AccuracyProblem(
+            camera.response, desired_response(name, span), camera.noise, black=camera.black
+        )
+        for name in RESPONSES
+        for span in RANGES
+    ]
+    rows = accuracy_rows()
+    return [rows[job.key] for job in accuracy_jobs(problems) if job.key in rows]
+
+
+def _chosen_by(entry: TableEntry) -> str:
+    return "xi" if entry.accuracy is None else "accuracy"
+
+
+def _noise_free(entry: TableEntry) -> float:
+    """Return the effective levels of a row without noise."""
+    counted = entry.effective_levels_noise_free
+    return entry.effective_levels if counted is None else counted
+
+
+def _hint(entries: list[TableEntry], camera: KnownCamera) -> str:
+    """Return how to see exposures chosen by accuracy, where there are none."""
+    if any(entry.accuracy is not None for entry in entries):
+        return "chosen by accuracy: least error with the noise of this camera, at gain 1"
+    if camera.noise is None:
+        return "exposures chosen by accuracy belong to a camera's noise: name one with --sensor"
+    return "this table has no exposures chosen by accuracy for this noise: see camctl solve --help"
+
+
+def _effective_levels(
+    entries: list[TableEntry], camera: KnownCamera, real: CameraResponse | None
+) -> list[float]:
+    """Return the effective levels of each row, with the camera's noise where it is known."""
+    from camctl.response.desired import desired_response
+
+    if camera.noise is None:
+        return [entry.effective_levels for entry in entries]
+    cameras = _cameras(entries, real)
+    return [
+        entry.effective_levels
+        if entry.accuracy is not None
+        else replace(camera, response=cameras[entry.camera])
+        .rate(desired_response(entry.response, entry.dynamic_range), entry.exposures)
+        .effective_levels
+        for entry in entries
+    ]
+
+
+def _cameras(entries: list[TableEntry], real: CameraResponse | None) -> dict[str, CameraResponse]:
+    """Return the camera of each fingerprint in the rows; without `real`, found by its levels."""
+    by_camera = {entry.camera: entry for entry in entries}
+    return {key: real or _linear_camera(entry) for key, entry in by_camera.items()}
 
 
 def _robustness(entries: list[TableEntry], real: CameraResponse | None) -> list[Robustness]:
-    """Return the robustness of each row; without `real`, for the camera found by its levels."""
+    """Return the robustness of each row."""
     from camctl.exposure.robustness import sensitivity
     from camctl.response.desired import desired_response
 
     robustness = []
     exposures = sum(entry.n for entry in entries)
+    cameras = _cameras(entries, real)
     with progress_bar(f"computing {len(entries)} rows") as bar:
-        cameras: dict[str, CameraResponse] = {}
         for entry in entries:
-            if entry.camera not in cameras:
-                cameras[entry.camera] = real or _linear_camera(entry)
             robustness.append(
                 sensitivity(
                     cameras[entry.camera],
@@ -156,12 +241,12 @@ def _linear_camera(entry: TableEntry) -> CameraResponse:
             if real.fingerprint == entry.camera:
                 return real
     raise UsageError(
-        f"--sensitivity needs the response of the camera {entry.camera_name}",
+        f"the response of the camera {entry.camera_name} is unknown",
         hint="give --bits, --phase and --curve as when the table was built",
     )
 
 
-def _rows_text(entries: list[TableEntry]) -> str:
+def _rows_text(entries: list[TableEntry], levels: list[float], *, noise_known: bool) -> str:
     cameras = dict.fromkeys(entry.camera_name for entry in entries)
     blocks = []
     for name in cameras:
@@ -170,19 +255,25 @@ def _rows_text(entries: list[TableEntry]) -> str:
                 entry.response,
                 format_range(entry.dynamic_range),
                 str(entry.n),
-                format_number(entry.effective_levels, 4),
+                _chosen_by(entry),
+                format_number(with_noise, 4),
+                f"with noise, {format_number(_noise_free(entry), 4)} without"
+                if noise_known
+                else NOISE_UNKNOWN,
                 f"{format_number(entry.xi, 5)} of {format_number(entry.levels_wanted)}",
                 format_number(entry.total_exposure, 4),
                 "  ".join(map(format_number, entry.exposures)),
             )
-            for entry in entries
+            for entry, with_noise in sorted(
+                zip(entries, levels, strict=True), key=lambda pair: _place(pair[0])
+            )
             if entry.camera_name == name
         ]
         headings = (
-            *("response", "range", "n", "effective levels", "missing (xi)", "total time"),
-            "exposures",
+            *("response", "range", "n", "chosen by", "effective levels"),
+            *("", "missing (xi)", "total time", "exposures"),
         )
-        text = format_table(headings, rows, right_aligned=(1, 2, 3, 4, 5))
+        text = format_table(headings, rows, right_aligned=(1, 2, 4, 6, 7))
         blocks.append(f"camera: {name}\n\n{text}")
     legend = (
         "effective levels: equal steps of brightness that would be as accurate; "
@@ -190,3 +281,12 @@ def _rows_text(entries: list[TableEntry]) -> str:
         "exposures and their total time are relative to the shortest exposure"
     )
     return "\n\n".join([*blocks, legend])
+
+
+def _place(entry: TableEntry) -> tuple[int, float, int]:
+    """Return the order of rows: by response, range and number of exposures."""
+    from camctl.response.desired import RESPONSES
+
+    names = list(RESPONSES)
+    is_known = entry.response in names
+    return (names.index(entry.response) if is_known else -1, entry.dynamic_range, entry.n)

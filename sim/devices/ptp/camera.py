@@ -5,31 +5,22 @@ USB still image capture device class 1.0: section 4 for descriptors, section 5 f
 
 from __future__ import annotations
 
-import random
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
-from camctl.controls import Layout
-from camctl.errors import UsageError
 from sim.devices.clock import DeviceClock
 from sim.devices.common import VirtualSensor
-from sim.devices.ptp.canon import CanonResponder
-from sim.devices.ptp.config import Identity, PtpConfig, WireFaultCommands, WireFaults
-from sim.devices.ptp.nikon import NikonResponder
+from sim.devices.ptp.config import Identity, PtpConfig
+from sim.devices.ptp.device import Command, PtpDevice, identity_of
 from sim.devices.ptp.protocol import (
     HEADER,
     Container,
-    Operation,
     Reply,
     Response,
     pack_container,
     pack_parameters,
 )
-from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.sony import SonyResponder
-from sim.devices.still_body import BodyOptions, StillBody, StillFaultCommands
 from sim.devices.usb.device import IN, STALL, ControlReply, UsbDevice
 
 BULK_IN, BULK_OUT, EVENTS = 1, 2, 3  # numbers of the endpoints
@@ -44,21 +35,6 @@ _MOST_PARAMETERS = 5
 _MOST_EVENTS = 64  # queued for a host that reads none; newer ones are lost
 _MOST_REPLIES = 8  # queued for a host that reads none; then all are discarded
 _UNREAD_S, _READ_POLL_S = 2.0, 0.005  # time for the host to read before an unplugging
-_GARBAGE_BYTES = 37
-
-RESPONDERS: dict[str, type[Responder]] = {
-    "none": Responder,
-    "nikon": NikonResponder,
-    "canon": CanonResponder,
-    "sony": SonyResponder,
-}
-_OBJECT_OPERATIONS = (
-    Operation.GET_OBJECT,
-    Operation.GET_PARTIAL_OBJECT,
-    Operation.EOS_GET_OBJECT,
-    Operation.EOS_GET_PARTIAL_OBJECT,
-)
-_NEVER_BUSY = (Operation.GET_DEVICE_INFO, Operation.OPEN_SESSION, Operation.CLOSE_SESSION)
 
 
 def device_descriptor(identity: Identity) -> bytes:
@@ -77,14 +53,7 @@ def configuration_descriptor() -> bytes:
     return struct.pack("<BBHBBBBB", 9, 2, 9 + len(parts), 1, 1, 0, 0xC0, 1) + parts
 
 
-@dataclass(frozen=True)
-class _Command:
-    code: int
-    transaction: int
-    parameters: tuple[int, ...]
-
-
-class PtpCamera(WireFaultCommands, StillFaultCommands, UsbDevice):
+class PtpCamera(PtpDevice, UsbDevice):
     """The camera on USB; `make` builds one from a configuration.
 
     Args:
@@ -96,23 +65,15 @@ class PtpCamera(WireFaultCommands, StillFaultCommands, UsbDevice):
     def __init__(
         self, config: PtpConfig, sensor: VirtualSensor, clock: DeviceClock | None = None
     ) -> None:
-        kind = RESPONDERS[config.vendor]
-        identity = kind.identity
+        identity = identity_of(config)
         self.strings = ("", identity.make, identity.model, config.serial)
         self.device_descriptor = device_descriptor(identity)
         self.configuration_descriptor = configuration_descriptor()
-        super().__init__(clock=clock)
+        UsbDevice.__init__(self, clock=clock)
         if config.zlp == "never":
             self.zero_length.discard(BULK_IN)
-        options = BodyOptions("VIRT", delay_s=config.delay_s, object_bytes=config.object_bytes)
-        self.body = StillBody(sensor, self.lock, self.clock, options)
-        self.responder = kind(self.body, config, self._send_event, self._reply_later)
-        self.faults = WireFaults()
-        self._config = config
-        self._random = random.Random(0)
+        self.make_body(config, sensor)
         self._buffer = bytearray()
-        self._command: _Command | None = None  # that waits for its data phase
-        self._unanswered: _Command | None = None  # whose reply is sent later
         self._is_stalled = False
 
     # What the host sends.
@@ -125,7 +86,7 @@ class PtpCamera(WireFaultCommands, StillFaultCommands, UsbDevice):
             if self._is_stalled:
                 halted = struct.pack("<II", BULK_IN | IN, BULK_OUT)
                 return struct.pack("<HH", 12, Response.TRANSACTION_CANCELLED) + halted
-            is_busy = self.body.is_exposing and not self._config.overlap
+            is_busy = self.body.is_exposing and not self.config.overlap
             return struct.pack("<HH", 4, Response.DEVICE_BUSY if is_busy else Response.OK)
         if (request_type, request) == (0x21, _RESET):
             self._cancel()
@@ -144,16 +105,16 @@ class PtpCamera(WireFaultCommands, StillFaultCommands, UsbDevice):
         while len(self._buffer) >= HEADER.size:
             length, kind, code, transaction = HEADER.unpack_from(self._buffer)
             if not self._is_valid(length, kind):
-                self._stall()
+                self.refuse_transfers()
                 return
             if len(self._buffer) < length:
                 return
             body = bytes(self._buffer[HEADER.size : length])
             del self._buffer[:length]
             if kind == Container.COMMAND:
-                self._process_command(code, transaction, body)
+                self.begin_command(code, transaction, struct.unpack(f"<{len(body) // 4}I", body))
             else:
-                self._process_data(body)
+                self.take_data(body)
 
     def halt_cleared(self, endpoint: int) -> None:
         """Leave the stalled state."""
@@ -170,36 +131,7 @@ class PtpCamera(WireFaultCommands, StillFaultCommands, UsbDevice):
             return HEADER.size <= length <= HEADER.size + 4 * _MOST_PARAMETERS and length % 4 == 0
         return kind == Container.DATA and HEADER.size <= length <= _LARGEST_CONTAINER
 
-    def _process_command(self, code: int, transaction: int, body: bytes) -> None:
-        parameters = struct.unpack(f"<{len(body) // 4}I", body)
-        self._command = _Command(code, transaction, parameters)
-        if code not in self.responder.takes_data or code not in self.responder.operations:
-            self._execute(b"")
-
-    def _process_data(self, body: bytes) -> None:
-        if self._command is not None:  # else the operation has been refused already
-            self._execute(body)
-
-    def _execute(self, data: bytes) -> None:
-        command, self._command = self._command, None
-        assert command is not None
-        if self.faults.is_hanging:
-            return
-        if self.faults.stalls > 0:
-            self.faults.stalls -= 1
-            self._stall()
-            return
-        if self.faults.busy and command.code not in _NEVER_BUSY:
-            self.faults.busy -= self.faults.busy > 0
-            self._reply(command, Reply(Response.DEVICE_BUSY))
-            return
-        self._unanswered = command
-        reply = self.responder.execute(command.code, command.transaction, command.parameters, data)
-        if reply is not None:
-            self._unanswered = None
-            self._reply(command, reply)
-
-    def _stall(self) -> None:
+    def refuse_transfers(self) -> None:
         """Halt both bulk endpoints."""
         self._cancel()
         self._is_stalled = True
@@ -209,28 +141,29 @@ class PtpCamera(WireFaultCommands, StillFaultCommands, UsbDevice):
     def _cancel(self) -> None:
         """Cancel the current operation and discard what has not been read."""
         self._buffer.clear()
-        self._command = self._unanswered = None
+        self.drop_command()
         self.flush(BULK_IN)
 
     # What the camera sends.
 
-    def _reply_later(self, reply: Reply) -> None:
-        command, self._unanswered = self._unanswered, None
-        if command is not None:  # else the operation has been cancelled
-            self._reply(command, reply)
-
-    def _send_event(self, code: int, parameters: Sequence[int]) -> None:
+    def send_event(self, code: int, parameters: Sequence[int]) -> None:
+        """Send an event; lost if the host reads none."""
         if self.pending(EVENTS) < _MOST_EVENTS:
             body = pack_parameters(parameters)
             self.send(EVENTS, pack_container(Container.EVENT, code, _NO_TRANSACTION, body))
 
-    def _reply(self, command: _Command, reply: Reply) -> None:
+    def send_bytes(self, data: bytes) -> None:
+        """Send bytes that are no container."""
+        self._make_room()
+        self.send(BULK_IN, data)
+
+    def _make_room(self) -> None:
         if self.pending(BULK_IN) >= _MOST_REPLIES:
             self.flush(BULK_IN)
-        if self.faults.garbage > 0:
-            self.faults.garbage -= 1
-            self.send(BULK_IN, self._random.randbytes(_GARBAGE_BYTES))
-            return
+
+    def send_reply(self, command: Command, reply: Reply) -> None:
+        """Send data and response."""
+        self._make_room()
         if reply.data is not None and not self._send_data(command, reply.data):
             return
         body = pack_parameters(reply.parameters)
@@ -240,21 +173,19 @@ class PtpCamera(WireFaultCommands, StillFaultCommands, UsbDevice):
         if reply.sent is not None:
             reply.sent()
 
-    def _send_data(self, command: _Command, data: bytes) -> bool:
+    def _send_data(self, command: Command, data: bytes) -> bool:
         """Send a data phase; return whether a response follows."""
         header = HEADER.pack(
             HEADER.size + len(data), Container.DATA, command.code, command.transaction
         )
-        is_object = command.code in _OBJECT_OPERATIONS
-        if is_object and self.faults.unplug_after is not None:
+        if command.is_of_object and self.faults.unplug_after is not None:
             self._send_and_unplug(header + data, self.faults.unplug_after)
             return False
-        if is_object and self.faults.truncations > 0:
-            self.faults.truncations -= 1
-            half = (HEADER.size + len(data)) // 2
-            self.send(BULK_IN, (header + data)[: half - (half % PACKET == 0)])
+        half = self.cut_object(command, header + data)
+        if half is not None:
+            self.send(BULK_IN, half[: len(half) - (len(half) % PACKET == 0)])
             return self.faults.answers_truncated
-        if self._config.split_header and data:
+        if self.config.split_header and data:
             self.send(BULK_IN, header)
             self.send(BULK_IN, data)
         else:
@@ -284,41 +215,6 @@ class PtpCamera(WireFaultCommands, StillFaultCommands, UsbDevice):
 
         self.clock.call_at(self.clock.now() + _READ_POLL_S, check)
 
-    # Control commands.
-
-    def do_ok(self) -> None:
-        """End all faults."""
-        self.faults = WireFaults()
-        self.body.clear_faults()
-        self.responder.sends_events = self._config.event_order != "never"
-
-    def do_no_events(self) -> None:
-        """Send no events until the command ok."""
-        self.responder.sends_events = False
-
-    def do_mode(self, dial: Literal["manual", "auto"]) -> None:
-        """Turn the mode dial."""
-        with self.lock:
-            self.responder.turn_dial(dial)
-
-    def state(self) -> dict[str, Any]:
-        """Return properties by code, session, number of pictures, and counts of operations."""
-        with self.lock:
-            responder = self.responder
-            return {
-                "session": responder.session,
-                "properties": {f"{c:04X}": p.value for c, p in responder.properties.items()},
-                "pictures": responder.card.count,
-                "is_exposing": self.body.is_exposing,
-                **self.body.state(),
-                "operations": dict(responder.operation_counts),
-            }
-
-    def do_log(self) -> dict[str, Any]:
-        """Return the last operations and the last exposures."""
-        with self.lock:
-            return {"operations": list(self.responder.log), "shots": list(self.body.log)}
-
 
 def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> PtpCamera:
     """Return the camera of a configuration (`PtpConfig`).
@@ -327,9 +223,4 @@ def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> PtpCame
         UsageError, DataError: an option is unknown or invalid
     """
     options = PtpConfig.parse(config)
-    sensor = options.load_sensor()
-    if "dng" in "+".join(options.files) and sensor.layout is Layout.RGB:
-        raise UsageError(
-            "an RGB sensor has no raw file", hint="use jpeg or tiff, or a Bayer sensor"
-        )
-    return PtpCamera(options, sensor, clock)
+    return PtpCamera(options, options.load_picture_sensor(), clock)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 from sim.devices.ptp.config import Identity
@@ -39,22 +39,39 @@ _PROGRAM_MANUAL, _PROGRAM_AUTOMATIC = 3, 0
 _THIRDS = (0, 3, 5)
 SHUTTER_CODES = tuple(code for code in range(0x10, 0xA1) if code % _STEPS_A_STOP in _THIRDS)
 _TENTH_OF_SECOND = 0x53
+_OUTPUT_PC, _NOT_READY = 8, 1  # property D1B0; a result of the release
 _WAITING_RECORDS = 64
 
 
+def stops_of_code(code: int, zero: int) -> float:
+    """Return the stops from the code `zero`, a whole stop, to another code.
+
+    Codes count eighths; 3 and 5 stand for one and two thirds, which the cameras expose.
+    """
+    whole, eighths = divmod(code - zero, _STEPS_A_STOP)
+    thirds = _THIRDS.index(eighths) / 3 if eighths in _THIRDS else eighths / _STEPS_A_STOP
+    return whole + thirds
+
+
+def _code_of_stops(stops: float, zero: int) -> int:
+    """Return the code that is nearest to a number of stops, in thirds, from the code `zero`."""
+    whole, thirds = divmod(round(3 * stops), 3)
+    return zero + _STEPS_A_STOP * whole + _THIRDS[thirds]
+
+
 def time_of_code(code: int) -> float:
-    """Return the shutter time of a code, s: eighths of a stop from 1 s."""
-    return float(2.0 ** ((_ONE_SECOND - code) / _STEPS_A_STOP))
+    """Return the shutter time of a code, s."""
+    return float(2.0 ** -stops_of_code(code, _ONE_SECOND))
 
 
 def code_of_iso(iso: int) -> int:
-    """Return the code of a sensitivity: eighths of a stop from ISO 100."""
-    return _ISO_100 + round(_STEPS_A_STOP * math.log2(iso / 100))
+    """Return the code of a sensitivity."""
+    return _code_of_stops(math.log2(iso / 100), _ISO_100)
 
 
 def code_of_f_number(hundredths: int) -> int:
-    """Return the code of an f-number, in hundredths: eighths of a stop of light from f/1."""
-    return _F1 + round(2 * _STEPS_A_STOP * math.log2(hundredths / 100))
+    """Return the code of an f-number, in hundredths."""
+    return _code_of_stops(2 * math.log2(hundredths / 100), _F1)
 
 
 class CanonResponder(Responder):
@@ -68,17 +85,26 @@ class CanonResponder(Responder):
             Operation.INITIATE_CAPTURE,
             Operation.INITIATE_OPEN_CAPTURE,
             Operation.TERMINATE_OPEN_CAPTURE,
+            Operation.EOS_RELEASE_ON,
+            Operation.EOS_RELEASE_OFF,
         }
     )
     takes_data: ClassVar[frozenset[int]] = Responder.takes_data | {Operation.EOS_SET_PROPERTY}
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.EOS_SHUTTER,)
+    refusals: ClassVar[Mapping[str, Response]] = {
+        **Responder.refusals,
+        "playback": Response.CANON_REFUSED,
+        "movie": Response.CANON_REFUSED,
+        "lens": Response.CANON_LENS_COVER,
+    }
     program_code: ClassVar[int] = Property.EOS_PROGRAM
+    manual: ClassVar[int] = _PROGRAM_MANUAL
     events: ClassVar[tuple[int, ...]] = ()
 
     def make_properties(self) -> list[DeviceProperty]:
         """Return the battery level and Canon's properties."""
         config = self.config
-        is_manual = config.mode == "manual"
+        is_manual = config.mode != "auto"
         codes = (*([BULB] if config.bulb else []), *SHUTTER_CODES)
         items = [
             battery(),
@@ -95,6 +121,8 @@ class CanonResponder(Responder):
             DeviceProperty(Property.EOS_AVAILABLE_SHOTS, Type.UINT32, 999, is_writable=False),
             DeviceProperty(Property.EOS_DESTINATION, Type.UINT32, CARD, (CARD, HOST)),
         ]
+        if config.needs_output:
+            items.append(DeviceProperty(Property.EOS_OUTPUT, Type.UINT32, 0, (0, 1, 2, _OUTPUT_PC)))
         if config.isos:
             isos = tuple(dict.fromkeys(code_of_iso(iso) for iso in config.isos))
             items.append(DeviceProperty(Property.EOS_ISO, Type.UINT16, isos[0], isos))
@@ -111,7 +139,8 @@ class CanonResponder(Responder):
         """Return the standard operations without captures, and Canon's."""
         self._records: deque[bytes] = deque(maxlen=_WAITING_RECORDS)
         self._changed: set[int] = set()
-        self._is_remote = self._is_polled = False
+        self._is_remote, self._is_polled = not self.config.remote_mode, False
+        self._empty_polls = self.config.empty_polls
         card, when_ready = self.card, self.when_ready
         return {
             **super().make_operations(),
@@ -121,6 +150,8 @@ class CanonResponder(Responder):
             Operation.EOS_GET_PARTIAL_OBJECT: when_ready(self._get_part),
             Operation.EOS_GET_DEVICE_INFO: self._get_eos_info,
             Operation.EOS_RELEASE: self._release,
+            Operation.EOS_RELEASE_ON: self._release,
+            Operation.EOS_RELEASE_OFF: self._accept,
             Operation.EOS_SET_PROPERTY: self._set_eos_property,
             Operation.EOS_SET_REMOTE_MODE: self._set_remote_mode,
             Operation.EOS_SET_EVENT_MODE: self._set_event_mode,
@@ -136,7 +167,8 @@ class CanonResponder(Responder):
     def close_session(self) -> None:
         """End the session and remote mode."""
         super().close_session()
-        self._is_remote = self._is_polled = False
+        self._is_remote = not self.config.remote_mode
+        self._is_polled = False
 
     def turn_dial(self, mode: str) -> None:
         """Turn the mode dial; Canon numbers the modes differently."""
@@ -158,15 +190,22 @@ class CanonResponder(Responder):
         """Return the linear gain of the sensitivity that is set."""
         if Property.EOS_ISO not in self.properties:
             return 1.0
-        return float(2.0 ** ((self.properties.number(Property.EOS_ISO) - _ISO_100) / _STEPS_A_STOP))
+        return float(2.0 ** stops_of_code(self.properties.number(Property.EOS_ISO), _ISO_100))
 
     def light(self) -> float:
         """Return the share of the light that the aperture lets through, 1 for the widest."""
         aperture = self.properties.get(Property.EOS_APERTURE)
         if aperture is None:
             return 1.0
-        steps = self.properties.number(Property.EOS_APERTURE) - min(aperture.choices)
-        return float(2.0 ** (-steps / _STEPS_A_STOP))
+        widest, code = min(aperture.choices), self.properties.number(Property.EOS_APERTURE)
+        return float(2.0 ** (stops_of_code(widest, _F1) - stops_of_code(code, _F1)))
+
+    def f_number(self) -> float | None:
+        """Return the f-number that is set; None: the host cannot set one."""
+        if Property.EOS_APERTURE not in self.properties:
+            return None
+        code = self.properties.number(Property.EOS_APERTURE)
+        return float(2.0 ** (stops_of_code(code, _F1) / 2))
 
     def announce_changed(self, codes: Iterable[int]) -> None:
         """Record changed properties for the next poll."""
@@ -178,7 +217,7 @@ class CanonResponder(Responder):
             self.card.memory = {_HOST_HANDLE + i: stored(file, 0) for i, file in enumerate(files)}
             kind, items = Event.EOS_REQUEST_TRANSFER, self.card.memory
         else:
-            handles = [self.card.add(file) for file in files]
+            handles = self.card.add(files)
             kind, items = Event.EOS_OBJECT_ADDED, {h: self.card.objects[h] for h in handles}
         if self.sends_events:
             self._records.extend(_object_record(kind, handle, o) for handle, o in items.items())
@@ -204,7 +243,8 @@ class CanonResponder(Responder):
         return Reply(data=struct.pack("<I", 4 + len(lists)) + lists)
 
     def _set_remote_mode(self, parameters: Sequence[int], data: bytes) -> Reply:
-        self._is_remote = bool(parameters and parameters[0])
+        mode = parameters[0] if parameters else 0
+        self._is_remote = bool(mode) and mode == self.config.remote_mode
         return Reply()
 
     def _set_event_mode(self, parameters: Sequence[int], data: bytes) -> Reply:
@@ -215,7 +255,9 @@ class CanonResponder(Responder):
 
     def _get_events(self, parameters: Sequence[int], data: bytes) -> Reply:
         records = []
-        if self._is_polled:
+        if self._is_polled and self._empty_polls:
+            self._empty_polls -= 1
+        elif self._is_polled:
             for code in sorted(self._changed):
                 records += _property_records(self.properties[code])
             records += self._records
@@ -244,6 +286,8 @@ class CanonResponder(Responder):
             return Reply(Response.ACCESS_DENIED)
         if self.exposure_time_s() is None:
             return Reply(Response.GENERAL_ERROR)  # there are other operations for bulb
+        if self.config.needs_output and self.properties[Property.EOS_OUTPUT].value != _OUTPUT_PC:
+            return Reply(parameters=(_NOT_READY,))
         return _with_result(self.release())
 
     def _bulb_start(self, parameters: Sequence[int], data: bytes) -> Reply | None:

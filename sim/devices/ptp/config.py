@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from camctl.controls import Layout
 from camctl.errors import UsageError
-from sim.devices.common import Controllable, DeviceConfig
+from sim.devices.common import Controllable, DeviceConfig, VirtualSensor
+from sim.devices.ptp.body_facts import BodyFacts, load_body, manners_of
 from sim.devices.still_body import CARD_BYTES
 
 # The labels of a shutter dial in thirds of a stop, seconds.
@@ -59,6 +61,7 @@ class PtpConfig(DeviceConfig):
         files: the compression settings; property 5004 selects one of several, and "dng+jpeg"
             writes two files per exposure
         delay_s: from the end of an exposure until its files are on the card
+        noise_reduction: a dark exposure of the same time follows each exposure
         overlap: during an exposure files can be read and properties set; else the camera is busy
         object_bytes: files shorter than this are padded
         card_bytes: capacity of the card
@@ -73,16 +76,35 @@ class PtpConfig(DeviceConfig):
         f_numbers: apertures in hundredths, the widest lets all the light through; none: the host
             cannot set the aperture
         bulb: exposures that the host begins and ends
-        mode: of the dial: "manual", or "auto", where the host cannot set the shutter time
+        mode: of the dial: "manual", or "auto", where the host cannot set the shutter time;
+            "recorded": as the facts of `body` have it
         absolute: Sony: the shutter time can be set, not only stepped
+        body: name of a recorded body, see `sim.devices.ptp.body_facts`; its maker, its properties
+            and its manners replace the defaults
+        access: to the card: 0 read and write, 1 read-only, 2 read-only with deletion
+        reuses_names: a new picture takes the lowest free number and handle
+        unlisted: operations that the camera has and does not list
+        crashes_on: operations after which the camera does not answer any more
+        auto_iso: Nikon: the camera chooses the sensitivity until property D054 is set to 0
+        hides_properties: Nikon: only operation 90CA lists the maker's properties
+        parameters_9207: Nikon: how many parameters operation 9207 takes
+        needs_focus: Nikon: operation 9207 without focusing is refused
+        needs_control: Nikon: the shutter time can be set after operation 90C2 (1) only
+        states_size: property 5003 states the size of the pictures
+        empty_polls: Canon: so many first event polls return nothing
+        needs_output: Canon: it takes pictures once property D1B0 is 8 (live picture to the host)
+        remote_mode: Canon: the number that operation 9114 must have; 0: it is not needed
+        step_s: Sony: a step of a dial takes effect after so long, and another one before is lost
+        startup_s: Sony: so long after the handshake the camera takes no picture
     """
 
     serial: str = Field(default="PTP0001", min_length=1, max_length=32)
-    vendor: Literal["none", "nikon", "canon", "sony"] = "none"
+    vendor: Literal["none", "nikon", "canon", "sony", "fuji", "olympus", "panasonic"] = "none"
     files: Annotated[
         tuple[Literal["jpeg", "tiff", "dng", "dng+jpeg"], ...], BeforeValidator(_as_tuple)
     ] = Field(default=("jpeg",), min_length=1)
     delay_s: float = Field(default=0.0, ge=0, le=60)
+    noise_reduction: bool = False
     overlap: bool = True
     object_bytes: int = Field(default=0, ge=0, le=CARD_BYTES)
     card_bytes: int = Field(default=CARD_BYTES, ge=0, le=2**40)
@@ -96,8 +118,56 @@ class PtpConfig(DeviceConfig):
     isos: tuple[Annotated[int, Field(ge=1, le=0xFFFF)], ...] = (100, 200, 400, 800)
     f_numbers: tuple[Annotated[int, Field(ge=1, le=0xFFFF)], ...] = (280, 400, 560, 800)
     bulb: bool = False
-    mode: Literal["manual", "auto"] = "manual"
+    mode: Literal["manual", "auto", "recorded"] = "manual"
     absolute: bool = True
+    body: str | None = None
+    access: Literal[0, 1, 2] = 0
+    reuses_names: bool = False
+    unlisted: tuple[int, ...] = ()
+    crashes_on: tuple[int, ...] = ()
+    auto_iso: bool = False
+    hides_properties: bool = False
+    parameters_9207: Literal[1, 2] = 2
+    needs_focus: bool = False
+    needs_control: bool = False
+    states_size: bool = False
+    empty_polls: int = Field(default=0, ge=0)
+    needs_output: bool = False
+    remote_mode: int = Field(default=1, ge=0)
+    step_s: float = Field(default=0.0, ge=0, le=60)
+    startup_s: float = Field(default=0.0, ge=0, le=60)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_manners_of_body(cls, options: Any) -> Any:
+        if isinstance(options, dict) and options.get("body"):
+            return {**manners_of(options["body"]), **options}
+        return options
+
+    @property
+    def facts(self) -> BodyFacts | None:
+        """The facts of `body`."""
+        return load_body(self.body) if self.body else None
+
+    def load_picture_sensor(self) -> VirtualSensor:
+        """Return the sensor, which must be able to give the files that the camera saves.
+
+        Raises:
+            UsageError, DataError: scene, sensor or files are invalid
+        """
+        sensor = self.load_sensor()
+        if "dng" in "+".join(self.files) and sensor.layout is Layout.RGB:
+            raise UsageError(
+                "an RGB sensor has no raw file", hint="use jpeg or tiff, or a Bayer sensor"
+            )
+        return sensor
+
+    def identity(self, generic: Identity) -> Identity:
+        """Return the identity of `body`, with the USB numbers of its maker's virtual camera."""
+        facts = self.facts
+        if facts is None:
+            return generic
+        return replace(generic, make=facts.make, model=facts.model, extension=facts.extension)
 
 
 def file_formats(compression: str) -> tuple[str, ...]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from typing import ClassVar
 
 from sim.devices.ptp.config import Identity
-from sim.devices.ptp.properties import DeviceProperty, to_units
+from sim.devices.ptp.properties import UNITS_PER_S, DeviceProperty, to_units, true_time_s
 from sim.devices.ptp.protocol import (
     Event,
     Handler,
@@ -27,6 +28,9 @@ BULB = 0xFFFF_FFFF
 IN_MEMORY = 0xFFFF_0001  # handle of the first picture in memory
 _WAITING_EVENTS = 64
 _TO_CARD, _TO_MEMORY = 0, 1
+_WITHOUT_FOCUSING = 0xFFFF_FFFF
+_SPECIAL = 0xFFFF_FFF0  # values from here on are no times
+_AUTOMATIC_GAIN = 4.0  # that the camera chooses itself, times the one that is set
 
 
 class NikonResponder(Responder):
@@ -54,9 +58,7 @@ class NikonResponder(Responder):
         ]
         if self.config.bulb:
             fractions.append((BULB, BULB))
-        # Several fractions may round to one value of 500D, which then stands for the first.
-        self._units_of = dict(fractions)
-        self._fraction_of = {units: fraction for fraction, units in reversed(fractions)}
+        self._pair(fractions)
         standard.choices, standard.limits = tuple(sorted(self._fraction_of)), None
         exact = DeviceProperty(
             Property.NIKON_EXPOSURE_TIME,
@@ -65,7 +67,36 @@ class NikonResponder(Responder):
             tuple(self._units_of),
             is_writable=standard.is_writable,
         )
-        return [*items, exact]
+        automatic = DeviceProperty(Property.NIKON_AUTO_ISO, Type.UINT8, 1, (0, 1))
+        return [*items, exact, *([automatic] if self.config.auto_iso else [])]
+
+    def _pair(self, fractions: Sequence[tuple[int, int]]) -> None:
+        """Note which fraction stands for which value of 500D.
+
+        Several fractions may round to one value, which then stands for the first.
+        """
+        self._units_of = dict(fractions)
+        self._fraction_of = {units: fraction for fraction, units in reversed(fractions)}
+
+    refusals: ClassVar[Mapping[str, Response]] = {
+        **Responder.refusals,
+        "playback": Response.NIKON_INVALID_STATUS,
+        "movie": Response.NIKON_INVALID_STATUS,
+        "lens": Response.NIKON_LENS_RING,
+    }
+
+    def all_properties(self) -> list[DeviceProperty]:
+        """Return the properties, recorded ones included, whose two shutter times agree."""
+        items = super().all_properties()
+        found = {item.code: item for item in items}
+        standard = found.get(Property.EXPOSURE_TIME)
+        exact = found.get(Property.NIKON_EXPOSURE_TIME)
+        if self.facts is not None and exact is not None:
+            units = standard.choices if standard is not None else ()
+            self._pair([(number, _nearest_units(number, units)) for number in exact.choices])
+            if standard is not None and isinstance(exact.value, int):
+                standard.value = self._units_of.get(exact.value, standard.value)
+        return items
 
     def make_operations(self) -> dict[int, Handler]:
         """Return the standard operations and Nikon's."""
@@ -74,7 +105,7 @@ class NikonResponder(Responder):
             **super().make_operations(),
             Operation.NIKON_CAPTURE: self._capture,
             Operation.NIKON_DRIVE_FOCUS: self._accept,
-            Operation.NIKON_SET_CONTROL_MODE: self._accept,
+            Operation.NIKON_SET_CONTROL_MODE: self._set_control_mode,
             Operation.NIKON_CHECK_EVENTS: self._check_events,
             Operation.NIKON_DEVICE_READY: self._device_ready,
             Operation.NIKON_GET_VENDOR_CODES: self._vendor_codes,
@@ -84,21 +115,44 @@ class NikonResponder(Responder):
 
     def time_of(self, code: int, value: int) -> float | None:
         """Return the time of a value of either shutter property."""
-        if code == Property.EXPOSURE_TIME:
+        if code == Property.EXPOSURE_TIME and Property.NIKON_EXPOSURE_TIME in self.properties:
             value = self._fraction_of.get(value, BULB)
+        elif code == Property.EXPOSURE_TIME:
+            return None if value == BULB else true_time_s(value)
         elif code != Property.NIKON_EXPOSURE_TIME:
             return None
-        return None if value == BULB else (value >> 16) / (value & 0xFFFF)
+        return None if value >= _SPECIAL or not value & 0xFFFF else (value >> 16) / (value & 0xFFFF)
 
     def exposure_time_s(self) -> float | None:
         """Return the shutter time that is set; None: bulb."""
         code = Property.NIKON_EXPOSURE_TIME
+        if code not in self.properties:
+            return super().exposure_time_s()
         return self.time_of(code, self.properties.number(code))
+
+    def gain(self) -> float:
+        """Return the gain: the one that is set, unless the camera chooses it itself."""
+        automatic = self.properties.get(Property.NIKON_AUTO_ISO)
+        return super().gain() * (_AUTOMATIC_GAIN if automatic and automatic.value else 1)
+
+    def listed_properties(self) -> list[int]:
+        """Return the properties in the device info: without those that 90CA lists."""
+        is_hiding = self.facts is not None or self.config.hides_properties
+        hidden = self._vendor_properties() if is_hiding else ()
+        return [code for code in super().listed_properties() if code not in hidden]
+
+    def _vendor_properties(self) -> list[int]:
+        if self.facts is not None:
+            return [code for code in self.facts.hidden if code in self.properties]
+        hidden = (Property.NIKON_AUTO_ISO, Property.NIKON_EXPOSURE_TIME)
+        return [code for code in hidden if code in self.properties]
 
     def after_set(self, code: int) -> tuple[int, ...]:
         """Update the other shutter property."""
-        exact = self.properties[Property.NIKON_EXPOSURE_TIME]
-        standard = self.properties[Property.EXPOSURE_TIME]
+        exact = self.properties.get(Property.NIKON_EXPOSURE_TIME)
+        standard = self.properties.get(Property.EXPOSURE_TIME)
+        if exact is None or standard is None:
+            return (code,)
         if code == Property.EXPOSURE_TIME:
             exact.value = self._fraction_of[self.properties.number(code)]
         elif code == Property.NIKON_EXPOSURE_TIME:
@@ -122,13 +176,29 @@ class NikonResponder(Responder):
     def _accept(self, parameters: Sequence[int], data: bytes) -> Reply:
         return Reply()
 
+    def _set_control_mode(self, parameters: Sequence[int], data: bytes) -> Reply:
+        """Let the host set the shutter time, where it could not before."""
+        if self.config.needs_control:
+            for code in self.shutter_codes:
+                if code in self.properties:
+                    self.properties[code].is_writable = tuple(parameters[:1]) == (1,)
+        return Reply()
+
     def _capture(self, parameters: Sequence[int], data: bytes) -> Reply | None:
         return self.release(is_bulb=self.exposure_time_s() is None, store=self._keep_in_memory)
 
     def _capture_to(self, parameters: Sequence[int], data: bytes) -> Reply | None:
-        if len(parameters) < 2 or parameters[1] not in (_TO_CARD, _TO_MEMORY):
+        config, target = self.config, parameters[1] if len(parameters) > 1 else _TO_CARD
+        if len(parameters) != config.parameters_9207:
+            too_many = len(parameters) > config.parameters_9207
+            return Reply(
+                Response.PARAMETER_NOT_SUPPORTED if too_many else Response.INVALID_PARAMETER
+            )
+        if target not in (_TO_CARD, _TO_MEMORY):
             return Reply(Response.INVALID_PARAMETER)
-        store = self._keep_in_memory if parameters[1] == _TO_MEMORY else self.store
+        if config.needs_focus and parameters[0] == _WITHOUT_FOCUSING:
+            return Reply(Response.NIKON_INVALID_STATUS)
+        store = self._keep_in_memory if target == _TO_MEMORY else self.store
         return self.release(is_bulb=self.exposure_time_s() is None, store=store)
 
     def _keep_in_memory(self, files: Sequence[ImageFile]) -> None:
@@ -147,10 +217,22 @@ class NikonResponder(Responder):
         return Reply(Response.DEVICE_BUSY if self.body.is_exposing else Response.OK)
 
     def _check_events(self, parameters: Sequence[int], data: bytes) -> Reply:
+        if self.body.is_exposing and not self.config.overlap:
+            return Reply(Response.DEVICE_BUSY)
         events = list(self._polled)
         self._polled.clear()
         listed = b"".join(struct.pack("<HI", *event) for event in events)
         return Reply(data=struct.pack("<H", len(events)) + listed)
 
     def _vendor_codes(self, parameters: Sequence[int], data: bytes) -> Reply:
-        return Reply(data=pack_list([Property.NIKON_EXPOSURE_TIME]))
+        return Reply(data=pack_list(self._vendor_properties()))
+
+
+def _nearest_units(fraction: int, units: Sequence[int]) -> int:
+    """Return the value of 500D that is nearest to a fraction."""
+    if fraction >= _SPECIAL or not fraction & 0xFFFF:
+        return BULB
+    time_s = Fraction(fraction >> 16, fraction & 0xFFFF)
+    if not units:
+        return to_units(time_s)
+    return min(units, key=lambda number: abs(number - time_s * UNITS_PER_S))

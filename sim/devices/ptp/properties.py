@@ -127,14 +127,14 @@ def battery() -> DeviceProperty:
 
 def program(config: PtpConfig) -> DeviceProperty:
     """Return the exposure program: the mode dial, which a host cannot set."""
-    mode = MANUAL if config.mode == "manual" else AUTOMATIC
+    mode = MANUAL if config.mode != "auto" else AUTOMATIC
     choices = (MANUAL, AUTOMATIC)
     return DeviceProperty(Property.EXPOSURE_PROGRAM, Type.UINT16, mode, choices, is_writable=False)
 
 
 def shutter(config: PtpConfig) -> DeviceProperty:
     """Return the exposure time (500D), as an enumeration or a range."""
-    is_manual = config.mode == "manual"
+    is_manual = config.mode != "auto"
     code, tenth = Property.EXPOSURE_TIME, UNITS_PER_S // 10
     if config.time_form == "range":
         limits = (1, _LONGEST_S * UNITS_PER_S, 1)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ClassVar
 
 from sim.devices.ptp.config import COMPRESSIONS, Identity, PtpConfig, file_formats
+from sim.devices.ptp.exposure import ExposureProperties
 from sim.devices.ptp.properties import (
     AUTOMATIC,
     CHARGE,
@@ -18,8 +19,6 @@ from sim.devices.ptp.properties import (
     DeviceProperty,
     PropertyTable,
     longest_within,
-    standard_properties,
-    true_time_s,
 )
 from sim.devices.ptp.protocol import (
     DeviceInfo,
@@ -30,15 +29,16 @@ from sim.devices.ptp.protocol import (
     Property,
     Reply,
     Response,
+    Type,
     unpack_number,
 )
-from sim.devices.ptp.store import FORMATS, PICTURE_FOLDER, STORE, Card
+from sim.devices.ptp.store import FORMATS, PICTURE_FOLDER, READ_ONLY, STORE, Card
 from sim.devices.still_body import Exposure, ImageFile, StillBody
 
 _LOG_LENGTH = 256  # operations in the log, and in the counter: a host may go on without end
 
 
-class Responder:
+class Responder(ExposureProperties):
     """A camera without a maker's extension; the makers' cameras derive from it.
 
     Args:
@@ -49,14 +49,18 @@ class Responder:
     """
 
     identity: ClassVar[Identity] = Identity(0x1209, 0x0001, "camctl", "Virtual PTP camera")
-    # Standard operations that the maker's cameras do not have.
-    missing: ClassVar[frozenset[int]] = frozenset()
     # Operations with a data phase from the host.
     takes_data: ClassVar[frozenset[int]] = frozenset({Operation.SET_PROPERTY_VALUE})
     # Properties that hold the shutter time.
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.EXPOSURE_TIME,)
-    program_code: ClassVar[int] = Property.EXPOSURE_PROGRAM
     compressions: ClassVar[Mapping[str, int]] = COMPRESSIONS
+    # Responses in states of the body in which it takes no picture.
+    refusals: ClassVar[Mapping[str, Response]] = {
+        "playback": Response.ACCESS_DENIED,
+        "movie": Response.ACCESS_DENIED,
+        "lens": Response.GENERAL_ERROR,
+        "no card": Response.NO_CARD,
+    }
     events: ClassVar[tuple[int, ...]] = (
         Event.OBJECT_ADDED,
         Event.OBJECT_REMOVED,
@@ -74,16 +78,25 @@ class Responder:
     ) -> None:
         self.body = body
         self.config = config
-        self.card = Card(config.card_bytes, body.note_download)
+        self.facts = config.facts
+        recorded = None if self.facts is None else self.facts.access
+        access = config.access if recorded is None else recorded
+        self.card = Card(
+            config.card_bytes, body.note_download, access=access, reuses=config.reuses_names
+        )
         self.session = 0
         self.sends_events = config.event_order != "never"
         self.operation_counts: Counter[str] = Counter()
         self.log: deque[dict[str, object]] = deque(maxlen=_LOG_LENGTH)
-        self.properties = PropertyTable(self.make_properties())
+        self.properties = PropertyTable(self.all_properties())
+        if config.states_size:
+            rows, columns = body.sensor.shape[:2]
+            size = DeviceProperty(Property.IMAGE_SIZE, Type.STRING, f"{columns}x{rows}")
+            self.properties[size.code] = size
         self.operations: dict[int, Handler] = {
             code: handler
             for code, handler in self.make_operations().items()
-            if code not in self.missing
+            if self.has_operation(code)
         }
         self._send_event = send_event
         self._send_reply = send_reply
@@ -106,8 +119,12 @@ class Responder:
             return Reply(Response.OPERATION_NOT_SUPPORTED)
         if not self.session and code not in (Operation.GET_DEVICE_INFO, Operation.OPEN_SESSION):
             return Reply(Response.SESSION_NOT_OPEN)
-        charge = LOW_CHARGE if self.body.faults.is_battery_low else CHARGE
-        self.properties[Property.BATTERY_LEVEL].value = charge
+        if code in self.config.crashes_on:
+            self.operations = {}
+            return None
+        if Property.BATTERY_LEVEL in self.properties:
+            charge = LOW_CHARGE if self.body.faults.is_battery_low else CHARGE
+            self.properties[Property.BATTERY_LEVEL].value = charge
         return handler(parameters, data)
 
     def close_session(self) -> None:
@@ -123,10 +140,6 @@ class Responder:
         self.announce_changed((self.program_code, *self.shutter_codes))
 
     # The makers' cameras override these.
-
-    def make_properties(self) -> list[DeviceProperty]:
-        """Return the camera's properties with their values at power-on."""
-        return standard_properties(self.config)
 
     def make_operations(self) -> dict[int, Handler]:
         """Return the camera's operations by code."""
@@ -155,27 +168,6 @@ class Responder:
             operations[Operation.TERMINATE_OPEN_CAPTURE] = self._terminate_open_capture
         return operations
 
-    def time_of(self, code: int, value: int) -> float | None:
-        """Return the shutter time that a value of a property stands for; None: it is no time."""
-        return true_time_s(value) if code == Property.EXPOSURE_TIME else None
-
-    def exposure_time_s(self) -> float | None:
-        """Return the shutter time that is set; None: bulb."""
-        code = Property.EXPOSURE_TIME
-        return self.time_of(code, self.properties.number(code))
-
-    def gain(self) -> float:
-        """Return the linear gain of the sensitivity that is set."""
-        code = Property.EXPOSURE_INDEX
-        return self.properties.number(code) / 100 if code in self.properties else 1.0
-
-    def light(self) -> float:
-        """Return the share of the light that the aperture lets through, 1 for the widest."""
-        code = Property.F_NUMBER
-        if code not in self.properties:
-            return 1.0
-        return float((min(self.config.f_numbers) / self.properties.number(code)) ** 2)
-
     def after_set(self, code: int) -> tuple[int, ...]:
         """Update properties that depend on one that was set; return all that have changed."""
         return (code,)
@@ -189,13 +181,17 @@ class Responder:
         """Put files on the card and announce them to the host."""
         if self.config.folder_event:
             self.announce(Event.OBJECT_ADDED, PICTURE_FOLDER)
-        for handle in [self.card.add(file) for file in files]:
+        for handle in self.card.add(files):
             self.announce(Event.OBJECT_ADDED, handle)
         self.announce(Event.CAPTURE_COMPLETE, self._captured_by)
 
     def listed_properties(self) -> list[int]:
         """Return the properties in the device info."""
         return sorted(self.properties)
+
+    def listed_operations(self) -> list[int]:
+        """Return the operations in the device info."""
+        return sorted(set(self.operations).difference(self.config.unlisted))
 
     # The makers' cameras call these.
 
@@ -220,6 +216,8 @@ class Responder:
             return Response.ACCESS_DENIED
         if self.body.is_exposing and not self.config.overlap:
             return Response.DEVICE_BUSY
+        if self.body.faults.state in ("playback", "movie"):
+            return self.refusals[self.body.faults.state]
         if not item.allows(value):
             return Response.INVALID_VALUE
         limit_s, time_s = self.body.faults.longest_s, self.time_of(item.code, value)
@@ -249,13 +247,19 @@ class Responder:
         formats = formats or self._selected_formats()
         if body.is_exposing:
             return Reply(Response.DEVICE_BUSY)
+        if faults.state:
+            return Reply(self.refusals[faults.state])
+        if self.config.access == READ_ONLY:
+            return Reply(Response.STORE_READ_ONLY)
         if faults.is_battery_low:
             return Reply(Response.GENERAL_ERROR)
         if faults.is_card_full or self.card.free_bytes < body.largest_file * len(formats):
             self.announce(Event.STORE_FULL, STORE)
             return Reply(Response.STORE_FULL)
         time_s = None if is_bulb else self.exposure_time_s()
-        exposure = Exposure(time_s, self.gain(), self.light(), formats, self.config.quality)
+        exposure = Exposure(
+            time_s, self.gain(), self.light(), formats, self.config.quality, self.f_number()
+        )
         self._captured_by = self._transaction
         deliver = store or self.store
         if self.config.event_order != "before" or time_s is None:
@@ -281,19 +285,19 @@ class Responder:
     # Standard operations.
 
     def _get_device_info(self, parameters: Sequence[int], data: bytes) -> Reply:
-        identity = self.identity
+        identity = self.config.identity(type(self).identity)
         formats = sorted(FORMATS[form] for form in self._all_formats())
         info = DeviceInfo(
             vendor_extension=identity.extension,
             vendor_version=identity.extension_version,
-            operations=sorted(self.operations),
+            operations=self.listed_operations(),
             events=self.events,
             properties=self.listed_properties(),
             capture_formats=formats,
             image_formats=[Format.FOLDER, *formats],
             make=identity.make,
             model=identity.model,
-            version="1.0",
+            version=self.facts.version if self.facts else "1.0",
             serial=self.config.serial,
         )
         return Reply(data=info.packed())

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import ClassVar
 
 from sim.devices.ptp.config import SONY_COMPRESSIONS, Identity
@@ -26,7 +27,7 @@ from sim.devices.ptp.protocol import (
     unpack_number,
 )
 from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.store import StoredObject, stored
+from sim.devices.ptp.store import ALL, StoredObject, stored
 from sim.devices.still_body import ImageFile
 
 BULB = 0
@@ -35,6 +36,12 @@ _MEMORY_FILES = 16
 _READY = 0x8000  # added to the number of files in memory, in property D215
 _PRESSED, _RELEASED = 2, 1  # states of a button
 _VERSION = 0xC8
+_AUTOMATIC_ISO = 0xFF_FFFF
+# Properties that set another one, on newer cameras.
+_SET_BY: dict[int, int] = {
+    Property.SONY_SHUTTER_SET: Property.SONY_SHUTTER,
+    Property.SONY_ISO_SET: Property.SONY_ISO,
+}
 _MANUAL_FOCUS = 1
 _BY_DIALS, _BY_HOST = 0, 1  # property D25A: what sets the exposure
 _HANDSHAKE = (1, 2, 3)
@@ -73,8 +80,9 @@ class SonyResponder(Responder):
             Type.UINT32,
             start,
             (*([BULB] if config.bulb else []), *times),
-            is_writable=config.mode == "manual",
+            is_writable=config.mode != "auto",
         )
+        self._dial_numbers = {Property.SONY_SHUTTER: self._within_limits(times)}
         items = [
             battery(),
             *compression(config, self.compressions, is_always_there=True),
@@ -91,6 +99,14 @@ class SonyResponder(Responder):
             )
         return items
 
+    def _within_limits(self, times: Sequence[int]) -> tuple[int, ...]:
+        """Return the shutter numbers within the range that a recorded body gives, by their time."""
+        fact = self.facts.properties.get(Property.SONY_SHUTTER) if self.facts else None
+        if fact is None or fact.range is None or not fact.range[0]:
+            return tuple(times)
+        shortest, longest = (_seconds(number) for number in fact.range[:2])
+        return tuple(number for number in times if shortest <= _seconds(number) <= longest)
+
     def listed_properties(self) -> list[int]:
         """Return the battery level only: hosts learn the others after the handshake."""
         return [Property.BATTERY_LEVEL]
@@ -98,10 +114,12 @@ class SonyResponder(Responder):
     def make_operations(self) -> dict[int, Handler]:
         """Return the standard operations without captures, and Sony's."""
         self._steps: list[int] = []  # of the handshake, that have been done
+        self._stepping, self._ready_s = False, 0.0
         self._memory: deque[StoredObject] = deque()
         return {
             **super().make_operations(),
             Operation.GET_OBJECT: self.when_ready(self._get_object),
+            Operation.GET_OBJECT_HANDLES: self._get_handles,
             Operation.SONY_CONNECT: self._connect,
             Operation.SONY_GET_INFO: self._get_info,
             Operation.SONY_SET_PROPERTY: self._set_sony_property,
@@ -120,12 +138,15 @@ class SonyResponder(Responder):
 
     def exposure_time_s(self) -> float | None:
         """Return the shutter time that is set; None: bulb."""
+        if Property.SONY_SHUTTER not in self.properties:
+            return super().exposure_time_s()
         return self.time_of(Property.SONY_SHUTTER, self.properties.number(Property.SONY_SHUTTER))
 
     def gain(self) -> float:
         """Return the linear gain of the sensitivity that is set."""
         code = Property.SONY_ISO
-        return self.properties.number(code) / 100 if code in self.properties else 1.0
+        number = self.properties.number(code) if code in self.properties else 100
+        return number / 100 if number < _AUTOMATIC_ISO else 4.0
 
     def announce_changed(self, codes: Iterable[int]) -> None:
         """Announce changed properties by Sony's event."""
@@ -150,6 +171,12 @@ class SonyResponder(Responder):
             return reply
         return Reply(data=reply.data, sent=self._fetched)
 
+    def _get_handles(self, parameters: Sequence[int], data: bytes) -> Reply | None:
+        """Send no answer for all stores, as the cameras do under remote control."""
+        if self._is_connected and tuple(parameters[:1]) == (ALL,):
+            return None
+        return self.card.get_handles(parameters, data)
+
     def _fetched(self) -> None:
         self.body.note_download(self._memory.popleft().name)
         self._show_oldest()
@@ -166,6 +193,7 @@ class SonyResponder(Responder):
         if step != len(self._steps) + 1 or step > len(_HANDSHAKE):
             return Reply(Response.INVALID_PARAMETER)
         self._steps.append(step)
+        self._ready_s = self.body.now() + self.config.startup_s
         return Reply(data=bytes(8))
 
     def _get_info(self, parameters: Sequence[int], data: bytes) -> Reply:
@@ -194,9 +222,33 @@ class SonyResponder(Responder):
         value = unpack_number(item.kind, data)
         if value is None:
             return Reply(Response.INVALID_VALUE_FORMAT)
-        if item.code == Property.SONY_SHUTTER and not self.config.absolute:
+        if item.code == Property.SONY_PRIORITY:
+            return Reply(self.set_number(item, value))
+        if not self._is_by_host:
+            return Reply()  # the dials decide
+        if item.code in _SET_BY:
+            item = self.properties[_SET_BY[item.code]]
+        elif item.code == Property.SONY_SHUTTER and not self._is_absolute:
             return Reply()  # older cameras accept the value and ignore it
+        if value not in self._numbers(item):
+            return Reply(Response.INVALID_VALUE)
         return Reply(self.set_number(item, value))
+
+    @property
+    def _is_by_host(self) -> bool:
+        """True if the host may set the exposure: property D25A, where the camera has it."""
+        priority = self.properties.get(Property.SONY_PRIORITY)
+        return priority is None or priority.value == _BY_HOST
+
+    @property
+    def _is_absolute(self) -> bool:
+        """True if property D20D can be set; bodies that give a range for it have to be stepped."""
+        recorded = self.properties[Property.SONY_SHUTTER].limits is not None
+        return self.config.absolute and not recorded
+
+    def _numbers(self, item: DeviceProperty) -> tuple[int, ...]:
+        """Return the values that a dial has, in its order."""
+        return item.choices or self._dial_numbers.get(Property(item.code), ())
 
     def _control(self, parameters: Sequence[int], data: bytes) -> Reply | None:
         if not self._is_connected:
@@ -207,14 +259,30 @@ class SonyResponder(Responder):
         if code == Property.SONY_BUTTON_SHUTTER:
             return self._press(unpack_number(Type.UINT16, data))
         item = self.properties.get(code)
-        if item is None or not item.choices:
+        if item is None or not self._numbers(item):
             return Reply(Response.PROPERTY_NOT_SUPPORTED)
         steps = unpack_number(Type.INT8, data[:1])
         if steps is None:
             return Reply(Response.INVALID_VALUE_FORMAT)
-        place = item.choices.index(self.properties.number(code)) + steps
-        last = len(item.choices) - 1
-        return Reply(self.set_number(item, item.choices[min(max(place, 0), last)]))
+        if self._stepping or not self._is_by_host:
+            return Reply()  # a step before the last has taken effect is lost
+        numbers, now = self._numbers(item), self.properties.number(code)
+        nearest = min(numbers, key=lambda number: abs(_seconds(number) - _seconds(now)))
+        place = numbers.index(now if now in numbers else nearest) + steps
+        target = numbers[min(max(place, 0), len(numbers) - 1)]
+        if not item.is_writable:
+            return Reply(Response.ACCESS_DENIED)
+        self._stepping = True
+        if self.config.step_s:
+            self.body.call_later(self.config.step_s, partial(self._step_done, item, target))
+        else:
+            self._step_done(item, target)
+        return Reply()
+
+    def _step_done(self, item: DeviceProperty, target: int) -> None:
+        self._stepping = False
+        item.value = target
+        self.announce_changed([item.code])
 
     def _press(self, button: int | None) -> Reply | None:
         if button == _RELEASED:
@@ -224,6 +292,8 @@ class SonyResponder(Responder):
             return Reply(Response.INVALID_VALUE)
         if len(self._memory) >= _MEMORY_FILES:
             return Reply(Response.DEVICE_BUSY)
+        if self.body.now() < self._ready_s:
+            return Reply()  # it accepts the button, and takes no picture
         return self.release(is_bulb=self.exposure_time_s() is None)
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 
 from sim.devices.ptp.protocol import Format, Reply, Response, Type, pack_list, pack_text
 from sim.devices.still_body import ImageFile
@@ -13,6 +14,7 @@ from sim.devices.still_body import ImageFile
 STORE = 0x0001_0001
 ROOT_FOLDER, PICTURE_FOLDER = 0x1000_0001, 0x1000_0002
 ALL = 0xFFFF_FFFF
+READ_ONLY = 1  # access to the card
 _FREE_IMAGES = 999  # in the storage info; not computed
 _FIRST_PICTURE = 0x2000_0001
 FORMATS = {"jpeg": Format.JPEG, "tiff": Format.TIFF, "dng": Format.DNG}
@@ -84,6 +86,8 @@ class Card:
 
     Args:
         capacity: bytes
+        access: see `sim.devices.ptp.config.PtpConfig`
+        reuses: new pictures take the lowest free number and handle
         fetched: called with the name of a file whose last byte has been sent
 
     Attributes:
@@ -91,8 +95,16 @@ class Card:
         memory: in the camera's memory, by handle; they are not listed
     """
 
-    def __init__(self, capacity: int, fetched: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        fetched: Callable[[str], None],
+        *,
+        access: int = 0,
+        reuses: bool = False,
+    ) -> None:
         self.capacity = capacity
+        self._access, self._reuses = access, reuses
         self._fetched = fetched
         self.objects = {
             ROOT_FOLDER: StoredObject("DCIM", Format.FOLDER),
@@ -111,21 +123,30 @@ class Card:
         """Number of pictures."""
         return sum(item.format != Format.FOLDER for item in self.objects.values())
 
-    def add(self, file: ImageFile) -> int:
-        """Store a file and return its handle."""
-        handle = self._next
-        self._next += 1
-        self.objects[handle] = stored(file)
-        return handle
+    def add(self, files: Sequence[ImageFile]) -> list[int]:
+        """Store the files of an exposure and return their handles."""
+        if self._reuses:
+            stems = {item.name.split(".")[0] for item in self.objects.values()}
+            stem = next(s for n in count(1) if (s := f"VIRT{n:04d}") not in stems)
+            files = [replace(f, name=f"{stem}.{f.name.split('.')[-1]}") for f in files]
+            self._next = _FIRST_PICTURE
+        handles = []
+        for file in files:
+            while self._next in self.objects:
+                self._next += 1
+            handles.append(self._next)
+            self.objects[self._next] = stored(file)
+            self._next += 1
+        return handles
 
     def find(self, handle: int) -> StoredObject | None:
         """Return the object with this handle, on the card or in memory."""
         return self.objects.get(handle) or self.memory.get(handle)
 
     def packed(self) -> bytes:
-        """Return the storage info dataset: a removable card with folders, read and write."""
-        removable_ram, hierarchical, read_write = 4, 2, 0
-        kinds = struct.pack("<HHH", removable_ram, hierarchical, read_write)
+        """Return the storage info dataset: a removable card with folders."""
+        removable_ram, hierarchical = 4, 2
+        kinds = struct.pack("<HHH", removable_ram, hierarchical, self._access)
         sizes = struct.pack("<QQI", self.capacity, self.free_bytes, _FREE_IMAGES)
         return kinds + sizes + pack_text("card") + pack_text("VIRT")
 

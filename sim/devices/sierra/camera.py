@@ -70,9 +70,9 @@ class SierraCamera:
         readers: dict[int, Callable[[], int]] = {
             Register.QUALITY: lambda: self._quality,
             Register.SHUTTER: lambda: 0 if self._is_automatic else self._shutter_us,
-            Register.PICTURE: lambda: self._selected or len(self.pictures),
+            Register.PICTURE: lambda: self._selected or len(self._newest_folder),
             Register.APERTURE: lambda: self._aperture,
-            Register.TAKEN: lambda: len(self.pictures) * (self._folder == FOLDER_PATH),
+            Register.TAKEN: lambda: self._opened_count,
             Register.LEFT: lambda: self._free_bytes // self.body.largest_file,
             Register.SIZE: lambda: len(self._selected_picture().data),
             Register.THUMBNAIL_SIZE: lambda: len(self._selected_picture().thumbnail),
@@ -206,10 +206,25 @@ class SierraCamera:
         self._shutter_us = min(self._times_us, key=lambda time_us: abs(math.log(time_us / value)))
 
     def _selected_picture(self) -> ImageFile:
-        number = self._selected or len(self.pictures)
-        if not 1 <= number <= len(self.pictures):
+        folder = self._newest_folder
+        number = self._selected or len(folder)
+        if not 1 <= number <= len(folder):
             raise RefusedError
-        return self.pictures[number - 1]
+        return folder[number - 1]
+
+    @property
+    def _newest_folder(self) -> Sequence[ImageFile]:
+        """The pictures in the folder of the newest one."""
+        limit = self._config.folder_pictures
+        first = max(len(self.pictures) - 1, 0) // limit * limit if limit else 0
+        return self.pictures[first:]
+
+    @property
+    def _opened_count(self) -> int:
+        """The number of pictures in the folder that the host has opened: the first one, or none."""
+        if self._folder != FOLDER_PATH:
+            return 0
+        return min(len(self.pictures), self._config.folder_pictures or len(self.pictures))
 
     def _info(self, picture: ImageFile) -> bytes:
         """Return sizes of file, thumbnail and sound, quality, lock, date, and two zeros."""

@@ -118,6 +118,8 @@ class SierraConfig(DeviceConfig):
         is_paced: bytes take as long as on a real line
         silence_s: after so long without a byte the session ends and the speed is 19,200 again
         card_bytes: capacity of the card
+        folder_pictures: most pictures in a folder; the next one is put into another folder, where
+            numbers begin with 1 again, and which the host has not opened; 0: there is no limit
     """
 
     serial: str = Field(default="CP990001", min_length=1, max_length=32, pattern=r"^[ -~]+$")
@@ -134,6 +136,7 @@ class SierraConfig(DeviceConfig):
     is_paced: bool = False
     silence_s: float = Field(default=5.0, gt=0)
     card_bytes: int = Field(default=CARD_BYTES, ge=0, le=0x7FFF_FFFF)
+    folder_pictures: int = Field(default=0, ge=0)
 
 
 @dataclass

@@ -20,7 +20,7 @@ from array import array
 from collections.abc import Iterable, Iterator
 from itertools import count
 from types import SimpleNamespace
-from typing import NoReturn
+from typing import NoReturn, Protocol
 
 import usb.backend
 from usb.core import USBError, USBTimeoutError
@@ -109,7 +109,40 @@ class BackendPort:
             connection.device.disconnect()
 
 
-class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
+class Described(Protocol):
+    """A device with its configuration."""
+
+    @property
+    def configuration(self) -> Descriptor:
+        """The configuration descriptor, parsed."""
+        ...
+
+
+class DescribedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
+    """A backend that reads descriptors of its devices' configurations."""
+
+    # pyusb calls these; parameters have the names of its interface.
+
+    def get_configuration_descriptor(self, dev: Described, config: int) -> SimpleNamespace:
+        """Return the configuration descriptor's fields."""
+        if config:
+            raise IndexError(config)
+        return dev.configuration.as_namespace()
+
+    def get_interface_descriptor(
+        self, dev: Described, intf: int, alt: int, config: int
+    ) -> SimpleNamespace:
+        """Return an interface descriptor's fields."""
+        return dev.configuration.alternate(intf, alt).as_namespace()
+
+    def get_endpoint_descriptor(
+        self, dev: Described, ep: int, intf: int, alt: int, config: int
+    ) -> SimpleNamespace:
+        """Return an endpoint descriptor's fields."""
+        return dev.configuration.alternate(intf, alt).children[ep].as_namespace()
+
+
+class VirtualBackend(DescribedBackend):
     """The devices that `usb.core.find` finds with it.
 
     Args:
@@ -156,24 +189,6 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has n
             port_number=dev.address,
             port_numbers=(dev.address,),
         )
-
-    def get_configuration_descriptor(self, dev: _Connection, config: int) -> SimpleNamespace:
-        """Return the configuration descriptor's fields."""
-        if config:
-            raise IndexError(config)
-        return dev.configuration.as_namespace()
-
-    def get_interface_descriptor(
-        self, dev: _Connection, intf: int, alt: int, config: int
-    ) -> SimpleNamespace:
-        """Return an interface descriptor's fields."""
-        return dev.configuration.alternate(intf, alt).as_namespace()
-
-    def get_endpoint_descriptor(
-        self, dev: _Connection, ep: int, intf: int, alt: int, config: int
-    ) -> SimpleNamespace:
-        """Return an endpoint descriptor's fields."""
-        return dev.configuration.alternate(intf, alt).children[ep].as_namespace()
 
     def open_device(self, dev: _Connection) -> _Handle:
         """Open a device."""

@@ -46,7 +46,7 @@ _PROBE, _COMMIT = 1, 2
 _PROBE_BYTES = 26  # of UVC 1.0 (4.3.1.1)
 _STREAM_INTERFACE = 1
 _STREAM_ENDPOINT = STREAM_IN & 15
-_END_OF_FRAME, _END_OF_HEADER, _HEADER_BYTES = 0x02, 0x80, 2
+_END_OF_FRAME, _ERROR, _END_OF_HEADER, _HEADER_BYTES = 0x02, 0x40, 0x80, 2
 
 _LOG_LENGTH = 400  # frames: a host may stream without end
 _WB_AMPLITUDE, _WB_PERIOD_SLOTS = 0.2, 9.0  # of the light under automatic white balance
@@ -82,7 +82,7 @@ class UvcCamera(UsbDevice):
         super().__init__(clock=clock)
         self.controls = Controls(self._write_exposure)
         self._light_factor, self._light_count = 1.0, 0
-        self._truncations = self._garbage = 0
+        self._truncations = self._garbage = self._errors = 0
         self._is_hanging = self._is_frozen = False
         self._probed = (1, 1, self._intervals[0])  # number of format and of frame, interval
         self._committed = self._probed
@@ -219,6 +219,10 @@ class UvcCamera(UsbDevice):
     def _payload(self, data: bytes) -> bytes:
         flags = _END_OF_HEADER | _END_OF_FRAME | self._frame_id
         self._frame_id ^= 1
+        if self._errors > 0:
+            self._errors -= 1
+            flags |= _ERROR
+            data = bytes(byte ^ 0x55 for byte in data)
         payload = bytes([_HEADER_BYTES, flags]) + data
         if self._truncations > 0:
             self._truncations -= 1
@@ -234,7 +238,7 @@ class UvcCamera(UsbDevice):
         """End all faults."""
         with self.lock:
             self._is_hanging = self._is_frozen = False
-            self._truncations = self._garbage = self._light_count = 0
+            self._truncations = self._garbage = self._errors = self._light_count = 0
             self.controls.longest_s = math.inf
 
     def do_freeze(self) -> None:
@@ -263,6 +267,10 @@ class UvcCamera(UsbDevice):
     def do_truncate(self, count: int = 1) -> None:
         """Send half of the next `count` frames."""
         self._truncations = count
+
+    def do_erroneous(self, count: int = 1) -> None:
+        """Send the next `count` frames spoilt, whole, and with the error bit in their headers."""
+        self._errors = count
 
     def do_garbage(self, count: int = 1) -> None:
         """Send random bytes instead of the next `count` frames and their headers."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,15 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
-from drivers.common.usb import UDEV_RULES, StalledError, device_name, usb_error, usb_identity
+from drivers.common.device_holders import Holder, holding
+from drivers.common.usb import (
+    UDEV_RULES,
+    StalledError,
+    claim_interface,
+    device_name,
+    usb_error,
+    usb_identity,
+)
 
 
 class Device:
@@ -27,6 +37,37 @@ class Device:
     idVendor, idProduct = 0x04B0, 0x0428  # noqa: N815 - pyusb's names
     iManufacturer, iProduct, iSerialNumber = 1, 2, 3  # noqa: N815
     bus, address, port_numbers = 3, 7, (1, 4)
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="the system has no /proc")
+def test_a_program_that_holds_a_camera_is_named_in_full(tmp_path: Path) -> None:
+    """The kernel's own name of it ends after 15 characters."""
+    node, program = tmp_path / "001", tmp_path / "gvfs-gphoto2-volume-monitor"
+    node.touch()
+    shutil.copy(shutil.which("sleep") or "/bin/sleep", program)
+    with node.open() as file, subprocess.Popen([program, "60"], stdin=file) as process:
+        try:
+            found = [each for each in holding(str(node)) if not each.is_us]
+        finally:
+            process.kill()
+    assert found == [Holder(process.pid, program.name)]
+
+
+def test_a_camera_claimed_by_the_desktop_names_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monitor = Holder(4711, "gvfs-gphoto2-volume-monitor")
+
+    class Claimed(Device):
+        def is_kernel_driver_active(self, number: int) -> bool:
+            return False
+
+    def claim(*_: object) -> None:
+        raise usb.core.USBError("Resource busy", -6, errno.EBUSY)
+
+    monkeypatch.setattr(usb.util, "claim_interface", claim)
+    monkeypatch.setattr("drivers.common.usb.holding", lambda node: iter([monitor]))
+    message = r"by another program: gvfs-gphoto2-volume-monitor \(process 4711\); .*unmount it"
+    with pytest.raises(CameraBusyError, match=message):
+        claim_interface(Claimed(), 0, "the camera")
 
 
 class TestUsbErrors:

@@ -106,12 +106,29 @@ class TestConformanceTiff(CameraConformance):
     def middle_s(self, camera: Camera) -> float:
         return camera.controls.time_s.nearest(0.01)
 
+    def silence(self, camera: Camera) -> None:
+        self.device.do("hang")
+
+    def in_force(self, camera: Camera) -> ExposureSetting:
+        exposure = self.device.do("state")["exposure"]
+        return ExposureSetting(exposure["time_s"], exposure["gain"])
+
 
 class TestConformanceJpeg(TestConformanceTiff):
     format = "jpeg"
 
 
 class TestPictures:
+    def test_a_picture_in_another_folder_is_found(self) -> None:
+        """Register 10 counts the first folder on; registers 4 and 79 tell the new picture."""
+        settings = [ExposureSetting(t) for t in (0.002, 0.008, 0.002, 0.004, 0.008)]
+        with virtual_coolpix(folder_pictures=2) as device, coolpix_on(device) as camera:
+            learn_format(camera)
+            frames = shoot(camera, settings)
+            assert device.camera.read(10) == 2
+            stored = device.camera.pictures[-len(settings) :]
+        assert [data_of(frame) for frame in frames] == [picture.data for picture in stored]
+
     def test_tiff_samples_are_those_of_the_sensor_and_the_file_is_kept(
         self, device: SierraDevice
     ) -> None:

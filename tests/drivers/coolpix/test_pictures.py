@@ -96,6 +96,10 @@ class TestNewPictures:
             (CardPicture(4, "D3"), CardPicture(3, "D3"), False),
             (CardPicture(0, ""), CardPicture(3, "D3"), False),
             (CardPicture(2, "D2"), CardPicture(3, "D3"), False),
+            (CardPicture(1, "DSCN0101.JPG"), CardPicture(1, "DSCN0100.JPG"), True),
+            (CardPicture(0, "DSCN0000.JPG"), CardPicture(0, "DSCN9999.JPG"), True),
+            (CardPicture(0, "DSCN0102.JPG"), CardPicture(0, "DSCN0100.JPG"), False),
+            (CardPicture(3, ""), CardPicture(3, ""), False),
         ],
     )
     def test_only_the_very_next_picture_is_next(
@@ -103,14 +107,15 @@ class TestNewPictures:
     ) -> None:
         assert is_next(later, earlier) is expected
 
-    def test_a_camera_that_refuses_to_count_is_asked_again(self) -> None:
+    def test_a_camera_that_refuses_to_tell_is_asked_again(self) -> None:
         counts = [RefusedCommandError("busy"), 3, 3, 4]
-        sierra = session({Register.PICTURES: counts, Register.PICTURE_NAME: ["DSCN0004.JPG"]})
+        names = ["DSCN0003.JPG", "DSCN0003.JPG", "DSCN0004.JPG"]
+        sierra = session({Register.PICTURE: counts, Register.PICTURE_NAME: names})
         found = wait_for_picture(sierra, PICTURE, VirtualClock(), 10.0)
         assert found == CardPicture(4, "DSCN0004.JPG")
 
     def test_waiting_ends(self) -> None:
         clock = VirtualClock()
-        sierra = session({Register.PICTURES: [3]})
+        sierra = session({Register.PICTURE: [3], Register.PICTURE_NAME: [PICTURE.name]})
         assert wait_for_picture(sierra, PICTURE, clock, 10.0) is None
         assert clock.now() == pytest.approx(10.0, abs=0.1)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import pytest
-from ptp_bench import bench
+from ptp_bench import Bench, bench, in_force
 
 from camctl.camera import Camera
-from camctl.controls import Layout
+from camctl.controls import ExposureSetting, Layout
 from camctl.testing.conformance import CameraConformance
 
 
@@ -18,10 +18,24 @@ class PtpConformance(CameraConformance):
 
     config: ClassVar[dict[str, Any]] = {}
     sensor = "ideal-8"
+    pair: Bench
     saved: ClassVar[tuple[str, int, Layout]] = ("jpeg", 8, Layout.MONO)
 
     def open_camera(self) -> Camera:
-        return bench(self.sensor, **self.config).camera()
+        self.pair = bench(self.sensor, **self.config)
+        return self.pair.camera()
+
+    def open_second(self, camera: Camera) -> Camera:
+        return self.pair.camera()
+
+    def unplug(self, camera: Camera) -> None:
+        self.pair.device.detach()
+
+    def silence(self, camera: Camera) -> None:
+        self.pair.device.do("hang")
+
+    def in_force(self, camera: Camera) -> ExposureSetting:
+        return in_force(self.pair.device)
 
     def middle_s(self, camera: Camera) -> float:
         return camera.controls.time_s.nearest(1 / 125)
@@ -93,6 +107,19 @@ class TestSonyJpeg(PtpConformance):
 class TestSonyTiff(PtpConformance):
     config: ClassVar[dict[str, Any]] = {"vendor": "sony", "files": "tiff"}
     saved = ("tiff", 8, Layout.MONO)
+
+
+class TestFujiJpeg(PtpConformance):
+    config: ClassVar[dict[str, Any]] = {"vendor": "fuji"}
+
+
+class TestOlympusRaw(PtpConformance):
+    config: ClassVar[dict[str, Any]] = {"vendor": "olympus", "files": "dng"}
+    saved = ("dng", 8, Layout.MONO)
+
+
+class TestPanasonicJpeg(PtpConformance):
+    config: ClassVar[dict[str, Any]] = {"vendor": "panasonic"}
 
 
 class TestUnusualTransfers(PtpConformance):

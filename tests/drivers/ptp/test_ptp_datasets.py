@@ -15,28 +15,41 @@ from camctl.controls import Choices, Steps
 from camctl.errors import CameraError, CameraProtocolError
 from drivers.ptp.datasets import (
     DeviceInfo,
-    EosEvents,
     ObjectInfo,
     PropertyDescription,
     Reader,
     StorageInfo,
-    pack_eos_property,
     pack_integer,
-    parse_nikon_events,
-    parse_sony_properties,
 )
-from drivers.ptp.dialects import CANON_EOS, NIKON, SONY, STANDARD, Dialect, dialect_of
+from drivers.ptp.dialects import STANDARD, Dialect
 from drivers.ptp.dials import (
     Scale,
     eos_f_number,
     eos_gain,
     eos_time,
+    fuji_time,
     hundredths,
     iso,
     make_dial,
+    panasonic_time,
     ratio,
     sony_iso,
     ten_thousandths,
+    tenths,
+)
+from drivers.ptp.maker_datasets import (
+    EosEvents,
+    pack_eos_property,
+    parse_nikon_events,
+    parse_panasonic_property,
+    parse_panasonic_value,
+    parse_sony_properties,
+)
+from drivers.ptp.makers import (
+    CANON_EOS,
+    NIKON,
+    SONY,
+    dialect_of,
 )
 
 Parser = Callable[[bytes], object]
@@ -49,6 +62,8 @@ PARSERS: dict[str, Parser] = {
     "canon": EosEvents.parse,
     "sony": parse_sony_properties,
     "nikon": parse_nikon_events,
+    "panasonic": lambda data: parse_panasonic_property(data, 0x02000030),
+    "panasonic value": parse_panasonic_value,
 }
 
 
@@ -204,7 +219,24 @@ def test_arbitrary_descriptions_give_a_dial_or_none_or_a_typed_error(
         (eos_time, 0x10, 32.0),
         (eos_time, 0xA0, 1 / 8192),
         (eos_time, 0x0C, None),
+        (eos_time, 0x3B, 2 ** (-1 / 3)),
+        (eos_time, 0x3D, 2 ** (-2 / 3)),
+        (eos_time, 0x3C, 2**-0.5),
         (eos_f_number, 0x30, 5.656854249492381),
+        (eos_f_number, 0x2B, 2 ** (13 / 6)),
+        (eos_gain, 0x4D, 2 ** (2 / 3)),
+        (fuji_time, 15625, 1 / 64),
+        (fuji_time, 6200, 2 ** (-22 / 3)),
+        (fuji_time, 64_000_000, 64.0),
+        (fuji_time, 64_000_030, None),
+        (fuji_time, 0xFFFFFFFF, None),
+        (panasonic_time, 8_000_000, 1 / 8000),
+        (panasonic_time, 0x80000000 | 60_000, 60.0),
+        (panasonic_time, 0xFFFFFFFF, None),
+        (tenths, 56, 5.6),
+        (iso, 51200, 512.0),
+        (iso, 53249, None),
+        (iso, -3, None),
         (eos_gain, 0x48, 1.0),
         (eos_gain, 0, None),
         (hundredths, 560, 5.6),
@@ -218,7 +250,7 @@ def test_arbitrary_descriptions_give_a_dial_or_none_or_a_typed_error(
 def test_numbers_are_decoded_to_si_values(
     decode: Callable[[int], float | None], number: int, value: float | None
 ) -> None:
-    assert decode(number) == value
+    assert decode(number) == (None if value is None else pytest.approx(value, rel=1e-14))
 
 
 @pytest.mark.parametrize(

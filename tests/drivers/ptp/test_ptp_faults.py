@@ -27,7 +27,7 @@ from sim.devices.ptp.camera import PtpCamera as VirtualCamera
 from sim.devices.ptp.protocol import Reply
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
-VENDORS = ["none", "nikon", "canon", "sony"]
+VENDORS = ["none", "nikon", "canon", "sony", "fuji", "olympus", "panasonic"]
 INITIATE_CAPTURE = 0x100E
 
 
@@ -168,6 +168,31 @@ class TestLastingFaults:
             device.do("battery_low")
             with pytest.raises(CameraError, match=r"did not take a picture: its battery .*charge"):
                 shoot(camera, settings)
+
+    @pytest.mark.parametrize("vendor", VENDORS)
+    @pytest.mark.parametrize(
+        ("state", "remedy"),
+        [
+            ("playback", "leave playback"),
+            ("movie", "movie mode"),
+            ("lens", "lens"),
+            ("no card", "put a card in"),
+        ],
+    )
+    def test_a_body_that_can_take_no_picture_now_says_what_to_do(
+        self, vendor: str, state: str, remedy: str
+    ) -> None:
+        with camera_on(vendor=vendor) as (camera, device):
+            settings = settings_at(camera, 1 / 125)
+            shoot(camera, settings)
+            device.do("body_state", state=state)
+            for wanted in (settings, settings_at(camera, 1 / 30)):
+                with pytest.raises(CameraError) as error:
+                    shoot(camera, wanted)
+                assert remedy in error.value.hint
+                assert "\n" not in str(error.value)
+            device.do("ok")
+            assert len(shoot(camera, settings)) == 1
 
     def test_a_camera_that_loses_each_session_is_reported(
         self, monkeypatch: pytest.MonkeyPatch

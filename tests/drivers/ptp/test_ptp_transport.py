@@ -22,7 +22,8 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
-from drivers.ptp.transport import DATA, RESPONSE, IncompleteDataError, UsbTransport
+from drivers.ptp.transport import DATA, RESPONSE, IncompleteDataError
+from drivers.ptp.usb_transport import UsbTransport
 
 PACKET = 64
 OK, BUSY = 0x2001, 0x2019
@@ -225,9 +226,9 @@ class TestReceiving:
 class TestSending:
     def test_a_transfer_of_full_packets_is_closed_with_an_empty_one(self) -> None:
         pipes, device = transport()
-        pipes.send_data(0x1016, 1, bytes(PACKET - 12))
-        pipes.send_data(0x1016, 1, bytes(4))
-        assert [len(data) for data in device.bulk_out.sent] == [PACKET, 0, 16]
+        pipes.send(0x1016, 1, (), bytes(PACKET - 12))
+        pipes.send(0x1016, 2, (), bytes(4))
+        assert [len(data) for data in device.bulk_out.sent] == [12, PACKET, 0, 12, 16]
 
 
 class TestRecovery:

@@ -8,15 +8,10 @@ import numpy as np
 import pytest
 
 from camctl.controls import Layout
+from drivers.common.known_format import FORMATS, FormatChangedError, KnownFormat, matched_pixels
 from drivers.common.still_file import Still
 from drivers.ptp.datasets import ObjectInfo
-from drivers.ptp.still_formats import (
-    FORMATS,
-    FormatChangedError,
-    KnownFormat,
-    format_of,
-    matched_pixels,
-)
+from drivers.ptp.still_formats import format_of
 
 SAMPLES = np.array([[64, 70, 1000, 4000], [4095, 66, 65, 200]], np.uint16)
 STILL = Still(SAMPLES, Layout.RGGB, 12, black=64, white=4000)

@@ -32,7 +32,6 @@ from camctl.errors import (
 from drivers.v4l2.abi import Caps, ControlFlag, ControlId, ControlType, Request
 from drivers.v4l2.backend import V4l2Backend
 from drivers.v4l2.camera import V4l2Camera, V4l2Options
-from drivers.v4l2.capture import open_video
 from drivers.v4l2.system import camera_error, processes_using
 
 NOBODY = 65534
@@ -54,7 +53,7 @@ def profiles(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 def open_model(model: Model, **options: Any) -> V4l2Camera:
     chosen = V4l2Options.parse(options)
-    return V4l2Camera(PATH, chosen, kernel=model, opener=model.video, clock=model.clock).open()
+    return V4l2Camera(PATH, chosen, kernel=model, clock=model.clock).open()
 
 
 def opening_error(kind: type[CamctlError], model: Model, **options: Any) -> str:
@@ -82,7 +81,7 @@ class TestOpening:
 
     def test_constructor_does_not_open(self) -> None:
         model = Model()
-        camera = V4l2Camera(PATH, kernel=model, opener=model.video, clock=model.clock)
+        camera = V4l2Camera(PATH, kernel=model, clock=model.clock)
         assert model.descriptors == 0
         with pytest.raises(CameraDisconnectedError, match="is not open; open it first"):
             camera.shoot([])
@@ -223,24 +222,31 @@ class TestFormats:
             assert camera.mode.startswith(f"{name}-")
 
     @pytest.mark.parametrize(
-        ("codes", "bits", "layout"),
+        ("code", "bits", "layout"),
         [
-            (("Y16 ",), 16, Layout.MONO),
-            (("Y12 ",), 12, Layout.MONO),
-            (("Y10 ",), 10, Layout.MONO),
-            (("RG10", "YUYV"), 10, Layout.RGGB),
-            (("RGGB", "YUYV"), 8, Layout.RGGB),
-            (("GRBG",), 8, Layout.GRBG),
-            (("GBRG",), 8, Layout.GBRG),
-            (("BA81",), 8, Layout.BGGR),
-            (("GREY",), 8, Layout.MONO),
-            (("YUYV",), 8, Layout.MONO),
+            ("Y16 ", 16, Layout.MONO),
+            ("Y14P", 14, Layout.MONO),
+            ("Y12 ", 12, Layout.MONO),
+            ("Y12P", 12, Layout.MONO),
+            ("Y10 ", 10, Layout.MONO),
+            ("Y10P", 10, Layout.MONO),
+            ("BYR2", 16, Layout.BGGR),
+            ("RG14", 14, Layout.RGGB),
+            ("pGEE", 14, Layout.GBRG),
+            ("BA12", 12, Layout.GRBG),
+            ("pRCC", 12, Layout.RGGB),
+            ("RG10", 10, Layout.RGGB),
+            ("pBAA", 10, Layout.BGGR),
+            ("RGGB", 8, Layout.RGGB),
+            ("GRBG", 8, Layout.GRBG),
+            ("GBRG", 8, Layout.GBRG),
+            ("BA81", 8, Layout.BGGR),
+            ("GREY", 8, Layout.MONO),
+            ("YUYV", 8, Layout.MONO),
         ],
     )
-    def test_samples_are_not_changed(
-        self, codes: tuple[str, ...], bits: int, layout: Layout
-    ) -> None:
-        with open_model(Model(formats=codes)) as camera:
+    def test_samples_are_not_changed(self, code: str, bits: int, layout: Layout) -> None:
+        with open_model(Model(formats=(code,))) as camera:
             frame = one_frame(camera)
             assert (camera.controls.bits, camera.controls.layout) == (bits, layout)
             assert camera.controls.white == 2**bits - 1
@@ -327,17 +333,15 @@ class TestFormats:
         with open_model(Model(formats=("Y12 ",))) as camera:
             assert any("give it with -O black=..." in note for note in camera.controls.notes)
 
-    def test_padded_lines_are_refused(self) -> None:
-        message = opening_error(CameraError, Model(bytesperline=2 * COLUMNS + 16))
-        assert "pads its lines of 16 bytes to 32, which OpenCV cannot read" in message
+    @pytest.mark.parametrize("code", ["YUYV", "GREY", "Y16 ", "RG10", "pRAA", "pBCC"])
+    def test_padding_of_lines_is_left_out(self, code: str) -> None:
+        with open_model(Model(formats=(code,), bytesperline=64)) as camera:
+            frame = one_frame(camera)
+            assert np.array_equal(frame.pixels, brightness(100, camera.controls.bits))
 
     def test_unreadable_formats_are_refused(self) -> None:
         message = opening_error(CameraError, Model(formats=("H264", "\1\2\3\4")))
         assert "offers no pixel format that camctl can read, only H264, ????" in message
-
-    def test_formats_that_opencv_does_not_open_are_refused(self) -> None:
-        message = opening_error(CameraError, Model(formats=("RGGB", "RG10")))
-        assert f"OpenCV cannot open {PATH}, because it offers only RGGB, RG10" in message
 
     def test_default_is_the_largest_size(self) -> None:
         model = Model(sizes=((4, 2), (COLUMNS, ROWS), (6, 4)))
@@ -385,12 +389,28 @@ class TestErrors:
             assert "\n" not in str(caught.value)
 
     def test_stream_that_cannot_be_opened(self) -> None:
-        message = opening_error(CameraProtocolError, Model(opens=False))
-        assert f"{PATH} cannot be opened for streaming" in message
+        message = opening_error(CameraProtocolError, Model(streams=False))
+        assert f"{PATH} does not stream yuyv at 8x6" in message
 
-    def test_stream_that_fails_at_once(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("v4l2_model.Video.grab", lambda video: False)
-        assert f"{PATH} delivers no frames" in opening_error(CameraProtocolError, Model())
+    @pytest.mark.parametrize(
+        ("request_", "number", "kind", "message"),
+        [
+            (Request.S_FMT, errno.EBUSY, CameraBusyError, f"another process is using {PATH}"),
+            (Request.REQBUFS, errno.ENOMEM, CameraProtocolError, f"cannot stream from {PATH}"),
+            (Request.STREAMON, errno.ENOSPC, CameraProtocolError, "has no bandwidth left"),
+            (Request.DQBUF, errno.EIO, CameraProtocolError, "the USB transfer failed"),
+        ],
+        ids=lambda each: getattr(each, "name", None),
+    )
+    def test_stream_that_fails(
+        self, request_: Request, number: int, kind: type[CamctlError], message: str
+    ) -> None:
+        assert message in opening_error(kind, Model(errors={request_: number}))
+
+    def test_rate_that_cannot_be_set_is_measured(self) -> None:
+        model = Model(errors={Request.S_PARM: errno.ENOTTY}, intervals=())
+        with open_model(model) as camera:
+            assert camera.controls.frame_interval_s == pytest.approx(0.1)
 
     @pytest.mark.parametrize("value", ["range", "step"])
     def test_contradictory_exposure_range(self, value: str) -> None:
@@ -473,6 +493,59 @@ class TestGain:
         assert f"{PATH} has no gain that can be set; leave out -O gain" in message
 
 
+class TestImageSensor:
+    """A sensor's own driver: exposure in lines of (columns + blanking) / pixel rate."""
+
+    def sensor(self, *, blanking: int | None = 92, pixel_rate: int | None = 1_000_000) -> Model:
+        model = Model(formats=("pRAA",), pixel_rate=pixel_rate, intervals=())
+        for control in (ControlId.EXPOSURE_AUTO, ControlId.EXPOSURE_ABSOLUTE, ControlId.GAIN):
+            del model.controls[control]
+        integer = ControlType.INTEGER
+        model.controls[ControlId.EXPOSURE] = Register("Exposure", integer, 4, 2000, 1, 100, 100)
+        model.controls[ControlId.ANALOGUE_GAIN] = Register("Gain", integer, 0, 232, 1, 0, 7)
+        if blanking is not None:
+            model.controls[ControlId.HBLANK] = Register(
+                "Blanking", integer, 92, 92, 1, 92, blanking
+            )
+        return model
+
+    def test_exposure_in_lines_is_given_in_seconds(self) -> None:
+        model = self.sensor()
+        with open_model(model) as camera:
+            times = camera.controls.time_s
+            assert isinstance(times, Steps)
+            assert (times.minimum, times.step) == (4e-4, 1e-4)  # 8 + 92 pixels at 1 MHz
+            assert times.maximum == pytest.approx(0.1, rel=2e-3)
+            (frame,) = camera.shoot([ExposureSetting(0.0123)])
+            assert frame.applied.time_s == 0.0123
+            assert model.controls[ControlId.EXPOSURE].value == 123
+            assert np.array_equal(frame.pixels, brightness(123, 10))
+            assert any("lines of 100 us" in note for note in camera.controls.notes)
+
+    def test_analogue_gain_is_held_or_used(self) -> None:
+        model = self.sensor()
+        with open_model(model):
+            assert model.controls[ControlId.ANALOGUE_GAIN].value == 0
+        with open_model(self.sensor(), gain="db:0.1") as camera:
+            assert camera.controls.gain.maximum == pytest.approx(10 ** (23.2 / 20))
+
+    @pytest.mark.parametrize(
+        ("blanking", "pixel_rate", "missing"),
+        [
+            (None, 1_000_000, "horizontal blanking"),
+            (92, None, "pixel rate"),
+            (92, 0, "pixel rate"),
+            (None, None, "pixel rate and horizontal blanking"),
+        ],
+    )
+    def test_lines_of_unknown_length_are_refused(
+        self, blanking: int | None, pixel_rate: int | None, missing: str
+    ) -> None:
+        model = self.sensor(blanking=blanking, pixel_rate=pixel_rate)
+        message = opening_error(CameraError, model)
+        assert f"sets its exposure in lines, but does not report {missing}, by which" in message
+
+
 @contextmanager
 def unprivileged(folder: str) -> Iterator[None]:
     """Be a user who may write in `folder` and, unlike root, may not open every file."""
@@ -504,10 +577,6 @@ class TestRealSystem:
             node.touch(mode=0)
             with pytest.raises(CameraError, match="you are not allowed to use it; join its group"):
                 V4l2Camera(str(node)).open()
-
-    def test_opencv_prints_nothing(self, capfd: pytest.CaptureFixture[str]) -> None:
-        assert not open_video("/dev/video-that-is-not-there").isOpened()
-        assert capfd.readouterr() == ("", "")
 
 
 class TestBackend:

@@ -13,6 +13,7 @@ from v4l2_model import Model
 from camctl.errors import CameraError
 from drivers.v4l2.abi import Caps, Request
 from drivers.v4l2.backend import find_cameras
+from drivers.v4l2.kernel import Memory
 from drivers.v4l2.system import node_paths, stable_path
 
 LINK = "usb-Maker_Cam_S1-video-index0"
@@ -50,6 +51,12 @@ class System:
 
     def close(self, descriptor: int) -> None:
         self.opened.close(descriptor)
+
+    def map(self, descriptor: int, offset: int, length: int) -> Memory:
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+
+    def wait(self, descriptor: int, timeout_s: float) -> bool:
+        return False
 
 
 @pytest.fixture

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import mmap
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -20,6 +22,7 @@ from drivers.v4l2 import abi
 from drivers.v4l2.abi import ControlId, Request
 from drivers.v4l2.camera import V4l2Camera
 from drivers.v4l2.formats import FORMATS, PixelFormat
+from drivers.v4l2.kernel import Linux, Memory
 from drivers.v4l2.node import MOST_FORMATS, MOST_INTERVALS, MOST_SIZES, Node, SizeGrid
 from drivers.v4l2.packing import WORDS, DamagedFrameError
 
@@ -30,7 +33,14 @@ KERNEL: dict[Request, tuple[int, type[ctypes.Structure], int]] = {
     Request.ENUM_FMT: (0xC0405602, abi.FormatDescription, 64),
     Request.G_FMT: (0xC0D05604, abi.Format, 208),
     Request.S_FMT: (0xC0D05605, abi.Format, 208),
-    Request.G_PARM: (0xC0CC5615, abi.StreamParameters, 204),
+    Request.REQBUFS: (0xC0145608, abi.BufferRequest, 20),
+    Request.QUERYBUF: (0xC0585609, abi.Buffer, 88),
+    Request.QBUF: (0xC058560F, abi.Buffer, 88),
+    Request.DQBUF: (0xC0585611, abi.Buffer, 88),
+    Request.STREAMON: (0x40045612, abi.BufferType, 4),
+    Request.STREAMOFF: (0x40045613, abi.BufferType, 4),
+    Request.S_PARM: (0xC0CC5616, abi.StreamParameters, 204),
+    Request.G_EXT_CTRLS: (0xC0205647, abi.LongValues, 32),
     Request.G_CTRL: (0xC008561B, abi.ControlValue, 8),
     Request.S_CTRL: (0xC008561C, abi.ControlValue, 8),
     Request.QUERYCTRL: (0xC0445624, abi.ControlQuery, 68),
@@ -56,6 +66,27 @@ def test_missing_lists_are_empty(number: int) -> None:
     assert node.intervals(1, (1, 1)) == ()
 
 
+def test_linux_maps_and_waits(tmp_path: Path) -> None:
+    """The running kernel's calls, on a file and a pipe in place of a node."""
+    kernel = Linux()
+    page = mmap.PAGESIZE
+    file = tmp_path / "buffers"
+    file.write_bytes(bytes(page) + bytes(range(200)) + bytes(page - 200))
+    descriptor = kernel.open(str(file))
+    memory = kernel.map(descriptor, page, page)
+    kernel.close(descriptor)
+    assert memory[:200].tolist() == list(range(200))
+    assert not memory.flags.writeable
+    read, write = os.pipe()
+    assert not kernel.wait(read, 0.0)
+    os.write(write, b"frame")
+    assert kernel.wait(read, 60.0)
+    os.close(read)
+    os.close(write)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        kernel.ioctl(read, Request.QUERYCAP, abi.Capability())
+
+
 class EndlessLists:
     """A device whose lists never end; it counts the queries."""
 
@@ -67,6 +98,12 @@ class EndlessLists:
 
     def close(self, descriptor: int) -> None:
         pass
+
+    def map(self, descriptor: int, offset: int, length: int) -> Memory:
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+
+    def wait(self, descriptor: int, timeout_s: float) -> bool:
+        return False
 
     def ioctl(self, descriptor: int, request: Request, argument: Any) -> None:
         self.queries += 1
@@ -149,7 +186,7 @@ class RandomResponses(Model):
 
 def open_and_close(model: Model) -> None:
     """Open a camera; it either has valid times or fails with an error of one line."""
-    camera = V4l2Camera(PATH, kernel=model, opener=model.video, clock=model.clock)
+    camera = V4l2Camera(PATH, kernel=model, clock=model.clock)
     try:
         with camera:
             times = camera.controls.time_s
@@ -201,7 +238,7 @@ def test_frames_of_any_length_are_decoded_or_damaged(
 ) -> None:
     shape = (4, columns)
     try:
-        samples = format_.packing.samples(np.frombuffer(data, np.uint8).reshape(1, -1), shape)
+        samples = format_.packing.samples(np.frombuffer(data, np.uint8), shape)
     except DamagedFrameError:
         return
     assert samples.shape == shape
@@ -214,7 +251,13 @@ def test_frames_of_any_length_are_decoded_or_damaged(
     ("code", "raw", "samples"),
     [
         ("Y10P", [0xFF, 0x00, 0x80, 0x01, 0b11_10_01_00], [0x3FC, 0x001, 0x202, 0x007]),
+        ("Y10B", [0xFF, 0b00_000000, 0b0001_1000, 0b000010_00, 7], [0x3FC, 0x001, 0x202, 0x007]),
         ("Y12P", [0xAB, 0x12, 0xDC], [0xABC, 0x12D]),
+        (
+            "pREE",
+            [0xFF, 0, 1, 0x80, 0b10_000001, 0b1100_0000, 0b111111_10],
+            [0x3FC1, 0x0002, 0x006C, 0x203F],
+        ),
         ("Y16 ", [0x34, 0x12, 0xFF, 0x00], [0x1234, 0x00FF]),
         ("UYVY", [128, 7, 128, 9], [7, 9]),
         ("YUYV", [7, 128, 9, 128], [7, 9]),
@@ -224,7 +267,7 @@ def test_frames_of_any_length_are_decoded_or_damaged(
 def test_samples_are_unpacked_as_v4l2_defines(
     code: str, raw: list[int], samples: list[int]
 ) -> None:
-    found = format_with(code).packing.samples(np.array([raw], np.uint8), (1, len(samples)))
+    found = format_with(code).packing.samples(np.array(raw, np.uint8), (1, len(samples)))
     assert found.tolist() == [samples]
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from v4l2_model import PATH, Model, ticks_of
 
 from camctl.calibration.delay import measure_delay
 from camctl.camera import Camera, CameraInfo, Frame
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture
 from camctl.clock import VirtualClock
 from camctl.controls import ExposureSetting
 from camctl.errors import (
@@ -60,7 +63,7 @@ def save_delay(frames: int | None, smallest: int = 0, largest: int = 0) -> None:
 
 def open_model(model: Model) -> V4l2Camera:
     options = V4l2Options(response="linear", fps=10)
-    camera = V4l2Camera(PATH, options, kernel=model, opener=model.video, clock=model.clock)
+    camera = V4l2Camera(PATH, options, kernel=model, clock=model.clock)
     return camera.open()
 
 
@@ -73,21 +76,32 @@ def exposures(frames: Iterable[Frame]) -> list[int]:
     return [ticks_of(frame.pixels) for frame in frames]
 
 
-class TestConformance(CameraConformance):
-    def open_camera(self) -> Camera:
-        save_delay(2)
-        return open_model(Model())
-
-    def middle_s(self, camera: Camera) -> float:
-        return camera.controls.time_s.nearest(0.02)
-
-
 class TestConformanceUnknownDelay(CameraConformance):
     def open_camera(self) -> Camera:
-        return open_model(Model())
+        self.model = Model()
+        return open_model(self.model)
 
     def middle_s(self, camera: Camera) -> float:
         return camera.controls.time_s.nearest(0.02)
+
+    def open_second(self, camera: Camera) -> Camera:
+        return open_model(self.model)
+
+    def unplug(self, camera: Camera) -> None:
+        self.model.unplugged = True
+
+    def silence(self, camera: Camera) -> None:
+        self.model.frozen = True
+        self.model.waiting.clear()
+
+    def in_force(self, camera: Camera) -> ExposureSetting:
+        return ExposureSetting(self.model.ticks / 10_000)
+
+
+class TestConformance(TestConformanceUnknownDelay):
+    def open_camera(self) -> Camera:
+        save_delay(2)
+        return super().open_camera()
 
 
 @pytest.mark.parametrize("lateness_s", [0.002, 0.03, 0.065, 0.095, 0.13])
@@ -164,11 +178,68 @@ def test_losing_an_unneeded_frame_costs_one_slot() -> None:
         assert slots <= len(TICKS) + 3 + 2
 
 
-@pytest.mark.parametrize("slot", range(5, 16))
-def test_damaged_frame_is_taken_again(slot: int) -> None:
+@pytest.mark.parametrize("fault", ["flag", "damage", "lose", "skip"])
+@pytest.mark.parametrize("delay", [0, 1, 2, 5])
+@pytest.mark.parametrize("place", range(len(TICKS)))
+def test_a_frame_that_cannot_be_used_costs_one_slot(fault: str, delay: int, place: int) -> None:
+    """Flagged by the driver, too short, lost by the driver, or never sent by the camera.
+
+    Its setting is written again, so near the end of the list the delay passes once more; the last
+    setting stays in force, so that the next frame has it.  That a frame did not arrive is seen when
+    the next one does, which costs a second slot.
+    """
+    save_delay(delay)
+    model = Model(delay=delay)
+    with open_model(model) as camera:
+        frames = camera.shoot(settings(TICKS))
+        model.advance()
+        first = model.slot + 1 + delay
+        getattr(model, fault).add(first + place)
+        assert exposures(frames) == list(TICKS)
+        slots = model.used[-1] - model.written_in[0]
+    seen = 1 if fault in ("flag", "damage") else 2
+    remaining = len(TICKS) - 1 - place
+    # A frame arrives in the slot after its own, so a write then is in force delay + 2 slots later.
+    expected = max(seen, delay + 1 + seen - remaining) if remaining else 1
+    assert slots - len(TICKS) - delay == expected
+
+
+def test_erroneous_frame_is_not_summed() -> None:
+    """The driver flags it and delivers all its bytes, of another exposure."""
+
+    class Mixed(Model):
+        def packed(self, ticks: int) -> bytes:
+            spoilt = self.used[-1] in self.flag
+            return super().packed(ticks * (1 + spoilt))
+
     save_delay(2)
-    with open_model(Model(damage={slot})) as camera:
+    with open_model(Mixed(flag=set(range(7, 30, 3)))) as camera:
         assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
+
+
+@pytest.mark.parametrize("counts", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_sequence_numbers_make_late_timestamps_certain(counts: bool, seed: int) -> None:
+    """Timestamps that are late by up to 0.45 slots are ambiguous without sequence numbers."""
+    save_delay(2)
+    random = np.random.default_rng(seed)
+    late = set(random.integers(6, 40, 6).tolist())
+    model = Model(jitter_s=lambda slot: 0.045 * (slot in late), counts=counts)
+    with open_model(model) as camera:
+        before = len(model.used)
+        assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
+        if counts:
+            assert len(model.used) - before <= len(TICKS) + 3
+
+
+def test_sequence_numbers_begin_again_at_zero() -> None:
+    save_delay(2)
+    model = Model()
+    model.sequence = 2**32 - 9
+    with open_model(model) as camera:
+        before = len(model.used)
+        assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
+        assert len(model.used) - before <= len(TICKS) + 3
 
 
 def test_only_damaged_frames_are_an_error() -> None:
@@ -311,9 +382,9 @@ class Flickering(Model):
 
     def finish(self) -> None:
         super().finish()
-        if self.waiting and self.waiting[-1][0] % 2:
-            slot, end_s, ticks = self.waiting.pop()
-            self.waiting.append((slot, end_s, ticks // 2))
+        if self.waiting and self.waiting[-1].slot % 2:
+            bright = self.waiting.pop()
+            self.waiting.append(replace(bright, ticks=bright.ticks // 2))
 
 
 class TestStep:
@@ -415,3 +486,16 @@ def test_busy_computer() -> None:
         for pause_s in pauses_s:
             assert exposures(camera.shoot(settings(TICKS[:3]))) == list(TICKS[:3])
             model.clock.sleep_until(model.clock.now() + pause_s)
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_stale_delay_makes_a_capture_untrustworthy(delay: int) -> None:
+    save_delay(delay)
+    request = CaptureRequest("log", 1000.0, ratios=(1.0, 2.5, 9.0), base_s=0.004)
+    with open_model(Model(delay=2)) as camera:
+        report = capture(camera, request)
+    assert not report.trustworthy
+    assert f"calibrate delay --camera v4l2:{PATH}" in (report.untrustworthy_because or "")
+    save_delay(2)
+    with open_model(Model(delay=2)) as camera:
+        assert capture(camera, request).trustworthy

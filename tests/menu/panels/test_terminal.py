@@ -3,39 +3,40 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
-import pty
 import re
-import select
 import signal
-import struct
 import subprocess
 import sys
 import termios
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
+from pseudo_terminal import HELPERS, Terminal, program_environment
 
 from camctl.backends import PANELS, load
 from camctl.errors import UsageError
 from menu.panels.terminal import TerminalPanel
 
-HELPERS = Path(__file__).parents[2] / "helpers"
 MENU = """
 from panel_fakes import FakeJob
 from menu.app import run
 from menu.panels.terminal import TerminalPanel
-print("returned", run(TerminalPanel(), FakeJob()))
+print("returned", run(TerminalPanel(), FakeJob))
 """
 MENU_THAT_KEEPS_SHOOTING = """
+import sys
+from camctl.interrupts import Interrupt, run_interruptible, signal_handlers
 from panel_fakes import FakeJob
 from menu.app import run
 from menu.panels.terminal import TerminalPanel
 job = FakeJob()
 job.frame_may_end.clear()
-print("returned", run(TerminalPanel(), job))
+with signal_handlers():
+    try:
+        print("returned", run_interruptible(lambda: run(TerminalPanel(), lambda: job)))
+    except Interrupt as interrupt:
+        sys.exit(128 + interrupt.number)
 """
 MENU_WITH_ERROR_BEYOND_ASCII = """
 from camctl.errors import CaptureError
@@ -43,9 +44,9 @@ from panel_fakes import FakeJob
 from menu.app import run
 from menu.panels.terminal import TerminalPanel
 class FailingJob(FakeJob):
-    def predict(self, response, dynamic_range):
+    def plan(self, choice, cancelled):
         raise CaptureError("nichts für uns")
-run(TerminalPanel(), FailingJob())
+run(TerminalPanel(), FailingJob)
 """
 OPEN_PANEL = """
 from camctl.errors import CamctlError
@@ -55,106 +56,8 @@ try:
 except CamctlError as error:
     print(type(error).__name__, error)
 """
-REDRAW = "\x0c"
 UP, DOWN, RIGHT, LEFT = "\x1bOA", "\x1bOB", "\x1bOC", "\x1bOD"
 FULL_SCREEN, NORMAL_SCREEN = "\x1b[?1049h", "\x1b[?1049l"
-
-QUIET_S = 0.1
-"""After this time without output, s, the screen is asked for again."""
-
-
-def _environment(**more: str) -> dict[str, str]:
-    """Return the environment of a program that imports the test helpers."""
-    kept = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
-    path = os.pathsep.join([str(HELPERS), *filter(None, [os.environ.get("PYTHONPATH")])])
-    return {**kept, "PYTHONPATH": path, **more}
-
-
-class Terminal:
-    """A Python program on a pseudo-terminal.
-
-    Waits have no limit of their own: the time-out of the test ends a wait that is in vain.
-    """
-
-    def __init__(
-        self,
-        code: str,
-        columns: int = 80,
-        rows: int = 24,
-        kind: str = "xterm",
-        locale: str = "C.UTF-8",
-    ) -> None:
-        self.master, self.slave = pty.openpty()
-        self.resize(columns, rows)
-        self.before = termios.tcgetattr(self.slave)
-        self.raw = ""
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", code],
-            stdin=self.slave,
-            stdout=self.slave,
-            stderr=self.slave,
-            cwd=HELPERS,
-            env=_environment(TERM=kind, LC_ALL=locale),
-            start_new_session=True,
-        )
-
-    def resize(self, columns: int, rows: int) -> None:
-        """Set the size; a running program is notified by `notify_resize`."""
-        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-
-    def notify_resize(self) -> None:
-        """Send the signal that a terminal sends when its size has changed."""
-        os.kill(self.process.pid, signal.SIGWINCH)
-
-    def type(self, keys: str) -> None:
-        """Press keys."""
-        os.write(self.master, keys.encode())
-
-    def _read(self, quiet_s: float) -> str:
-        """Return the output that comes within `quiet_s`, "" for none."""
-        if not select.select([self.master], [], [], quiet_s)[0]:
-            return ""
-        text = os.read(self.master, 65536).decode(errors="replace")
-        self.raw += text
-        return text
-
-    def wait_until(self, condition: Callable[[str], bool]) -> None:
-        """Wait until the text of the screen meets a condition.
-
-        The program is asked to draw the screen, and again whenever it has been quiet.
-        """
-        while self._read(0):
-            pass
-        while True:
-            self.type(REDRAW)
-            drawn = ""
-            while text := self._read(QUIET_S):
-                drawn += text
-                without_codes = re.sub(r"\x1b\[[\d;?]*[A-Za-z]|\x1b[()][A-Z0]", " ", drawn)
-                if condition(" ".join(without_codes.split())):
-                    return
-            assert self.process.poll() is None, f"the program has ended: {self.raw!r}"
-
-    def wait_for(self, *texts: str) -> None:
-        """Wait until all `texts` are on the screen."""
-        self.wait_until(lambda screen: all(text in screen for text in texts))
-
-    def wait_for_end(self) -> int:
-        """Return the exit status once the program has ended and its output is read."""
-        while self.process.poll() is None:
-            self._read(QUIET_S)
-        while self._read(0):
-            pass
-        return self.process.returncode
-
-    def close(self) -> None:
-        """Kill the program and close the terminal."""
-        with contextlib.suppress(ProcessLookupError):
-            self.process.kill()
-        self.process.wait()
-        os.close(self.master)
-        os.close(self.slave)
-
 
 Start = Callable[..., Terminal]
 
@@ -171,7 +74,7 @@ def start() -> Iterator[Start]:
             kind: str = "xterm",
             locale: str = "C.UTF-8",
         ) -> Terminal:
-            terminal = Terminal(code, columns, rows, kind, locale)
+            terminal = Terminal(["-c", code], columns, rows, kind, locale)
             stack.callback(terminal.close)
             return terminal
 
@@ -180,7 +83,9 @@ def start() -> Iterator[Start]:
 
 def test_menu_is_operated_with_the_keys(start: Start) -> None:
     terminal = start(MENU)
-    terminal.wait_for("camctl", ">Constant contrast", "enter: next exit: quit")
+    terminal.wait_for("camctl", "[Set]")
+    terminal.type("\r")
+    terminal.wait_for(">Constant contrast", "enter: take exit: back")
     terminal.type(DOWN)
     terminal.wait_for(">Linear")
     terminal.type(UP + "\r")
@@ -188,44 +93,81 @@ def test_menu_is_operated_with_the_keys(start: Start) -> None:
     terminal.type(DOWN + LEFT)
     terminal.wait_for(">Constant contrast")
     terminal.type(RIGHT)
-    terminal.wait_for(">Low 1:256")
+    terminal.wait_for(">High 1:16,000")
     terminal.type("\r")
-    terminal.wait_for("> 3")
+    terminal.wait_for(">3 exposures")
     terminal.type("\r")
-    terminal.wait_for("3.3 ms", "[Shoot]")
+    terminal.wait_for("0.0033 s", "[Shoot]")
     terminal.type("\r")
-    terminal.wait_for("Done", "390 effective levels, 392 planned")
-    terminal.type(RIGHT + RIGHT + "\r")
+    terminal.wait_for("Done", "97 effective levels, 98 planned")
+    terminal.type("q")
+    terminal.wait_for("[Set]")
+    terminal.type("q")
+    terminal.wait_for("Quit the menu?")
+    terminal.type(RIGHT + "\r")
     assert terminal.wait_for_end() == 0
     assert "folder='captures/x'" in terminal.raw
 
 
+def test_serial_console_without_arrow_keys_has_letters_and_digits(start: Start) -> None:
+    terminal = start(MENU, kind="vt100")
+    terminal.wait_for("[Set]")
+    terminal.type("5")
+    terminal.wait_for(">Constant")
+    terminal.type("j2")
+    terminal.wait_for(">Gamma")
+    terminal.type("k")
+    terminal.wait_for(">Linear")
+    terminal.type("l")
+    terminal.wait_for("Dynamic")
+    terminal.type("h")
+    terminal.wait_for(">Linear")
+
+
 def test_selected_line_is_shown_in_reverse_video(start: Start) -> None:
     terminal = start(MENU)
+    terminal.wait_for("[Set]")
+    terminal.type("\r")
     terminal.wait_for(">Constant contrast")
     assert re.search(r"\x1b\[(0;)?7m>Constant contrast", terminal.raw)
 
 
 def test_escape_and_q_are_the_exit_key(start: Start) -> None:
     terminal = start(MENU)
-    terminal.wait_for(">Constant")
+    terminal.wait_for("[Set]")
     terminal.type("\r")
-    terminal.wait_for("Dynamic range")
-    terminal.type("\x1b")
     terminal.wait_for(">Constant")
+    terminal.type("\x1b")
+    terminal.wait_for("[Set]")
     terminal.type("q")
+    terminal.wait_for("Quit the menu?")
+    terminal.type(RIGHT + "\r")
     assert terminal.wait_for_end() == 0
     assert terminal.raw.endswith("returned None\r\n")
 
 
+@pytest.mark.parametrize("size", [(16, 2), (20, 4), (23, 7)])
+def test_small_terminal_is_used_to_its_last_cell(start: Start, size: tuple[int, int]) -> None:
+    terminal = start(MENU, *size)
+    terminal.wait_for("[Set]")
+    terminal.type("\r")
+    terminal.wait_for(">", "1.79s")
+    terminal.type("\r")
+    terminal.wait_for(">Medium")
+
+
 def test_panel_adapts_to_the_size_of_the_terminal(start: Start) -> None:
     terminal = start(MENU, 80, 24)
-    terminal.wait_for("equal steps of contrast")
-    terminal.resize(22, 6)
+    terminal.wait_for("[Set]")
+    terminal.type("\r")
+    terminal.wait_for("1.79 s exposed, 1.88 s in all")
+    terminal.resize(22, 4)
     terminal.notify_resize()
     terminal.wait_until(
         lambda screen: (
-            ">Constant contrast" in screen and "Gamma 1/2" in screen and "equal steps" not in screen
+            ">Constant contrast" in screen
+            and "1.79s/1.88s 100" in screen
+            and "exposed" not in screen
         )
     )
     terminal.resize(10, 3)
@@ -233,13 +175,13 @@ def test_panel_adapts_to_the_size_of_the_terminal(start: Start) -> None:
     terminal.wait_for("make the t")
     terminal.resize(100, 40)
     terminal.notify_resize()
-    terminal.wait_for("equal steps of contrast")
+    terminal.wait_for("1.79 s exposed, 1.88 s in all")
 
 
 @pytest.mark.parametrize(("locale", "shown"), [("C.UTF-8", "für"), ("C", "f?r")])
 def test_characters_outside_the_locale_are_replaced(start: Start, locale: str, shown: str) -> None:
     terminal = start(MENU_WITH_ERROR_BEYOND_ASCII, locale=locale)
-    for text in (">Constant", "Dynamic range"):
+    for text in ("[Set]", ">Constant", "Dynamic range", "Exposures"):
         terminal.wait_for(text)
         terminal.type("\r")
     terminal.wait_for(f"nichts {shown} uns")
@@ -247,11 +189,11 @@ def test_characters_outside_the_locale_are_replaced(start: Start, locale: str, s
 
 @pytest.mark.parametrize(
     ("end_with", "status"),
-    [("quit", 0), (signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143)],
+    [("quit", 0), (signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
 )
 def test_terminal_is_restored(start: Start, end_with: str | signal.Signals, status: int) -> None:
     terminal = start(MENU_THAT_KEEPS_SHOOTING)
-    for text in (">Constant", "Dynamic range", "> 3", "[Shoot]"):
+    for text in ("[Set]", ">Constant", "Dynamic range", ">3 exposures", "[Shoot]"):
         terminal.wait_for(text)
         terminal.type("\r")
     terminal.wait_for("Shooting")
@@ -262,7 +204,11 @@ def test_terminal_is_restored(start: Start, end_with: str | signal.Signals, stat
     else:
         terminal.type("q")
         terminal.wait_for("stopped after 0 frames")
-        terminal.type(RIGHT + RIGHT + "\r")
+        terminal.type("q")
+        terminal.wait_for("[Set]")
+        terminal.type("q")
+        terminal.wait_for("Quit the menu?")
+        terminal.type(RIGHT + "\r")
     assert terminal.wait_for_end() == status
     assert terminal.raw.rindex(NORMAL_SCREEN) > terminal.raw.rindex(FULL_SCREEN)
     assert termios.tcgetattr(terminal.slave) == terminal.before
@@ -271,7 +217,7 @@ def test_terminal_is_restored(start: Start, end_with: str | signal.Signals, stat
 @pytest.mark.parametrize(
     ("columns", "rows", "kind", "line"),
     [
-        (19, 5, "xterm", "the terminal has only 19 x 5 characters; enlarge it to 22 x 6"),
+        (10, 1, "xterm", "the terminal has only 10 x 1 characters; enlarge it to 16 x 2"),
         (
             80,
             24,
@@ -299,7 +245,7 @@ def test_panel_without_a_terminal_is_refused() -> None:
         capture_output=True,
         text=True,
         cwd=HELPERS,
-        env=_environment(),
+        env=program_environment(),
         check=True,
     )
     assert done.stdout == (

@@ -7,7 +7,7 @@ effect have the same random bits, so that only what was left out makes a differe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,10 @@ from sim.effects.budget import greedy, plan_frame
 from sim.effects.record import Shot
 from sim.render import Renderer
 from sim.scenes.motion import Lamps, Target
-from sim.scenes.scene import Scene
+from sim.scenes.scene import Scene, load_scene
 from sim.scenes.view import View
 from sim.sensors.parts import Dark, Lens
-from sim.sensors.sensor import Sensor
+from sim.sensors.sensor import Sensor, load_sensor
 
 CASES = 500
 CHUNKS = 6
@@ -117,7 +117,6 @@ def a_sensor(random: np.random.Generator) -> Sensor:
             "dsnu_e": some(random, 1e-3, well / 400),
             "crosstalk": some(random, 1e-7, 0.1),
             "blooming": some(random, 0.01, 1.0),
-            "blooming_px": int(random.integers(1, 9)),
             "smear_s": some(random, 1e-9, 1e-3),
             "lag": some(random, 1e-7, 0.2),
         },
@@ -145,7 +144,7 @@ class Case:
     def measured(self, left_out: tuple[str, ...]) -> tuple[float, int]:
         """Return the largest difference to the full frame: DN before the ADC, levels after it."""
         r, shot = self.renderer, self.shot
-        full = plan_frame(shot, 0.0)
+        full = plan_frame(shot, 0.0, left_out=())
         part = plan_frame(shot, 0.0, left_out=left_out)
         after = r.expose(shot, full).astype(int) - r.expose(shot, part).astype(int)
         if self.sensor.response is not None:
@@ -216,6 +215,7 @@ def test_dark_current_matters_most_in_dim_corners() -> None:
         name="dim",
         bits=12,
         full_well_e=10_000,
+        read_noise_e=2.5,
         lens=Lens(vignetting=0.95),
         dark=Dark(current_e_s=20.0),
     )
@@ -224,3 +224,30 @@ def test_dark_current_matters_most_in_dim_corners() -> None:
     bound = Bounds(case.shot).joint(["dark current"])
     before, _ = case.measured(("dark current",))
     assert 0.5 * bound < before <= bound
+
+
+@pytest.mark.parametrize(
+    ("scene", "sensor", "time_s"),
+    [
+        ("moving-target", "complete", 0.004),  # glare is downsampled at this size
+        ("room", "complete", 0.002),
+        ("ramp", "mobile", 0.001),
+        ("ramp", "consumer", 0.004),  # a curve
+    ],
+)
+def test_bounds_hold_for_frames_of_users_size(scene: str, sensor: str, time_s: float) -> None:
+    """640 x 480, each with what a tolerance leaves out; the moving target is black and opaque."""
+    chosen = load_sensor(sensor)
+    seen = load_scene(scene, (480, 640))
+    if seen.target is not None:
+        black = seen.target.scaled(np.zeros_like(seen.target.light))
+        seen = replace(seen, target=replace(black, cover=np.ones_like(black.cover)))
+    renderer = Renderer(View.of(seen, chosen), chosen, seed=8)
+    shot = renderer.shot(time_s, 1.0, 3, start_s=0.4)
+    case, bounds = Case(renderer, shot, chosen), Bounds(shot)
+    for tolerance_dn in (0.3, 3.0):
+        left_out = greedy(bounds, tolerance_dn)
+        before, after = case.measured(left_out)
+        bound = bounds.joint(left_out)
+        assert before <= bound <= tolerance_dn
+        assert after <= math.ceil(bound)

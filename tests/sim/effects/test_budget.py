@@ -117,13 +117,18 @@ def test_the_records_of_all_effects_are_complete() -> None:
     assert [effect.stage for effect in EFFECTS] == sorted(effect.stage for effect in EFFECTS)
 
 
-def test_tolerance_0_leaves_nothing_out() -> None:
-    plan = plan_frame(a_shot("night-street", "complete", 0.01), 0.0)
-    assert plan.left_out == frozenset()
-    assert plan.joint_bound_dn == 0
-    assert {"blooming", "full well", "cosmic rays", "read noise"} <= {
-        effect.name for effect in plan.effects if effect.ran
-    }
+def test_tolerance_0_leaves_out_what_changes_no_bit() -> None:
+    for time_s, gone in (
+        (1e-5, {"blooming", "full well", "cosmic rays"}),
+        (1.0, {"cosmic rays", "mains flicker", "rolling shutter"}),
+    ):
+        shot = a_shot("night-street", "complete", time_s)
+        plan = plan_frame(shot, 0.0)
+        assert plan.left_out == gone
+        assert plan.joint_bound_dn == 0
+        renderer = Renderer(shot.view, shot.sensor, seed=1)
+        everything = renderer.brightness(shot, plan_frame(shot, 0.0, left_out=()))
+        assert np.array_equal(renderer.brightness(shot, plan), everything)
 
 
 def test_a_plan_can_be_written_as_json() -> None:
@@ -133,7 +138,7 @@ def test_a_plan_can_be_written_as_json() -> None:
     assert 0 < data["joint_bound_dn"] <= 0.5
     assert [effect["name"] for effect in data["effects"]] == list(effect_names())
     for effect in data["effects"]:
-        assert set(effect) == {"name", "bound_dn", "ran", "why"}
+        assert set(effect) == {"name", "bound_dn", "ran", "why", "milliseconds"}
         assert effect["why"]
     never = next(effect for effect in data["effects"] if effect["name"] == "quantisation")
     assert never["bound_dn"] is None
@@ -153,7 +158,31 @@ def test_each_decision_gives_its_reason() -> None:
     plan = {one.name: one for one in plan_frame(bright, 0.5).effects}
     assert plan["full well"].why.endswith(" e-, above the full well of 1.05e+04 e-")
     plan = {one.name: one for one in plan_frame(dim, 0.0).effects}
-    assert plan["DSNU"].why == "at a tolerance of 0 every effect runs"
+    assert plan["DSNU"].why == "simulated, because the tolerance is 0 and it changes the frame"
+
+
+def test_a_bound_counts_only_light_that_does_not_fill_the_well() -> None:
+    """A PRNU of 0.6 % changes a sample of a sensor without blooming by few levels, not by all."""
+    sensor = load_sensor("complete")
+    drained = {"pixels": sensor.pixels.model_copy(update={"blooming": 0.0})}
+    sensor = sensor.model_copy(update=drained)
+    view = View.of(load_scene("night-street", (48, 64)), sensor)
+    shot = Renderer(view, sensor, seed=1).shot(4.0, 1.0, 0)
+    bound = Bounds(shot).single["PRNU"]
+    assert 5 < bound < 10
+    everything, without = (plan_frame(shot, 0.0, left_out=names) for names in ((), ("PRNU",)))
+    renderer = Renderer(view, sensor, seed=1)
+    off = renderer.brightness(shot, everything) - renderer.brightness(shot, without)
+    assert np.abs(off).max() <= bound
+
+
+def test_the_reason_of_an_overflow_is_a_sentence() -> None:
+    plan = {
+        one.name: one for one in plan_frame(a_shot("night-street", "complete", 4.0), 0.5).effects
+    }
+    assert plan["PRNU"].why.startswith("wells overflow: ")
+    assert plan["mains flicker"].why == "over this exposure the light of the lamps averages out"
+    assert not plan["mains flicker"].ran
 
 
 def test_more_tolerance_leaves_out_at_least_as_much() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 import camctl.camera
 from camctl.controls import Layout
+from sim.effects import EFFECTS
 from sim.effects.budget import plan_frame
 from sim.effects.charge import cosmic_hits
 from sim.noise import TILE
@@ -21,6 +23,8 @@ from sim.scenes.scene import LUMINANCE, Scene, load_scene
 from sim.scenes.view import View
 from sim.sensors.parts import Dark, Lens, Pixels, ReadOut
 from sim.sensors.sensor import Sensor, load_sensor
+
+EFFECT = {effect.name: effect for effect in EFFECTS}
 
 ABSENT: dict[str, dict[str, Any]] = {
     "veiling glare": {"lens": {"glare": 0.0}},
@@ -36,7 +40,6 @@ ABSENT: dict[str, dict[str, Any]] = {
     "cosmic rays": {"read_out": {"cosmic_rate_s": 0.0}},
     "blooming": {"pixels": {"blooming": 0.0}},
     "DSNU": {"pixels": {"dsnu_e": 0.0}},
-    "read noise": {"read_noise_e": 0.0},
     "row noise": {"read_out": {"row_noise_e": 0.0}},
     "column noise": {"read_out": {"column_noise_e": 0.0}},
     "ADC non-linearity": {"read_out": {"nonlinearity_dn": 0.0}},
@@ -90,8 +93,9 @@ def test_left_out_is_the_same_as_absent(name: str, sensor: str) -> None:
 
 @pytest.mark.parametrize("name", ["veiling glare", "crosstalk", "PRNU", "blooming", "read noise"])
 def test_leaving_out_changes_the_frame(name: str) -> None:
-    scene, sensor = load_scene("night-street", (150, 200)), load_sensor("mobile")
-    assert not np.array_equal(frame(scene, sensor, left_out=[name]), frame(scene, sensor))
+    scene, sensor = load_scene("night-street", (150, 200)), load_sensor("ccd")
+    without_it = frame(scene, sensor, 0.5, left_out=[name])
+    assert not np.array_equal(without_it, frame(scene, sensor, 0.5))
 
 
 @pytest.mark.parametrize("sensor", ["complete", "mobile", "ccd"])
@@ -243,16 +247,79 @@ def test_vignetting_darkens_the_corners_by_its_share() -> None:
 
 def test_blooming_and_smear_stay_in_their_column() -> None:
     light = np.full((80, 60), 1e4, dtype=np.float32)
-    light[40, 30] = 1e9
+    light[40, 30] = 4e7  # 20 full wells
     sensor = Sensor(name="s", bits=12, full_well_e=10_000, photon_noise=False)
-    pixels = Pixels(blooming=1.0, blooming_px=20, smear_s=1e-4)
+    pixels = Pixels(blooming=1.0, smear_s=1e-4)
     both = sensor.model_copy(update={"pixels": pixels})
     seen = frame(Scene("lamp", light), both, 0.01).astype(int)
     plain = frame(Scene("lamp", light), sensor, 0.01).astype(int)
     assert np.array_equal(np.unique(np.nonzero(seen - plain > 1)[1]), [30])
     assert seen[33, 30] == seen[47, 30] == 4095
-    assert 4095 > seen[25, 30] == seen[55, 30] > plain[25, 30] + 100
-    assert seen[0, 30] > plain[0, 30] + 1  # out of the reach of blooming: smear
+    assert seen[25, 30] == seen[55, 30] == seen[0, 30]  # out of the reach of blooming: smear
+    assert seen[0, 30] > plain[0, 30] + 1
+
+
+@pytest.mark.parametrize("over", [1.5, 30.0, 1e3, 1e6])
+@pytest.mark.parametrize("share", [0.4, 1.0])
+def test_blooming_conserves_charge_and_reaches_further_with_more_of_it(
+    over: float, share: float
+) -> None:
+    """All charge beyond the wells that is not drained lies in the column, or left at its ends."""
+    well, dark_e, rows = 1000.0, 10.0, 201
+    charge = np.full((rows, 3), dark_e, dtype=np.float32)
+    charge[100, 1] = over * well
+    sensor = Sensor(name="s", bits=8, full_well_e=well, pixels=Pixels(blooming=share))
+    shot = Renderer(View(charge), sensor).shot(0.01, 1.0, 0)
+    spread = EFFECT["blooming"].picture
+    assert spread is not None
+    seen = spread(charge.copy(), shot).astype(np.float64)
+    flowing = share * (over - 1) * well
+    room = (rows - 1) * (well - dark_e)
+    assert np.all(seen[:, [0, 2]] == dark_e)
+    gained = seen[:, 1].sum() - (rows - 1) * dark_e - well
+    assert gained == pytest.approx(min(flowing, room), rel=1e-6)
+    reached = np.count_nonzero(seen[:, 1] > dark_e)
+    assert reached == min(rows, 1 + 2 * math.ceil(flowing / 2 / (well - dark_e)))
+
+
+def test_an_opaque_black_target_before_a_bright_wall_gives_finite_light() -> None:
+    """The mean of its cover over the exposure may be above 1 by the rounding."""
+    light = np.full((12, 200), 1e6, dtype=np.float32)
+    for width in (1, 7, 30):
+        for velocity in (-3.3e4, 77.7, 1e3, 1e5):
+            surface, cover = np.zeros((9, width), np.float32), np.ones((9, width), np.float32)
+            scene = Scene("s", light, target=Target(surface, cover, 1, 10.3, velocity))
+            seen = adc_input(scene, load_sensor("complete"), 0.0101)
+            assert np.isfinite(seen).all()
+            planes = light.copy()
+            assert scene.target is not None
+            scene.target.draw(planes, np.linspace(0, 0.01, 12), 0.0101, is_blurred=True)
+            assert planes.min() >= 0
+
+
+def test_the_largest_dark_rates_give_a_full_well() -> None:
+    hot = Dark(hot_share=0.1, hot_rate_e_s=1e9, temperature_c=150, reference_c=0, doubling_k=2.5)
+    sensor = load_sensor("complete").model_copy(update={"dark": hot})
+    assert hot.rate_factor > 1e18
+    seen = adc_input(even((60, 80), 1e3), sensor, 60.0)
+    assert np.isfinite(seen).all()
+    assert seen.max() >= sensor.white
+
+
+def test_crosstalk_acts_on_light_that_the_lens_has_dimmed() -> None:
+    """A corner pixel loses to its neighbours what vignetting has left of its light."""
+    pixels, lens = Pixels(crosstalk=0.1), Lens(vignetting=0.5)
+    sensor = Sensor(name="s", bits=14, full_well_e=1e5, photon_noise=False, pixels=pixels)
+    light = np.zeros((21, 21), dtype=np.float32)
+    light[1, 1] = 1e6
+    bright, dim = (
+        adc_input(Scene("s", light), sensor.model_copy(update={"lens": one}), 0.1)
+        for one in (Lens(), lens)
+    )
+    share = 1 - 0.5 * (9**2 + 9**2) / (10**2 + 10**2)
+    lit = bright > 0
+    assert np.count_nonzero(lit) == 5
+    assert dim[lit] == pytest.approx(bright[lit] * share, rel=1e-5)
 
 
 def test_cosmic_rays_are_a_poisson_process_and_differ_from_frame_to_frame() -> None:

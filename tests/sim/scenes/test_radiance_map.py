@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -172,7 +173,7 @@ def test_npy(tmp_path: Path) -> None:
 
 
 def test_missing_files_and_unknown_types_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no such file"):
+    with pytest.raises(DataError, match="No such file"):
         load_scene(tmp_path / "none.hdr")
     (tmp_path / "a.xyz").write_text("x")
     with pytest.raises(DataError, match=r"unknown file type \.xyz; known: \.hdr"):
@@ -205,6 +206,27 @@ def test_a_map_larger_than_memory_is_refused_before_it_is_read(tmp_path: Path) -
     path.write_bytes(b"#?RADIANCE\n\n-Y 1000000 +X 1000000\n")
     with pytest.raises(DataError, match=r"need about [0-9.]+ GiB of memory, but [0-9.]+ GiB are"):
         load_scene(path)
+
+
+@pytest.mark.parametrize("size", [b"9" * 4000, b"0", b"1" + b"0" * 9])
+def test_an_impossible_size_in_a_radiance_header_is_refused(tmp_path: Path, size: bytes) -> None:
+    path = tmp_path / "a.hdr"
+    path.write_bytes(b"#?RADIANCE\n\n-Y " + size + b" +X " + size + b"\n")
+    with pytest.raises(DataError, match=r"a.hdr: .*(invalid Radiance size|no pixels)"):
+        load_scene(path)
+
+
+def test_a_short_file_that_promises_many_rows_is_refused_before_memory_is_used(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.hdr"
+    path.write_bytes(b"#?RADIANCE\n\n-Y 5000 +X 5000\n" + bytes(1000))
+    tracemalloc.start()
+    with pytest.raises(DataError, match="the data ends before the last row"):
+        load_scene(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 10_000_000
 
 
 def test_pickled_objects_are_refused(tmp_path: Path) -> None:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import guest_processes as guest
+import numpy as np
 import pytest
 import virtual_devices as rig
 from device_conformance import DeviceConformance
 
-from camctl import read_report
+from camctl import CaptureReport, CaptureRequest, capture, read_report
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraError
+from camctl.studies.scene_errors import scene_truth
+from sim.camera import SimulatedCamera
+from sim.scenes.scene import load_scene
+from sim.sensors.sensor import Sensor
 
 LONG_BRACKET = ("--ratios", "1,1.5,2,3,4,6,8,12", "--base", "0.002")
 LONGER_BRACKET = ("--ratios", "1,1.5,2,3,4,6,8,12,16,20,24,30", "--base", "0.002")
@@ -41,12 +48,20 @@ class TestY16(DeviceConformance):
     device = rig.MACHINE
 
 
+class TestMosaic(DeviceConformance):
+    """A camera with nothing but Bayer frames of 16-bit words."""
+
+    device = rig.MOSAIC
+
+
 class TestUnsteadyDelay(DeviceConformance):
     device = rig.UNSTEADY
 
 
 class TestWholeCapture:
-    @pytest.mark.parametrize("device", [rig.WEB, rig.MACHINE], ids=lambda device: device.name)
+    @pytest.mark.parametrize(
+        "device", [rig.WEB, rig.MACHINE, rig.MOSAIC], ids=lambda device: device.name
+    )
     def test_frames_have_what_the_device_exposed_them_with(
         self, hub: rig.RecordingHub, camctl: RunCamctl, device: rig.Device
     ) -> None:
@@ -146,6 +161,49 @@ class TestDelay:
         assert cost.by_timestamps == cost.settings + delay
         assert cost.slots == list(range(cost.slots[0], cost.slots[0] + cost.settings))
 
+    @pytest.mark.parametrize("delay", [0, 2])
+    def test_captures_take_the_predicted_time(self, hub: rig.RecordingHub, delay: int) -> None:
+        """Within 10 % on average: one capture begins at any time within a frame."""
+        with rig.control_delay(hub, rig.WEB, delay), rig.open_device(rig.WEB) as camera:
+            request = CaptureRequest(ratios=(1.0, 2.0, 3.0, 4.0, 6.0, 8.0), base_s=0.002)
+            timings = [capture(camera, request).timing for _ in range(5)]
+        errors = [each["planned_wall_s"] / each["actual_wall_s"] - 1 for each in timings]
+        print(f"d = {delay}: planned / actual - 1 =", *(f"{error:+.3f}" for error in errors))
+        assert abs(fmean(errors)) <= 0.1
+
+
+class TestCalibration:
+    def test_a_calibrated_webcam_makes_the_linear_picture_that_it_promises(
+        self,
+        hub: rig.RecordingHub,
+        camctl: RunCamctl,
+        monkeypatch: pytest.MonkeyPatch,
+        tmp_path: Path,
+    ) -> None:
+        """Within 1 % of full scale on a ramp, by a webcam that says nothing of its response."""
+        monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path / "profiles"))
+        arguments = rig.camera_arguments(rig.CURVED)
+        done = camctl("calibrate", "all", *arguments, "--json")
+        assert done.status == 0, done.err
+        steps = {step["name"]: step for step in json.loads(done.out)["steps"]}
+        assert steps["control delay"]["result"] == "2 frames"
+        assert [name for name, step in steps.items() if step["problem"]] == []
+        done = camctl("shoot", *arguments, "--response", "linear", "-n", "3", "-o", "linear")
+        assert done.status == 0, done.err
+        assert "using the profile" in done.err
+        report = read_report(Path("linear"))
+        assert isinstance(report, CaptureReport)
+        scene = load_scene(rig.CURVED.model["scene"], shape=rig.SHAPE)
+        with SimulatedCamera(scene, Sensor.model_validate(rig.CURVED_SENSOR)) as camera:
+            light = scene_truth(camera) * min(frame.applied.exposure for frame in report.frames)
+        promised = report.plan.desired.u(np.clip(light, 0, 1)).mean(axis=0)
+        measured = (report.image() / 65535).mean(axis=0)
+        inside = light.mean(axis=0) < 0.98
+        error = np.abs(measured - promised)[inside]
+        print(f"largest error of the response {error.max():.4f} of full scale, {steps}")
+        assert inside.sum() > 100
+        assert error.max() <= 0.01
+
 
 class TestFaults:
     @pytest.fixture(autouse=True)
@@ -222,7 +280,39 @@ class TestFaults:
         assert 2 in [frame.attempts for frame in rig.completed_frames("wrong")]
         assert not rig.distrust_warnings(report)
 
-    @pytest.mark.parametrize("verb", ["truncate", "garbage"])
+    @pytest.mark.parametrize(
+        "is_delivered",
+        [
+            pytest.param(
+                False,
+                marks=pytest.mark.xfail(
+                    reason="known defect: after a frame that uvcvideo dropped, one frame had the "
+                    "exposure of the setting before, in 2 of 4 runs",
+                    strict=False,
+                ),
+            ),
+            True,
+        ],
+    )
+    def test_an_erroneous_frame_is_not_summed(self, is_delivered: bool) -> None:
+        """Whether uvcvideo drops it, as before Linux 6.12, or delivers it with the error flag."""
+        Path("/sys/module/uvcvideo/parameters/nodrop").write_text(str(int(is_delivered)))
+        try:
+            with rig.open_device(rig.WEB) as camera:
+                settings = [rig.setting(camera, 0.002 * 2**i) for i in (0, 4, 1, 3, 2, 4, 0, 3)]
+                undisturbed = [frame.pixels for frame in camera.shoot(settings)]
+                found = []
+                for frame in camera.shoot(settings):
+                    found.append(frame.pixels)
+                    if frame.index == 1:
+                        self.fault("erroneous")
+        finally:
+            Path("/sys/module/uvcvideo/parameters/nodrop").write_text("0")
+        pairs = enumerate(zip(undisturbed, found, strict=True))
+        different = {i: (a.mean(), b.mean()) for i, (a, b) in pairs if not np.array_equal(a, b)}
+        assert not different
+
+    @pytest.mark.parametrize("verb", ["truncate", "garbage", "erroneous"])
     def test_a_damaged_frame_is_not_delivered(self, camctl: RunCamctl, verb: str) -> None:
         with guest.once_a_frame_is_kept(Path(verb).absolute(), lambda: self.fault(verb)):
             done = camctl("shoot", *rig.camera_arguments(rig.WEB), *LONG_BRACKET, "-o", verb)

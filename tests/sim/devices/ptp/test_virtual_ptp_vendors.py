@@ -243,6 +243,7 @@ def sony_connect(host: Initiator) -> tuple[tuple[int, ...], tuple[int, ...]]:
     info = host.get(0x9202, 0xC8)
     assert struct.unpack_from("<H", info) == (0xC8,)
     host.do(0x9201, 3, 0, 0)
+    host.do(0x9205, 0xD25A, data=b"\x01")  # the host sets the exposure
     (count,) = struct.unpack_from("<I", info, 2)
     codes = struct.unpack_from(f"<{count}H", info, 6)
     return codes, tuple(numbers(info[6 + 2 * count :], "H"))
@@ -308,7 +309,7 @@ def test_sony_exposure_follows_its_fractions() -> None:
     assert np.array_equal(read_tiff(sony_shoot(host)), device.body.sensor.expose(1 / 60, 2.0))
     assert sony_properties(host)[0xD215].value == 0
     assert host.response(0x1009, SONY_MEMORY) == INVALID_HANDLE
-    assert {host.event()[0] for _ in range(4)} == {0xC201, 0xC203}
+    assert {host.event()[0] for _ in range(5)} == {0xC201, 0xC203}
 
 
 def test_the_shutter_time_of_an_older_sony_is_stepped() -> None:

@@ -1,0 +1,100 @@
+"""The exponent of a response whose exposures are not known.
+
+The frames show a curve E and exposures t only up to a common exponent g: E^g and t^g fit as well
+(Mitsunaga and Nayar, "Radiometric Self Calibration", CVPR 1999).  Patches of known reflectance
+decide; without them, the expectation that the curve is about as steep as that of sRGB.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from camctl.calibration.response_fit import (
+    CHART_LIGHT,
+    REFERENCE,
+    ChartSamples,
+    ResponseFit,
+    light_terms,
+)
+from camctl.response.camera import FloatArray, srgb_to_linear
+
+#: Brightness, share of full scale, at which the steepness is compared with that of sRGB, and the
+#: relative standard deviation of the exponent (tests/bench/bench_response.py).
+_STEEP, _STEEP_ERROR = 0.05, 0.2
+#: Errors from which patches lose weight, in standard deviations, and the number of rounds.
+_OUTLIER, _ROUNDS = 2.0, 20
+
+
+@dataclass(frozen=True)
+class Exponent:
+    """An exponent of irradiance and exposures, and its relative standard deviation."""
+
+    value: float
+    error: float
+
+
+def expected_exponent(fit: ResponseFit, edges: FloatArray) -> Exponent:
+    """Return the exponent that makes a response about as steep as that of sRGB.
+
+    Args:
+        fit: the response for some exponent
+        edges: (K,) its levels; the last is M
+    """
+    found = np.interp(_STEEP * (edges[-1] + 1), edges, np.log(fit.irradiance))
+    return Exponent(math.log(srgb_to_linear(np.array(_STEEP))) / float(found), _STEEP_ERROR)
+
+
+def exponent_of_chart(fit: ResponseFit, edges: FloatArray, chart: ChartSamples) -> Exponent:
+    """Return the exponent that explains the patches of a chart under slightly uneven light.
+
+    Args:
+        fit: the response and the exposures for some exponent
+        edges: (K,) the levels of the response
+        chart: patches, at least three
+    """
+    logs = np.interp(chart.level, edges, np.log(fit.irradiance))
+    logs -= np.log(fit.exposures)[chart.frame]
+    seen = np.unique(chart.patch)
+    light = np.array([logs[chart.patch == each].mean() for each in seen])
+    across, down = chart.place[seen].T
+    rows = np.stack([light, *-light_terms(across, down)], axis=1)
+    wanted = np.log(chart.reflectance[seen])
+    known = np.diag([0.0, *np.array(CHART_LIGHT) ** -2.0])
+    weights = chart.error[seen] ** -2.0
+    for _ in range(_ROUNDS):
+        square = (rows.T * weights) @ rows + known
+        found = np.linalg.solve(square, rows.T @ (weights * wanted))
+        deviations = np.abs(rows @ found - wanted) / chart.error[seen]
+        weights = chart.error[seen] ** -2.0 / np.maximum(1.0, deviations / _OUTLIER)
+    misfit = max(1.0, float(np.mean(np.minimum(deviations, _OUTLIER) ** 2)))
+    error = math.sqrt(float(np.linalg.inv(square)[0, 0]) * misfit)
+    return Exponent(float(found[0]), error / max(float(found[0]), 1e-9))
+
+
+def common_exponent(found: Sequence[Exponent]) -> Exponent:
+    """Return the weighted mean of the exponents of the channels, which have the same exposures.
+
+    Its error is the least of theirs: what is wrong with a chart or an expectation is wrong in all.
+    """
+    errors = np.array([each.error for each in found])
+    value = np.average([each.value for each in found], weights=errors**-2)
+    return Exponent(float(value), float(errors.min()))
+
+
+def with_exponent_error(fit: ResponseFit, edges: FloatArray, error: float) -> ResponseFit:
+    """Return a fit whose standard deviations count in that of the exponent.
+
+    Args:
+        fit: the response
+        edges: (K,) its levels; the last is M
+        error: relative standard deviation of the exponent
+    """
+    logs = np.log(fit.irradiance)
+    reference = np.interp(REFERENCE * (edges[-1] + 1), edges, logs)
+    deviation = np.hypot(fit.deviation, error * (logs - reference))
+    return dataclasses.replace(fit, deviation=deviation)

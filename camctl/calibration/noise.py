@@ -1,0 +1,119 @@
+"""Shoot the pairs of frames from which a camera's noise is estimated: see `noise_frames`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from camctl.calibration.noise_frames import NoiseFrames, estimate_noise, same_response
+from camctl.camera import Camera
+from camctl.controls import Control, ExposureSetting
+from camctl.errors import CaptureError
+from camctl.noise_record import NoiseRecord
+
+EXPOSURES = 12
+#: Longest shutter time that is used unless another one is asked for, s.
+LONGEST_S = 2.0
+#: Factor between the gains that are measured, and how many of them at most.
+_GAIN_STEP, _MOST_GAINS = 4.0, 3
+#: Samples, about, by which the light is metered.
+_SAMPLES = 1 << 18
+#: Factor between the exposures that are tried first; the brighter parts (the brightest tenth) must
+#: reach `_TOO_DARK` of full scale, and pairs begin where they have `_FIRST`.
+_PROBE_STEP, _TOO_DARK, _FIRST = 4.0, 0.08, 0.01
+
+
+def measure_noise(
+    camera: Camera,
+    *,
+    is_flat: bool = False,
+    exposures: int = EXPOSURES,
+    longest_s: float = LONGEST_S,
+    progress: Callable[[float], None] | None = None,
+) -> NoiseRecord:
+    """Shoot pairs of frames from dark to saturated at some gains, and return the noise.
+
+    Args:
+        camera: an open camera
+        is_flat: an evenly lit surface fills the picture
+        exposures: pairs at each gain, at least 3
+        longest_s: longest shutter time, s
+        progress: called with the share that is done, 0 to 1
+
+    Raises:
+        CaptureError: the scene is too dark or too bright for the camera's shutter times
+        DataError: the frames are not suitable; says why and what to do
+        CameraError: as `Camera.shoot` raises
+    """
+    controls = camera.controls
+    responses = same_response(controls.levels, controls.layout)
+    if controls.responses:
+        responses = dict(zip("RGB", controls.responses, strict=True))
+    frames = NoiseFrames(
+        controls.layout,
+        controls.black,
+        controls.white,
+        responses,
+        is_flat,
+    )
+    settings = _settings(camera, exposures, longest_s)
+    for done, frame in enumerate(camera.shoot([each for each in settings for _ in (0, 1)])):
+        frames.add(frame.pixels, frame.requested)
+        if progress is not None:
+            progress((done + 1) / (2 * len(settings)))
+        if frame.original is not None:
+            frames.note_format(frame.original.suffix)
+    return estimate_noise(frames)
+
+
+def _settings(camera: Camera, count: int, longest_s: float) -> list[ExposureSetting]:
+    """Return settings from dark to saturated, at some gains."""
+    controls = camera.controls
+    base = controls.gain.nearest(1.0)
+    shortest, longest = controls.time_s.minimum, min(controls.time_s.maximum, longest_s)
+    probes = 1 + max(1, math.ceil(math.log(max(longest / shortest, 1.0), _PROBE_STEP)))
+    times = sorted(
+        {controls.time_s.nearest(float(each)) for each in np.geomspace(shortest, longest, probes)}
+    )
+    middle = {}
+    for frame in camera.shoot([ExposureSetting(time_s, base) for time_s in times]):
+        # An odd step keeps all colours of a mosaic.
+        step = math.isqrt(frame.pixels.shape[0] * frame.pixels.shape[1] // _SAMPLES) | 1
+        samples = frame.pixels[::step, ::step].astype(np.float64)
+        inside = np.clip(samples, frame.black, frame.white)
+        middle[frame.requested.time_s] = float(
+            (np.quantile(inside, 0.9) - frame.black) / (frame.white - frame.black)
+        )
+        if np.quantile(inside, 0.02) >= frame.white:
+            break
+    seen = list(middle)
+    if middle[seen[0]] >= 1 and len(seen) == 1:
+        raise CaptureError(
+            f"the scene is too bright: it is white even at {seen[0]:.4g} s",
+            hint="close the aperture, or put a filter in front of the lens",
+        )
+    if middle[seen[-1]] < _TOO_DARK:
+        raise CaptureError(
+            f"the scene is too dark: its brighter parts have {middle[seen[-1]]:.0%} of full scale "
+            f"at {seen[-1]:.4g} s",
+            hint="take the lens cap off, light the scene, or allow longer times (--longest)",
+        )
+    first = next(time_s for time_s in seen if middle[time_s] >= _FIRST)
+    found = []
+    for gain in _gains(controls.gain, base):
+        scale = base / gain
+        wanted = np.geomspace(max(shortest, first * scale), max(shortest, seen[-1] * scale), count)
+        chosen = sorted({controls.time_s.nearest(float(each)) for each in wanted})
+        if len(chosen) >= 3 or gain == base:
+            found += [ExposureSetting(time_s, gain) for time_s in chosen]
+    return found
+
+
+def _gains(control: Control, base: float) -> list[float]:
+    """Return the gain `base` and those a factor `_GAIN_STEP` apart above it."""
+    gains = [base]
+    while len(gains) < _MOST_GAINS and gains[-1] * 2 <= control.maximum:
+        gains.append(control.nearest(min(gains[-1] * _GAIN_STEP, control.maximum)))
+    return gains

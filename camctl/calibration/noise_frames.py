@@ -1,0 +1,311 @@
+"""The noise of a camera from pairs of frames of whatever is in view (photon transfer, EMVA 1288).
+
+Two frames of each setting, from dark to nearly saturated, are compared in patches
+(`camctl.calibration.noise_pairs`); variance against brightness gives conversion gain and read noise
+(`camctl.calibration.noise_fit`).  An evenly lit surface also gives the PRNU; frames without light
+are the matter of `camctl.calibration.dark`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.calibration.noise_curve import NoiseCurve
+from camctl.calibration.noise_fit import NoiseFit, combine_fits, fit_noise
+from camctl.calibration.noise_pairs import FramePair, PairPatches, channel_names, reduce_pair
+from camctl.controls import ExposureSetting, Layout
+from camctl.errors import DataError
+from camctl.noise_record import CurvePoint, Figure, GainNoise, NoiseRecord
+from camctl.response.camera import CameraResponse
+from camctl.response_record import Z_95
+
+#: A change of the light within a pair that is noted, and one from which a pair is not used.
+_NOTED_CHANGE, _MOST_CHANGE = 0.02, 0.2
+#: Share of moved patches, in the median pair, from which nothing is measured.
+_MOST_MOVED = 0.25
+#: Share of saturated patches from which a pair shows nothing, and that counts as clipping seen.
+_ALL, _SOME = 0.98, 0.01
+#: A pair whose patches are all below this share of full scale is black.
+_BLACK = 0.01
+#: Misfit of the photon transfer curve that is noted.
+_NOTED_MISFIT = 3.0
+#: Correlation of neighbouring samples from which the camera is said to filter its pictures.
+_CORRELATED = 0.05
+#: Channels differ if their conversion gains do by so many standard errors and by this share.
+_APART, _APART_SHARE = 4.0, 0.03
+#: Standard deviation of brightness, of the noise and over the picture together, from which light is
+#: spread over a level, DN: where it is not, as on a flat field with little noise, the variance
+#: depends on where in a level the light is.
+_LEAST_SPREAD = 0.65
+#: Brightness, as shares of full scale, between which the PRNU is measured, and parts of the picture
+#: that are left out in turn for its interval.
+_PRNU_RANGE, _PARTS = (0.2, 0.8), 16
+
+
+@dataclass(eq=False)
+class NoiseFrames:
+    """Frames of one scene and one camera mode, paired by setting as they come, in any order.
+
+    Attributes:
+        layout: pixel layout
+        black: brightness without light, DN
+        white: brightness from which samples are saturated, DN
+        responses: response of each channel (R, G and B, or Y) as levels
+        is_flat: an evenly lit surface is in view, so that the fixed pattern can be measured
+        notes: what the user should know, one line each
+        pairs: of two frames with one setting
+    """
+
+    layout: Layout
+    black: int
+    white: int
+    responses: Mapping[str, CameraResponse]
+    is_flat: bool = False
+    notes: list[str] = field(default_factory=list)
+    pairs: list[FramePair] = field(default_factory=list)
+    _single: dict[ExposureSetting, NDArray[Any]] = field(default_factory=dict)
+
+    def add(self, pixels: NDArray[Any], setting: ExposureSetting) -> None:
+        """Add a frame; the second one of a setting is compared with the first, and dropped.
+
+        Raises:
+            DataError: the frames of a pair have different sizes
+        """
+        first = self._single.pop(setting, None)
+        if first is None:
+            self._single[setting] = pixels
+            return
+        self.pairs.append(
+            reduce_pair(first, pixels, setting, self.layout, (self.black, self.white))
+        )
+
+    def note_format(self, suffix: str) -> None:
+        """Note what the format of a file, by its suffix, does to the noise."""
+        note = "the frames are JPEG files: compression hides noise, so that the figures are too low"
+        if suffix.lower() in (".jpg", ".jpeg") and note not in self.notes:
+            self.notes.append(note)
+
+    @property
+    def unpaired(self) -> int:
+        """Number of frames without a second one of the same setting."""
+        return len(self._single)
+
+
+def same_response(response: CameraResponse, layout: Layout) -> dict[str, CameraResponse]:
+    """Return `response` for each channel of a layout."""
+    return dict.fromkeys(channel_names(layout), response)
+
+
+def estimate_noise(frames: NoiseFrames) -> NoiseRecord:
+    """Return the noise that pairs of frames show.
+
+    Raises:
+        DataError: the frames are not suitable; says why and what to do
+    """
+    pairs = _usable_pairs(frames)
+    notes = list(frames.notes)
+    correlation = _correlation(pairs)
+    if correlation is not None and abs(correlation) > _CORRELATED:
+        notes.append(
+            f"the noise of neighbouring pixels has a correlation of {correlation:.2f}: the camera "
+            "filters its pictures (demosaicing, noise reduction, compression), and the figures are "
+            "those of the filtered picture"
+        )
+    changes = [abs(pair.change) for pair in pairs]
+    if max(changes) > _NOTED_CHANGE:
+        notes.append(f"the light changes by up to {max(changes):.1%} within a pair: corrected")
+    gains = sorted({pair.setting.gain for pair in pairs})
+    fits: dict[float, NoiseFit] = {}
+    channel = None
+    failures = []
+    for gain in sorted(gains, key=lambda each: abs(math.log(each))):
+        some = [pair for pair in pairs if pair.setting.gain == gain]
+        try:
+            if fits:
+                fits[gain] = _fit_gain(frames, some, channel)[0]
+            else:
+                fits[gain], channel = _fit_gain(frames, some, None, notes)
+        except DataError as error:
+            failures.append(error)
+            notes.append(f"not measured at gain {gain:.4g}: {error.what}")
+    if not fits:
+        raise failures[0]
+    measured = tuple(_gain_noise(gain, fits[gain]) for gain in sorted(fits))
+    if (misfit := max(each.misfit for each in measured)) > _NOTED_MISFIT:
+        notes.append(
+            f"the noise does not follow the response of the camera (misfit {misfit:.1f}): the "
+            "intervals are widened; measure the response (camctl calibrate response), with more "
+            "frames if it was measured"
+        )
+    saturates = max(pair.saturated_share for pair in frames.pairs) > _SOME
+    lowest = measured[0]
+    response = frames.responses[channel or channel_names(frames.layout)[-1]]
+    return NoiseRecord(
+        gains=measured,
+        full_well_e=lowest.conversion_e_per_dn.scaled(
+            float(response.levels[-1]) * (response.M + 1)
+        ),
+        saturates=saturates,
+        prnu=_prnu(frames, pairs) if frames.is_flat else None,
+        correlation=correlation,
+        notes=tuple(notes),
+        measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+
+
+def _usable_pairs(frames: NoiseFrames) -> list[FramePair]:
+    if not frames.pairs:
+        raise DataError(
+            f"no two of the {frames.unpaired} frames have the same exposure",
+            hint="give two frames of each exposure: the noise is what differs between them",
+        )
+    pairs = [pair for pair in frames.pairs if pair.saturated_share < _ALL]
+    if not pairs:
+        raise DataError(
+            "all frames are saturated everywhere", hint="expose shorter, or close the aperture"
+        )
+    span = frames.white - frames.black
+    bright = [
+        max(float(np.quantile(each.mean, 0.99)) for each in pair.channels.values())
+        for pair in pairs
+    ]
+    if max(bright) < _BLACK * span:
+        raise DataError(
+            "all frames are black",
+            hint="take the lens cap off, light the scene, or expose longer; frames without light "
+            "are for --dark",
+        )
+    for pair in pairs:
+        if all(not each.variance.any() for each in pair.channels.values()) and max(bright) > 0:
+            raise DataError(
+                f"the two frames of {pair.setting.time_s:.4g} s are the same picture",
+                hint="give two separate frames; a camera whose noise is far below one level shows "
+                "none: raise its gain",
+            )
+    if (moved := float(np.median([pair.moved_share for pair in pairs]))) > _MOST_MOVED:
+        raise DataError(
+            f"{moved:.0%} of the picture differs between the two frames of a pair: the camera or "
+            "the scene moved",
+            hint="put the camera on a tripod before a scene that does not move",
+        )
+    steady = [pair for pair in pairs if abs(pair.change) <= _MOST_CHANGE]
+    if not steady:
+        raise DataError(
+            f"the light changes by {max(abs(pair.change) for pair in pairs):.0%} between the two "
+            "frames of a pair",
+            hint="use daylight or a lamp that does not flicker",
+        )
+    return steady
+
+
+def _correlation(pairs: Sequence[FramePair]) -> float | None:
+    found = [pair.correlation for pair in pairs if pair.correlation is not None]
+    return float(np.median(found)) if found else None
+
+
+def _fit_gain(
+    frames: NoiseFrames,
+    pairs: Sequence[FramePair],
+    channel: str | None,
+    notes: list[str] | None = None,
+) -> tuple[NoiseFit, str | None]:
+    """Return the fit of all channels that agree, or of one; and that channel's name.
+
+    Raises:
+        DataError: no channel can be fitted
+    """
+    fits: dict[str, NoiseFit] = {}
+    failure = None
+    for name in dict.fromkeys(channel_names(frames.layout)) if channel is None else (channel,):
+        curve = NoiseCurve(frames.responses[name], frames.black)
+        patches = PairPatches.joined([_spread(pair.channels[name]) for pair in pairs])
+        try:
+            fits[name] = fit_noise(curve, patches, float(frames.white - frames.black))
+        except DataError as error:
+            failure = failure or error
+    if not fits:
+        assert failure is not None
+        raise failure
+    if len(fits) == 1:
+        return next(iter(fits.values())), channel
+    joined = combine_fits(list(fits.values()))
+    differ = [
+        abs(fit.inverse_k / joined.inverse_k - 1)
+        for fit in fits.values()
+        if abs(fit.inverse_k - joined.inverse_k) > _APART * math.sqrt(fit.covariance[0, 0])
+    ]
+    if not differ or max(differ) < _APART_SHARE:
+        return joined, None
+    main = "G" if "G" in fits else next(iter(fits))
+    if notes is not None:
+        each = ", ".join(f"{name} {fit.conversion[0]:.4g}" for name, fit in fits.items())
+        notes.append(
+            f"the channels have different electrons per level ({each}), as after a white balance: "
+            f"the figures are those of {main}"
+        )
+    return fits[main], main
+
+
+def _spread(patches: PairPatches) -> PairPatches:
+    """Return the patches of a pair; none where rounding does not average out over them."""
+    noise = float(np.mean(patches.variance)) - 1 / 12
+    keeps = noise + float(np.var(patches.mean)) >= _LEAST_SPREAD**2
+    return patches.part(np.full(patches.mean.size, keeps))
+
+
+def _gain_noise(gain: float, fit: NoiseFit) -> GainNoise:
+    if not np.all(np.isfinite([*fit.conversion, *fit.read_noise])):
+        raise DataError(
+            f"the noise at gain {gain:g} does not grow with the light, so that its electrons "
+            "cannot be counted",
+            hint="use a scene with dark and bright parts, and check the response of the camera",
+        )
+    names = ("value", "low", "high")
+    points = zip(fit.means.tolist(), fit.variances.tolist(), fit.expected.tolist(), strict=True)
+    return GainNoise(
+        gain=gain,
+        conversion_e_per_dn=Figure(**dict(zip(names, fit.conversion, strict=True))),
+        read_noise_e=Figure(**dict(zip(names, fit.read_noise, strict=True))),
+        patches=fit.patches,
+        misfit=fit.misfit,
+        curve=tuple(CurvePoint(mean=m, variance=v, fitted=f) for m, v, f in points),
+    )
+
+
+def _prnu(frames: NoiseFrames, pairs: Sequence[FramePair]) -> Figure | None:
+    """Return the PRNU from the covariance of the frames of a flat field, without smooth shading.
+
+    The sum over pairs of a patch is one observation, since its pixels are the same in all of them.
+    """
+    low, high = (share * (frames.white - frames.black) for share in _PRNU_RANGE)
+    sums = []
+    for name, response in frames.responses.items():
+        full = response.M + 1.0
+        height = np.arange(1.0, full)
+        total: NDArray[np.float64] | float = 0.0
+        for pair in pairs:
+            patches = pair.channels[name]
+            light = np.interp(patches.mean + 0.5, height, response.levels) * full
+            used = (patches.mean > low) & (patches.mean < high)
+            slope = response.slope(light / full) / full
+            total = total + np.stack(
+                [np.where(used, patches.pattern / slope**2, 0), np.where(used, light**2, 0)]
+            )
+        sums.append(total)
+    both = np.concatenate([np.atleast_2d(each) for each in sums], axis=1)
+    if np.count_nonzero(both[1]) < 4 * _PARTS:
+        return None
+    parts = np.stack([part.sum(axis=1) for part in np.array_split(both, _PARTS, axis=1)])
+    whole = parts.sum(axis=0)
+    squared = float(whole[0] / whole[1])
+    others = (whole - parts)[:, 0] / (whole - parts)[:, 1]
+    error = math.sqrt(float(np.square(others - others.mean()).sum()) * (_PARTS - 1) / _PARTS)
+    value, least, most = (math.sqrt(max(0.0, squared + turn * Z_95 * error)) for turn in (0, -1, 1))
+    return Figure(value=value, low=least, high=most)

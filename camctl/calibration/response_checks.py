@@ -1,0 +1,218 @@
+"""Checks of an exposure series: whether it can show a response, and what would help where not."""
+
+from __future__ import annotations
+
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from camctl.calibration.response_fit import ChartSamples, ResponseFit
+from camctl.calibration.response_matches import Matches
+from camctl.calibration.response_series import Series
+from camctl.errors import DataError
+from camctl.response.camera import FloatArray
+
+#: A frame is black if less than this share of its pixels is above the first level, % of full scale.
+_LIT_SHARE, _LIT_LEVEL = 0.01, 0.04
+#: Brightness, as shares of full scale, between which a response must be measured, and the widest
+#: gap in between.
+_BOTTOM, _TOP, _WIDEST_GAP = 0.15, 0.85, 0.15
+#: The same of patches of a chart: N 9.5 and N 8 of a linear camera are 0.33 apart, and the darkest
+#: patch has brightness 0.2 in sRGB.
+_BOTTOM_PATCH, _TOP_PATCH, _WIDEST_PATCHES = 0.3, 0.7, 0.35
+#: Relative errors of the exposures from which there is a note, and from which there is no result:
+#: film at long exposures (reciprocity failure) can be 25 % darker.
+_NOTED, _REFUSED = 0.02, 0.35
+#: A frame's exposure is judged if this share of its pixels is between `_COMPARED`: errors of the
+#: darkest levels would count as errors of the exposure of a frame that is nearly black.
+_JUDGED_SHARE = 0.02
+#: Patches that deviate by this much have moved, and the share of moved ones that is tolerated.
+_MOVED, _MOST_MOVED = 0.12, 0.25
+#: Brightness of patches that are compared, as a share of full scale.
+_COMPARED = (0.1, 0.9)
+_HELD = "put the camera on a tripod before a scene that does not move"
+
+
+def check_frames(series: Series, *, has_chart: bool = False) -> None:
+    """Check that there are different frames with different exposures and something to see.
+
+    With a chart a single frame is enough.
+
+    Raises:
+        DataError: there are not
+    """
+    exposures = np.array(series.exposures)
+    if not has_chart and (exposures.size < 2 or exposures.max() < 1.05 * exposures.min()):
+        count = len(np.unique(exposures))
+        raise DataError(
+            f"{exposures.size} frame{'s' * (exposures.size != 1)} with {count} different "
+            f"exposure{'s' * (count != 1)}: a response needs at least 2",
+            hint="give 3 or more frames of one scene, each with 2 to 4 times the exposure of the "
+            "one before",
+        )
+    span = series.white - series.black
+    for first, second in combinations(range(exposures.size), 2):
+        if exposures[first] != exposures[second] and np.array_equal(
+            series.patches[first], series.patches[second]
+        ):
+            raise DataError(
+                f"{series.names[first]} and {series.names[second]} are the same picture, but their "
+                "exposures differ",
+                hint="leave one of them out, or correct its exposure",
+            )
+    lit = [np.mean(each > series.black + _LIT_LEVEL * span) for each in series.patches]
+    if max(lit) < _LIT_SHARE:
+        raise DataError(
+            "all frames are black", hint="take the lens cap off, light the scene, or expose longer"
+        )
+    if min(np.mean(each >= series.white) for each in series.patches) > 1 - _LIT_SHARE:
+        raise DataError(
+            "all frames are saturated everywhere", hint="expose shorter, or close the aperture"
+        )
+    _check_order(series, exposures)
+
+
+def _check_order(series: Series, exposures: FloatArray) -> None:
+    order = np.argsort(exposures)
+    limit = 0.02 * (series.white - series.black)
+    for short, long in pairwise(order.tolist()):
+        if exposures[long] < 1.05 * exposures[short]:
+            continue
+        difference = np.median(series.patches[short].mean(axis=1)) - np.median(
+            series.patches[long].mean(axis=1)
+        )
+        if difference > limit:
+            raise DataError(
+                f"{series.names[short]} is brighter than {series.names[long]}, though its exposure "
+                "is shorter",
+                hint="check the order of the exposures and of the frames, and that the light is "
+                "steady",
+            )
+
+
+def check_range(
+    series: Series, channel: str, matches: Matches, chart: ChartSamples | None = None
+) -> None:
+    """Check that the matches, and the patches of a chart, reach from dark to bright without a gap.
+
+    Raises:
+        DataError: they do not; says which exposures would help
+    """
+    exposures = np.array(series.exposures)
+    shortest, longest = exposures.min(), exposures.max()
+    levels = (
+        [matches.low, matches.high] if chart is None else [matches.low, matches.high, chart.level]
+    )
+    found = np.unique(np.concatenate(levels)) / (series.white - series.black)
+    bottom, top, widest_gap = _BOTTOM, _TOP, _WIDEST_GAP
+    if chart is not None:
+        bottom, top, widest_gap = _BOTTOM_PATCH, _TOP_PATCH, _WIDEST_PATCHES
+    where = f"channel {channel}: " if len(series.channels) > 1 else ""
+    if found.size == 0:
+        ordered = np.unique(exposures)
+        widest = int(np.argmax(ordered[1:] / ordered[:-1]))
+        raise DataError(
+            f"{where}no brightness occurs in two frames",
+            hint=f"add a frame of exposure {np.sqrt(ordered[widest] * ordered[widest + 1]):.3g}, "
+            "and use a scene with many shades",
+        )
+    if found[-1] < top:
+        raise DataError(
+            f"{where}the frames show the response only up to {found[-1]:.0%} of full scale",
+            hint=f"add frames of exposure {2 * longest:.3g} and {4 * longest:.3g}, or a brighter "
+            "object",
+        )
+    if found[0] > bottom:
+        raise DataError(
+            f"{where}the frames show the response only from {found[0]:.0%} of full scale on",
+            hint=f"add frames of exposure {shortest / 2:.3g} and {shortest / 4:.3g}, or a darker "
+            "object",
+        )
+    gaps = np.diff(found)
+    if gaps.max(initial=0.0) > widest_gap:
+        at = int(np.argmax(gaps))
+        ordered = np.unique(exposures)
+        steps = (
+            np.sqrt(ordered[1:] * ordered[:-1])
+            if ordered.size > 1
+            else shortest * np.array([0.5, 2])
+        )
+        between = ", ".join(f"{each:.3g}" for each in steps[:4])
+        raise DataError(
+            f"{where}no brightness between {found[at]:.0%} and {found[at + 1]:.0%} of full scale "
+            "occurs in two frames",
+            hint=f"use a scene with many shades, or add frames of exposure {between}",
+        )
+
+
+def check_scene(
+    series: Series, channel: str, edges: FloatArray, fit: ResponseFit, free: ResponseFit
+) -> list[str]:
+    """Check exposures and patches against a fit; return notes.
+
+    Args:
+        series: the frames
+        channel: name of the channel
+        edges: levels of the fit
+        fit: the response
+        free: the response when the exposures are estimated, too
+
+    Raises:
+        DataError: the exposures are wrong, or scene or camera moved
+    """
+    notes = []
+    logs = np.log(series.exposures)
+    errors = np.log(free.exposures) - logs
+    # A power of the exposures cannot be told from another curve: it counts as no error.
+    if len(logs) > 2:
+        errors = errors - np.polyval(np.polyfit(logs, errors, 1), logs)
+        judged = [_well_exposed(series, k, channel) >= _JUDGED_SHARE for k in range(len(logs))]
+        worst = int(np.argmax(np.abs(errors) * judged))
+        size = float(np.expm1(abs(errors[worst]))) * judged[worst]
+        text = (
+            f"{series.names[worst]} is {size:.0%} {'brighter' if errors[worst] > 0 else 'darker'} "
+            "than its exposure says"
+        )
+        if size > _REFUSED:
+            raise DataError(
+                text,
+                hint="check the exposures and that the light does not flicker, or use "
+                "--estimate-ratios",
+            )
+        if size > _NOTED:
+            notes.append(text)
+    _check_patches(series, channel, edges, fit)
+    return notes
+
+
+def _well_exposed(series: Series, position: int, channel: str) -> float:
+    """Return the share of the samples of a frame that are well exposed."""
+    span = series.white - series.black
+    low, high = (series.black + share * span for share in _COMPARED)
+    samples = series.channel_patches(position, channel)
+    return float(np.mean((samples > low) & (samples < high)))
+
+
+def _check_patches(series: Series, channel: str, edges: FloatArray, fit: ResponseFit) -> None:
+    order = np.argsort(series.exposures).tolist()
+    span = series.white - series.black
+    for short, long in pairwise(order):
+        levels = [
+            series.channel_patches(k, channel).astype(np.float64) - series.black
+            for k in (short, long)
+        ]
+        means = [each.mean(axis=1) / span for each in levels]
+        used = np.all(
+            [(each > _COMPARED[0]) & (each < _COMPARED[1]) for each in means], axis=0
+        ) & np.all([each.max(axis=1) < span for each in levels], axis=0)
+        if np.count_nonzero(used) < 20:
+            continue
+        light = [np.interp(each[used], edges - 0.5, fit.irradiance).mean(axis=1) for each in levels]
+        errors = np.log(light[1] / light[0] * fit.exposures[short] / fit.exposures[long])
+        moved = float(np.mean(np.abs(errors - np.median(errors)) > _MOVED))
+        if moved > _MOST_MOVED:
+            raise DataError(
+                f"{moved:.0%} of the picture differs between {series.names[short]} and "
+                f"{series.names[long]}: the camera or the scene moved",
+                hint=_HELD,
+            )

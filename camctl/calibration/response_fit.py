@@ -1,0 +1,335 @@
+"""The response of a camera from matched brightness levels of its frames, and from a chart.
+
+With x = k / (M + 1), ln E = ln x + h(ln(x + 0.1)), where h is a cubic spline: linear cameras have a
+constant h, and E(0) = 0.  The fit is by weighted least squares, robust to outliers, under the
+condition that E ascends from level to level.  The prior knowledge is that h is smooth but for a few
+bends: small second derivatives count by their squares, large ones by their size.  It is needed
+where the exposures are powers of one factor f: h + p with any p of period ln f in ln E explains the
+frames as well.  A bend that the prior rounds off would come back as such a p.  Therefore the last
+rounds expect as much curvature of each part of the curve as was found around it: where the curve
+has a bend it may bend, and where it is straight it shows p, which is the same everywhere.
+
+The exposures may be a little wrong, or hardly known.  Then there is an ambiguity (Mitsunaga and
+Nayar, "Radiometric Self Calibration", CVPR 1999): E^g fits exposures t^g as well, for every g.  The
+exposures that are given decide: their corrections have no trend with the logarithm of the exposure.
+`camctl.calibration.exponent` decides where they are not known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.calibration.response_matches import LEAST_PIXELS, NOISE_STEPS, Matches
+from camctl.errors import DataError
+from camctl.response.camera import FloatArray
+
+#: Coefficients of the spline are this many and two; x + `_TOE` spaces its knots.
+_KNOTS, _TOE = 60, 0.1
+_STEP = math.log((1 + _TOE) / _TOE) / (_KNOTS - 1)
+#: Weight of the integral of the squared second derivative of h, the same where only a chart says
+#: something about it, and the size of a second difference (in standard deviations of the prior)
+#: from which it counts as a bend.
+_SMOOTHNESS, _SMOOTHNESS_OF_CHART, _BEND = 12.0, 1.0, 2.0
+#: Exposures further apart than the first number, a factor, show too little of the curvature: the
+#: prior is the same for the whole curve, and the smoothness is the second number.
+_COARSE, _SMOOTHNESS_OF_COARSE = 5.0, 40.0
+#: In the last rounds: weight of a second difference over the mean square of those around it, the
+#: width of "around" in ln E, and the least mean square.
+_ADAPTED, _AROUND, _LEAST_CURVED = 1.5, 0.5, 0.024
+#: Relative error of a match that the histograms do not explain.
+_FLOOR = 0.003
+#: Brightness at the second differences.
+_PLACES = np.clip(_TOE * (np.exp(_STEP * np.arange(_KNOTS)) - 1), 0.0, 1.0)
+#: Neighbouring nodes within the noise have the same pixels: as many count as one.
+_ALIKE = 3.0
+#: Errors from which matches lose weight, in standard deviations, and the number of rounds with the
+#: same prior for the whole curve, and with one that follows the curve.  More of these do not help:
+#: they take the error of a round for curvature.
+_OUTLIER, _ROUNDS, _ADAPTED_ROUNDS = 2.0, 6, 2
+#: Standard deviations are those of a weaker prior, by the first factor, times the second one: what
+#: the frames do not determine is smoothed away, and real curves are rougher.  So chosen that the
+#: 95 % intervals hold at steps of 2, 4 and 8 (tests/bench/bench_response.py).
+_ROUGHER, _DEVIATION = 0.0001, 0.5
+#: Least slope of ln E against ln x.
+_LEAST_SLOPE = 0.02
+#: Brightness, share of full scale, to which standard deviations of ln E are relative.
+REFERENCE = 0.5
+#: Standard deviations of the logarithm of an exposure: as stated by a camera or a user, and roughly
+#: known; and of their trend, which would be an exponent.
+STATED, ROUGH, _TREND = 0.002, 0.3, 1e-5
+#: Standard deviation of the logarithm of the light on a chart: its unit, which is arbitrary; its
+#: slopes along x and y; its fall towards the edge.
+CHART_LIGHT = (1e3, 0.1, 0.1, 0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class ChartSamples:
+    """Brightness of patches of known reflectance.
+
+    Attributes:
+        frame: (N,) index of the frame
+        patch: (N,) index of the patch
+        level: (N,) mean brightness above black, levels, within (0, M)
+        variance: (N,) of `level`
+        place: (P, 2) position of each patch, about -1 to 1
+        reflectance: (P,) of each patch, in any unit
+        error: (P,) standard deviation of its logarithm
+    """
+
+    frame: NDArray[np.intp]
+    patch: NDArray[np.intp]
+    level: FloatArray
+    variance: FloatArray
+    place: FloatArray
+    reflectance: FloatArray
+    error: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseFit:
+    """An estimated response.
+
+    Attributes:
+        irradiance: (K,) of each edge, ascending, 1 at level M + 1
+        deviation: (K,) standard deviation of its logarithm, relative to the level at `REFERENCE`
+        exposures: (J,) relative exposures of the frames: those given, as corrected by the fit
+        residual: root mean square of the logarithm of matched irradiances, robust
+        patch_errors: (P,) logarithm of the reflectance of each patch of a chart, as found, relative
+            to that given
+    """
+
+    irradiance: FloatArray
+    deviation: FloatArray
+    exposures: FloatArray
+    residual: float
+    patch_errors: FloatArray
+
+
+def light_terms(across: FloatArray, down: FloatArray) -> FloatArray:
+    """Return what `CHART_LIGHT` is the standard deviation of, at places of a chart, (4, N)."""
+    return np.stack([np.ones(across.size), across, down, across**2 + down**2])
+
+
+def fit_response(
+    matches: Matches,
+    exposures: Sequence[float],
+    edges: FloatArray,
+    *,
+    phase: float = 0.0,
+    exposure_error: float = STATED,
+    chart: ChartSamples | None = None,
+) -> ResponseFit:
+    """Return the response that explains the matches and the patches of a chart.
+
+    Args:
+        matches: of pairs of frames; may be empty with a chart
+        exposures: relative exposures of the frames
+        edges: (K,) levels at which the response is wanted, ascending; the last is M, white level
+            minus black level
+        phase: of the quantiser, in [0, 1)
+        exposure_error: standard deviation of the logarithm of an exposure
+        chart: patches of known reflectance in the same frames
+
+    Raises:
+        DataError: there are too few matches to determine a curve
+    """
+    if matches.low.size < LEAST_PIXELS and chart is None:
+        raise DataError(
+            "the frames have too few brightness levels in common",
+            hint="shoot a scene with many shades, in steps of 2 to 4 times the exposure",
+        )
+    logs = np.log(exposures)
+    x_known = (edges - phase) / (edges[-1] + 1)
+    system = _System(matches, logs, chart, (edges, phase))
+    curve, top = system.curve(x_known), system.curve(np.ones(1))
+    known = system.known_beforehand(logs, exposure_error)
+    smoothness, rounds = _prior(matches, logs)
+    second = math.sqrt(smoothness) * np.diff(np.eye(_KNOTS + 2), 2, axis=0) / _STEP**1.5
+    log_E = 1.5 * np.log(x_known)  # a start: most responses are steeper than a linear one
+    residuals = np.zeros(system.wanted.size)
+    bends = np.zeros(_KNOTS)
+    for turn in range(rounds):
+        variance = _FLOOR**2 + sum(
+            _slope(edges, log_E, at) ** 2 * spread for at, spread in system.spreads
+        )
+        deviations = np.abs(residuals) / np.sqrt(variance)
+        robust = 1 / np.maximum(1.0, deviations / _OUTLIER) if turn else 1.0
+        weights = robust / (variance * system.alike)
+        square = (system.rows * weights[:, None]).T @ system.rows + known
+        if turn < _ROUNDS:
+            expected = 1 / np.maximum(1.0, np.abs(bends) / _BEND)
+        else:
+            around = _around(np.interp(_PLACES, x_known, log_E))
+            expected = _ADAPTED / (around @ bends**2 + _LEAST_CURVED)
+        smooth = second * expected[:, None]
+        square[: _KNOTS + 2, : _KNOTS + 2] += second.T @ smooth
+        square += 1e3 * np.trace(square[: _KNOTS + 2, : _KNOTS + 2]) * top.T @ top
+        product = system.rows.T @ (weights * system.wanted)
+        found = _ascending(square, product, curve, np.log(x_known))
+        log_E = curve @ found + np.log(x_known)
+        residuals = system.rows @ found - system.wanted
+        bends = second @ found[: _KNOTS + 2]
+    if matches.low.size:
+        square[: _KNOTS + 2, : _KNOTS + 2] -= (1 - _ROUGHER) * second.T @ smooth
+    covariance = np.linalg.inv(square)
+    relative = curve - system.curve(np.array([REFERENCE]))
+    misfit = max(1.0, float(np.average(np.minimum(deviations, 3.0) ** 2, weights=weights)))
+    spread = np.sum(relative @ covariance * relative, axis=1) * misfit
+    # Noise shifts a level by half its variance times the slope of ln(number of pixels), about 1/x.
+    shift = (1 / NOISE_STEPS / np.maximum(x_known, 1 / NOISE_STEPS)) ** 2 / 2
+    return ResponseFit(
+        irradiance=np.exp(log_E),
+        deviation=np.sqrt(_DEVIATION**2 * np.maximum(spread, 0.0) + shift**2),
+        exposures=np.exp(logs + found[system.frames]),
+        residual=float(np.sqrt(np.average(residuals**2, weights=weights))),
+        patch_errors=found[system.patches],
+    )
+
+
+class _System:
+    """The linear equations of a fit: the unknowns are h, errors of exposures, light, and patches.
+
+    Attributes:
+        rows: (N, unknowns)
+        wanted: (N,) right-hand side: rows @ unknowns = wanted
+        spreads: pairs of levels (N,) and their variances (N,) from which rows have errors
+        alike: (N,) number of rows that count as one
+        frames, light, patches: the places of these unknowns
+    """
+
+    def __init__(
+        self,
+        matches: Matches,
+        logs: FloatArray,
+        chart: ChartSamples | None,
+        scale: tuple[FloatArray, float],
+    ) -> None:
+        edges, phase = scale
+        count = 0 if chart is None else chart.reflectance.size
+        ends = np.cumsum([_KNOTS + 2, logs.size, len(CHART_LIGHT) if count else 0, count])
+        self.frames, self.light, self.patches = (
+            slice(int(start), int(end)) for start, end in pairwise(ends)
+        )
+        self.size = int(ends[-1])
+        x_low, x_high = ((level - phase) / (edges[-1] + 1) for level in (matches.low, matches.high))
+        frames = np.eye(logs.size)
+        rows = self.curve(x_low) - self.curve(x_high)
+        rows[:, self.frames] = frames[matches.long] - frames[matches.short]
+        wanted = logs[matches.short] - logs[matches.long] - np.log(x_low / x_high)
+        # Of J frames there are J (J - 1) / 2 pairs, but only J - 1 of them are independent.
+        alike = np.full(wanted.size, _ALIKE * max(1.0, logs.size / 2))
+        spreads = [(matches.low, matches.low_variance), (matches.high, matches.high_variance)]
+        if chart is not None:
+            x = (chart.level - phase) / (edges[-1] + 1)
+            patches = self.curve(x)
+            patches[:, self.frames] = -frames[chart.frame]
+            across, down = chart.place[chart.patch].T
+            patches[:, self.light] = -light_terms(across, down).T
+            patches[np.arange(x.size), self.patches.start + chart.patch] = -1
+            logs_R = np.log(chart.reflectance)[chart.patch]
+            rows = np.concatenate([rows, patches])
+            wanted = np.concatenate([wanted, logs_R + logs[chart.frame] - np.log(x)])
+            alike = np.concatenate([alike, np.ones(x.size)])
+            spreads = [
+                (np.concatenate([level, chart.level]), np.concatenate([variance, each]))
+                for (level, variance), each in zip(
+                    spreads, (chart.variance, np.zeros(x.size)), strict=True
+                )
+            ]
+        self.rows, self.wanted, self.alike, self.spreads = rows, wanted, alike, spreads
+        self.patch_error = np.zeros(0) if chart is None else chart.error
+
+    def curve(self, x: FloatArray) -> FloatArray:
+        """Return the rows that give h at brightness x, (N, unknowns)."""
+        rows = np.zeros((x.size, self.size))
+        rows[:, : _KNOTS + 2] = _basis(x)
+        return rows
+
+    def known_beforehand(self, logs: FloatArray, exposure_error: float) -> FloatArray:
+        """Return the precision matrix of exposures, light and patches, (unknowns, unknowns).
+
+        The exposures have no error in the direction of the logarithms: that would be a power.
+        """
+        light = np.array(CHART_LIGHT)[: self.light.stop - self.light.start]
+        errors = np.concatenate([np.full(logs.size, exposure_error), light, self.patch_error])
+        precision = np.zeros((self.size, self.size))
+        precision[_KNOTS + 2 :, _KNOTS + 2 :] = np.diag(errors**-2.0)
+        power = logs - logs.mean()
+        if power.any():
+            block = np.outer(power, power) / (power @ power) / _TREND**2
+            precision[self.frames, self.frames] += block
+        return precision
+
+
+def _basis(x: FloatArray) -> FloatArray:
+    """Return the cubic B-splines of h at brightness x, (N, `_KNOTS` + 2)."""
+    place = np.log((x + _TOE) / _TOE) / _STEP
+    cell = np.clip(place, 0, _KNOTS - 1 - 1e-9).astype(np.intp)
+    u = place - cell
+    parts = ((1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3)
+    values = np.zeros((x.size, _KNOTS + 2))
+    for offset, part in enumerate(parts):
+        values[np.arange(x.size), cell + offset] = part / 6
+    return values
+
+
+def _prior(matches: Matches, logs: FloatArray) -> tuple[float, int]:
+    """Return the smoothness that is expected of h, and the number of rounds."""
+    if not matches.low.size:
+        return _SMOOTHNESS_OF_CHART, _ROUNDS
+    steps = np.diff(np.unique(logs))
+    if np.median(steps) > math.log(_COARSE):
+        return _SMOOTHNESS_OF_COARSE, _ROUNDS
+    return _SMOOTHNESS, _ROUNDS + _ADAPTED_ROUNDS
+
+
+def _around(log_E: FloatArray) -> FloatArray:
+    """Return the matrix of weighted means over places within about `_AROUND` in ln E, (N, N)."""
+    near = np.exp(-((log_E[:, None] - log_E) ** 2) / (2 * _AROUND**2))
+    return np.asarray(near / near.sum(axis=1, keepdims=True))
+
+
+def _slope(known: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    width = max(1.0, known[-1] / NOISE_STEPS)
+    ends = [np.interp(at + side * width / 2, known, values) for side in (-1, 1)]
+    return np.asarray((ends[1] - ends[0]) / width)
+
+
+def _ascending(
+    square: FloatArray, product: FloatArray, curve: FloatArray, base: FloatArray
+) -> FloatArray:
+    """Return c of least c' square c / 2 - product' c, such that curve c + base ascends.
+
+    Steps at which the solution descends become conditions, until there are none.  Hildreth's
+    method solves the dual problem: one multiplier >= 0 for each condition.
+    """
+    inverse = np.linalg.inv(square)
+    free = found = np.asarray(inverse @ product)
+    rises = np.diff(curve, axis=0)
+    least = (_LEAST_SLOPE - 1) * np.diff(base)
+    active = np.zeros(least.size, bool)
+    for _ in range(least.size):
+        descending = rises @ found < least - 1e-9
+        if not np.any(descending & ~active):
+            break
+        active |= descending
+        conditions = rises[active]
+        effect = inverse @ conditions.T
+        gram = conditions @ effect
+        lack = least[active] - conditions @ free
+        multipliers = np.zeros(lack.size)
+        for _ in range(200):
+            for k in range(lack.size):
+                step = (lack[k] - gram[k] @ multipliers) / gram[k, k]
+                multipliers[k] = max(0.0, multipliers[k] + step)
+        found = free + effect @ multipliers
+    # What the iteration leaves is removed with certainty: h = 0 ascends with slope 1.
+    rise, most = rises @ found, (1 - _LEAST_SLOPE / 2) * np.diff(base)
+    falls = rise < -most
+    return found * float(np.min(most[falls] / -rise[falls], initial=1.0))

@@ -1,0 +1,148 @@
+"""Brightness levels of equal irradiance in the frames of an exposure series, from their histograms.
+
+The pixels below brightness k in a frame of exposure t have an irradiance below E_k / t.  In another
+frame of the same scene an equal number of pixels lies below some brightness k', thus E_k / t =
+E_k' / t' (Grossberg and Nayar, "What Can Be Known about the Radiometric Response from Images?",
+ECCV 2002).  No pixel is compared with a pixel: small movements do not matter, and all pixels count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import DataError
+from camctl.response.camera import FloatArray, srgb_to_linear
+
+#: Brightness levels at which frames are matched.
+_NODES = 254
+#: Noise of a sample, unknown here, and the width over which histograms are flat: full scale / 256.
+NOISE_STEPS = 256
+#: Pixels within that width that a match needs, and the share of full scale below which noise and
+#: clipping at black distort the histogram.
+LEAST_PIXELS, DARKEST = 20, 0.006
+#: Frames whose exposures differ more are not matched: few pixels are in range in both.
+_LARGEST_RATIO = 100.0
+#: Brightness, share of full scale, between which unknown exposures are guessed, and the number of
+#: nodes that are needed.
+_GUESSED, _LEAST_NODES = (0.03, 0.97), 5
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Pairs of brightness levels that the same irradiance has in two frames.
+
+    Attributes:
+        short: (N,) index of the frame of shorter exposure
+        long: (N,) index of the other
+        low: (N,) brightness in the shorter, levels
+        high: (N,) brightness in the longer, levels
+        low_variance: (N,) variance of `low`, levels squared
+        high_variance: (N,) variance of `high`
+    """
+
+    short: NDArray[np.intp]
+    long: NDArray[np.intp]
+    low: FloatArray
+    high: FloatArray
+    low_variance: FloatArray
+    high_variance: FloatArray
+
+
+def match_levels(
+    counts: NDArray[np.int64], exposures: Sequence[float], edges: FloatArray
+) -> Matches:
+    """Return the brightness levels of equal irradiance in all pairs of frames.
+
+    Args:
+        counts: (J, K + 1) pixels of each frame below the first edge, between edges, and from the
+            last edge on (saturated)
+        exposures: relative exposures of the frames
+        edges: (K,) levels, ascending; the last is M
+    """
+    levels = edges[-1] + 1
+    width = max(1.0, levels / NOISE_STEPS)
+    below, places = _below(counts, edges)
+    lowest = max(1.0, DARKEST * edges[-1])
+    nodes: FloatArray = np.unique(np.round(np.linspace(lowest + 1, edges[-1], _NODES)))
+    found: list[tuple[FloatArray, ...]] = []
+    for short, long in permutations(range(len(exposures)), 2):
+        if not 1.0 + 1e-6 < exposures[long] / exposures[short] <= _LARGEST_RATIO:
+            continue
+        number = np.interp(nodes, places, below[long])
+        low = np.interp(number, below[short], places)
+        low_pixels, low_variance = _spread(below[short], places, low, width)
+        high_pixels, high_variance = _spread(below[long], places, nodes, width)
+        used = (low > lowest) & (number > 0) & (number < counts[long].sum())
+        used &= np.minimum(low_pixels, high_pixels) >= LEAST_PIXELS
+        pair = np.full((2, int(used.sum())), [[short], [long]], np.float64)
+        values = (low, nodes, low_variance, high_variance)
+        found.append((*pair, *(each[used] for each in values)))
+    if not found:
+        return Matches(*(np.zeros(0, np.intp),) * 2, *(np.zeros(0),) * 4)
+    short_, long_, *rest = (np.concatenate(column) for column in zip(*found, strict=True))
+    return Matches(short_.astype(np.intp), long_.astype(np.intp), *rest)
+
+
+def _spread(
+    below: FloatArray, places: FloatArray, at: FloatArray, width: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the pixels within `width`, and the variance of a level at which a count is reached.
+
+    Noise carries pixels across a level, at random: sigma / sqrt(pi) times the density of pixels is
+    the variance of their number.  Where the density changes, noise shifts the count (half its
+    variance times the relative slope of the density), and the place between two edges is unknown.
+    """
+    middle = np.interp(at, places, below)
+    left = middle - np.interp(at - width, places, below)
+    right = np.interp(at + width, places, below) - middle
+    density = np.maximum((left + right) / (2 * width), 1e-9)
+    change = np.minimum(np.abs(right - left) / (width * density), 2.0)
+    counting = width / math.sqrt(math.pi) / density
+    return (left + right) / 2, counting + np.minimum(change, 1) ** 2 / 12 + (
+        change * width / 4
+    ) ** 2
+
+
+def guess_exposures(counts: NDArray[np.int64], edges: FloatArray) -> FloatArray:
+    """Return exposures of frames about which nothing is known, as if the response were sRGB, (J,).
+
+    Frames with neighbouring mean brightness are compared.
+
+    Args:
+        counts: as `match_levels` takes them
+        edges: as `match_levels` takes them
+
+    Raises:
+        DataError: two neighbours have too few brightness levels in common
+    """
+    levels = edges[-1] + 1
+    below, places = _below(counts, edges)
+    order = np.argsort(-below.sum(axis=1))
+    nodes = np.linspace(*_GUESSED, _NODES) * levels
+    logs = np.zeros(len(counts))
+    for dark, bright in pairwise(order.tolist()):
+        number = np.interp(nodes, places, below[bright])
+        low = np.interp(number, below[dark], places)
+        used = (low > _GUESSED[0] * levels) & (low < _GUESSED[1] * levels)
+        used &= np.gradient(number, nodes) * levels / NOISE_STEPS >= LEAST_PIXELS
+        if np.count_nonzero(used) < _LEAST_NODES:
+            raise DataError(
+                "the exposures cannot be estimated: two frames have too few brightness levels in "
+                "common",
+                hint="add a frame between them, use a scene with many shades, or give --times",
+            )
+        steps = np.log(srgb_to_linear(nodes[used] / levels) / srgb_to_linear(low[used] / levels))
+        logs[bright] = logs[dark] + np.median(steps)
+    return np.asarray(np.exp(logs))
+
+
+def _below(counts: NDArray[np.int64], edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the pixels of each frame below brightness levels, (J, K + 1), and these levels."""
+    below = np.concatenate([np.zeros((len(counts), 1)), np.cumsum(counts[:, :-1], axis=1)], axis=1)
+    return below, np.concatenate([[0.0], edges])

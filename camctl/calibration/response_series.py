@@ -1,0 +1,178 @@
+"""An exposure series, reduced frame by frame to what the estimate of a response needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.calibration.response_matches import guess_exposures
+from camctl.controls import Layout
+from camctl.errors import DataError, UsageError
+from camctl.exposure.patches import Patches, sample_patches
+from camctl.response.camera import FloatArray
+
+#: Rows of a histogram that are counted at once, so that little memory is needed.
+_PIXELS_AT_ONCE = 1 << 20
+#: A level has this share of the pixels of a frame, and this many times the mean of the levels
+#: below it, where the frame is clipped there.
+_CLIPPED_SHARE, _CLIPPED_EXCESS, _LEVELS_BELOW = 2e-3, 8.0, 16
+#: Share of the patches that are the darkest.
+_DARK_SHARE = 0.02
+#: Black levels that are looked for, as shares of full scale: cameras have 1/64 to 1/16.
+_LEAST_BLACK, _MOST_BLACK = 1 / 128, 1 / 8
+
+
+@dataclass(eq=False)
+class Series:
+    """Frames of one scene and one camera mode with different exposures.
+
+    Attributes:
+        layout: pixel layout
+        bits: bit depth of a sample
+        black: brightness without light, DN
+        white: brightness from which a sample is saturated, DN
+        phase: of the quantiser: 0 truncates, 1/2 rounds
+        levels_are_stated: black and white are known; else `find_limits` looks for them
+        exposures_are_stated: the exposures are known, at least roughly; else `guess_exposures`
+            replaces them
+        names: of the frames in messages
+        exposures: of the frames, in any common unit
+        patches: of each frame: (patches, samples), channel by channel as `Layout.planes`
+        notes: what differs from what was stated, one line each
+    """
+
+    layout: Layout
+    bits: int
+    black: int = 0
+    white: int = 0
+    phase: float = 0.0
+    levels_are_stated: bool = False
+    exposures_are_stated: bool = True
+    names: list[str] = field(default_factory=list)
+    exposures: list[float] = field(default_factory=list)
+    patches: list[Patches] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    _counts: list[dict[str, NDArray[np.int64]]] = field(default_factory=list)
+    _shape: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.white = self.white or 2**self.bits - 1
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the frames, (rows, columns) or (rows, columns, 3); empty before the first."""
+        return self._shape
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels: Y, or R, G and B."""
+        return ("Y",) if self.layout is Layout.MONO else ("R", "G", "B")
+
+    def colours(self) -> str:
+        """Return the channel of each plane of `Layout.planes`, one letter each."""
+        return {Layout.MONO: "Y", Layout.RGB: "RGB"}.get(self.layout, self.layout.upper())
+
+    def add(self, pixels: NDArray[Any], exposure: float, name: str) -> None:
+        """Add a frame; its pixels are not kept.
+
+        Raises:
+            UsageError: the exposure is not positive and finite
+            DataError: the frame has another size than the first one
+        """
+        if not (math.isfinite(exposure) and exposure > 0):
+            raise UsageError(f"invalid exposure {exposure} of {name}: expected a positive number")
+        if self.names and pixels.shape != self._shape:
+            sizes = [f"{shape[1]} x {shape[0]}" for shape in (pixels.shape, self._shape)]
+            raise DataError(
+                f"{name} has {sizes[0]} pixels and {self.names[0]} has {sizes[1]}",
+                hint="give frames of one size and format",
+            )
+        self._shape = pixels.shape
+        counts = {channel: np.zeros(2**self.bits, np.int64) for channel in self.channels}
+        planes = self.layout.planes(pixels)
+        for letter, plane in zip(self.colours(), planes, strict=True):
+            step = max(1, _PIXELS_AT_ONCE // plane.shape[1])
+            for row in range(0, plane.shape[0], step):
+                part = plane[row : row + step].ravel()
+                counts[letter] += np.bincount(part, minlength=2**self.bits)
+        self._counts.append(counts)
+        self.patches.append(sample_patches(planes, 2**self.bits - 1))
+        self.names.append(name)
+        self.exposures.append(exposure)
+
+    def histogram(self, position: int, channel: str) -> NDArray[np.int64]:
+        """Return the number of pixels of each brightness in a frame, (2^bits,)."""
+        return self._counts[position][channel]
+
+    def counts_between(self, channel: str, edges: FloatArray) -> NDArray[np.int64]:
+        """Return the pixels of each frame below, between and from edges, (frames, edges + 1)."""
+        places = np.concatenate([[0], edges.astype(np.intp)])
+        return np.array([np.add.reduceat(counts[channel], places) for counts in self._counts])
+
+    def channel_patches(self, position: int, channel: str) -> Patches:
+        """Return the patches of one channel of a frame."""
+        parts = np.split(self.patches[position], len(self.colours()))
+        used = [
+            part for letter, part in zip(self.colours(), parts, strict=True) if letter == channel
+        ]
+        return np.concatenate(used)
+
+    def find_limits(self) -> None:
+        """Find the black level and the white level in the frames, where they are not stated.
+
+        Where the darkest patches hardly change with the exposure, what they have at exposure 0 is
+        the black level.  A brightness that many pixels have and none exceeds is the white level.
+        """
+        if self.levels_are_stated:
+            return
+        if not self.exposures_are_stated and len(self.exposures) > 1:
+            self.guess_exposures()
+        order = np.argsort(self.exposures)
+        if self.black == 0 and len(order) > 1:
+            black = self._dark_level(order.tolist())
+            if _LEAST_BLACK <= black / self.white <= _MOST_BLACK:
+                self.black, self.phase = round(black), 0.5
+                self.notes.append(f"the black level is {self.black}, from the darkest pixels")
+        found = self._clipped_level()
+        if found is not None and self.black < found < self.white:
+            self.notes.append(
+                f"samples are clipped at {found}, below the largest code {self.white}"
+            )
+            self.white = found
+
+    def guess_exposures(self) -> None:
+        """Replace the exposures by guesses from the pixels, about as if the response were sRGB.
+
+        Raises:
+            DataError: two frames have too little in common
+        """
+        edges = np.arange(1.0, self.white - self.black + 1)
+        counts = [self.counts_between(name, self.black + edges) for name in self.channels]
+        self.exposures = guess_exposures(np.sum(counts, axis=0), edges).tolist()
+
+    def _dark_level(self, order: Sequence[int]) -> float:
+        """Return the brightness that the darkest patches have at exposure 0; 0 where unknown."""
+        means = np.array([self.patches[k].mean(axis=1) for k in order])
+        darkest = np.argsort(means.mean(axis=0))[: max(8, int(_DARK_SHARE * means.shape[1]))]
+        levels = means[:, darkest].mean(axis=1)
+        ratios = np.array(self.exposures)[list(order)] / self.exposures[order[0]]
+        near = ratios <= 16
+        if np.count_nonzero(near) < 2 or ratios[near][-1] < 2:
+            return 0.0
+        slope, start = np.polyfit(ratios[near], levels[near], 1)
+        # The toe is a line from the black level; where light dominates, nothing is known.
+        return float(start) if slope * ratios[near][-1] < start else 0.0
+
+    def _clipped_level(self) -> int | None:
+        """Return the brightness that many pixels have and none exceeds; None if there is none."""
+        total = sum(counts[channel] for counts in self._counts for channel in self.channels)
+        assert not isinstance(total, int)
+        top = int(np.flatnonzero(total)[-1])
+        below = total[max(0, top - _LEVELS_BELOW) : top]
+        is_pile = total[top] >= _CLIPPED_EXCESS * max(1.0, float(below.mean() if below.size else 0))
+        return top if is_pile and total[top] >= _CLIPPED_SHARE * total.sum() else None

@@ -1,0 +1,326 @@
+"""All calibrations of a camera before one scene, in the order in which they need each other.
+
+Control delay, response, true exposures, noise.  A response is estimated from stated exposures; if
+these turn out to be wrong, both are measured again from the results so far, until they agree.  If
+the frames agree less with the measured exposures than with the stated ones, these are kept: a
+camera of few levels without noise does not show its exposures, and rounds would lead further away.
+The result of each step is kept in the camera's profile before the next one, which uses it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from camctl.calibrated import EXPOSURES, RESPONSE
+from camctl.calibration.delay import measure_delay
+from camctl.calibration.exposures import LONGEST_S, measure_exposures
+from camctl.calibration.noise import measure_noise
+from camctl.calibration.response import (
+    ResponseEstimate,
+    estimate_response,
+    measure_response,
+)
+from camctl.calibration.response_series import Series
+from camctl.camera import Camera, StreamingCamera
+from camctl.errors import CamctlError, CaptureError, DataError
+from camctl.exposure_record import ExposureRecord, exposure_mode
+from camctl.profile import Profile, change_profile, load_profile
+from camctl.response_record import ResponseRecord
+
+#: Response and exposures are measured in turn until the exposures change by less than this: each
+#: round about halves the errors that wrong labels leave in both.
+_NOTABLE_CHANGE, _MOST_ROUNDS = 0.01, 5
+#: Factor of the disagreement of the frames from which measured exposures are worse than stated, and
+#: the factor up to which a change may be that of the round before: else the response is wrong.
+_WORSE, _SHRINKS = 1.25, 1.0
+#: Frames for the response in a second try.
+_MORE_FRAMES = 16
+#: A frame counts as one without saturation up to this share of saturated samples.
+_FEW_SATURATED = 0.01
+#: Factors of the longest time of such frames, one after another where these do not reach bright
+#: levels: the fewer samples are saturated, the less spills over.
+_LONGER = (1.0, 1.5, 3.0, 8.0)
+#: Relative difference of the irradiances of two curves that are the same, above this brightness.
+_SAME_CURVE, _DARKEST = 0.02, 0.05
+
+OpenCamera: TypeAlias = Callable[[str], AbstractContextManager[Camera]]
+"""Opens the camera with these parts of its profile, as the option "profile" names them."""
+
+
+def _ignore(_text: str) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class StepOptions:
+    """How the steps are done.
+
+    Attributes:
+        longest_s: longest shutter time, s
+        begin: called with the name of each step; returns what is called with the share of it that
+            is done, 0 to 1
+        warn: called with one line for each irregularity
+    """
+
+    longest_s: float = LONGEST_S
+    begin: Callable[[str], Callable[[float], None] | None] = lambda _name: None
+    warn: Callable[[str], None] = _ignore
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What one step has measured.
+
+    Attributes:
+        name: of the step
+        result: what was measured, one line; None where it could not be
+        problem: why it could not be measured; None where it was
+        hint: what to do then
+    """
+
+    name: str
+    result: str | None
+    problem: str | None = None
+    hint: str = ""
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a step has measured: the change of the profile, and one line for people."""
+
+    keep: Callable[[Profile], None]
+    text: str
+
+
+_Progress: TypeAlias = Callable[[float], None] | None
+_Measure: TypeAlias = Callable[[Camera, StepOptions, _Progress], _Found | None]
+
+
+def calibrate(open_camera: OpenCamera, options: StepOptions | None = None) -> Iterator[StepResult]:
+    """Measure everything that can be measured before one scene; yield the result of each step.
+
+    The scene and its light must be steady.  The camera is opened for each step, so that the step
+    has what the earlier ones have measured.  A step that fails does not keep the others from
+    running: what an earlier calibration has measured then stays.
+
+    Raises:
+        CameraError: the camera cannot be opened
+        StorageError: a result cannot be kept
+    """
+    return _Calibration(open_camera, options or StepOptions()).results()
+
+
+class _Calibration:
+    """The steps of `calibrate`, and the true exposures so far."""
+
+    def __init__(self, open_camera: OpenCamera, options: StepOptions) -> None:
+        self._open_camera, self._options = open_camera, options
+        self._exposures: ExposureRecord | None = None
+        self._change = 0.0
+        self._unsaturated_s = 0.0
+        self._residual = math.inf
+        self._first: ResponseRecord | None = None
+
+    def results(self) -> Iterator[StepResult]:
+        """Do all steps; yield the result of each."""
+        yield from self._step("control delay", "none", _delay)
+        yield from self._step("response", "none", self._measure_response)
+        yield from self._step("exposures", RESPONSE, self._measure_exposures)
+        for number in range(2, _MOST_ROUNDS + 1):
+            if self._change < _NOTABLE_CHANGE:
+                break
+            before, change = self._residual, self._change
+            self._change = 0.0
+            yield from self._step(f"response, round {number}", EXPOSURES, self._measure_response)
+            if self._residual > _WORSE * before:
+                yield from self._step("exposures", "none", self._withdraw_exposures)
+                break
+            yield from self._step(f"exposures, round {number}", RESPONSE, self._measure_exposures)
+            if self._change > max(_NOTABLE_CHANGE, _SHRINKS * change):
+                yield from self._step("exposures", "none", self._withdraw_exposures)
+                break
+        short = list(self._step("response without highlights", EXPOSURES, self._check_highlights))
+        yield from short
+        if any(step.result for step in short):
+            yield from self._step("exposures again", RESPONSE, self._measure_exposures)
+        yield from self._step("noise", f"{EXPOSURES},{RESPONSE}", _noise)
+
+    def _step(self, name: str, parts: str, measure: _Measure) -> Iterator[StepResult]:
+        """Do one step with these parts of the profile; yield its result if it has one."""
+        with self._open_camera(parts) as camera:
+            info = camera.info
+            try:
+                found = measure(camera, self._options, self._options.begin(name))
+            except CamctlError as error:
+                yield StepResult(name, None, error.what, error.hint)
+                return
+        if found is not None:
+            change_profile(info, found.keep)
+            yield StepResult(name, found.text)
+
+    def _measure_response(
+        self, camera: Camera, options: StepOptions, progress: _Progress
+    ) -> _Found:
+        series = measure_response(camera, longest_s=options.longest_s, progress=progress)
+        self._unsaturated_s = _unsaturated(camera, series)
+        try:
+            estimate = estimate_response(series)
+        except DataError:  # in a scene with few shades more frames may help
+            series = measure_response(
+                camera, count=_MORE_FRAMES, longest_s=options.longest_s, progress=progress
+            )
+            estimate = estimate_response(series)
+        for note in estimate.notes:
+            options.warn(note)
+        self._residual = estimate.residual or 0.0
+        self._first = self._first or estimate.record
+        return _response_found(camera, estimate)
+
+    def _withdraw_exposures(
+        self, camera: Camera, _options: StepOptions, _progress: _Progress
+    ) -> _Found:
+        """Return to the stated exposures and to the response that they gave."""
+        mode, response = exposure_mode(camera.controls), self._first
+        self._exposures = None
+
+        def keep(profile: Profile) -> None:
+            profile.exposures.pop(mode, None)
+            if response is not None:
+                profile.responses[mode] = response
+
+        return _Found(
+            keep,
+            "as stated, with the response of the first round: measured ones do not settle, since "
+            "the camera has too few levels or too little noise, or light and charge spill over",
+        )
+
+    def _check_highlights(
+        self, camera: Camera, options: StepOptions, progress: _Progress
+    ) -> _Found | None:
+        """Return the response of frames without saturation where it differs from that of all.
+
+        Frames with much saturation show the dark levels best, but charge and light that spill over
+        from their highlights (blooming, glare) bend the curve.
+        """
+        known = load_profile(camera.info).responses.get(exposure_mode(camera.controls))
+        for factor in _LONGER:
+            longest_s = factor * self._unsaturated_s
+            with suppress(CamctlError):  # these frames alone do not show the response
+                series = measure_response(camera, longest_s=longest_s, progress=progress)
+                short = estimate_response(series)
+                if known is None or _difference(known, short.record) <= _SAME_CURVE:
+                    return None
+                options.warn(
+                    "light or charge spills over from the highlights of long exposures: the "
+                    "response is that of frames with few saturated samples"
+                )
+                return _response_found(camera, short)
+        return None
+
+    def _measure_exposures(
+        self, camera: Camera, options: StepOptions, progress: _Progress
+    ) -> _Found:
+        try:
+            record = measure_exposures(
+                camera, longest_s=options.longest_s, progress=progress, warn=options.warn
+            )
+        except (CaptureError, DataError):
+            # A saturated frame may leave charge in the next one: times without saturation are left.
+            if not self._unsaturated_s:
+                raise
+            record = measure_exposures(
+                camera, longest_s=self._unsaturated_s, progress=progress, warn=options.warn
+            )
+        mode = exposure_mode(camera.controls)
+        wrong = max(abs(each.factor - 1) for each in (*record.times, *record.gains))
+        self._change, self._exposures = _change(self._exposures, record), record
+        text = (
+            f"{len(record.times)} times and {len(record.gains)} gains, up to {wrong:.2%} from the "
+            "stated exposures"
+        )
+        return _Found(lambda profile: profile.exposures.update({mode: record}), text)
+
+
+def _change(before: ExposureRecord | None, now: ExposureRecord) -> float:
+    """Return by how much the ratios of two exposures differ at most; from 1 where none are known.
+
+    The error of a wrong response is in them: a camera whose shutter is exact has some, too.
+    """
+    known = {each.value: each.factor for each in before.times} if before else {}
+    logs = [
+        math.log(each.factor / known.get(each.value, 1.0))
+        for each in now.times
+        if before is None or each.value in known
+    ]
+    return max(logs, default=0.0) - min(logs, default=0.0)
+
+
+def _delay(camera: Camera, options: StepOptions, progress: _Progress) -> _Found | None:
+    if not isinstance(camera, StreamingCamera):
+        return None
+    record = measure_delay(camera, progress=progress, warn=options.warn)
+    mode = camera.mode
+    if record.frames is None:
+        text = f"{record.smallest} to {record.largest} frames, not constant"
+    else:
+        text = f"{record.frames} frame{'' if record.frames == 1 else 's'}"
+    return _Found(lambda profile: profile.delays.update({mode: record}), text)
+
+
+def _unsaturated(camera: Camera, series: Series) -> float:
+    """Return the longest time of a series at which hardly a sample is saturated, s; 0: none."""
+    gain = camera.controls.gain.nearest(1.0)
+    times = [
+        exposure / gain
+        for exposure, patches in zip(series.exposures, series.patches, strict=True)
+        if np.mean(patches >= series.white) <= _FEW_SATURATED
+    ]
+    return max(times, default=0.0)
+
+
+def _response_found(camera: Camera, estimate: ResponseEstimate) -> _Found:
+    record, mode = estimate.record, exposure_mode(camera.controls)
+    low = max(channel.measured[0] for channel in record.channels)
+    high = min(channel.measured[1] for channel in record.channels)
+    channels = ", ".join(channel.name for channel in record.channels)
+    text = (
+        f"channels {channels} from {low:.1%} to {high:.1%} of full scale, {record.frames} frames "
+        f"agree within {estimate.residual:.2%}"
+    )
+    return _Found(lambda profile: profile.responses.update({mode: record}), text)
+
+
+def _difference(one: ResponseRecord, other: ResponseRecord) -> float:
+    """Return by how much the irradiances of two measured responses differ at most, relative."""
+    worst = 0.0
+    for a, b in zip(one.channels, other.channels, strict=True):
+        low = max(_DARKEST, a.measured[0], b.measured[0])
+        brightness = np.linspace(low, min(a.measured[1], b.measured[1]), 64)
+        curves = [np.interp(brightness, each.brightness, each.irradiance) for each in (a, b)]
+        worst = max(worst, float(np.max(np.abs(curves[0] / curves[1] - 1))))
+    return worst
+
+
+def _noise(camera: Camera, options: StepOptions, progress: _Progress) -> _Found:
+    record = measure_noise(camera, longest_s=options.longest_s, progress=progress)
+    for note in record.notes:
+        options.warn(note)
+    mode, measured = exposure_mode(camera.controls), record.reference
+    conversion, read_noise = measured.conversion_e_per_dn, measured.read_noise_e
+    text = (
+        f"{conversion.value:.3g} electrons a level ({conversion.low:.3g} to "
+        f"{conversion.high:.3g}), read noise {read_noise.value:.3g} electrons "
+        f"({read_noise.low:.3g} to {read_noise.high:.3g}), gains measured: {len(record.gains)}"
+    )
+
+    def keep(profile: Profile) -> None:
+        earlier = profile.noises.get(mode)
+        profile.noises[mode] = record if earlier is None else record.joined(earlier)
+
+    return _Found(keep, text)

@@ -1,0 +1,189 @@
+"""The settings of a capture that give the most accurate picture with the camera's noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from camctl.captures.request import ACCURACY, DEFAULT_COUNT, XI, CaptureRequest
+from camctl.captures.setting_selection import BASE_SLACK_STOPS, given_base
+from camctl.controls import Choices, Control, ExposureControls, ExposureSetting
+from camctl.errors import UsageError
+from camctl.exposure.accuracy import COUNTS, estimate_levels
+from camctl.exposure.accuracy_lookup import look_up_accurate, without_idle_limits
+from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
+from camctl.response.desired import DesiredResponse
+
+#: Whole flicker periods that are tried as shutter times, at most.
+_PERIODS = 200
+#: Relative difference up to which two times are the same, in float64.
+_SAME = 1e-9
+
+
+def objective_of(request: CaptureRequest, controls: ExposureControls, *, has_table: bool) -> str:
+    """Return by what the exposures are chosen: "accuracy" or "xi".
+
+    Where the request leaves it open it is accuracy if the camera's noise is known, unless the
+    request is one that only xi can answer: a tolerance, a number of levels, a table, the aperture.
+
+    Raises:
+        UsageError: accuracy is requested of a camera whose noise is unknown
+    """
+    wanted = request.objective
+    if request.accuracy is not None:
+        wanted = ACCURACY
+    if wanted == ACCURACY and controls.noise is None:
+        raise UsageError(
+            "the noise of this camera is unknown, so that exposures cannot be chosen by accuracy",
+            hint="choose them by xi (--objective xi), without --accuracy",
+        )
+    if wanted == ACCURACY and has_table:
+        raise UsageError(
+            "a table (--table) has exposures chosen by xi, not by accuracy",
+            hint="leave one of them out",
+        )
+    if wanted is not None:
+        return wanted
+    only_xi = (
+        request.tolerance is not None
+        or request.levels_wanted is not None
+        or request.ratios is not None
+        or request.use_aperture
+        or has_table
+    )
+    return XI if controls.noise is None or only_xi else ACCURACY
+
+
+def gain_choices(gain: Control) -> tuple[float, ...]:
+    """Return gains to choose from: factors of two from the one nearest to 1, ascending."""
+    first = gain.nearest(1.0)
+    doublings = range(max(0, math.floor(math.log2(gain.maximum / first) + _SAME)) + 1)
+    return tuple(sorted({gain.nearest(first * 2.0**power) for power in doublings}))
+
+
+def accuracy_problem(
+    controls: ExposureControls,
+    desired: DesiredResponse,
+    available: AvailableExposures | None = None,
+) -> AccuracyProblem:
+    """Return the problem of choosing exposures for a camera whose noise is known.
+
+    Without `available`: any time at the gain nearest to 1, as is chosen where nothing limits time.
+    """
+    assert controls.noise is not None  # `objective_of` has checked it
+    if available is None:
+        available = AvailableExposures(gains=(controls.gain.nearest(1.0),))
+    return AccuracyProblem(controls.levels, desired, controls.noise, available, controls.black)
+
+
+def accurate_settings(
+    controls: ExposureControls,
+    request: CaptureRequest,
+    desired: DesiredResponse,
+    limit_s: float,
+    progress: Callable[[float], None] | None,
+) -> tuple[tuple[ExposureSetting, ...], tuple[float, ...]]:
+    """Return the settings, ascending in exposure, and the exposures that were asked of the camera.
+
+    Gain is raised only where time is limited: by a budget, by an accuracy that is to be reached in
+    the least time, or by the camera's longest time.
+
+    Args:
+        controls: of a camera whose noise is known
+        request: what the user asks for
+        desired: the desired response
+        limit_s: the longest shutter time of the shortest exposure, s
+        progress: called with the share done, 0 to 1
+
+    Raises:
+        UsageError: the time budget is too short, or no set reaches the accuracy
+        CaptureError: the given base exposure is beyond the camera's shutter times
+    """
+    time = controls.time_s
+    problem, counts, total_limit = _problem(controls, request, desired, limit_s)
+    unit_s = problem.available.unit_s
+    found = look_up_accurate(
+        problem, counts, total_limit=total_limit, accuracy=request.accuracy, progress=progress
+    )
+    settings = [
+        ExposureSetting(controls.nearest_time(each * unit_s, each_gain), each_gain)
+        for each, gain in zip(found.times, found.gains, strict=True)
+        for each_gain in [controls.gain.nearest(gain)]
+    ]
+    if sum(setting.time_s for setting in settings) > (request.time_budget_s or math.inf):
+        settings = [
+            replace(setting, time_s=_at_most(time, each * unit_s))
+            for setting, each in zip(settings, found.times, strict=True)
+        ]
+    return tuple(sorted(settings, key=lambda setting: setting.exposure)), found.exposures
+
+
+def estimated_levels(
+    controls: ExposureControls, request: CaptureRequest, desired: DesiredResponse, limit_s: float
+) -> float | None:
+    """Return about the effective levels that `accurate_settings` can reach, in less time.
+
+    They are within a few per cent; see `camctl.exposure.accuracy.estimate_levels`.
+    """
+    problem, counts, total_limit = _problem(controls, request, desired, limit_s)
+    return estimate_levels(without_idle_limits(problem), counts, total_limit=total_limit)
+
+
+def _problem(
+    controls: ExposureControls, request: CaptureRequest, desired: DesiredResponse, limit_s: float
+) -> tuple[AccuracyProblem, Sequence[int], float]:
+    """Return the problem, the numbers of exposures to choose from, and the limit of time."""
+    time, base_s = controls.time_s, _base(controls, request, limit_s)
+    times = _times(controls, request, base_s)
+    chooses_time = request.time_budget_s is not None or request.accuracy is not None
+    is_limited = chooses_time or time.maximum * desired.e_min < base_s
+    gains = gain_choices(controls.gain) if is_limited else (controls.gain.nearest(1.0),)
+    unit_s = base_s if times is None else 1.0
+    available = AvailableExposures(
+        times,
+        gains,
+        shortest=min(1.0, time.minimum / base_s),
+        longest=max(1.0, time.maximum / base_s),
+        base=(base_s * gains[0], base_s * gains[0]),
+        unit_s=unit_s,
+    )
+    if request.count is not None:
+        counts: Sequence[int] = (request.count,)
+    else:
+        counts = COUNTS if chooses_time else (DEFAULT_COUNT,)
+    total_limit = (request.time_budget_s or math.inf) / unit_s
+    return accuracy_problem(controls, desired, available), counts, total_limit
+
+
+def _base(controls: ExposureControls, request: CaptureRequest, limit_s: float) -> float:
+    """Return the shutter time of the shortest exposure at the smallest gain, s."""
+    if request.base_s is not None:
+        return given_base(controls.time_s, limit_s)
+    base_s = _at_most(controls.time_s, limit_s)
+    if request.mains_hz is not None:
+        period_s = 0.5 / request.mains_hz
+        whole_s = _at_most(controls.time_s, math.floor(base_s / period_s + _SAME) * period_s)
+        if base_s * 2.0**-BASE_SLACK_STOPS <= whole_s:
+            return whole_s
+    return base_s
+
+
+def _at_most(time: Control, limit_s: float) -> float:
+    """Return the longest time up to a limit, or the shortest that there is."""
+    return (*time.between(time.minimum, limit_s * (1 + _SAME), 1), time.minimum)[0]
+
+
+def _times(
+    controls: ExposureControls, request: CaptureRequest, base_s: float
+) -> tuple[float, ...] | None:
+    """Return the shutter times to choose from where they are a list; None: any time."""
+    time = controls.time_s
+    if request.mains_hz is None:
+        return time.values if isinstance(time, Choices) else None
+    period_s = 0.5 / request.mains_hz
+    counts = np.unique(np.geomspace(1, max(1.0, time.maximum / period_s), _PERIODS).astype(int))
+    whole = {time.nearest(count * period_s) for count in counts.tolist()}
+    return tuple(sorted({base_s, *(t for t in whole if t >= base_s)}))

@@ -1,0 +1,150 @@
+"""Drawing of small pictures with text: the parts of contact sheets and of previews."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Colour = tuple[int, int, int]
+
+INK: Colour = (40, 40, 40)
+PALE: Colour = (110, 110, 110)
+PAPER: Colour = (244, 244, 244)
+MOST_ENLARGED = 8
+"""Factor by which a picture is enlarged at most."""
+
+MARGIN = 16
+"""Distance between the parts of a drawing and from its edges, pixels."""
+
+TEXT, SMALL_TEXT, TITLE = 0.48, 0.42, 0.66
+"""Sizes of text, as OpenCV scales its letters."""
+
+LINE_HEIGHT = 18
+"""Height of a line of text, pixels."""
+
+#: Smallest size to which a text is reduced; a longer one is cut.
+_LEAST_SIZE = 0.36
+#: Times of this and longer are written in seconds, shorter ones as a fraction.
+_FRACTIONS_BELOW_S = 0.3
+
+
+class Drawing:
+    """A picture in sRGB with a light background; places are (x, y) in pixels from the top left.
+
+    Attributes:
+        pixels: uint8, (rows, columns, 3)
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        # Several times as fast as with all three components of the colour, which are equal.
+        self.pixels = np.full((height, width, 3), PAPER[0], np.uint8)
+
+    def text(
+        self,
+        text: str,
+        place: tuple[int, int],
+        width: int,
+        *,
+        size: float = TEXT,
+        colour: Colour = INK,
+        align: float = 0.0,
+    ) -> None:
+        """Write one line whose top left is `place`, smaller or cut where it is wider than `width`.
+
+        `align` is where the text stands in the width: 0 left, 1 right.  Letters that the font does
+        not have are replaced.
+        """
+        import cv2
+
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        text = text.encode("ascii", "replace").decode()
+        while (needed := cv2.getTextSize(text, font, size, 1)[0][0]) > width and text:
+            if size > _LEAST_SIZE:
+                size = max(_LEAST_SIZE, size - 0.02)
+            else:
+                text = text[:-1]
+        left = place[0] + round(align * (width - needed))
+        baseline = place[1] + round(26 * size)
+        cv2.putText(self.pixels, text, (left, baseline), font, size, colour, 1, cv2.LINE_AA)
+
+    def picture(
+        self, picture: NDArray[np.uint8], place: tuple[int, int], size: tuple[int, int]
+    ) -> None:
+        """Put a picture of its own shape into the middle of a box of (width, height) pixels."""
+        shown = fitted(picture, size)
+        x = place[0] + (size[0] - shown.shape[1]) // 2
+        y = place[1] + (size[1] - shown.shape[0]) // 2
+        self.pixels[y : y + shown.shape[0], x : x + shown.shape[1]] = shown
+
+    def fill(self, place: tuple[int, int], size: tuple[int, int], colour: Colour) -> None:
+        """Fill a box of (width, height) pixels."""
+        x, y = place
+        self.pixels[y : y + size[1], x : x + size[0]] = colour
+
+
+def fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return a picture as (rows, columns, 3), enlarged or reduced to fit (width, height)."""
+    import cv2
+
+    rows, columns = picture.shape[:2]
+    factor = min(size[0] / columns, size[1] / rows, MOST_ENLARGED)
+    shape = (max(1, round(columns * factor)), max(1, round(rows * factor)))
+    # Enlarged pixels stay visible as pixels.
+    how = cv2.INTER_AREA if factor < 1 else cv2.INTER_NEAREST
+    shown = np.asarray(cv2.resize(picture, shape, interpolation=how), np.uint8)
+    return shown if shown.ndim == 3 else np.asarray(cv2.cvtColor(shown, cv2.COLOR_GRAY2RGB))
+
+
+def time_text(seconds: float) -> str:
+    """Return a shutter time as photographers write it.
+
+    >>> time_text(0.004), time_text(0.5), time_text(0.15), time_text(3600.0)
+    ('1/250 s', '0.5 s', '1/6.7 s', '3600 s')
+    """
+    if seconds >= _FRACTIONS_BELOW_S:
+        return f"{seconds:.3g} s" if seconds < 100 else f"{seconds:.0f} s"
+    return f"1/{1 / seconds:.0f} s" if seconds < 1 / 10 else f"1/{1 / seconds:.2g} s"
+
+
+def range_text(dynamic_range: float) -> str:
+    """Return a dynamic range with the digits that matter.
+
+    >>> range_text(131072.0), range_text(1000.0), range_text(1.5), range_text(math.inf)
+    ('1:131,000', '1:1,000', '1:1.5', 'unlimited')
+    """
+    if math.isinf(dynamic_range):
+        return "unlimited"
+    number = float(f"{dynamic_range:.3g}")
+    return f"1:{number:,.0f}" if number >= 100 else f"1:{number:g}"
+
+
+def percent_text(share: float) -> str:
+    """Return a share in per cent; a small one is not shown as none.
+
+    >>> percent_text(0.5), percent_text(0.0), percent_text(1e-6)
+    ('50 %', '0 %', '< 0.01 %')
+    """
+    if 0 < share < 1e-4:
+        return "< 0.01 %"
+    return f"{100 * share:.3g} %"
+
+
+def power_text(exponent: int) -> str:
+    """Return a power of ten in few letters.
+
+    >>> power_text(-2), power_text(3), power_text(-6)
+    ('0.01', '1000', '1e-6')
+    """
+    return f"{10.0**exponent:g}" if -4 < exponent < 5 else f"1e{exponent}"
+
+
+def decades(low: float, high: float) -> tuple[int, int]:
+    """Return the exponents of the powers of ten that enclose two numbers > 0, at least one apart.
+
+    >>> decades(0.02, 30.0), decades(1.0, 1.0)
+    ((-2, 2), (0, 1))
+    """
+    first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
+    return first, max(last, first + 1)

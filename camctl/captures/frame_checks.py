@@ -1,0 +1,132 @@
+"""The exposures of a capture's frames: checked as they arrive, judged and corrected at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.camera import Camera, Pixels
+from camctl.captures.exposure_check import NeighbourCheck
+from camctl.captures.frame_pairs import Pair, Side
+from camctl.captures.picture_details import thumbnail
+from camctl.captures.report import ExposureRatio, RatioCheck, StoredFrame, UnfinishedCapture
+from camctl.captures.true_exposures import choose_exposures, estimate_exposures
+from camctl.captures.verdict import ShotLog, judge, suspects
+from camctl.controls import Layout
+from camctl.exposure.patches import Patches
+from camctl.noise_model import FrameNoise
+
+
+class FrameChecks:
+    """The checks of one capture; results are written into its report.
+
+    Attributes:
+        thumbnails: small pictures of the frames that have arrived, by position
+
+    Args:
+        camera: that shoots it
+        capture: its report
+    """
+
+    def __init__(self, camera: Camera, capture: UnfinishedCapture) -> None:
+        self._controls, self._capture = camera.controls, capture
+        self._delay_of = None if self._controls.delay_frames is None else camera.info.id
+        self._check = NeighbourCheck(
+            self._controls.levels, self._controls.black, self._controls.layout
+        )
+        self._log = ShotLog(capture.plan.settings)
+        self.thumbnails: dict[int, NDArray[np.uint8]] = {}
+
+    def begin(self, positions: Sequence[int]) -> None:
+        """Record that the frames at `positions` are shot now, in one sequence."""
+        self._log.begin(positions)
+
+    def add(self, position: int, pixels: Pixels) -> None:
+        """Compare the frame at `position` with its neighbours that have arrived."""
+        self._check.add(position, pixels)
+        self.thumbnails[position] = thumbnail(pixels, self._controls)
+        for later in (position, position + 1):
+            if self._check.has(later):
+                before, after = (
+                    self._controls.exposure(self._frame(k).applied) for k in (later - 1, later)
+                )
+                self._frame(later).ratio = self._compare(later, after / before)
+
+    def remove(self, position: int) -> None:
+        """Forget the frame at `position`: it will be shot again."""
+        self._check.remove(position)
+
+    def suspects(self) -> list[int]:
+        """Return the positions of the frames that are probably wrong and were shot once."""
+        checks = [frame.ratio for frame in self._frames]
+        self._log.shift(checks)
+        return [k for k in suspects(checks) if self._frame(k).attempts == 1]
+
+    def judge(self) -> list[ExposureRatio]:
+        """Write into the report what the frames say of their exposures; return those to use."""
+        frames = self._frames
+        checks = [frame.ratio for frame in frames]
+        disagree = any(check is not None and not check.agrees for check in checks)
+        shift = self._log.shift(checks) if disagree else None
+        estimates = None
+        if self._capture.request.estimate_ratios and len(frames) > 1:
+            estimates, warnings = estimate_exposures(
+                frames, self.samples, self._check.scale, self._controls
+            )
+            self._capture.warnings += warnings
+        chosen = choose_exposures(frames, self._controls, estimates)
+        if estimates is not None:
+            checks[1:] = [
+                self._compare(k, chosen[k].exposure / chosen[k - 1].exposure)
+                for k in range(1, len(frames))
+            ]
+        judge(self._capture, checks, shift, self._delay_of)
+        return chosen
+
+    @property
+    def samples(self) -> list[Patches]:
+        """Patches of each frame."""
+        return self._check.samples(len(self._capture.frames))
+
+    def pairs(self, exposures: Sequence[float], noise: Sequence[FrameNoise] | None) -> list[Pair]:
+        """Return the frames neighbouring in exposure, from the shortest on, to find movement.
+
+        Where the whole of a frame does not fit its exposure, as under lamps that flicker, the pair
+        has the ratio of light that most patches show.
+
+        Args:
+            exposures: relative exposures of the frames
+            noise: noise of each frame; None where it is unknown
+        """
+        sides = [
+            Side(place, exposure, None if noise is None else noise[place])
+            for place, exposure in enumerate(exposures)
+        ]
+        sides.sort(key=lambda side: side.exposure)
+        samples, found = self.samples, []
+        # Colours whose responses are not quite alike are distinguished where that is measured.
+        colours = 3 if noise is None and self._controls.layout is Layout.RGB else 1
+        for short, long in pairwise(sides):
+            ratio = long.exposure / short.exposure
+            both = samples[short.position], samples[long.position]
+            check = self._check.compare(*both, ratio)
+            if not check.agrees and check.measured is not None:
+                ratio = check.measured
+            found.append(Pair(self._check.scale, short, long, ratio, both, colours))
+        return found
+
+    @property
+    def _frames(self) -> list[StoredFrame]:
+        return [self._frame(position) for position in range(len(self._capture.frames))]
+
+    def _frame(self, position: int) -> StoredFrame:
+        frame = self._capture.frames[position]
+        assert frame is not None  # it was added
+        return frame
+
+    def _compare(self, later: int, expected: float) -> RatioCheck:
+        times_s = (self._frame(later - 1).applied_s, self._frame(later).applied_s)
+        return self._check.check(later, expected, times_s, self._capture.request.mains_hz)

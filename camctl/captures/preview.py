@@ -1,0 +1,323 @@
+"""The light of a capture as people see it on an sRGB display: the picture of preview.png.
+
+Reinhard's photographic operator (Reinhard, Stark, Shirley and Ferwerda, Photographic Tone
+Reproduction for Digital Images, 2002) with three changes:
+
+- What surrounds a pixel is found by a guided filter (He, Sun and Tang, Guided Image Filtering,
+  2010), which stops at edges, instead of by Gaussian surrounds: no halos.
+- It maps the largest of a pixel's channels, and scales the others with it: no channel clips by
+  itself, so that hues stay.
+- The predicted noise of each pixel is known.  Where it hides the light, the light is the mean of
+  the dark pixels around.  Elsewhere it is filtered out where the picture around shows no more
+  variation than it (Lee, Digital Image Enhancement and Noise Filtering by Use of Local Statistics,
+  1980).  It takes the colour out where it is as large as the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.captures.pictures import DARK, SATURATED, Strip
+
+PREVIEW_SIDE = 2560
+"""Longest side of the preview, pixels."""
+
+ALL = 255
+"""All samples, as a share in `Light`."""
+
+Floats = NDArray[np.float32]
+
+#: Brightness of the mean light (of its logarithms) in the preview, 1 = white, where the scene is
+#: neither mostly dark nor mostly bright; up to a factor of 2 less or more where it is.
+_KEY = 0.22
+#: Share of the light, in per cent, that is no darker than the darkest, and no brighter than white.
+_DARKEST, _WHITE = 1.0, 99.5
+#: Radius of the surround, as a share of the longer side.
+_SURROUND = 1 / 40
+#: Variance of log2 of the light up to which the surround is smooth: half a stop, squared.
+_EDGE = 0.25
+#: Radii of the windows in which noise is filtered out, pixels, and the share of its variance that
+#: the windows before have left.
+_NOISE_WINDOWS = ((1, 1.0), (3, 1 / 6))
+#: Radii of the windows over which light that noise hides is averaged, pixels.
+_DARK_WINDOWS = (2, 6, 18)
+#: Noise as a share of the light from which a pixel counts in averages, from which it is replaced
+#: by the average, and from which it is so entirely.
+_HIDDEN = 0.1, 0.45, 0.9
+#: Samples beside those without light count as noisier by up to this factor, plus 1.
+_UNLIT_DOUBT = 4.0
+#: Where no frame shows light the picture has this share of the brightness of the least light.
+_UNLIT = 0.15
+#: Light is read from samples whose noise is less than this share of it.
+_READABLE = 0.5
+#: The noise counts as this share of the light at most: its logarithm is no longer normal.
+_LARGEST_NOISE = 2.0
+#: Of a natural logarithm's deviation that of a logarithm to the base 2.
+_LOG2_E = np.float32(1 / np.log(2))
+#: Rows that are encoded at once.
+_ROWS = 256
+#: Least variance of log2 of the light, less than that of any picture.
+_LEAST_VARIANCE = np.float32(1e-9)
+#: Light that counts as none; a sum without light has an irradiance of more than this.
+_NO_LIGHT = np.float32(1e-30)
+#: Luminance of the sRGB primaries.
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """The light of a picture, reduced in size.
+
+    Attributes:
+        irradiance: float32, (rows, columns, 1 or 3)
+        noise: predicted standard deviation / irradiance, at most 2, in its shape
+        saturated: share of the samples that are saturated, of the channel with most of them; as the
+            following ones uint8, 255 = all, (rows, columns)
+        dark: share of the samples that are too dark
+        unlit: share of the samples without any light
+        white: share of the pixels of which every channel is saturated
+    """
+
+    irradiance: Floats
+    noise: Floats
+    saturated: NDArray[np.uint8]
+    dark: NDArray[np.uint8]
+    unlit: NDArray[np.uint8]
+    white: NDArray[np.uint8]
+
+
+class LightReducer:
+    """Reduces the strips of a picture to at most so many pixels a side, by averages.
+
+    Args:
+        rows: of the picture
+        columns: of the picture
+        unlit: largest irradiance of samples without light
+        full: least irradiance of samples that every frame saturated
+        side: most pixels a side; None: `PREVIEW_SIDE`
+    """
+
+    def __init__(
+        self, rows: int, columns: int, unlit: float, full: float, side: int | None = None
+    ) -> None:
+        # Interpolation rounds.
+        self._unlit, self._full = np.float32(unlit * (1 + 1e-5)), np.float32(full * (1 - 1e-5))
+        self._step = -(-max(rows, columns) // (side or PREVIEW_SIDE))
+        self._shape = max(1, rows // self._step), max(1, columns // self._step)
+        self._rest: tuple[NDArray[Any], ...] = ()
+        self._light: Light | None = None
+        self._done = 0
+
+    def add(self, strip: Strip) -> None:
+        """Take the next strip, from top to bottom."""
+        shape = (*strip.mask.shape[:2], -1)
+        mask, light = strip.mask.reshape(shape), strip.light.reshape(shape)
+        deviation, saturated = strip.deviation.reshape(shape), (mask & SATURATED) != 0
+        white = np.zeros(shape[:2], np.bool_)
+        if saturated.any():
+            deviation = np.where(saturated, np.float32(0), deviation)
+            # The mask of a mosaic does not say which of its channels is saturated.
+            # Ten times as fast as the minimum along the last axis.
+            least = reduce(np.minimum, (light[..., k] for k in range(light.shape[2])))
+            white = least >= self._full
+        white = white[..., np.newaxis]
+        flags = (saturated, (mask & DARK) != 0, light <= self._unlit, white)
+        parts = (light, deviation, *(flag.view(np.uint8) * np.uint8(ALL) for flag in flags))
+        if self._rest:
+            pairs = zip(self._rest, parts, strict=True)
+            parts = tuple(np.concatenate(pair) for pair in pairs)
+        rows = parts[0].shape[0] // self._step
+        self._rest = tuple(part[rows * self._step :].copy() for part in parts)
+        if rows:
+            self._reduce(parts, rows)
+
+    def light(self) -> Light:
+        """Return the light of all strips."""
+        if self._light is None:  # fewer rows than are averaged
+            self._reduce(self._rest, 1)
+        assert self._light is not None
+        return self._light
+
+    def _reduce(self, parts: tuple[NDArray[Any], ...], rows: int) -> None:
+        """Reduce these rows of the light, its deviation, and the flags."""
+        if self._light is None:
+            shape = (*self._shape, parts[0].shape[2])
+            irradiance, noise = np.empty(shape, np.float32), np.empty(shape, np.float32)
+            shares = (np.empty(self._shape, np.uint8) for _ in range(4))
+            self._light = Light(irradiance, noise, *shares)
+        light, place = self._light, slice(self._done, self._done + rows)
+        self._done += rows
+        light.irradiance[place] = self._mean(parts[0], rows)
+        # The errors of neighbouring pixels are independent.
+        error = self._mean(parts[1], rows) / np.float32(self._step)
+        error /= np.maximum(light.irradiance[place], _NO_LIGHT)
+        np.minimum(error, _LARGEST_NOISE, out=light.noise[place])
+        light.saturated[place] = self._mean(parts[2], rows).max(axis=2)
+        light.dark[place] = self._mean(parts[3], rows).mean(axis=2)
+        light.unlit[place] = self._mean(parts[4], rows).mean(axis=2)
+        light.white[place] = self._mean(parts[5], rows)[..., 0]
+
+    def _mean(self, part: NDArray[Any], rows: int) -> NDArray[Any]:
+        import cv2
+
+        cut = part[: rows * self._step, : self._shape[1] * self._step]
+        if self._step == 1:
+            return cut
+        size = (self._shape[1], rows)
+        reduced = cv2.resize(np.ascontiguousarray(cut), size, interpolation=cv2.INTER_AREA)
+        return np.asarray(reduced, part.dtype).reshape(rows, self._shape[1], -1)
+
+
+def tone_map(light: Light) -> NDArray[np.uint8]:
+    """Return the preview in sRGB, (rows, columns) or (rows, columns, 3)."""
+    irradiance, noise, unlit = _averaged_in_the_dark(light)
+    logs = np.maximum(irradiance, _NO_LIGHT, out=irradiance)
+    np.log2(logs, out=logs)
+    for channel in range(logs.shape[2]):
+        logs[..., channel] = _without_noise(logs[..., channel], noise[..., channel] * _LOG2_E)
+    largest = _largest(logs).copy()
+    logs -= largest[..., np.newaxis]
+    colours = np.exp2(logs, out=logs)  # relative to the largest
+    pixel_noise = noise[..., 0] if noise.shape[2] == 1 else noise.mean(axis=2)
+    exposure, white = _exposure(largest, colours, pixel_noise, light)
+    # The operator, x (1 + S / white^2) / (1 + S) for light x in the surround S, in logarithms.
+    surround = _surround(largest)
+    surround += exposure
+    np.exp2(surround, out=surround)
+    largest += exposure
+    shown = np.exp2(largest, out=largest)
+    shown *= 1 + surround / white**2
+    shown /= 1 + surround
+    np.minimum(shown, 1, out=shown)
+    darkest = _UNLIT if (light.unlit < ALL).any() else 0.0
+    shown *= 1 + (darkest - 1) * unlit * unlit
+    # A pixel of which one channel is saturated keeps the colour of its neighbours that are not.
+    full = light.white / np.float32(ALL)
+    shown += full * (1 - shown)
+    around = _blurred(pixel_noise, 2)
+    # Where a channel shows no light, the colour is not known.
+    colourful = (1 - full) * (1 - np.sqrt(unlit)) / (1 + around * around)
+    colours -= 1
+    colours *= colourful[..., np.newaxis]
+    colours += 1
+    colours *= shown[..., np.newaxis]
+    starts = range(0, len(colours), _ROWS)
+    codes = np.concatenate([srgb_codes(colours[start : start + _ROWS]) for start in starts])
+    return codes[..., 0] if codes.shape[-1] == 1 else codes
+
+
+def srgb_codes(light: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return linear light, 0 to 1, in the encoding of sRGB (IEC 61966-2-1), 0 to 255."""
+    light = np.clip(light, 0, 1)
+    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(encoded * 255).astype(np.uint8))
+
+
+def _exposure(
+    largest: Floats, colours: Floats, noise: Floats, light: Light
+) -> tuple[np.float32, np.float32]:
+    """Return log2 of the factor before the operator, and the light after it that becomes white.
+
+    Reinhard, Parameter Estimation for Photographic Tone Reproduction, 2002: a scene of mostly dark
+    light stays dark.
+    """
+    weights = _LUMINANCE if colours.shape[2] == 3 else np.ones(1, np.float32)
+    readable = (noise < _READABLE) & (light.unlit < ALL)
+    if not readable.any():
+        readable = np.ones_like(readable)
+    logs = (largest + np.log2(colours @ weights))[readable]
+    low, high = np.percentile(logs, [_DARKEST, _WHITE]).tolist()
+    mean = float(logs.mean())
+    span = max(high - low, 1.0)
+    key = _KEY * 4.0 ** np.clip((2 * mean - low - high) / span, -0.5, 0.5)
+    exposure = np.float32(np.log2(key) - mean)
+    brightest = float(np.percentile(largest[readable], _WHITE))
+    return exposure, np.float32(max(1.0, 2.0 ** (brightest + float(exposure))))
+
+
+def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
+    """Return irradiance, noise, and the share without light; each averaged where noise is large.
+
+    Only such pixels are averaged, so that no bright light comes into the dark beside it.
+    """
+    irradiance, noise = light.irradiance.copy(), light.noise.copy()
+    unlit = np.asarray(light.unlit / np.float32(ALL), np.float32)
+    least, low, high = map(np.float32, _HIDDEN)
+    has_unlit = bool(light.unlit.any())
+    for radius in _DARK_WINDOWS:
+        # Beside samples without light the noise of the others decides which of them have some.
+        doubt = _largest(noise)
+        if has_unlit:
+            doubt = doubt * (1 + _UNLIT_DOUBT * _blurred(unlit, radius))
+        if doubt.max() <= low:
+            break
+        hidden = np.clip((doubt - low) / (high - low), 0, 1)
+        counts = np.clip((doubt - least) / (low - least), 0, 1)
+        area = np.maximum(_blurred(counts, radius), _LEAST_VARIANCE)
+        samples = area * (2 * radius + 1) ** 2
+        for place in range(noise.shape[2]):
+            values, errors = irradiance[..., place], noise[..., place]
+            # Sums over windows are running ones, and may round to just below 0.
+            variance = np.maximum(_blurred((values * errors) ** 2 * counts, radius), 0) / area
+            average = np.maximum(_blurred(values * counts, radius) / area, _NO_LIGHT)
+            error = np.sqrt(variance / samples) / average
+            values += (average - values) * hidden
+            errors += (np.minimum(error, errors) - errors) * hidden
+        if has_unlit:
+            unlit += (_blurred(unlit * counts, radius) / area - unlit) * hidden
+    return irradiance, noise, np.clip(unlit, 0, 1)
+
+
+def _largest(values: Floats) -> Floats:
+    """Return the largest channel; numpy's maximum over a short last axis is far slower."""
+    largest = values[..., 0]
+    for channel in range(1, values.shape[2]):
+        largest = np.maximum(largest, values[..., channel])
+    return largest
+
+
+def _without_noise(logs: Floats, noise: Floats) -> Floats:
+    """Return log2 of the light with noise of this standard deviation filtered out."""
+    for radius, left in _NOISE_WINDOWS:
+        mean, variance = _moments(logs, radius)
+        kept = _blurred(noise * noise, radius)
+        kept *= -np.float32(left)
+        kept /= np.maximum(variance, _LEAST_VARIANCE, out=variance)
+        kept += 1
+        logs = logs - mean
+        logs *= np.maximum(kept, 0, out=kept)
+        logs += mean
+    return logs
+
+
+def _surround(logs: Floats) -> Floats:
+    """Return the guided filter of log2 of the light, with itself as the guide."""
+    radius = max(2, round(max(logs.shape) * _SURROUND))
+    offset, slope = _moments(logs, radius)
+    slope /= np.maximum(slope, 0, out=slope) + np.float32(_EDGE)
+    offset -= slope * offset
+    surround = _blurred(slope, radius)
+    surround *= logs
+    surround += _blurred(offset, radius)
+    return surround
+
+
+def _moments(values: Floats, radius: int) -> tuple[Floats, Floats]:
+    """Return mean and variance over squares; rounding may leave a variance just below 0."""
+    mean, variance = _blurred(values, radius), _blurred(values * values, radius)
+    variance -= mean * mean
+    return mean, variance
+
+
+def _blurred(values: NDArray[Any], radius: int) -> Floats:
+    """Return the means over squares of 2 radius + 1 pixels a side."""
+    import cv2
+
+    side = 2 * radius + 1
+    mean = cv2.blur(values, (side, side), borderType=cv2.BORDER_REFLECT)
+    return np.asarray(mean, np.float32).reshape(values.shape)

@@ -1,0 +1,94 @@
+"""What to say where much of a picture is outside its range, and which option mends it."""
+
+from __future__ import annotations
+
+import math
+
+from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.request import AUTO, CURVE, DEFAULT_COUNT, XI, CaptureRequest
+from camctl.captures.scene_range import LAMP_SHARE
+
+MUCH = 0.05
+"""Share of the samples outside the range from which a capture gets a warning."""
+
+LOG = "log"
+_OTHER_RESPONSE = "the {} response has few levels for it; take constant contrast (--response log)"
+
+#: Fewest effective levels that are advised: with fewer a picture shows steps.
+_LEAST_LEVELS = 16.0
+
+
+def outside_warnings(
+    request: CaptureRequest,
+    plan: CapturePlan,
+    *,
+    saturated: float,
+    dark: float,
+    is_taken: bool = False,
+) -> list[str]:
+    """Return a warning for each end of the range that more than `MUCH` of the samples are beyond.
+
+    Args:
+        request: what was asked for
+        plan: of the capture
+        saturated: share of the samples that every frame saturated
+        dark: share of the samples with light below the range
+        is_taken: the frames are photographs already taken
+    """
+    found = []
+    if saturated > MUCH:
+        advice = _shorter(request, is_taken)
+        found.append(f"{saturated:.1%} of the picture is brighter than its range: {advice}")
+    if dark > MUCH:
+        found.append(
+            f"{dark:.1%} of the picture is darker than its range of 1:{plan.dynamic_range:,.0f}: "
+            f"{_wider(request, plan, is_taken)}"
+        )
+    return found
+
+
+def _shorter(request: CaptureRequest, is_taken: bool) -> str:
+    """Return what to do where too much is saturated."""
+    if request.base_s is not None:
+        return "leave the base exposure (--base) out, so that it is metered"
+    if request.compensation_stops > 0:
+        return "leave the compensation (--compensation) out"
+    if request.clip:
+        return "leave the share that may clip (--clip) out"
+    if is_taken:
+        return "a photograph with a shorter exposure would show it"
+    return "close the aperture, or put a filter before the lens; no option makes the light less"
+
+
+def _wider(request: CaptureRequest, plan: CapturePlan, is_taken: bool) -> str:
+    """Return what to do where too much is dark."""
+    if request.response == CURVE:
+        return "it is that of the desired curve; give one of a larger range"
+    if is_taken:
+        if plan.desired.name != LOG:
+            return _OTHER_RESPONSE.format(plan.desired.name)
+        return "photographs with longer exposures would show it"
+    if request.base_s is not None:
+        return (
+            "leave the base exposure (--base) out, and take the range of the light (--range auto)"
+        )
+    if request.ratios is not None:
+        return "these exposures do not show it; leave them (--ratios) out"
+    if request.dynamic_range != AUTO:
+        return "let the light decide it (--range auto)"
+    if request.clip is not None and request.clip < LAMP_SHARE:
+        return "let lamps and reflections clip; leave the share that may (--clip) out"
+    light = plan.light
+    if light is not None and light.needed > plan.dynamic_range:
+        if request.most_exposures < DEFAULT_COUNT:
+            return f"take more exposures (-n {DEFAULT_COUNT})"
+        if plan.objective == XI:
+            return f"ask for a larger one (--range {math.ceil(light.needed):d})"
+        if (levels := math.floor(light.needed_levels or 0.0)) >= _LEAST_LEVELS:
+            return f"the camera holds all of the light with less accuracy (--accuracy {levels})"
+    if len(plan.settings) == 1:
+        return f"take more exposures (-n {DEFAULT_COUNT})"
+    is_limited = request.time_budget_s is not None or request.accuracy is not None
+    if plan.desired.name != LOG and is_limited:
+        return _OTHER_RESPONSE.format(plan.desired.name)
+    return "open the aperture, or light the scene; this camera cannot expose long enough"

@@ -1,0 +1,229 @@
+"""What a capture in each desired response would show of a scene, before anything is shot.
+
+Preview frames from short to long are summed as a capture is, which gives the light.  Each response
+then has a plan of its own, and its picture has the levels, the range and the noise that the sum of
+the planned exposures would have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.camera import Camera, Frame, PreviewingCamera
+from camctl.captures.accumulator import Accumulator
+from camctl.captures.capture_plan import CapturePlan, relative_exposures
+from camctl.captures.pictures import DARK, GOOD, SATURATED, Rendering, Tables
+from camctl.captures.plan import meter_light, plan_capture
+from camctl.captures.preview import ALL, Light, LightReducer, tone_map
+from camctl.captures.request import AUTO, CaptureRequest
+from camctl.captures.response_sheet import PANEL_WIDTH, Panel, response_sheet
+from camctl.controls import ExposureControls, ExposureSetting
+from camctl.errors import CaptureError, UsageError
+from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.inverse import Posterior
+from camctl.response.desired import RESPONSES, desired_response
+
+LONGEST_S = 4.0
+"""Longest exposure of a preview frame, s: the user waits for it, as for those of metering."""
+
+#: Each preview frame is longer than the one before by this factor at most.
+_STEP = 16.0
+#: The preview frames are evaluated down to the light of this share of their first level.
+_LEAST_LEVEL = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class ShownResponse:
+    """One desired response.
+
+    Attributes:
+        name: of the response
+        plan: of a capture in it, which was not shot
+        dark: share of the samples that would be too dark
+        saturated: share of the samples that would be saturated in every frame
+    """
+
+    name: str
+    plan: CapturePlan
+    dark: float
+    saturated: float
+
+
+@dataclass(frozen=True, eq=False)
+class ResponsePreview:
+    """The desired responses beside each other.
+
+    Attributes:
+        picture: uint8, (rows, columns, 3), sRGB
+        plan: of the response that was asked for; it was not shot
+        responses: those that the camera can take, in the order of `RESPONSES`
+        settings: those of the preview frames
+        left_out_s: planned shutter times that are longer than any preview frame, s
+    """
+
+    picture: NDArray[np.uint8]
+    plan: CapturePlan
+    responses: tuple[ShownResponse, ...]
+    settings: tuple[ExposureSetting, ...]
+    left_out_s: tuple[float, ...]
+
+
+def preview_responses(camera: Camera, request: CaptureRequest) -> ResponsePreview:
+    """Meter, plan each response as a capture would, take preview frames, and show each response.
+
+    Raises:
+        UsageError: the camera has no preview, and `request` allows no actuations of the shutter
+        CaptureError: the light cannot be metered, or no plan meets the request
+    """
+    if not (isinstance(camera, PreviewingCamera) or request.spend_shutter):
+        raise UsageError(
+            f"{camera.info.id} has no preview, and a frame would cost a shutter actuation",
+            hint="allow them with --meter",
+        )
+    metered = meter_light(camera, request)
+    plan = plan_capture(camera, request, metered=metered)
+    plans: dict[str, CapturePlan | str] = {}
+    for name in RESPONSES:
+        try:
+            other = _in_response(request, name, plan)
+            plans[name] = plan if other == request else plan_capture(camera, other, metered=metered)
+        except (UsageError, CaptureError) as error:
+            plans[name] = error.what
+    possible = [each for each in plans.values() if isinstance(each, CapturePlan)]
+    longest = max(setting.exposure for each in (plan, *possible) for setting in each.settings)
+    settings = preview_settings(camera.controls, plan.settings[0], longest)
+    light, exposure = _light(camera, settings)
+    shown, panels = [], []
+    for name, each in plans.items():
+        if isinstance(each, str):
+            panels.append(Panel(name, each))
+            continue
+        panel = _panel(name, each, light, exposure, camera.controls)
+        panels.append(panel)
+        shown.append(ShownResponse(name, each, panel.dark, panel.saturated))
+    times = {setting.time_s for each in possible for setting in each.settings}
+    left_out = tuple(sorted(time_s for time_s in times if time_s > settings[-1].time_s))
+    picture = response_sheet(
+        panels, settings, left_out, is_range_given=request.given_range is not None
+    )
+    return ResponsePreview(picture, plan, tuple(shown), settings, left_out)
+
+
+def preview_settings(
+    controls: ExposureControls, shortest: ExposureSetting, longest: float
+) -> tuple[ExposureSetting, ...]:
+    """Return the settings of the preview frames, ascending.
+
+    They go from the shortest exposure that is planned to the exposure `longest`, or as near to it
+    as a frame of `LONGEST_S` comes with the camera's highest gain.
+    """
+    time, gain = controls.time_s, controls.gain
+    most_s = max(shortest.time_s, min(LONGEST_S, time.maximum))
+    ratio = longest / shortest.exposure
+    ratio = min(ratio, most_s / shortest.time_s * gain.maximum / shortest.gain)
+    count = max(1, math.ceil(math.log(ratio) / math.log(_STEP))) if ratio > 1 else 1
+    found = [shortest]
+    for place in range(1, count + 1):
+        factor = ratio ** (place / count)
+        time_s = time.nearest(min(shortest.time_s * factor, most_s))
+        each = gain.nearest(max(shortest.gain, shortest.gain * shortest.time_s * factor / time_s))
+        setting = replace(shortest, time_s=time_s, gain=each)
+        if setting.exposure > found[-1].exposure:
+            found.append(setting)
+    return tuple(found)
+
+
+def _in_response(request: CaptureRequest, name: str, plan: CapturePlan) -> CaptureRequest:
+    """Return the request for another response; a range that is endless becomes an automatic one."""
+    if request.response == name:
+        return request
+    given = request.given_range
+    dynamic_range: float | Literal["auto"] = "auto"
+    if given is not None and math.isfinite(given):
+        dynamic_range = given
+    if request.base_s is not None and dynamic_range == AUTO:
+        dynamic_range = plan.desired.dynamic_range
+    gamma = request.gamma if name == "gamma" else None
+    return replace(
+        request, response=name, dynamic_range=dynamic_range, desired_curve=None, gamma=gamma
+    )
+
+
+def _light(camera: Camera, settings: tuple[ExposureSetting, ...]) -> tuple[Light, float]:
+    """Return the light that preview frames give, and the exposure that E = 1 saturates."""
+    controls = camera.controls
+    total: Accumulator | None = None
+    for frame in _frames(camera, settings):
+        if total is None:
+            shape, dtype = frame.pixels.shape, frame.pixels.dtype
+            total = Accumulator(shape, dtype, len(settings), controls.white)
+        total.accumulate(frame.pixels)
+    assert total is not None  # there is at least one setting
+    noise, exposures = controls.frame_noise(settings), relative_exposures(settings)
+    least = _LEAST_LEVEL * float(controls.levels.levels[0]) / max(exposures)
+    desired = desired_response("log", 1 / least)
+    tables = tuple(
+        Tables.of(Posterior(EffectiveCamera.of(each, exposures), desired, noise), 1.0)
+        for each in controls.responses or (controls.levels,)
+    )
+    rendering = Rendering(controls.layout, tables, desired, 1.0, controls.hot_pixels)
+    rows, columns = total.total.shape[:2]
+    reducer = LightReducer(rows, columns, rendering.unlit, rendering.full, 2 * PANEL_WIDTH)
+    for strip in rendering.strips(total.total):
+        reducer.add(strip)
+    return reducer.light(), min(setting.exposure for setting in settings)
+
+
+def _frames(camera: Camera, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+    if isinstance(camera, PreviewingCamera):
+        yield from map(camera.preview, settings)
+        return
+    with closing(camera.shoot(list(settings))) as frames:
+        yield from frames
+
+
+def _panel(
+    name: str, plan: CapturePlan, light: Light, exposure: float, controls: ExposureControls
+) -> Panel:
+    """Return what a capture by `plan` would make of the light; E = 1 saturates `exposure`."""
+    effective = EffectiveCamera.of(controls.levels, relative_exposures(plan.settings))
+    posterior = Posterior(effective, plan.desired, controls.frame_noise(plan.settings))
+    table = Tables.of(posterior, 1.0)
+    E = light.irradiance * np.float32(plan.settings[0].exposure / exposure)
+    sums = posterior.sum.black + np.searchsorted(effective.levels, E, side="right")
+    irradiance, mask = table.irradiance[sums], table.mask[sums]
+    noise = np.minimum(table.deviation[sums], irradiance) / irradiance
+    white = light.white.copy()
+    white[(mask == SATURATED).all(axis=2)] = ALL
+
+    unlit = _shares(sums <= posterior.sum.black)
+    seen = Light(
+        irradiance,
+        np.where(mask == GOOD, np.maximum(noise, light.noise), light.noise),
+        np.maximum(light.saturated, _shares(mask == SATURATED)),
+        _shares(mask == DARK),
+        np.maximum(unlit, light.unlit),
+        white,
+    )
+    stored = (table.code[sums] >> 8).astype(np.uint8)
+    return Panel(
+        name,
+        "",
+        plan=plan,
+        picture=tone_map(seen),
+        stored=stored[..., 0] if stored.shape[2] == 1 else stored,
+        dark=float((mask == DARK).mean()),
+        saturated=float((mask == SATURATED).mean()),
+    )
+
+
+def _shares(flags: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return the share of the channels of each pixel, `ALL` for all of them."""
+    return np.asarray(flags.mean(axis=2) * ALL, np.uint8)

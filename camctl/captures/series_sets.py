@@ -1,0 +1,67 @@
+"""The sets of a series on a camera: metered once or each, begun or completed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from camctl.camera import Camera
+from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.folder_store import read_report
+from camctl.captures.plan import plan_capture
+from camctl.captures.report import CaptureReport, UnfinishedCapture
+from camctl.captures.report_file import REPORT, read_report_file
+from camctl.captures.sequence import OnProgress
+from camctl.captures.sequencer import capture, resume
+from camctl.captures.series_journal import SeriesJournal
+from camctl.exposure.table import ExposureTable
+
+
+class CameraSets:
+    """Takes the sets of a series.
+
+    Args:
+        camera: an open camera
+        journal: of the series: what is asked of each set
+        progress: called before each frame and stage of a set
+    """
+
+    def __init__(
+        self, camera: Camera, journal: SeriesJournal, progress: OnProgress | None = None
+    ) -> None:
+        self._camera, self._journal, self._progress = camera, journal, progress
+        self._table: ExposureTable | None = None
+        if journal.table_file is not None:
+            self._table = ExposureTable.load(Path(journal.table_file), camera.controls.levels)
+        self._plan = journal.plan
+
+    def prepare(self, journal: SeriesJournal) -> None:
+        """Make the plan of the first set, which is kept where it is that of all."""
+        self._plan = self._plan or self._new_plan()
+        if journal.options.meter == "once":
+            journal.plan = self._plan
+
+    def take(self, directory: Path) -> CaptureReport:
+        """Take a set into `directory`, or complete the one that is there."""
+        if (directory / REPORT).exists():
+            if not isinstance(read_report_file(directory), UnfinishedCapture):
+                return read_report(directory)  # only the journal was not written any more
+            return resume(self._camera, directory, progress=self._progress)
+        plan = self._plan or self._new_plan()
+        if self._journal.plan is None:
+            self._plan = None  # the next set has another light
+        return capture(
+            self._camera,
+            self._journal.request,
+            directory,
+            plan=plan,
+            source=self._journal.source,
+            progress=self._progress,
+        )
+
+    def reconnect(self) -> None:
+        """Close the camera and open it again."""
+        self._camera.close()
+        self._camera.__enter__()
+
+    def _new_plan(self) -> CapturePlan:
+        return plan_capture(self._camera, self._journal.request, table=self._table)

@@ -1,0 +1,121 @@
+"""`camctl calibrate all`: everything that can be measured of a camera, before one scene."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import click
+
+from camctl.cli import options
+from camctl.cli.commands import command
+from camctl.cli.options import CameraOptions
+from camctl.cli.output import (
+    print_error,
+    print_json,
+    print_text,
+    print_warning,
+    progress_bar,
+    without_stage,
+)
+from camctl.cli.parameter_types import Seconds
+
+if TYPE_CHECKING:
+    from camctl.calibration.steps import StepResult
+
+_GUIDANCE = (
+    "Put the camera on a tripod before a scene that does not move, with dark and bright parts and "
+    "many shades between: a room with a window, a desk under a lamp.",
+    "Its light must be steady: daylight without moving clouds, or a lamp that does not flicker.",
+    "Switch automatic exposure, gain, white balance and focus off. It takes a few minutes.",
+)
+
+
+#: What depends on the picture, so that no calibration can predict it.
+_NEVER = "smear, blooming and glare"
+
+
+@command(
+    examples=(
+        ("camctl calibrate all --camera v4l2:/dev/video0", "a webcam before any still scene"),
+        (
+            "camctl calibrate all --sensor consumer -O unknown=yes",
+            "a simulated one",
+        ),
+    ),
+)
+@options.camera_options
+@click.option(
+    "--longest",
+    "longest_s",
+    type=Seconds(),
+    metavar="SECONDS",
+    default="2",
+    help="Longest shutter time to use.",
+)
+@options.as_json
+def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
+    """Measure control delay, response, true exposures and noise, one after the other.
+
+    Point the camera at a scene that does not move, with dark and bright parts and many shades
+    between, in steady light. Each result is kept in the camera's profile, which later captures use
+    without being asked. What cannot be measured is named with what to do; the rest is measured all
+    the same.
+    """
+    from camctl.calibration.steps import StepOptions, calibrate
+    from camctl.errors import CaptureError
+    from camctl.exposure_record import exposure_mode
+    from camctl.profile import load_profile
+
+    with camera.open(profile="none") as opened:
+        info, mode = opened.info, exposure_mode(opened.controls)
+    for number, line in enumerate(() if as_json else _GUIDANCE, start=1):
+        print_error(f"{number}. {line}")
+    if not as_json and sys.stdin.isatty() and sys.stderr.isatty():
+        click.pause("Press any key when all is ready ...", err=True)
+    done = []
+    with ExitStack() as bars:
+
+        def begin(name: str) -> Callable[[float], None] | None:
+            bars.close()
+            return without_stage(bars.enter_context(progress_bar(name)))
+
+        how = StepOptions(longest_s, begin, print_warning)
+        for step in calibrate(lambda parts: camera.open(profile=parts), how):
+            bars.close()
+            done.append(step)
+            if not as_json:
+                print_text(_line(step))
+    name = load_profile(info).name
+    if as_json:
+        steps = [dataclasses.asdict(step) for step in done]
+        print_json({"camera": dataclasses.asdict(info), "mode": mode, "steps": steps, "name": name})
+    elif any(step.result for step in done):
+        print_text(f"kept in the profile {name} for the mode {mode}; see camctl profile show")
+        noise = load_profile(info).noises.get(mode)
+        missing = [
+            what
+            for what, figure in (
+                (
+                    "differences between the pixels (camctl calibrate noise --flat)",
+                    noise and noise.prnu,
+                ),
+                (
+                    "dark signal and hot pixels (camctl calibrate noise --dark)",
+                    noise and noise.dark,
+                ),
+            )
+            if figure is None
+        ]
+        print_text(f"not in the predicted levels: {', '.join([*missing, _NEVER])}")
+    if not any(step.result for step in done):
+        raise CaptureError("nothing could be measured", hint="change the scene as said above")
+
+
+def _line(step: StepResult) -> str:
+    if step.result is not None:
+        return f"{step.name}: {step.result}"
+    return f"{step.name}: not measured, because {step.problem}; {step.hint}"

@@ -1,0 +1,307 @@
+"""`camctl calibrate response`: the response of a camera from an exposure series."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from camctl.cli import options
+from camctl.cli.calibrate.exposure_series import SeriesOptions, series_of_files, series_options
+from camctl.cli.commands import command
+from camctl.cli.options import CameraOptions, option_group
+from camctl.cli.output import (
+    format_fields,
+    format_percent,
+    format_table,
+    print_json,
+    print_text,
+    print_warning,
+    progress_bar,
+    without_stage,
+)
+from camctl.cli.parameter_types import PATH, Name, Seconds, WholeNumber
+from camctl.errors import UsageError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from camctl.calibration.response import ResponseEstimate
+    from camctl.calibration.response_series import Series
+    from camctl.camera import CameraInfo
+    from camctl.response_record import ResponseRecord
+
+_METHODS = ("camctl", "debevec", "robertson")
+_CHARTS = ("macbeth",)
+
+
+@dataclass(frozen=True)
+class EstimateOptions:
+    """How the response is estimated."""
+
+    method: str
+    estimate_ratios: bool
+    chart: str | None
+    patches: Path | None
+
+    @property
+    def keeps_frames(self) -> bool:
+        """Whether the frames are needed, beside what a series keeps of them."""
+        return self.method != "camctl" or self.has_chart
+
+    @property
+    def has_chart(self) -> bool:
+        """Whether a chart is before the camera."""
+        return self.chart is not None or self.patches is not None
+
+
+_estimate_options = option_group(
+    EstimateOptions,
+    "how",
+    click.option(
+        "--method",
+        type=Name("method", _METHODS),
+        metavar="|".join(_METHODS),
+        default="camctl",
+        help="Method; the others are OpenCV's, take 8-bit FILES and are for comparison.",
+    ),
+    click.option(
+        "--estimate-ratios",
+        is_flag=True,
+        help="The exposures are only roughly known (30 %), or unknown: estimate them, too.",
+    ),
+    click.option(
+        "--chart",
+        type=Name("chart", _CHARTS),
+        metavar="|".join(_CHARTS),
+        help="A chart in the picture, which is looked for: macbeth has 24 patches.",
+    ),
+    click.option(
+        "--patches",
+        type=PATH,
+        metavar="FILE",
+        help="Patches in the picture: in each line x, y, width, height in pixels, from the upper "
+        "left corner, and the reflectance, or those in R, G and B.",
+    ),
+)
+
+
+@command(
+    examples=(
+        ("camctl calibrate response --camera v4l2:/dev/video0", "a webcam before any still scene"),
+        (
+            "camctl calibrate response a.tif b.tif c.tif --times 1/60,1/15,1/4 -o curve.txt",
+            "photographs; the curve is for --curve",
+        ),
+        ("camctl calibrate response hall", "the frames of a capture in the folder hall"),
+        ("camctl calibrate response chart.jpg --chart macbeth", "one photograph of a chart"),
+    ),
+)
+@series_options
+@options.camera_options
+@click.option(
+    "-n",
+    "--frames",
+    "count",
+    type=WholeNumber(least=2, most=64),
+    metavar="N",
+    default=8,
+    help="Frames to shoot.",
+)
+@click.option(
+    "--longest",
+    "longest_s",
+    type=Seconds(),
+    metavar="SECONDS",
+    default="2",
+    help="Longest shutter time to use.",
+)
+@_estimate_options
+@click.option("-o", "output", type=PATH, metavar="FILE", help="Write the curve for --curve.")
+@options.as_json
+def response(
+    source: SeriesOptions,
+    camera: CameraOptions,
+    count: int,
+    longest_s: float,
+    how: EstimateOptions,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Measure the response of a camera, from different exposures of any scene.
+
+    The scene must not move and its light must be steady; it should have dark and bright parts and
+    many shades between. No chart is needed. With --camera (or without FILES) a series is shot that
+    suits the light, and the result is kept in the camera's profile; FILES are photographs, or the
+    folder of a complete capture. With --chart or --patches one photograph is enough; with several,
+    what they say is added.
+    """
+    context = click.get_current_context()
+    names = options.given(context)
+    if how.patches is not None:
+        options.refuse_together(context, "--patches", names & {"chart"})
+    if source.files:
+        others = names & (options.CAMERA_PARAMETERS | {"count", "longest_s"})
+        options.refuse_together(context, "FILES", others)
+        info, mode, series, frames = series_of_files(
+            source, keep=how.keeps_frames, needs_times=_needs_times(source, how)
+        )
+    else:
+        hint = "name the files, or leave it out"
+        options.refuse_together(context, "--camera", names & {"times", "black", "white"}, hint)
+        if how.method != "camctl":
+            raise UsageError(f"--method {how.method} needs FILES", hint="name photographs")
+        info, mode, series, frames = _from_camera(camera, count, longest_s, how)
+    estimate = _estimate(series, frames, how)
+    for note in estimate.notes:
+        print_warning(note)
+    record = estimate.record
+    file = None
+    if info is not None and how.method == "camctl":
+        file = _keep(info, mode, record)
+    if output is not None:
+        _write_curve(output, record)
+    if as_json:
+        described = _json(record) | {
+            "exposures": estimate.exposures,
+            "exponent_error": estimate.exponent_error,
+            "residual": estimate.residual,
+            "notes": estimate.notes,
+            "method": how.method,
+            "camera": None if info is None else dataclasses.asdict(info),
+            "mode": mode,
+            "file": file,
+        }
+        print_json(described)
+        return
+    rows = [("frames", str(record.frames)), ("method", how.method)]
+    if estimate.residual is not None:
+        rows.append(("agreement of the frames", format_percent(estimate.residual)))
+    if how.estimate_ratios:
+        ratios = ", ".join(f"{each:.4g}" for each in estimate.exposures)
+        rows.append(("estimated exposures", ratios))
+        if not how.has_chart:
+            rows.append(("", "a power of them, with that power of the curve, would fit as well"))
+    if info is not None:
+        rows += [("camera", f"{info.make} {info.model} ({info.id})"), ("mode", mode)]
+    if file is not None:
+        rows.append(("profile", str(file)))
+    if output is not None:
+        rows.append(("curve", str(output)))
+    print_text(f"{_table(record)}\n\n{format_fields(rows)}")
+
+
+def _needs_times(source: SeriesOptions, how: EstimateOptions) -> bool:
+    """Return whether the exposure times must be known."""
+    return not how.estimate_ratios and not (how.has_chart and len(source.files) == 1)
+
+
+def _from_camera(
+    camera: CameraOptions, count: int, longest_s: float, how: EstimateOptions
+) -> tuple[CameraInfo, str, Series, list[NDArray[Any]]]:
+    from camctl.calibration.response import measure_response
+    from camctl.exposure_record import exposure_mode
+
+    with (
+        camera.open(profile="exposures") as opened,
+        progress_bar("shooting an exposure series") as bar,
+    ):
+        frames: list[NDArray[Any]] = []
+        series = measure_response(
+            opened,
+            count=count,
+            longest_s=longest_s,
+            frames=frames if how.keeps_frames else None,
+            progress=without_stage(bar),
+        )
+        return opened.info, exposure_mode(opened.controls), series, frames
+
+
+def _estimate(series: Series, frames: list[NDArray[Any]], how: EstimateOptions) -> ResponseEstimate:
+    from camctl.calibration.response import Chart, ResponseEstimate, estimate_response
+
+    if how.method == "camctl":
+        chart = None
+        if how.has_chart:
+            from camctl.calibration.chart import find_macbeth, read_patches
+
+            found = (
+                find_macbeth(frames, series.layout)
+                if how.patches is None
+                else read_patches(how.patches)
+            )
+            chart = Chart(found, frames)
+        return estimate_response(series, estimate_ratios=how.estimate_ratios, chart=chart)
+    from camctl.calibration.opencv_response import opencv_response
+    from camctl.calibration.response_checks import check_frames
+
+    if how.estimate_ratios or how.has_chart:
+        what = "use a chart" if how.has_chart else "estimate exposures"
+        raise UsageError(f"--method {how.method} cannot {what}", hint="use --method camctl")
+    check_frames(series)
+    record = opencv_response(frames, series.exposures, series.layout, how.method)
+    relative = tuple(each / series.exposures[0] for each in series.exposures)
+    return ResponseEstimate(record=record, exposures=relative, residual=None)
+
+
+def _keep(info: CameraInfo, mode: str, record: ResponseRecord) -> Path:
+    from camctl.profile import Profile, change_profile
+
+    def keep(profile: Profile) -> None:
+        profile.responses[mode] = record
+
+    return change_profile(info, keep)
+
+
+def _write_curve(path: Path, record: ResponseRecord) -> None:
+    """Write the curve of a channel, green where there are three, in two columns."""
+    from camctl.files import write_bytes
+
+    channel = record.main_channel
+    lines = [f"# irradiance and brightness, channel {channel.name}"]
+    pairs = zip(channel.irradiance, channel.brightness, strict=True)
+    lines += [f"{irradiance:.9g} {brightness:.9g}" for irradiance, brightness in pairs]
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+def _json(record: ResponseRecord) -> dict[str, Any]:
+    from camctl.response_record import Z_95
+
+    described = record.model_dump()
+    for channel in described["channels"]:
+        deviation = channel["deviation"]
+        channel["confidence"] = None if deviation is None else [Z_95 * each for each in deviation]
+    return described
+
+
+def _table(record: ResponseRecord) -> str:
+    """Return one row for some brightness levels: irradiance of each channel, and its confidence."""
+    import numpy as np
+
+    from camctl.response_record import Z_95
+
+    headings = ["brightness"]
+    for channel in record.channels:
+        headings += [f"irradiance {channel.name}", "95 %"]
+    rows = []
+    for share in (0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0):
+        row = [f"{share:.2f}"]
+        for channel in record.channels:
+            row.append(f"{np.interp(share, channel.brightness, channel.irradiance):.5f}")
+            if channel.deviation is None:
+                row.append("unknown")
+            else:
+                width = np.interp(share, channel.brightness, channel.deviation)
+                row.append(f"+-{Z_95 * width:.2%}")
+        rows.append(row)
+    notes = [
+        f"{each.name}: black {each.black}, white {each.white}, "
+        + ("clips there" if each.saturates else "no saturated samples seen")
+        + f"; measured from {each.measured[0]:.1%} to {each.measured[1]:.1%} of full scale"
+        for each in record.channels
+    ]
+    right = tuple(range(len(headings)))
+    return "\n".join([format_table(headings, rows, right_aligned=right), "", *notes])

@@ -1,0 +1,200 @@
+"""`camctl merge`: the picture of an effective camera from photographs already taken."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from camctl.cli import options
+from camctl.cli.capture_output import capture_text, new_directory, noting_completion
+from camctl.cli.commands import command
+from camctl.cli.output import (
+    format_duration,
+    format_table,
+    print_json,
+    print_text,
+    print_warning,
+)
+from camctl.cli.parameter_types import FILE, PATH, Name, Number, Ratios, Text
+from camctl.cli.photograph_options import BLACK_OPTION, TIMES_OPTION, WHITE_OPTION
+from camctl.cli.response_options import STANDARDS, DesiredOptions, desired_options
+
+if TYPE_CHECKING:
+    from camctl.captures.report import CaptureReport
+    from camctl.merging.merge import MergePlan
+
+UNTRUSTWORTHY = 3
+"""Exit status for a picture whose frames contradict their exposures."""
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """The photographs, and what is known of them beside their files."""
+
+    files: tuple[Path, ...]
+    times: tuple[float, ...] | None
+    labels: str
+    black: int | None
+    white: int | None
+    curve: str | None
+    mask: str | None
+
+
+_source_options = options.option_group(
+    SourceOptions,
+    "source",
+    click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILES..."),
+    TIMES_OPTION,
+    click.option(
+        "--labels",
+        type=Name("meaning of the times", ("auto", "dial", "exact")),
+        default="auto",
+        metavar="auto|dial|exact",
+        help="Whether the times are labels of a dial, whose 1/60 is 1/64 s; auto takes them for "
+        "labels where all of them are usual ones.  Both are then corrected from the pixels; exact "
+        "times are not.",
+    ),
+    BLACK_OPTION,
+    WHITE_OPTION,
+    click.option(
+        "--curve",
+        type=Text(lambda: (*STANDARDS, "linear", "power:"), files=True),
+        metavar="FILE|NAME",
+        help="Response of the camera: a file of two columns, irradiance and brightness, or linear, "
+        "srgb, rec709, power:GAMMA.  [default: linear for raw, that of the profile of the camera "
+        "in the EXIF data, or estimated from the photographs]",
+    ),
+    click.option(
+        "--mask",
+        type=FILE,
+        metavar="FILE",
+        help="Picture of their size that is black where the photographs are not valid.  "
+        "[default: a border of one pure colour is cut off]",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class ChoiceOptions:
+    """Which of the photographs are used."""
+
+    count: int | None
+    ratios: tuple[float, ...] | None
+    compensation_stops: float
+    clip_percent: float
+
+
+_choice_options = options.option_group(
+    ChoiceOptions,
+    "choice",
+    click.option(
+        "-n",
+        "--exposures",
+        "count",
+        type=options.COUNT,
+        metavar="N",
+        help="Number of photographs to use.  [default: as many as raise the effective levels by "
+        "5 % each]",
+    ),
+    click.option(
+        "--ratios",
+        type=Ratios(),
+        metavar="A,B,...",
+        help="Exposures to use, relative to each other, instead of those chosen.",
+    ),
+    click.option(
+        "--compensation",
+        "compensation_stops",
+        type=Number("a number of stops from -64 to 64, such as -1 or 0.5", least=-64, most=64),
+        default="0",
+        metavar="STOPS",
+        help="Let more of the highlights saturate, and begin with a longer photograph (-1: a "
+        "shorter one).",
+    ),
+    click.option(
+        "--clip",
+        "clip_percent",
+        type=Number("a percentage from 0 to 50", least=0, most=50),
+        default="0",
+        metavar="PERCENT",
+        help="Let so many percent of the pixels, the brightest, saturate in every photograph.",
+    ),
+)
+
+
+@command(
+    examples=(
+        ("camctl merge IMG_0*.JPG", "a bracket, with the exposures in its EXIF data"),
+        ("camctl merge a.png b.png c.png --times 1/60,1/15,1/4 -o hall", "exposures given"),
+        ("camctl merge *.dng -n 3 --range high", "the three raw files that serve best"),
+    )
+)
+@_source_options
+@desired_options(auto_range=True)
+@_choice_options
+@options.result_folder("merge")
+@options.as_json
+def merge(
+    source: SourceOptions,
+    desired: DesiredOptions,
+    choice: ChoiceOptions,
+    directory: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Make a picture of high dynamic range from photographs already taken.
+
+    FILES are photographs of one scene with different exposures, from a tripod: JPEG, PNG, TIFF,
+    camera raw or linear OpenEXR. Those that serve the desired picture are chosen as `camctl shoot`
+    chooses exposures, and summed; the others are named with the reason. The result is a folder as
+    that of `camctl shoot`. Unless it is given, the range is that of the light in the photographs.
+    """
+    from camctl.captures.folder_store import FolderStore
+    from camctl.captures.request import CaptureRequest
+    from camctl.merging.merge import plan_merge
+    from camctl.merging.photograph_set import PhotographOptions
+
+    context = click.get_current_context()
+    if choice.ratios is not None:
+        options.refuse_together(context, "--ratios", {"count"})
+    request = CaptureRequest(**desired.request_fields(), **asdict(choice))
+    directory = new_directory(kind="merge") if directory is None else directory
+    FolderStore.check_free(directory, overwrite=force)
+    known = asdict(source)
+    found = plan_merge(known.pop("files"), request, PhotographOptions(**known))
+    for note in found.opened.notes:
+        print_warning(note)
+    with noting_completion(directory) as complete:
+        report = complete(found.capture(directory, overwrite=force))
+        for warning in report.warnings:
+            print_warning(warning)
+        if report.untrustworthy_because is not None:
+            print_warning(f"not trustworthy: {report.untrustworthy_because}")
+        _print(report, found, directory, as_json=as_json)
+    if not report.trustworthy:
+        context.exit(UNTRUSTWORTHY)
+
+
+def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json: bool) -> None:
+    """Print which photographs are used, which are not and why, and the summary of the capture."""
+    if as_json:
+        print_json(report.model_dump(mode="json") | found.facts)
+        return
+    photographs = sorted(
+        found.photographs,
+        key=lambda each: each["time_s"] * each["gain"] / (each["f_number"] or 1) ** 2,
+    )
+    rows = [
+        (
+            each["file"],
+            format_duration(each["time_s"]),
+            "used" if each["used"] else f"not needed: {each['why_not']}",
+        )
+        for each in photographs
+    ]
+    parts = [format_table(("photograph", "time", ""), rows, right_aligned=(1,)), ""]
+    parts += [f"response: {found.opened.response}", *found.opened.facts, ""]
+    print_text("\n".join([*parts, capture_text(report, directory)]))

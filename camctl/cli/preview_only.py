@@ -1,0 +1,109 @@
+"""`camctl shoot --preview-only`: the desired responses side by side, before anything is shot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from camctl.cli.capture_output import new_directory
+from camctl.cli.output import (
+    format_duration,
+    format_fields,
+    format_number,
+    format_percent,
+    format_range,
+    format_table,
+    print_json,
+    print_text,
+    print_warning,
+)
+from camctl.errors import StorageError, UsageError
+
+if TYPE_CHECKING:
+    from camctl.captures.request import CaptureRequest
+    from camctl.cli.options import CameraOptions
+
+_SUFFIX = ".png"
+
+
+def show_responses(
+    camera_options: CameraOptions,
+    request: CaptureRequest,
+    path: Path | None,
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write the picture of the responses to `path`, and print what it was computed from.
+
+    Raises:
+        UsageError: `path` is not the name of a PNG file
+        StorageError: the file exists and `force` is False, or it cannot be written
+    """
+    from camctl.captures.response_preview import preview_responses
+    from camctl.files import check_replaceable, write_bytes
+
+    path = _free_name() if path is None else path
+    if path.suffix.lower() != _SUFFIX:
+        raise UsageError(
+            f"--preview-only writes a picture, and {path} is not the name of a PNG file",
+            hint=f"name it -o {path.name or 'preview'}{_SUFFIX}",
+        )
+    if path.exists() and not force:
+        raise StorageError(f"{path} exists", hint="choose another name with -o, or add --force")
+    check_replaceable(path)
+    import cv2
+
+    with camera_options.open() as camera:
+        shown = preview_responses(camera, request)
+    write_bytes(path, cv2.imencode(_SUFFIX, shown.picture[..., ::-1])[1].tobytes())
+    for warning in shown.plan.warnings:
+        print_warning(warning)
+    times = [setting.time_s for setting in shown.settings]
+    if as_json:
+        print_json(
+            {
+                "file": str(path),
+                "dynamic_range": shown.plan.dynamic_range,
+                "preview_times_s": times,
+                "left_out_s": shown.left_out_s,
+                "planned_times_s": [setting.time_s for setting in shown.plan.settings],
+                "responses": [
+                    {
+                        "response": each.name,
+                        "dynamic_range": each.plan.dynamic_range,
+                        "planned_times_s": [setting.time_s for setting in each.plan.settings],
+                        "effective_levels": each.plan.effective_levels,
+                        "dark_fraction": each.dark,
+                        "saturated_fraction": each.saturated,
+                    }
+                    for each in shown.responses
+                ],
+            }
+        )
+        return
+    rows = [
+        (
+            each.name,
+            format_range(each.plan.dynamic_range),
+            format_number(each.plan.effective_levels, 3),
+            format_duration(each.plan.shutter_s),
+            format_percent(each.dark),
+            format_percent(each.saturated),
+        )
+        for each in shown.responses
+    ]
+    headings = ("response", "range", "effective levels", "exposures", "too dark", "saturated")
+    fields = [("computed from", "preview frames of " + ", ".join(map(format_duration, times)))]
+    if shown.left_out_s:
+        left_out = ", ".join(map(format_duration, shown.left_out_s))
+        fields.append(("left out", f"{left_out}: too long for a preview"))
+    fields += [("result", str(path)), ("", "nothing was shot")]
+    table = format_table(headings, rows, right_aligned=range(1, len(headings)))
+    print_text(f"{table}\n\n{format_fields(fields)}")
+
+
+def _free_name() -> Path:
+    """Return a name of a picture that does not exist, by date and time."""
+    stem = new_directory(kind="preview").name
+    return Path(f"{stem}{_SUFFIX}")

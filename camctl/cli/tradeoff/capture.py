@@ -1,0 +1,256 @@
+"""`camctl tradeoff capture`: accuracy of pictures against the time that they take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import click
+
+from camctl.cli import options
+from camctl.cli.commands import command
+from camctl.cli.output import print_json, print_text, progress_bar
+from camctl.cli.parameter_types import (
+    CAMERA,
+    SCENE,
+    SENSOR,
+    DynamicRange,
+    FrameSize,
+    ListOf,
+    Name,
+    Number,
+    Seconds,
+    WholeNumber,
+)
+from camctl.cli.response_options import RESPONSE
+from camctl.cli.tradeoff.capture_table import study_text
+from camctl.cli.tradeoff.study_options import StudyOptions, study_options
+from camctl.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    from camctl.studies.capture_study import CaptureRun
+
+METHODS = ("accuracy", "quick", "xi", "paper", "doubling", "equal", "hasinoff")
+SIZE = "320x240"
+"""Frames of the simulated camera: enough samples to measure to 1 %, and quick."""
+
+
+@dataclass(frozen=True)
+class Brackets:
+    """Which brackets are compared, for which camera and scene."""
+
+    camera: str
+    scene: str
+    sensor: str
+    size: str
+    lens: bool
+    response: str
+    gamma: float | None
+    dynamic_range: float
+    counts: tuple[int, ...]
+    methods: tuple[str, ...]
+    base_s: float | None
+    repeats: int
+    seed: int
+    no_profile: bool
+
+    def runs(self) -> tuple[CaptureRun, ...]:
+        """Return the runs, with the base exposure metered where it is not given.
+
+        Raises:
+            UsageError: a response and a gamma contradict each other, or no method has exposures
+            CameraError, CaptureError: the camera cannot be opened, or not be metered
+        """
+        from camctl.studies.bracket_methods import offers
+        from camctl.studies.capture_study import SIMULATED, CaptureRun, metered
+
+        response = self.response
+        if self.gamma is not None:
+            if response not in ("gamma", "log"):
+                raise UsageError(
+                    f"--gamma cannot be combined with --response {response}",
+                    hint="leave one of them out",
+                )
+            response = "gamma"
+        is_simulated = self.camera == SIMULATED
+        first = CaptureRun(
+            method=self.methods[0],
+            n=self.counts[0],
+            response=response,
+            dynamic_range=self.dynamic_range,
+            base_s=self.base_s or 1.0,
+            gamma=self.gamma,
+            camera=self.camera,
+            scene=self.scene if is_simulated else None,
+            sensor=self.sensor if is_simulated else None,
+            size=self.size if is_simulated else None,
+            lens=self.lens,
+            seeds=tuple(range(self.seed, self.seed + self.repeats)) if is_simulated else (),
+            profile="none" if self.no_profile or is_simulated else "all",
+        )
+        if self.base_s is None:
+            first = metered(first)
+        found = tuple(
+            replace(first, method=method, n=count)
+            for method in self.methods
+            for count in self.counts
+            if offers(method, first.desired, count)
+        )
+        if not found:
+            raise UsageError(
+                "the paper's table has linear, gamma (1/2) and log, for 2 to 6 exposures",
+                hint="choose another method, or another response or number",
+            )
+        return found
+
+
+bracket_options = options.option_group(
+    Brackets,
+    "brackets",
+    click.option(
+        "--camera",
+        type=CAMERA,
+        default="sim",
+        metavar="ID",
+        help="Camera; only the pictures of the simulated one are measured, of others accuracy and "
+        "time are predicted.",
+    ),
+    click.option(
+        "--scene",
+        type=SCENE,
+        default="tile-floor",
+        metavar="NAME|FILE",
+        help="Scene before the simulated camera.",
+    ),
+    click.option(
+        "--sensor",
+        type=SENSOR,
+        default="standard",
+        metavar="NAME|FILE.json",
+        help="Sensor of the simulated camera.",
+    ),
+    click.option(
+        "--size",
+        type=FrameSize(),
+        default=SIZE,
+        metavar="WIDTHxHEIGHT",
+        help="Size of a simulated frame in pixels.",
+    ),
+    click.option(
+        "--lens/--no-lens",
+        default=False,
+        help="Simulate the lens, too: blur, vignetting and glare change the light itself, and no "
+        "choice of exposures corrects them.",
+    ),
+    click.option(
+        "--response",
+        type=RESPONSE,
+        default="log",
+        metavar="linear|gamma|log",
+        help="How brightness depends on light.",
+    ),
+    click.option(
+        "--gamma",
+        type=Number("an exponent from 0.01 to 100", least=0.01, most=100),
+        metavar="Q",
+        help="Exponent of a gamma response; implies --response gamma.  [default: 0.5]",
+    ),
+    click.option(
+        "--range",
+        "dynamic_range",
+        type=DynamicRange(),
+        default="medium",
+        metavar="low|medium|high|NUMBER",
+        help="Dynamic range of the picture: 256, 1,000, 16,000, or any NUMBER.",
+    ),
+    click.option(
+        "-n",
+        "--exposures",
+        "counts",
+        type=ListOf(options.COUNT, unique=True),
+        default="1,2,3,4,5,6",
+        metavar="N,...",
+        help="Numbers of exposures.",
+    ),
+    click.option(
+        "--methods",
+        type=ListOf(Name("method", METHODS), unique=True),
+        default=",".join(METHODS),
+        metavar="NAME,...",
+        help="Ways to choose them: accuracy (least error with the camera's noise), quick (the same "
+        "in no more time than doubling takes), xi (least "
+        "missing levels), paper (its printed table), doubling (1, 2, 4, ...), equal (averaging), "
+        "hasinoff (best worst-case signal-to-noise ratio in the time of accuracy).",
+    ),
+    click.option(
+        "--base",
+        "base_s",
+        type=Seconds(auto=True),
+        default="auto",
+        metavar="auto|SECONDS",
+        help="Shutter time of the shortest exposure; auto meters it as camctl shoot does, so "
+        "that highlights are just below saturation.",
+    ),
+    click.option(
+        "--repeats",
+        type=WholeNumber(least=1, most=1000),
+        default=3,
+        metavar="N",
+        help="Captures of each bracket, each with noise of its own.",
+    ),
+    options.seed,
+    options.no_profile,
+)
+
+
+@command(
+    examples=(
+        ("camctl tradeoff capture", "all methods, 1 to 6 exposures, on the simulated camera"),
+        ("camctl tradeoff capture --response linear -n 1,2,3,4", "for a linear picture"),
+        ("camctl tradeoff capture --sensor webcam --plot webcam.svg", "another sensor, and a plot"),
+        ("camctl tradeoff capture --methods accuracy,doubling --json", "two methods, as JSON rows"),
+        ("camctl tradeoff capture --again rows.json", "the runs of such rows once more"),
+    )
+)
+@bracket_options
+@study_options
+@options.as_json
+@click.pass_context
+def capture(context: click.Context, brackets: Brackets, study: StudyOptions, as_json: bool) -> None:
+    """Show what accuracy costs in time: one line for each method and number of exposures.
+
+    Accuracy is the number of effective levels with the camera's noise: predicted, and measured
+    against the scene in real captures of the simulated camera. Time lasts from the first request
+    until the last frame has arrived. E = 1 is full scale of the shortest exposure in both.
+    """
+    study.check(context, set(vars(brackets)))
+    from camctl.studies.capture_plot import draw_study
+    from camctl.studies.capture_rows import CaptureStudy
+    from camctl.studies.capture_study import SIMULATED, CaptureRun, rate
+    from camctl.studies.parallel import run_all
+    from camctl.studies.rows import read_runs
+
+    with progress_bar("metering") as bar:
+        runs = brackets.runs() if study.again is None else read_runs(study.again, CaptureRun)
+        workers = study.workers if all(run.camera == SIMULATED for run in runs) else 1
+        # The longest first, so that no process waits for one at the end.
+        order = sorted(range(len(runs)), key=lambda place: -runs[place].n)
+        ranked = run_all(
+            rate,
+            [runs[place] for place in order],
+            workers=workers,
+            progress=None if bar is None else lambda share: bar(share, f"{len(runs)} brackets"),
+        )
+    points = [point for _, point in sorted(zip(order, ranked, strict=True), key=lambda x: x[0])]
+    found = CaptureStudy(runs, tuple(points))
+    if not found.methods:
+        raise DataError(
+            f"no method has exposures for this camera: {points[0].note}",
+            hint="choose another base exposure, fewer exposures, or a smaller range",
+        )
+    if study.plots:
+        draw_study(found, study.plots)
+    if as_json:
+        print_json(found.rows())
+        return
+    print_text(study_text(found))

@@ -1,0 +1,180 @@
+"""`camctl tradeoff simulation`: fidelity of the simulated sensor against its time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import click
+
+from camctl.cli import options
+from camctl.cli.commands import command
+from camctl.cli.output import (
+    format_duration,
+    format_number,
+    format_table,
+    print_json,
+    print_text,
+    progress_bar,
+    without_stage,
+)
+from camctl.cli.parameter_types import SCENE, SENSOR, FrameSize, ListOf, Number, WholeNumber
+from camctl.cli.tradeoff.study_options import StudyOptions, study_options
+
+if TYPE_CHECKING:
+    from camctl.studies.simulation_study import SimulationStudy
+
+SCENES = "ball,cloth,colour-chart,moving-target,night-street,ramp,room,stars,tile-floor,uniform"
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Which frames are simulated, and at which tolerances."""
+
+    scenes: tuple[str, ...]
+    sensor: str
+    stops: tuple[float, ...]
+    size: str | None
+    tolerances_dn: tuple[float, ...]
+    repeats: int
+    seed: int
+
+
+frame_options = options.option_group(
+    Frames,
+    "frames",
+    click.option(
+        "--scenes",
+        type=ListOf(SCENE, unique=True),
+        default=SCENES,
+        metavar="NAME|FILE,...",
+        help="Scenes: built-in ones, scene files or radiance maps.",
+    ),
+    click.option(
+        "--sensor",
+        type=SENSOR,
+        default="complete",
+        metavar="NAME|FILE.json",
+        help="Sensor of the simulated camera.",
+    ),
+    click.option(
+        "--stops",
+        type=ListOf(Number("stops from -64 to 64, such as 0,4", least=-64, most=64), unique=True),
+        default="0",
+        metavar="STOPS,...",
+        help="Exposures, relative to the one at which the highlights are just below saturation.",
+    ),
+    click.option(
+        "--size",
+        type=FrameSize(),
+        metavar="WIDTHxHEIGHT",
+        help="Size of a frame in pixels.  [default: the sensor's, or the radiance map's]",
+    ),
+    click.option(
+        "--tolerances",
+        "tolerances_dn",
+        type=ListOf(Number("tolerances of at least 0 DN", least=0), unique=True),
+        default="0,0.1,0.5,1,2,4,8",
+        metavar="DN,...",
+        help="Tolerances, see `camctl simulate --tolerance`.",
+    ),
+    click.option(
+        "--frames",
+        "repeats",
+        type=WholeNumber(least=1, most=1000),
+        default=8,
+        metavar="N",
+        help="Frames that are taken and compared at each tolerance.",
+    ),
+    options.seed,
+)
+
+
+@command(
+    examples=(
+        ("camctl tradeoff simulation", "all built-in scenes, less than a minute"),
+        ("camctl tradeoff simulation --scenes room,stars --stops 0,4", "also four stops longer"),
+        ("camctl tradeoff simulation --plot simulation.svg", "with a plot"),
+        ("camctl tradeoff simulation --again rows.json --json", "the runs of such rows once more"),
+    )
+)
+@frame_options
+@study_options
+@options.as_json
+@click.pass_context
+def simulation(context: click.Context, frames: Frames, study: StudyOptions, as_json: bool) -> None:
+    """Compare frames with effects left out with complete ones: difference against CPU time.
+
+    A tolerance allows the simulated sensor to leave out effects that together change no sample by
+    more than that before the ADC. Differences are counted after the ADC, from the frame of the same
+    random numbers with every effect.
+    """
+    study.check(context, set(vars(frames)))
+    from camctl.studies.parallel import run_all
+    from camctl.studies.rows import read_runs
+    from camctl.studies.simulation_plot import draw_study
+    from camctl.studies.simulation_study import (
+        SimulationRun,
+        SimulationStudy,
+        measure,
+        simulation_runs,
+    )
+
+    if study.again is not None:
+        todo = read_runs(study.again, SimulationRun)
+    else:
+        todo = simulation_runs(
+            frames.scenes,
+            frames.sensor,
+            frames.tolerances_dn,
+            stops=frames.stops,
+            size=frames.size,
+            seed=frames.seed,
+            frames=frames.repeats,
+        )
+    with progress_bar(f"{len(todo)} scenes and exposures") as bar:
+        points = run_all(measure, todo, workers=study.workers, progress=without_stage(bar))
+    found = SimulationStudy(todo, tuple(points))
+    if study.plots:
+        draw_study(found, study.plots)
+    if as_json:
+        print_json(found.rows())
+        return
+    print_text(_to_text(found))
+
+
+def _to_text(study: SimulationStudy) -> str:
+    rows = []
+    for run, points in zip(study.runs, study.points, strict=True):
+        name = f"{run.scene}, {format_duration(points[0].time_s)}"
+        for point in points:
+            present = len(point.effects) + len(point.left_out)
+            rows.append(
+                (
+                    name,
+                    format_number(point.tolerance_dn),
+                    format_number(point.bound_dn, 3),
+                    str(point.largest_dn),
+                    format_number(point.mean_dn, 2),
+                    format_number(point.shift_dn, 2),
+                    f"{point.milliseconds:.1f}",
+                    f"{len(point.effects)} of {present}",
+                )
+            )
+            name = ""
+    headings = (
+        "scene",
+        "tolerance, DN",
+        "bound, DN",
+        "largest",
+        "mean",
+        "shift",
+        "CPU ms",
+        "effects",
+    )
+    return (
+        format_table(headings, rows, right_aligned=range(1, len(headings)))
+        + "\n\nlargest, mean: difference of a sample from the frame with every effect, in levels "
+        "after the ADC;\nshift: difference of the means of the whole frames. The bound holds "
+        "before the ADC.\nThe JSON rows (--json) name the effects that ran and those that did not."
+    )

@@ -1,0 +1,271 @@
+"""The exposures that a camera can take: shutter times, any or from a list, combined with gains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from camctl.errors import DataError, UsageError
+from camctl.exposure.exchange_search import Choices
+from camctl.exposure.frame_accuracy import FrameTable
+from camctl.noise_model import FrameNoise, NoiseModel
+from camctl.response.camera import CameraResponse, FloatArray
+from camctl.response.desired import DesiredResponse
+
+STEP = 0.04
+"""Step of the exposures in ln(exposure) where any time can be set."""
+
+MAX_CHOICES = 600
+"""Exposures of a list that a search chooses from, at most; longer lists are thinned out."""
+
+MAX_BASES = 12
+"""Shortest exposures that are tried on a list, at most."""
+
+NOTABLE_DARK = 0.02
+"""Share of the variance of the read noise from which the noise of the dark current counts."""
+
+SAME = 1e-9
+"""Relative difference up to which two exposures, or two times, are the same."""
+
+
+class Shot(NamedTuple):
+    """One exposure of a set.
+
+    Attributes:
+        exposure: time x gain relative to the shortest of the set
+        time: shutter time, in the unit of `AvailableExposures`
+        gain: linear gain
+    """
+
+    exposure: float
+    time: float
+    gain: float
+
+
+Shots: TypeAlias = tuple[Shot, ...]
+"""A set of exposures, ascending."""
+
+
+@dataclass(frozen=True)
+class Rated:
+    """A set of exposures with its effective levels, noise included."""
+
+    shots: Shots
+    levels: float
+
+    @property
+    def time(self) -> float:
+        """Total exposure time, in the unit of `AvailableExposures`."""
+        return math.fsum(shot.time for shot in self.shots)
+
+
+@dataclass(frozen=True, eq=False)
+class AvailableExposures:
+    """The shutter times and gains to choose from.
+
+    Attributes:
+        times: (S,) times that can be set, any order; None: any time
+        gains: gains that combine with each time
+        shortest, longest: the shortest and the longest time, where any can be set
+        base: for a list, smallest and largest product time x gain of the shortest exposure, which
+            decides the light that just saturates; None: any.  Where any time can be set the
+            shortest exposure is time 1 at the smallest gain
+        unit_s: seconds in the unit of time; 0: unknown, and the dark current is left out
+        dark_unit_s: the same for the dark current alone; None: `unit_s`
+
+    Raises:
+        UsageError: a list is empty, or the limits exclude the shortest exposure
+        DataError: a setting is not a positive, finite number
+    """
+
+    times: ArrayLike | None = None
+    gains: tuple[float, ...] = (1.0,)
+    shortest: float = 0.0
+    longest: float = math.inf
+    base: tuple[float, float] | None = None
+    unit_s: float = 0.0
+    dark_unit_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for values in (self.gains, [1.0] if self.times is None else self.times):
+            numbers = np.ravel(np.asarray(values, dtype=np.float64))
+            if numbers.size == 0:
+                raise UsageError("the list of settings is empty", hint="give one setting or more")
+            wrong = numbers[~(np.isfinite(numbers) & (numbers > 0))]
+            if wrong.size:
+                raise DataError(f"invalid setting {wrong[0]:g}: expected a positive, finite number")
+        if not self.shortest <= 1 <= self.longest and self.times is None:
+            raise UsageError(
+                f"invalid limits {self.shortest:g} and {self.longest:g} of the times: expected the "
+                "shortest exposure, 1, between them"
+            )
+
+    def shots(self) -> FloatArray:
+        """Return all settings of a list, (S, 2): time and gain, by their product, then by time."""
+        times = np.unique(np.asarray(self.times, dtype=np.float64))
+        gains = np.unique(self.gains)
+        pairs = np.stack(np.meshgrid(times, gains, indexing="ij"), axis=-1).reshape(-1, 2)
+        product = np.round(np.log(pairs.prod(axis=1)), 9)
+        return np.asarray(pairs[np.lexsort((pairs[:, 0], product))])
+
+    def without_idle_limits(self, reach: float, noise: NoiseModel) -> AvailableExposures:
+        """Return the same with limits left out that do not bind, and the longest time rounded down.
+
+        So exposures that were solved for one shortest exposure serve for others.
+
+        Args:
+            reach: the longest exposure that can be of use
+            noise: the noise of the camera; its dark current is left out where it adds less than
+                `NOTABLE_DARK` to the variance of the read noise
+        """
+        if self.times is not None:
+            return self
+        longest = math.inf if self.longest >= reach else max(1.0, _rounded_down(self.longest))
+        shortest = self.shortest
+        if shortest * max(self.gains) <= min(self.gains):
+            shortest = 0.0
+        dark_e = noise.dark_current_e_s * self.unit_s * min(longest, reach)
+        dark_unit_s = 0.0
+        if dark_e > NOTABLE_DARK * noise.read_noise(min(self.gains)) ** 2:
+            dark_unit_s = 2.0 ** round(math.log2(self.unit_s))
+        return replace(self, shortest=shortest, longest=longest, dark_unit_s=dark_unit_s)
+
+    def duration(self, time: float) -> str:
+        """Return a time in this unit as text."""
+        return f"{time * self.unit_s:.4g} s" if self.unit_s else f"{time:.4g} x the shortest"
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyProblem:
+    """What is photographed with which camera.
+
+    Attributes:
+        response: the response of the real camera
+        desired: the desired response; its E = 1 is full scale of the shortest exposure
+        noise: the noise of the camera
+        available: the shutter times and gains to choose from
+        black: the black level of the camera, DN
+    """
+
+    response: CameraResponse
+    desired: DesiredResponse
+    noise: NoiseModel
+    available: AvailableExposures = AvailableExposures()
+    black: int = 0
+
+    @property
+    def reach(self) -> float:
+        """The longest exposure that can be of use: it shows the darkest light in few levels."""
+        levels = self.response.levels
+        return 1 / max(self.desired.e_min, float(levels[levels > 0][0]) / 16)
+
+    def frame_noise(self, shot: Shot) -> FrameNoise:
+        """Return the noise of a frame with this exposure."""
+        available = self.available
+        unit_s = available.unit_s if available.dark_unit_s is None else available.dark_unit_s
+        time_s = shot.time * unit_s
+        return self.noise.frame(gain=shot.gain, time_s=time_s, black=self.black)
+
+
+@dataclass(frozen=True, eq=False)
+class ShotChoices:
+    """The choices of a search, and what they are on the camera.
+
+    Attributes:
+        choices: their exposures, times and contributions to the accuracy
+        gains: (K,) gain of each
+        is_list: whether they are settings of a list, so that nothing lies between them
+    """
+
+    choices: Choices
+    gains: FloatArray
+    is_list: bool
+
+    def shots(self, chosen: tuple[int, ...]) -> Shots:
+        """Return the shots of a set of indices, ascending in exposure."""
+        found = [
+            Shot(
+                float(self.choices.exposures[index]),
+                float(self.choices.times[index]),
+                float(self.gains[index]),
+            )
+            for index in chosen
+        ]
+        return tuple(sorted(found))
+
+
+def shot_choices(problem: AccuracyProblem) -> Iterator[ShotChoices]:
+    """Yield the choices for each shortest exposure to try.
+
+    Raises:
+        UsageError: no setting can be the shortest exposure
+    """
+    response, desired, available = problem.response, problem.desired, problem.available
+    reach = problem.reach
+    if available.times is None:
+        pairs = _any_times(available, reach)
+        bases = [min(available.gains)]
+    else:
+        pairs = available.shots()
+        bases = _bases(available, pairs)
+    for base in bases:
+        exposures = pairs.prod(axis=1) / base
+        kept = np.flatnonzero((exposures >= 1 - SAME) & (exposures <= reach * (1 + SAME)))
+        if kept.size > MAX_CHOICES and available.times is not None:
+            kept = kept[_thinned(exposures[kept])]
+        chosen = np.maximum(exposures[kept], 1.0)
+        times, gains = pairs[kept, 0], pairs[kept, 1]
+        shots = zip(chosen.tolist(), times.tolist(), gains.tolist(), strict=True)
+        frames = [problem.frame_noise(Shot(*values)) for values in shots]
+        table = FrameTable.of(response, desired, chosen, frames)
+        is_base = chosen <= 1 + SAME
+        yield ShotChoices(
+            Choices(chosen, times, is_base, table), gains, available.times is not None
+        )
+
+
+def _any_times(available: AvailableExposures, reach: float) -> FloatArray:
+    """Return time and gain of exposures in equal ratios from the shortest, for each gain."""
+    exposures = np.exp(np.arange(0.0, math.log(reach) + STEP, STEP))
+    gains = np.unique(available.gains)
+    first = float(gains[0])
+    pairs = np.array(
+        [(e * first / gain, gain) for gain in gains.tolist() for e in exposures.tolist()]
+    )
+    low, high = available.shortest * (1 - SAME), available.longest * (1 + SAME)
+    return np.asarray(pairs[(pairs[:, 0] >= low) & (pairs[:, 0] <= high)])
+
+
+def _rounded_down(value: float) -> float:
+    """Return a positive number rounded down to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.floor(value / unit * (1 + SAME)) * unit
+
+
+def _bases(available: AvailableExposures, pairs: FloatArray) -> list[float]:
+    """Return products time x gain that may be the shortest exposure, the largest first."""
+    products = pairs.prod(axis=1)
+    low, high = (0.0, math.inf) if available.base is None else available.base
+    allowed = products[(products >= low * (1 - SAME)) & (products <= high * (1 + SAME))]
+    if not allowed.size:
+        least, most = (products.min(), products.max()) if products.size else (math.nan, math.nan)
+        raise UsageError(
+            f"no setting between {low:g} and {high:g} can be the shortest exposure",
+            hint=f"the settings go from {least:.6g} to {most:.6g}",
+        )
+    allowed = np.sort(allowed)
+    different = allowed[np.append(True, np.diff(np.log(allowed)) > SAME)]
+    places = np.unique(np.linspace(0, different.size - 1, MAX_BASES).astype(np.intp))
+    return [float(base) for base in different[places][::-1]]
+
+
+def _thinned(exposures: FloatArray) -> np.ndarray:
+    """Return indices of `MAX_CHOICES` exposures, evenly over ln(exposure)."""
+    order = np.argsort(exposures, kind="stable")
+    targets = np.linspace(0.0, math.log(float(exposures.max())), MAX_CHOICES)
+    return np.unique(order[np.searchsorted(np.log(exposures[order]), targets - SAME)])

@@ -1,0 +1,1 @@
+"""Photographs already taken, from their files to the picture of an effective camera."""

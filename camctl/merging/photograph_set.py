@@ -1,0 +1,225 @@
+"""Photographs that are to be merged: read, cut to what is valid, checked, and with a response."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.captures.drawing import percent_text, time_text
+from camctl.errors import CameraProtocolError, DataError, UsageError
+from camctl.merging.photograph_files import PhotographFiles
+from camctl.merging.photograph_response import known_controls
+
+if TYPE_CHECKING:
+    from camctl.camera import Pixels
+    from camctl.captures.photographs import Photograph, PhotographCamera
+
+
+@dataclass(frozen=True)
+class PhotographOptions:
+    """What is known of photographs beside their files.
+
+    Attributes:
+        times: exposures of the files, s, in their order; None: as their EXIF data state them
+        labels: "dial": the times are labels of a dial, whose 1/60 is 1/64 s; "exact": they are
+            not, and are not corrected from the pixels, either; "auto": they are labels where all
+            of them are usual ones
+        black: black level, DN; None: stated in raw files, else from the pixels
+        white: white level, DN; None: likewise
+        curve: response of the camera: a file of two columns, irradiance and brightness, or
+            "linear", "srgb", "rec709", "power:GAMMA"; None: linear for raw files, that of the
+            profile of the camera that the files name, or estimated
+        mask: file of a picture that is black where the photographs are not valid; None: a border
+            of one pure colour is cut off
+    """
+
+    times: tuple[float, ...] | None = None
+    labels: str = "auto"
+    black: int | None = None
+    white: int | None = None
+    curve: str | None = None
+    mask: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedPhotographs:
+    """Photographs that were read and checked.
+
+    Attributes:
+        camera: of which they are the frames
+        darkest: light of them, see `darkest_light`
+        response: where the response is from
+        facts: what the user may want to know
+        notes: what the user should know, one line each
+    """
+
+    camera: PhotographCamera
+    darkest: float
+    response: str
+    facts: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> OpenedPhotographs:
+    """Read and check photographs.
+
+    Args:
+        paths: of their files
+        source: what is known of them
+
+    Raises:
+        DataError: a file cannot be read or does not fit the others
+        UsageError: an exposure is missing, or an option does not fit the files
+    """
+    from camctl.calibration.response_series import Series
+    from camctl.captures.exposure_check import NeighbourCheck
+    from camctl.captures.photograph_checks import (
+        Sight,
+        check_order,
+        duplicates,
+        misaligned,
+        wrong_exposures,
+    )
+    from camctl.captures.photographs import PhotographCamera, corrected_exposures, darkest_light
+    from camctl.exposure.patches import LightScale
+
+    files = PhotographFiles(paths, source.times)
+    photographs, facts = _with_labels(files.photographs, source.labels)
+    black = files.format.black if source.black is None else source.black
+    white = files.format.white if source.white is None else source.white
+    if not black < white < 2**files.format.bits:
+        raise UsageError(
+            f"invalid levels: black {black} and white {white} in files of {files.format.bits} bits",
+            hint=f"expected black < white < {2**files.format.bits}",
+        )
+    area, cut = _valid_area(files, source.mask, black)
+    facts += cut
+    sights = [
+        Sight.of(photograph, area(files.pixels(k)), white)
+        for k, photograph in enumerate(photographs)
+    ]
+    same = duplicates(sights)
+    notes = [
+        f"{photographs[k].name} is the same photograph as {photographs[earlier].name}, and left out"
+        for k, earlier in same.items()
+    ]
+    empty = [k for k, each in enumerate(sights) if each.is_even]
+    notes += [f"{photographs[k].name} is one colour everywhere, and left out" for k in empty]
+    kept = [k for k in range(len(photographs)) if k not in same and k not in empty]
+    photographs = [photographs[k] for k in kept]
+    if len(photographs) < 2:
+        raise UsageError("one photograph makes no merge", hint="give two or more exposures")
+    series = Series(
+        files.format.layout,
+        files.format.bits,
+        black,
+        white,
+        phase=0.5 if black else 0.0,
+        levels_are_stated=source.black is not None
+        or source.white is not None
+        or files.format.is_raw,
+    )
+    for k, photograph in zip(kept, photographs, strict=True):
+        series.add(area(files.pixels(k)), photograph.exposure, photograph.name)
+    check_order(photographs, series.patches, white)
+    notes += misaligned([sights[k] for k in kept])
+    controls, response = known_controls(files, source.curve, series, notes, facts)
+    patches = [np.minimum(each, controls.white) for each in series.patches]
+    if source.labels != "exact":
+        scale = LightScale(controls.levels, controls.black)
+        photographs, corrected = corrected_exposures(photographs, patches, scale)
+        facts += corrected
+    camera = PhotographCamera(
+        photographs, lambda k: area(files.pixels(kept[k])), controls, files.taken_by
+    )
+    check = NeighbourCheck(controls.levels, controls.black, controls.layout)
+    notes += wrong_exposures(photographs, patches, check)
+    return OpenedPhotographs(
+        camera,
+        darkest_light(camera, patches),
+        response,
+        tuple(facts),
+        tuple(notes),
+    )
+
+
+def _with_labels(photographs: list[Photograph], labels: str) -> tuple[list[Photograph], list[str]]:
+    """Return photographs with true exposures, and what was changed."""
+    from camctl.captures.photographs import with_true_exposures
+
+    changed = None if labels == "exact" else with_true_exposures(photographs)
+    if changed is None:
+        if labels == "dial":
+            raise UsageError(
+                "the times are not the labels of a dial", hint="leave --labels dial out"
+            )
+        return photographs, []
+    pairs = [
+        f"{time_text(before.time_s)} is {time_text(after.time_s)}"
+        for before, after in zip(photographs, changed, strict=True)
+        if abs(after.time_s / before.time_s - 1) > 1e-3
+    ]
+    if not pairs:
+        return changed, []
+    more = "" if len(pairs) <= 3 else " and so on"
+    return changed, [
+        f"the times are taken for labels of a dial: {', '.join(pairs[:3])}{more} (else give "
+        "--labels exact)"
+    ]
+
+
+def _valid_area(
+    files: PhotographFiles, mask: str | None, black: int
+) -> tuple[Callable[[Pixels], Pixels], list[str]]:
+    """Return a function that leaves the valid part of a photograph, and what it leaves out."""
+    from camctl.captures.photograph_checks import blackened, invalid_border, largest_rectangle
+
+    rows, columns = files.format.shape[:2]
+    if mask is not None:
+        invalid = _read_mask(mask, (rows, columns))
+        share = percent_text(float(np.mean(invalid)))
+        return (
+            lambda pixels: blackened(pixels, invalid, black),
+            [f"{share} of the pixels are masked, and too dark in the result"],
+        )
+    invalid = np.zeros((rows, columns), np.bool_)
+    for position in range(len(files.photographs)):
+        invalid |= invalid_border(files.pixels(position))
+    if not invalid.any():
+        return lambda pixels: pixels, []
+    high, wide = largest_rectangle(~invalid)
+    if files.format.layout.is_mosaic:  # the colours of the pattern stay where they are
+        high, wide = (slice(each.start + each.start % 2, each.stop) for each in (high, wide))
+    fact = (
+        f"cut to {wide.stop - wide.start} x {high.stop - high.start} pixels from column "
+        f"{wide.start}, row {high.start}: the border around has one pure colour"
+    )
+    return lambda pixels: np.ascontiguousarray(pixels[high, wide]), [fact]
+
+
+def _read_mask(path: str, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return which pixels a mask leaves out."""
+    from camctl.input_files import read_input
+    from drivers.common.still_file import read_still
+
+    try:
+        pixels = read_still(read_input(path, "mask", most_bytes=1 << 28), path).pixels
+    except CameraProtocolError as error:
+        raise DataError(
+            error.what.replace("the camera's file", "mask", 1), hint="give a PNG file"
+        ) from error
+    if pixels.shape[:2] != shape:
+        raise DataError(
+            f"mask {path} has {pixels.shape[1]} x {pixels.shape[0]} pixels, and the photographs "
+            f"have {shape[1]} x {shape[0]}",
+            hint="give a mask of their size",
+        )
+    black = pixels == 0 if pixels.ndim == 2 else (pixels == 0).all(axis=2)
+    if black.all():
+        raise DataError(f"mask {path} is black everywhere", hint="white is what is valid")
+    return np.asarray(black, np.bool_)

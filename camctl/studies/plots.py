@@ -1,0 +1,118 @@
+"""Plots as SVG or PNG files: the one place that imports matplotlib, and the style of all plots."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from camctl.errors import CamctlError, StorageError, UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SUFFIXES = (".svg", ".png")
+"""File formats of a plot."""
+
+COLOURS = ("#0b6aa2", "#c8501e", "#3c7d2f", "#7b4ba0", "#8a6d1c", "#555555", "#b3246b")
+"""Colours of lines, in the order of use; dark enough for text on white, different in lightness."""
+
+CAPTION_WIDTH = 110
+"""Characters in a line of a caption."""
+
+_STYLE: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.5,
+    "lines.markersize": 5.0,
+    "svg.fonttype": "none",  # text stays text: it can be searched, and needs no outlines
+    "svg.hashsalt": "camctl",  # the same plot is the same file
+}
+
+
+class MissingPlotLibraryError(CamctlError):
+    """Plots need matplotlib, which is not installed."""
+
+
+def check_plots(paths: tuple[Path, ...], *, overwrite: bool) -> None:
+    """Check, before long work, that the plots can be written to `paths`.
+
+    Raises:
+        UsageError: a suffix is not in `SUFFIXES`
+        StorageError: a file exists and is not to be replaced, or its folder does not exist
+        MissingPlotLibraryError: matplotlib is not installed
+    """
+    for path in paths:
+        if path.suffix.lower() not in SUFFIXES:
+            raise UsageError(
+                f"unknown format of the plot {path}", hint=f"end its name in {', '.join(SUFFIXES)}"
+            )
+        if path.exists() and not overwrite:
+            raise StorageError(f"{path} exists", hint="choose another file, or add --force")
+        if not path.parent.is_dir():
+            raise StorageError(f"there is no folder {path.parent}", hint="make it first")
+    if paths:
+        require_matplotlib()
+
+
+def spread_out(heights: list[float], gap: float) -> list[float]:
+    """Return heights of labels, 0 to 1, near those given, at least `gap` apart, same order.
+
+    >>> spread_out([0.5, 0.5, 0.98], 0.1)
+    [0.5, 0.6, 0.95]
+    """
+    order = sorted(range(len(heights)), key=heights.__getitem__)
+    found, last = list(heights), gap / 2 - gap
+    for index in order:  # upwards
+        found[index] = last = max(heights[index], last + gap)
+    last = 1 + gap / 2
+    for index in reversed(order):  # down again from the top
+        found[index] = last = min(found[index], last - gap)
+    return [round(height, 9) for height in found]
+
+
+def require_matplotlib() -> None:
+    """Raise `MissingPlotLibraryError`, which states the command, where matplotlib is missing."""
+    try:
+        import matplotlib.figure  # noqa: F401 - imported to find out whether it can be
+    except ImportError as error:
+        raise MissingPlotLibraryError(
+            "plots need matplotlib, which is not installed",
+            hint="install it with: pip install 'camctl[plots]'",
+        ) from error
+
+
+@contextmanager
+def plot(
+    paths: tuple[Path, ...], size: tuple[float, float], caption: str = "", *, dpi: int = 150
+) -> Iterator[Figure]:
+    """Yield an empty figure of `size` inches in the common style; then write it to `paths`.
+
+    The caption, what to see in the plot, stands below it.  Nothing is written where the block
+    fails.  Raises `MissingPlotLibraryError`; `StorageError` where a file cannot be written.
+    """
+    require_matplotlib()
+    import textwrap
+
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        yield figure
+        if caption:
+            lines = textwrap.fill(" ".join(caption.split()), CAPTION_WIDTH)
+            figure.supxlabel(lines, x=0.01, ha="left", fontsize=9, color="#333333")
+        for path in paths:
+            metadata = {"Date": None} if path.suffix.lower() == ".svg" else {}
+            try:
+                figure.savefig(path, dpi=dpi, metadata=metadata)
+            except OSError as error:
+                raise StorageError(f"could not write {path}: {error.strerror}") from error

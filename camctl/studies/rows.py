@@ -1,0 +1,46 @@
+"""Rows of a study as JSON, from which the same runs can be made again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import from_json
+
+from camctl.errors import DataError
+from camctl.input_files import read_input
+
+RunT = TypeVar("RunT")
+
+
+def read_runs(path: Path, kind: type[RunT]) -> tuple[RunT, ...]:
+    """Return the runs in the rows of a JSON file that a study has written, each once.
+
+    Args:
+        path: the file; a row is an object with the fields of `kind` and with results, which are
+            not used
+        kind: a frozen dataclass: all that is needed for one run
+
+    Raises:
+        DataError: the file cannot be read or has no rows; names the row that is invalid
+        UsageError: a value that `kind` refuses
+    """
+    try:
+        rows = from_json(read_input(path, "", hint="give a file that --json has written"))
+    except ValueError as error:
+        raise DataError(
+            f"{path} is not JSON", hint="give a file that --json has written"
+        ) from error
+    if not isinstance(rows, list) or not rows:
+        raise DataError(f"{path} has no rows", hint="give a file that --json has written")
+    adapter = TypeAdapter(kind)
+    runs = []
+    for place, row in enumerate(rows, 1):
+        try:
+            runs.append(adapter.validate_python(row))
+        except ValidationError as error:
+            first = error.errors()[0]
+            field = ".".join(str(part) for part in first["loc"])
+            raise DataError(f"{path}, row {place}: {field}: {first['msg']}") from error
+    return tuple(dict.fromkeys(runs))

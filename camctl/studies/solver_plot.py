@@ -1,0 +1,60 @@
+"""The plot of `camctl tradeoff solver`: regret against CPU time, one panel for each problem."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from camctl.studies.plots import COLOURS, plot
+from camctl.studies.solver_study import METHODS, Case, SolverStudy
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LOWEST = 1e-5
+"""Regrets below this are drawn here: on a logarithmic axis, 0 has no place."""
+
+_MARKERS = ("o", "s", "^", "D")
+_COLUMNS = 3
+
+CAPTION = """Each panel is one problem; further down is better, further left is faster. A thin line
+is one run, the thick line the median over the runs. A point of camctl or of the grid is a complete
+search of that length; scipy's optimisers improve one answer as time goes on. All use the same
+objective code. Regret is how far xi, the missing levels, lies above the least that any run found:
+0.01 is 1 %. The dotted line marks 0.5 %; a regret of zero is drawn at the bottom."""
+
+
+def draw_study(study: SolverStudy, paths: tuple[Path, ...]) -> None:
+    """Draw regret against CPU time to `paths`; raises what `plots.plot` raises."""
+    cases = sorted(study.cases, key=lambda case: case[2])
+    columns = min(_COLUMNS, len(cases))
+    rows = math.ceil(len(cases) / columns)
+    with plot(paths, (3.4 * max(columns, 2), 2.7 * rows + 1.2), CAPTION) as figure:
+        panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+        for axes, case in zip(panels, cases, strict=False):
+            _panel(axes, study, case)
+        for axes in panels[len(cases) :]:
+            axes.remove()
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
+        figure.supylabel("regret in xi", fontsize=9)
+
+
+def _panel(axes: Axes, study: SolverStudy, case: Case) -> None:
+    response, dynamic_range, n, bits = case
+    axes.set_title(f"{response}, 1:{dynamic_range:,.0f}, {n} exposures, {bits} bits")
+    axes.set(xscale="log", yscale="log", xlabel="CPU time, s")
+    axes.axhline(0.005, color="#888888", linewidth=0.8, linestyle=":")
+    for method, colour, marker in zip(METHODS, COLOURS, _MARKERS, strict=False):
+        curves = study.curves(case, method)
+        for curve in curves:
+            times, regrets = zip(*curve, strict=True)
+            drawn = [max(regret, LOWEST) for regret in regrets]
+            axes.plot(times, drawn, color=colour, linewidth=0.6, alpha=0.5)
+        if curves:
+            steps = sorted(spent for curve in curves for spent, _ in curve)
+            medians = [max(study.regret_at(case, method, time_s), LOWEST) for time_s in steps]
+            axes.plot(
+                steps, medians, color=colour, marker=marker, markersize=3, linewidth=2, label=method
+            )

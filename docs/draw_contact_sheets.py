@@ -1,0 +1,102 @@
+"""Draw the contact sheets of the built-in scenes: ``python docs/draw_contact_sheets.py``.
+
+Each is the contact.png of one simulated capture, reduced in size and in colours.  The picture
+room-responses.png is that of ``camctl shoot --preview-only``, and previews.png shows each scene as
+image.tiff, by three tone mappers of OpenCV, and as preview.png.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import camctl
+from camctl.captures.drawing import MARGIN, SMALL_TEXT, Drawing
+from camctl.captures.response_preview import preview_responses
+from sim.scenes.scene import scene_names
+
+SENSORS = {"stars": "ccd"}
+COUNT = 4
+#: Bytes of a file at most, and the widths and steps of a colour that are tried for it.
+MOST_BYTES = 145_000
+REDUCTIONS = ((860, 2), (860, 4), (760, 4), (680, 4), (600, 4), (520, 4), (440, 4))
+#: Size of a picture in previews.png.
+SMALL = (150, 112)
+
+
+def main() -> None:
+    """Write docs/contact-sheets/*.png, docs/room-responses.png and docs/previews.png."""
+    folder = Path(__file__).parent
+    sheets = folder / "contact-sheets"
+    sheets.mkdir(exist_ok=True)
+    rows = {}
+    for name in sorted(scene_names()):
+        with tempfile.TemporaryDirectory() as place:
+            out = Path(place) / name
+            sensor = SENSORS.get(name, "standard")
+            with camctl.open_camera("sim", scene=name, sensor=sensor, size="640x480") as camera:
+                request = camctl.CaptureRequest("log", "auto", count=COUNT)
+                report = camctl.capture(camera, request, out)
+            write(sheets / f"{name}.png", read(out / "contact.png"))
+            shown = read(out / "preview.png")
+            rows[name] = [(report.image() >> 8).astype(np.uint8), *rivals(report.radiance()), shown]
+    with camctl.open_camera("sim", scene="room") as camera:
+        shown = preview_responses(camera, camctl.CaptureRequest(dynamic_range="auto")).picture
+        write(folder / "room-responses.png", shown)
+    titles = ["image.tiff (log)", "Drago", "Reinhard", "Mantiuk", "preview.png"]
+    write(folder / "previews.png", table(titles, rows))
+
+
+def rivals(radiance: NDArray[np.float32]) -> list[NDArray[np.uint8]]:
+    """Return the pictures of OpenCV's tone mappers, at their defaults and a gamma of 2.2."""
+    light = radiance if radiance.ndim == 3 else np.repeat(radiance[..., np.newaxis], 3, axis=2)
+    mappers: list[Any] = [
+        cv2.createTonemapDrago(2.2),
+        cv2.createTonemapReinhard(2.2),
+        cv2.createTonemapMantiuk(2.2),
+    ]
+    mapped = (np.nan_to_num(mapper.process(light.copy())) for mapper in mappers)
+    return [np.rint(np.clip(each, 0, 1) * 255).astype(np.uint8) for each in mapped]
+
+
+def table(titles: list[str], rows: dict[str, list[NDArray[np.uint8]]]) -> NDArray[np.uint8]:
+    """Return all pictures beside each other, one row for each scene."""
+    width, height = SMALL[0] + MARGIN // 2, SMALL[1] + MARGIN // 2
+    left = 100
+    drawing = Drawing(left + len(titles) * width + MARGIN, 30 + len(rows) * height + MARGIN)
+    for column, title in enumerate(titles):
+        drawing.text(title, (left + column * width, 10), SMALL[0])
+    for row, (name, pictures) in enumerate(rows.items()):
+        top = 30 + row * height
+        drawing.text(name, (8, top + SMALL[1] // 2 - 8), left - 12, size=SMALL_TEXT)
+        for column, picture in enumerate(pictures):
+            drawing.picture(picture, (left + column * width, top), SMALL)
+    return drawing.pixels
+
+
+def read(path: Path) -> NDArray[np.uint8]:
+    """Return a picture, (rows, columns, 3), R first."""
+    found = cv2.imread(str(path))
+    assert found is not None
+    return np.asarray(found[..., ::-1], np.uint8)
+
+
+def write(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write a picture, reduced in size and in colours, so that its file is small."""
+    for width, step in REDUCTIONS:
+        size = (width, round(picture.shape[0] * width / picture.shape[1]))
+        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        shown = np.clip(np.rint(small / step) * step, 0, 255).astype(np.uint8)[..., ::-1]
+        file = cv2.imencode(".png", shown, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+        if len(file) <= MOST_BYTES:
+            break
+    path.write_bytes(file)
+
+
+if __name__ == "__main__":
+    main()

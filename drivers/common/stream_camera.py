@@ -1,0 +1,37 @@
+"""What cameras have in common whose frames an `ExposurePipeline` takes from a stream."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from camctl.camera import CameraBase, Frame, Pixels
+from camctl.controls import ExposureSetting
+from camctl.streaming import ExposurePipeline, Shot, resting_setting
+
+
+class StreamCamera(CameraBase):
+    """A `PreviewingCamera` whose `_open` starts a stream and sets `_pipeline`."""
+
+    _pipeline: ExposurePipeline[Pixels]
+
+    def preview(self, setting: ExposureSetting) -> Frame:
+        """Return one frame at `setting`, for metering; raises as `shoot` does."""
+        frames = self.shoot((setting,))
+        try:
+            return next(frames)
+        finally:
+            frames.close()
+
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        rest = resting_setting(self.controls, settings)
+        for shot in self._pipeline.shoot(settings, rest):
+            yield self._frame(shot, settings[shot.index])
+            self._check_open()
+
+    def _frame(self, shot: Shot[Pixels], requested: ExposureSetting) -> Frame:
+        """Return the frame of a shot.
+
+        Raises:
+            CameraProtocolError: the stream has changed
+        """
+        raise NotImplementedError

@@ -1,0 +1,1 @@
+"""Cameras and streams that OpenCV opens: webcams on any system, URLs, GStreamer pipelines."""

@@ -1,0 +1,54 @@
+"""The captures in a folder: their order, and the name of the next one.
+
+Names begin with a number that counts up, since the clock of a device that was never set starts at
+the same time again and again.  The date follows it where the clock has been set.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from datetime import datetime
+from pathlib import Path
+
+from camctl.captures.report_file import REPORT
+from camctl.errors import CamctlError
+from camctl.input_files import read_own_file
+from menu.data import Past
+
+_NUMBERED = re.compile(r"capture-(\d{4,7})(?:-\d{8}-\d{6})?", re.ASCII)
+_FIRST_YEAR = 2026
+"""A clock that shows an earlier year was never set."""
+_MOST_LISTED = 100
+_LARGEST_REPORT = 4 << 20
+
+
+def next_folder(parent: Path, now: datetime) -> Path:
+    """Return the path of the next capture's folder in `parent`."""
+    names = [path.name for path in parent.iterdir()] if parent.is_dir() else []
+    number = 1 + max((_number(name) for name in names), default=0)
+    date = f"-{now:%Y%m%d-%H%M%S}" if now.year >= _FIRST_YEAR else ""
+    return parent / f"capture-{number:04d}{date}"
+
+
+def list_captures(parent: Path) -> tuple[Past, ...]:
+    """Return the captures in a folder, the newest first, `_MOST_LISTED` of them at most."""
+    if not parent.is_dir():
+        return ()
+    folders = [path for path in parent.iterdir() if (path / REPORT).is_file()]
+    folders.sort(key=lambda path: (_number(path.name), path.name), reverse=True)
+    return tuple(Past(path.name, _is_complete(path)) for path in folders[:_MOST_LISTED])
+
+
+def _number(name: str) -> int:
+    found = _NUMBERED.fullmatch(name)
+    return int(found[1]) if found else 0
+
+
+def _is_complete(folder: Path) -> bool:
+    """Return whether a report says that no frame is missing; one that is damaged does not."""
+    try:
+        report = json.loads(bytes(read_own_file(folder / REPORT, _LARGEST_REPORT)))
+    except (CamctlError, ValueError, RecursionError):
+        return True  # looking at it shows what is wrong
+    return not isinstance(report, dict) or report.get("status") != "incomplete"

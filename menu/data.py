@@ -1,0 +1,216 @@
+"""What the menu knows of cameras, costs, plans and results: plain values, without numpy.
+
+The first screen is there before the controller is loaded, so that nothing here imports it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is kept from one start to the next.
+
+    Attributes:
+        response: index of the entry of `menu.entries.RESPONSES`
+        range: index of the entry of `menu.entries.RANGES`
+        stops: index of the entry of `menu.entries.STOPS`, for the custom range
+        count: index of the entry of `menu.entries.COUNTS`
+        budget: index of the entry of `menu.entries.BUDGETS`
+        accuracy: index of the entry of `menu.entries.ACCURACIES`
+        timer: index of the entry of `menu.entries.TIMERS`
+        saver: index of the entry of `menu.entries.SAVERS`
+        mains: index of the entry of `menu.entries.MAINS`
+        camera: id of the camera that was chosen last; "": the one of the command line
+    """
+
+    response: int = 0
+    range: int = 1
+    stops: int = 6
+    count: int = 2
+    budget: int = 3
+    accuracy: int = 2
+    timer: int = 1
+    saver: int = 1
+    mains: int = 0
+    camera: str = ""
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What was found at the start: the settings, and a remark on them, "" if they are right."""
+
+    settings: Settings
+    remark: str = ""
+    unfinished: int = 0
+
+
+@dataclass(frozen=True)
+class CameraEntry:
+    """A camera that can be opened, and what it is called."""
+
+    id: str
+    name: str
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the user selected.
+
+    Attributes:
+        response: desired response, one of `camctl.response.desired.RESPONSES`, or "auto"
+        dynamic_range: desired dynamic range, brightest over darkest; None: that of the scene
+        count: number of exposures; None: as many as the other two need
+        time_budget_s: longest total exposure time, s
+        accuracy: effective levels to reach in the least time
+        mains_hz: frequency of the mains that feeds the lamps; None: daylight
+    """
+
+    response: str
+    dynamic_range: float | None
+    count: int | None = None
+    time_budget_s: float | None = None
+    accuracy: float | None = None
+    mains_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The price and the benefit of one choice with the camera that is open.
+
+    Attributes:
+        count: number of exposures
+        shutter_s: total exposure time, s; relative to the shortest exposure if `is_relative`
+        wall_s: about how long the capture takes, s; None: unknown
+        effective_levels: number of equal steps in the desired response that are as accurate, with
+            the camera's noise where it is known
+        noise_known: whether the noise is known
+        is_relative: the light was not metered
+        problem: why the choice is impossible; the other fields are not used then
+    """
+
+    count: int = 0
+    shutter_s: float = 0.0
+    wall_s: float | None = None
+    effective_levels: float = 0.0
+    noise_known: bool = False
+    is_relative: bool = False
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A small picture: `rgb` holds 3 bytes a pixel, row by row."""
+
+    columns: int
+    rows: int
+    rgb: bytes = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the exposure meter shows.
+
+    Attributes:
+        time_s: shutter time at which the highlights are just below saturation, s
+        clipped: share of the samples that are saturated in the metering frame
+        histogram: shares of the samples by brightness, dark to bright
+        picture: the metering frame
+        free_bytes: free space where captures are kept
+        camera: the camera that was metered
+        is_late: it has no preview, and the light is metered when the capture is planned
+        remark: why the light cannot be measured; "" where it can
+    """
+
+    time_s: float = 0.0
+    clipped: float = 0.0
+    histogram: tuple[float, ...] = ()
+    picture: Picture | None = None
+    free_bytes: int = 0
+    camera: CameraEntry | None = None
+    is_late: bool = False
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The settings that will be shot, and the result that they should give.
+
+    Attributes:
+        frames: text of each setting and its exposure relative to the shortest
+        shutter_s: total exposure time, s
+        wall_s: predicted time of the capture, s; None: unknown
+        is_wall_known: whether it is more than a lower bound
+        effective_levels: as in `Cost`
+        effective_levels_noise_free: the same by quantisation alone
+        noise_known: whether the noise is known
+        xi, levels_wanted: number of desired levels that are missing, and of all of them
+        dynamic_range: the desired one, as planned
+        warnings: what to know before shooting, one line each
+        needed_bytes, free_bytes: space that the capture takes, and that is free
+        handle: what the job shoots
+    """
+
+    frames: tuple[tuple[str, float], ...]
+    shutter_s: float
+    wall_s: float | None
+    is_wall_known: bool
+    effective_levels: float
+    effective_levels_noise_free: float | None
+    noise_known: bool
+    xi: float
+    levels_wanted: float
+    dynamic_range: float
+    warnings: tuple[str, ...] = ()
+    needed_bytes: int = 0
+    free_bytes: int = 0
+    handle: object = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a capture is: `done` of `total` in a stage; `share` of its time is over, 0 to 1."""
+
+    done: int
+    total: int
+    stage: str
+    share: float = 0.0
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The result of a capture.
+
+    Attributes:
+        effective_levels: achieved with the exposures that the camera applied, with its noise where
+            that is known
+        effective_levels_noise_free: the same by quantisation alone
+        noise_known: whether the noise is known
+        planned_levels: the effective levels that were planned
+        saturated: share of the samples that are saturated in every frame, 0 to 1
+        folder: folder of the files
+        notes: warnings, one line each
+        untrustworthy_because: why the pictures are wrong; "" where nothing shows that they are
+        histogram: shares of the samples in equal steps of ln E, dark to bright
+        picture: a small version of the picture
+    """
+
+    effective_levels: float
+    effective_levels_noise_free: float | None
+    noise_known: bool
+    planned_levels: float
+    saturated: float
+    folder: str
+    notes: tuple[str, ...] = ()
+    untrustworthy_because: str = ""
+    histogram: tuple[float, ...] = ()
+    picture: Picture | None = None
+
+
+@dataclass(frozen=True)
+class Past:
+    """A capture in the folder of captures: its name, and whether frames are missing."""
+
+    name: str
+    is_complete: bool

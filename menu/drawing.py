@@ -1,0 +1,255 @@
+"""A screen as a picture, in the manner of the paper's figure 4(b), for panels from 240 x 240 up."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from menu.data import Picture
+from menu.layout import arranged, best, binned, button_texts
+from menu.ports import Mood, Screen
+from menu.text import fit, wrap
+
+Pixels: TypeAlias = NDArray[np.uint8]
+"""(rows, columns, 3), R, G, B."""
+
+SMALLEST = (240, 240)
+"""(columns, rows) of the smallest picture, pixels."""
+
+_GLYPHS = Path(__file__).with_name("glyphs.npz")
+_FIRST_CHARACTER, _LAST_CHARACTER = " ", "~"
+_LINE_HEIGHTS = (20, 28, 40)
+_LEAST_COLUMNS, _LEAST_ROWS = 24, 10
+"""Characters that a picture has room for, at least."""
+
+_PAPER, _INK, _FAINT = (250, 250, 248), (20, 22, 26), (110, 114, 122)
+_WHITE, _BAND, _LINE = (255, 255, 255), (228, 231, 236), (196, 200, 207)
+_ACCENTS = {Mood.READY: (28, 78, 140), Mood.BUSY: (168, 98, 0), Mood.ERROR: (170, 30, 40)}
+_Colour: TypeAlias = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A drawn screen; `last_offset` is the largest `Screen.offset` that brings new lines."""
+
+    pixels: Pixels
+    last_offset: int
+
+
+@lru_cache(maxsize=4)
+def _glyphs(height: int) -> Pixels:
+    """Return the coverage of the characters at a line height, (95, height, height / 2)."""
+    available = max((each for each in _LINE_HEIGHTS if each <= height), default=_LINE_HEIGHTS[0])
+    with np.load(_GLYPHS) as sizes:
+        glyphs: Pixels = sizes[f"lines_{available}"]
+    factor = height // available
+    return glyphs.repeat(factor, axis=1).repeat(factor, axis=2)
+
+
+def _line_height(columns: int, rows: int) -> int:
+    """Return the largest line height that leaves room for enough characters."""
+    most = min(2 * columns // _LEAST_COLUMNS, rows // _LEAST_ROWS)
+    sizes: list[int] = [*_LINE_HEIGHTS, *range(80, 401, 40)]
+    fitting = [size for size in sizes if size <= most]
+    return fitting[-1] if fitting else sizes[0]
+
+
+class _Canvas:
+    """Pixels, and where the next line of text goes."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self.pixels = np.empty((rows, columns, 3), np.uint8)
+        self.pixels[:] = _PAPER
+        self.line = _line_height(columns, rows)
+        self.cell = self.line // 2
+        self.width, self.height = columns, rows
+        self.margin = self.cell // 2
+        self.columns = (columns - 2 * self.margin) // self.cell
+
+    def fill(self, left: int, top: int, width: int, height: int, colour: _Colour) -> None:
+        """Fill a rectangle; what is outside of the picture is cut."""
+        self.pixels[max(0, top) : max(0, top + height), max(0, left) : max(0, left + width)] = (
+            colour
+        )
+
+    def text(self, text: str, left: int, top: int, ink: _Colour, paper: _Colour) -> None:
+        """Draw text in cells of one character each."""
+        room = (self.width - left) // self.cell
+        clean = fit(text, min(len(text), room))
+        if not clean:
+            return
+        places = [
+            ord(c) - ord(_FIRST_CHARACTER) if _FIRST_CHARACTER <= c <= _LAST_CHARACTER else 31
+            for c in clean
+        ]
+        coverage = _glyphs(self.line)[places].transpose(1, 0, 2).reshape(self.line, -1)
+        share = np.arange(256)[:, None] / 255
+        shades = (np.array(paper) + share * (np.array(ink) - np.array(paper))).astype(np.uint8)
+        area = self.pixels[top : top + self.line, left : left + coverage.shape[1]]
+        area[:] = shades[coverage[: area.shape[0], : area.shape[1]]]
+
+    def band(self, top: int, text: str, ink: _Colour, paper: _Colour) -> None:
+        """Draw a line of text on a band over the whole width."""
+        self.fill(0, top, self.width, self.line, paper)
+        self.text(text, self.margin, top, ink, paper)
+
+    def ring(self, left: int, top: int, colour: _Colour, *, is_filled: bool) -> None:
+        """Draw the mark of an entry: a ring, filled where it is selected."""
+        radius = self.cell * 0.45
+        y, x = np.ogrid[: self.line, : self.cell]
+        distance = np.hypot(y - self.line / 2 + 0.5, x - self.cell / 2 + 0.5)
+        area = self.pixels[top : top + self.line, left : left + self.cell]
+        is_ring = np.abs(distance - radius) < max(0.8, radius / 5)
+        if is_filled:
+            is_ring |= distance < radius * 0.55
+        area[is_ring[: area.shape[0], : area.shape[1]]] = colour
+
+    def picture(self, picture: Picture, left: int, top: int, width: int, height: int) -> int:
+        """Draw a picture as large as fits; return the width that it takes."""
+        source = np.frombuffer(picture.rgb, np.uint8).reshape(picture.rows, picture.columns, 3)
+        scale = min(width / picture.columns, height / picture.rows)
+        columns, rows = int(picture.columns * scale), int(picture.rows * scale)
+        if columns < 1 or rows < 1:
+            return 0
+        down = np.arange(rows) * picture.rows // rows
+        across = np.arange(columns) * picture.columns // columns
+        self.pixels[top : top + rows, left : left + columns] = source[down][:, across]
+        return columns
+
+    def histogram(
+        self, shares: tuple[float, ...], left: int, top: int, width: int, height: int
+    ) -> None:
+        """Draw a histogram as bars on a base line, one a pixel column at most."""
+        if width < 8 or height < 8:
+            return
+        self.fill(left, top, width, height, _BAND)
+        bins = binned(shares, min(width // 2, max(len(shares), 1)))
+        edges = np.linspace(0, width, len(bins) + 1).astype(int)
+        for first, last, share in zip(edges, edges[1:], bins, strict=False):
+            bar = max(int(share > 0), round(share * (height - 4)))
+            self.fill(left + first, top + height - bar, last - first, bar, _FAINT)
+        self.fill(left, top + height - 1, width, 1, _INK)
+
+
+def draw(screen: Screen, columns: int, rows: int) -> Drawing:
+    """Return a screen as a picture of `columns` x `rows` pixels; it is black for a screen saver."""
+    canvas = _Canvas(columns, rows)
+    if screen.is_dark:
+        canvas.pixels[:] = 0
+        return Drawing(canvas.pixels, 0)
+    accent = _ACCENTS[screen.mood]
+    canvas.band(0, arranged(screen.title, canvas.columns), _WHITE, accent)
+    bottom = _draw_bottom(canvas, screen, accent)
+    top = canvas.line + canvas.margin
+    if screen.picture is not None or screen.histogram:
+        bottom = _draw_pictures(canvas, screen, top, bottom)
+    if screen.share is not None:
+        _draw_progress(canvas, screen.share, top + 3 * canvas.line // 2, accent)
+    height = max(1, (bottom - top) // canvas.line)
+    if screen.selected is not None:
+        _draw_entries(canvas, screen, top, height, accent)
+        return Drawing(canvas.pixels, 0)
+    return Drawing(canvas.pixels, _draw_page(canvas, screen, top, height))
+
+
+def _draw_bottom(canvas: _Canvas, screen: Screen, accent: _Colour) -> int:
+    """Draw buttons and what the selected entry costs; return where they begin."""
+    top = canvas.height
+    if screen.actions:
+        top -= canvas.line + canvas.margin
+        left = canvas.margin
+        # A button takes the brackets of the text panels as its left and right end.
+        for index, text in button_texts(screen, canvas.columns):
+            is_selected = index == screen.action
+            paper, ink = (accent, _WHITE) if is_selected else (_BAND, _INK)
+            width = len(text) * canvas.cell
+            canvas.fill(left, top, width - 2, canvas.line, paper)
+            canvas.text(text[1:-1], left + canvas.cell, top, ink, paper)
+            left += width
+    if screen.detail is not None:
+        top -= canvas.line
+        canvas.band(top, best(screen.detail.texts, canvas.columns), _INK, _BAND)
+        canvas.fill(0, top, canvas.width, 1, _LINE)
+    return top
+
+
+def _draw_pictures(canvas: _Canvas, screen: Screen, top: int, bottom: int) -> int:
+    """Draw picture and histogram side by side in the lower half; return where they begin."""
+    height = (bottom - top) // 2
+    first, left = bottom - height, canvas.margin
+    room = canvas.width - 2 * canvas.margin
+    if screen.picture is not None:
+        left += (
+            canvas.picture(screen.picture, left, first, 2 * room // 3, height - canvas.margin)
+            + canvas.margin
+        )
+    if screen.histogram:
+        width = canvas.width - canvas.margin - left
+        canvas.histogram(screen.histogram, left, first, width, height - canvas.margin)
+    return first - canvas.margin // 2
+
+
+def _draw_progress(canvas: _Canvas, share: float, top: int, accent: _Colour) -> None:
+    width = canvas.width - 2 * canvas.margin
+    canvas.fill(canvas.margin, top, width, canvas.line, _BAND)
+    canvas.fill(canvas.margin, top, round(width * share), canvas.line, accent)
+
+
+def _draw_entries(canvas: _Canvas, screen: Screen, top: int, height: int, accent: _Colour) -> None:
+    selected = screen.selected or 0
+    first = max(0, min(selected - height // 2, len(screen.lines) - height))
+    for row, line in enumerate(screen.lines[first : first + height]):
+        is_selected = first + row == selected
+        paper, ink = (accent, _WHITE) if is_selected else (_PAPER, _INK)
+        y = top + row * canvas.line
+        text = arranged(line, canvas.columns - 2)
+        canvas.band(y, "  " + text, ink, paper)
+        canvas.ring(canvas.margin, y, ink, is_filled=is_selected)
+
+
+def _draw_page(canvas: _Canvas, screen: Screen, top: int, height: int) -> int:
+    columns = canvas.columns - 1
+    lines = [arranged(line, columns) for line in screen.lines]
+    lines += wrap(list(screen.paragraphs), columns)
+    last = max(0, len(lines) - height)
+    first = min(screen.offset, last)
+    for row, text in enumerate(lines[first : first + height]):
+        canvas.text(text, canvas.margin, top + row * canvas.line, _INK, _PAPER)
+    right = canvas.width - canvas.margin - canvas.cell
+    if first:
+        canvas.text("^", right, top, _FAINT, _PAPER)
+    if first < last:
+        canvas.text("v", right, top + (height - 1) * canvas.line, _FAINT, _PAPER)
+    return last
+
+
+def text_picture(lines: Sequence[str]) -> Pixels:
+    """Return lines of text of equal length as a picture, as a panel of characters shows them."""
+    line, margin = _LINE_HEIGHTS[0], _LINE_HEIGHTS[0] // 4
+    canvas = _Canvas(len(lines[0]) * line // 2 + 2 * margin, len(lines) * line + 2 * margin)
+    canvas.line, canvas.cell = line, line // 2
+    canvas.pixels[:] = _BAND
+    for row, text in enumerate(lines):
+        canvas.text(text, margin, margin + row * line, _INK, _BAND)
+    return canvas.pixels
+
+
+def png(pixels: Pixels) -> bytes:
+    """Return a picture, (rows, columns, 3), as a PNG file."""
+    rows, columns, _ = pixels.shape
+    filtered = np.zeros((rows, 1 + 3 * columns), np.uint8)  # each row begins with its filter, 0
+    filtered[:, 1:] = pixels.reshape(rows, -1)
+    header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), 6)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    )

@@ -1,0 +1,158 @@
+"""The entries of the menu's lists, and the values that they stand for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from menu.data import Choice, Settings
+from menu.model import Action, Goal, Model, State
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of a list.
+
+    Attributes:
+        labels: what a panel calls it, the longest first; the last has at most 14 characters
+        value: what it stands for
+        action: what the enter key does with it; None: the next state
+    """
+
+    labels: tuple[str, ...]
+    value: object = None
+    action: Action | None = None
+
+
+def _entries(*entries: tuple[object, *tuple[str, ...]]) -> tuple[Entry, ...]:
+    return tuple(Entry(tuple(labels), value) for value, *labels in entries)
+
+
+RESPONSES = _entries(
+    ("log", "Constant contrast", "Const.contrast"),
+    ("linear", "Linear"),
+    ("gamma", "Gamma 1/2"),
+    ("auto", "Auto, from the light", "Auto"),
+)
+RANGES = (
+    Entry(("Low 1:256",), 256.0),
+    Entry(("Medium 1:1,000", "Medium 1:1000"), 1000.0),
+    Entry(("High 1:16,000", "High 1:16000"), 16000.0),
+    Entry(("Auto, from the light", "Auto"), None),
+    Entry(("Custom ...",), action=Action.CUSTOM),
+)
+CUSTOM = len(RANGES) - 1
+STOPS = tuple(
+    Entry((f"{stops} stops 1:{2**stops:,}", f"{stops} stops"), float(2**stops))
+    for stops in range(4, 21)
+)
+COUNTS = (
+    *(Entry((f"{n} exposure{'s' * (n > 1)}", f"{n} exp."), n) for n in range(1, 7)),
+    Entry(("Time budget ...", "Time limit ..."), action=Action.BUDGET),
+    Entry(("Accuracy ...",), action=Action.ACCURACY),
+)
+BUDGETS = tuple(
+    Entry((f"{value:g} s at most", f"{value:g} s"), value)
+    for value in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
+)
+ACCURACIES = tuple(
+    Entry((f"{value} levels at least", f"{value} levels"), float(value))
+    for value in (20, 40, 60, 80, 100, 120, 150, 200, 300, 500)
+)
+TIMERS = _entries(*((s, f"Self-timer {s} s", f"Timer {s} s") for s in (2, 10, 30, 60)))
+SAVERS = _entries(
+    (0, "Screen saver off", "Saver off"),
+    *((60 * m, f"Screen saver {m} min", f"Saver {m} min") for m in (5, 15, 60)),
+)
+MAINS = _entries(
+    (None, "Daylight"),
+    (50.0, "Lamps 50 Hz mains", "Lamps 50 Hz"),
+    (60.0, "Lamps 60 Hz mains", "Lamps 60 Hz"),
+)
+MAIN_MENU = tuple(
+    Entry((label,), action=action)
+    for label, action in (
+        ("Take a picture", Action.SET),
+        ("Captures", Action.CAPTURES),
+        ("Camera", Action.OTHER),
+        ("Settings", Action.SETTINGS),
+        ("About", Action.ABOUT),
+        ("Quit", Action.QUIT),
+    )
+)
+CHANGEABLE = {"timer": TIMERS, "saver": SAVERS, "mains": MAINS}
+"""The fields of `Settings` that the settings screen changes, with their entries."""
+
+LISTS = {
+    State.RESPONSE: RESPONSES,
+    State.RANGE: RANGES,
+    State.CUSTOM: STOPS,
+    State.EXPOSURES: COUNTS,
+    State.BUDGET: BUDGETS,
+    State.ACCURACY: ACCURACIES,
+    State.MENU: MAIN_MENU,
+}
+
+
+def rows(model: Model) -> tuple[Entry, ...]:
+    """Return the entries of the list that is shown; () on other screens."""
+    match model.state:
+        case State.CAMERAS:
+            return tuple(Entry((each.name, each.id), each.id) for each in model.cameras)
+        case State.CAPTURES:
+            return tuple(
+                Entry(
+                    _capture_names(each.name),
+                    each,
+                    None if each.is_complete else Action.RESUME,
+                )
+                for each in model.captures
+            )
+        case State.SETTINGS:
+            return tuple(
+                Entry(entries[getattr(model.settings, name)].labels, name, Action.CHANGE)
+                for name, entries in CHANGEABLE.items()
+            )
+    return LISTS.get(model.state, ())
+
+
+def _capture_names(name: str) -> tuple[str, ...]:
+    """Return the name of a capture's folder in several lengths.
+
+    >>> _capture_names("capture-0012-20261122-083059")
+    ('capture-0012-20261122-083059', '0012-20261122-083059', '0012-1122-0830')
+    """
+    short = name.removeprefix("capture-")
+    number, *date = short.split("-")
+    shortest = f"{number}-{date[0][4:]}-{date[1][:4]}" if len(date) == 2 else short
+    return (name, short, shortest[-14:])
+
+
+def choice(settings: Settings, goal: Goal) -> Choice:
+    """Return what the settings ask for, when the exposures are chosen by `goal`."""
+    chosen = RANGES[settings.range]
+    value = STOPS[settings.stops].value if chosen.action is Action.CUSTOM else chosen.value
+    by_count = goal is Goal.COUNT and COUNTS[settings.count].value is not None
+    return Choice(
+        str(RESPONSES[settings.response].value),
+        None if value is None else _number(value),
+        count=int(_number(COUNTS[settings.count].value)) if by_count else None,
+        time_budget_s=_number(BUDGETS[settings.budget].value) if goal is Goal.BUDGET else None,
+        accuracy=_number(ACCURACIES[settings.accuracy].value) if goal is Goal.ACCURACY else None,
+        mains_hz=mains_hz(settings),
+    )
+
+
+def mains_hz(settings: Settings) -> float | None:
+    """Return the frequency of the mains, Hz; None: daylight."""
+    value = MAINS[settings.mains].value
+    return None if value is None else _number(value)
+
+
+def seconds(entry: Entry) -> int:
+    """Return the value of an entry of `TIMERS` or `SAVERS`, s."""
+    return int(_number(entry.value))
+
+
+def _number(value: object) -> float:
+    assert isinstance(value, int | float)
+    return float(value)

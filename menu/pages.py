@@ -1,0 +1,173 @@
+"""What the pages with buttons show, but for their title and buttons; see `menu.screens`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import camctl
+from menu.data import Plan, Summary
+from menu.entries import RESPONSES, choice
+from menu.model import Model
+from menu.ports import Line, Screen
+from menu.text import (
+    format_bytes,
+    format_levels,
+    format_percent,
+    format_ratio,
+    format_short_time,
+)
+
+BLANK = Screen(Line(("",)))
+
+
+def idle(model: Model) -> Screen:
+    """Return the exposure meter, the selection, and the free space."""
+    reading = model.reading
+    lines: list[Line] = []
+    if reading is None:
+        lines.append(Line(("Reading the exposure meter", "Metering ...")))
+    elif reading.remark:
+        lines.append(Line((reading.remark, "No light meter")))
+    elif reading.is_late:
+        lines.append(Line(("The camera meters when it shoots", "No live meter")))
+    else:
+        time, clipped = format_short_time(reading.time_s), format_percent(reading.clipped)
+        lines.append(
+            Line(
+                (
+                    f"Shortest exposure {time}, {clipped} clipped",
+                    f"{time}  {clipped} clip",
+                    f"{time} {clipped}",
+                )
+            )
+        )
+    wanted = choice(model.settings, model.goal)
+    name = RESPONSES[model.settings.response].labels[-1]
+    range_text = "auto" if wanted.dynamic_range is None else f"1:{wanted.dynamic_range:.0f}"
+    count = "" if wanted.count is None else f" x{wanted.count}"
+    lines.append(
+        Line((f"{name}, {range_text},{count or ' auto'}", f"{name[:6]} {range_text}{count}"[:14]))
+    )
+    if reading is not None:
+        free = format_bytes(reading.free_bytes)
+        lines.append(Line((f"Free space {free}", f"Free {free}")))
+    return replace(
+        BLANK,
+        lines=tuple(lines),
+        paragraphs=(f"! {model.note}",) if model.note else (),
+        histogram=() if reading is None else reading.histogram,
+        picture=None if reading is None else reading.picture,
+    )
+
+
+def failure(model: Model) -> Screen:
+    """Return the message of the last failure."""
+    return replace(BLANK, paragraphs=(model.error,))
+
+
+def review(model: Model) -> Screen:
+    """Return the plan that will be shot."""
+    return BLANK if model.plan is None else _plan(model.plan)
+
+
+def _plan(plan: Plan) -> Screen:
+    width = max((len(text) for text, _ in plan.frames), default=0)
+    head = [
+        Line(
+            (
+                f"{format_levels(plan.effective_levels)} effective levels",
+                f"{format_levels(plan.effective_levels)} levels",
+            )
+        )
+    ]
+    if plan.wall_s is not None:
+        quality = "" if plan.is_wall_known else "at least "
+        time = format_short_time(plan.wall_s)
+        head.append(Line((f"Total time {quality}{time}", f"Total {time}")))
+    head.append(
+        Line(
+            (
+                f"Exposure time {format_short_time(plan.shutter_s)}",
+                f"Exp. {format_short_time(plan.shutter_s)}",
+            )
+        )
+    )
+    frames = [
+        Line(
+            (f"{index} {text:>{width}} x{format_ratio(ratio)}", f"{index} {text.replace(' ', '')}")
+        )
+        for index, (text, ratio) in enumerate(plan.frames, start=1)
+    ]
+    needed, free = format_bytes(plan.needed_bytes), format_bytes(plan.free_bytes)
+    space = Line((f"Needs {needed}, {free} free", f"Needs {needed}"))
+    missing = f"{format_levels(plan.xi)} of {format_levels(plan.levels_wanted)}"
+    return replace(
+        BLANK,
+        lines=(*head, *frames, space),
+        paragraphs=(
+            f"{missing} desired levels missing",
+            _noise_text(plan.effective_levels_noise_free, plan.noise_known),
+            *(f"! {warning}" for warning in plan.warnings),
+        ),
+    )
+
+
+def _noise_text(noise_free: float | None, noise_known: bool) -> str:
+    """Return what the number of effective levels above counts."""
+    if not noise_known or noise_free is None:
+        return "Noise unknown: effective levels count quantisation only"
+    return f"{format_levels(noise_free)} effective levels without noise"
+
+
+def result(model: Model) -> Screen:
+    """Return the result of a capture."""
+    return BLANK if model.summary is None else _summary(model.summary)
+
+
+def _summary(summary: Summary) -> Screen:
+    levels, planned = format_levels(summary.effective_levels), format_levels(summary.planned_levels)
+    clipped = format_percent(summary.saturated)
+    distrust = summary.untrustworthy_because
+    head = [Line(("! Not trustworthy",))] if distrust else []
+    return replace(
+        BLANK,
+        lines=(
+            *head,
+            Line(
+                (
+                    f"{levels} effective levels, {planned} planned",
+                    f"{levels} lv, {planned} plan",
+                    f"{levels} levels",
+                )
+            ),
+            Line((f"{clipped} clipped in all frames", f"{clipped} clipped", clipped)),
+        ),
+        paragraphs=(
+            *([distrust] if distrust else []),
+            _noise_text(summary.effective_levels_noise_free, summary.noise_known),
+            f"Saved in {summary.folder}",
+            *(f"! {note}" for note in summary.notes),
+        ),
+        histogram=summary.histogram,
+        picture=summary.picture,
+    )
+
+
+def about(model: Model) -> Screen:
+    """Return what this is, and the camera."""
+    camera = "no camera" if model.camera is None else f"{model.camera.name} ({model.camera.id})"
+    return replace(
+        BLANK,
+        lines=(Line((f"camctl {camctl.__version__}", camctl.__version__)),),
+        paragraphs=(
+            camera,
+            "Takes several exposures and sums them; the sum is the picture of another, effective "
+            "camera.",
+            *([model.note] if model.note else []),
+        ),
+    )
+
+
+def stopping(_: Model) -> Screen:
+    """Return the question whether to quit while the camera is busy."""
+    return replace(BLANK, paragraphs=("The camera finishes its frame. Quit the menu now?",))

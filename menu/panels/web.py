@@ -1,0 +1,249 @@
+"""The menu in a web page: the screen as a picture, and six keys, also from a phone.
+
+Without a token the server listens on the loopback interface only.  A token is set in the
+environment variable CAMCTL_MENU_TOKEN, and given once as ``http://HOST:PORT/?token=TOKEN``.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import json
+import os
+import queue
+import re
+import sys
+import threading
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+from urllib.parse import parse_qs, urlsplit
+
+from camctl.errors import UsageError
+from camctl.interrupts import uninterrupted
+from menu.drawing import draw, png
+from menu.layout import grid
+from menu.ports import Key, Screen
+
+DEFAULT_PORT = 8080
+SIZE = (640, 480)
+"""(columns, rows) of the picture, pixels."""
+TOKEN_VARIABLE = "CAMCTL_MENU_TOKEN"
+
+_PAGE = Path(__file__).with_name("web.html")
+_ADDRESS = re.compile(r"(?:(?P<host>[^:]+|\[[0-9a-fA-F:]+\]):)?(?P<port>\d{1,5})", re.ASCII)
+_TEXT_SIZE = (60, 16)
+_POLL_S = 20.0
+"""A request for the next screen is answered after this time, s, even if it is the same."""
+_MOST_KEYS = 64
+_KEYS = {key.name.lower(): key for key in Key}
+_COOKIE = "camctl_token"
+
+
+class WebPanel:
+    """The panel; a context manager that serves the page while it is open.
+
+    Args:
+        address: ``PORT`` or ``HOST:PORT``; a host other than the loopback interface needs a token
+        token: what a browser must know; None: the one in the environment, "" none
+    """
+
+    def __init__(self, address: str = str(DEFAULT_PORT), *, token: str | None = None) -> None:
+        found = _ADDRESS.fullmatch(address)
+        if found is None or int(found["port"]) > 65535:
+            raise UsageError(
+                f"invalid address {address!r} of the panel web",
+                hint="use web:8080 or web:HOST:8080",
+            )
+        self._host, self._port = (found["host"] or "127.0.0.1").strip("[]"), int(found["port"])
+        self.token = os.environ.get(TOKEN_VARIABLE, "") if token is None else token
+        if not self.token and not _is_loopback(self._host):
+            raise UsageError(
+                f"the panel web on {self._host} could be used by anybody",
+                hint=f"set a token in {TOKEN_VARIABLE}, or leave the host out",
+            )
+        self.keys: queue.Queue[Key] = queue.Queue(_MOST_KEYS)
+        self.changed = threading.Condition()
+        self.version = 0
+        self._screen: Screen | None = None
+        self._picture = (0, b"")
+        self.is_open = False
+        self._server: ThreadingHTTPServer | None = None
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        port = self._port if self._server is None else self._server.server_address[1]
+        return f"http://{host}:{port}/"
+
+    def __enter__(self) -> Self:
+        """Start the server and return the panel; raises `UsageError` where it cannot listen."""
+        handler = type("Handler", (_Handler,), {"server_panel": self})
+        try:
+            self._server = ThreadingHTTPServer((self._host, self._port), handler)
+        except OSError as error:
+            raise UsageError(
+                f"cannot listen on {self._host}:{self._port}: {error.strerror}",
+                hint="choose another port with web:PORT",
+            ) from error
+        self._server.daemon_threads = True
+        self.is_open = True
+        threading.Thread(
+            target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
+        ).start()
+        needs = "?token=..." if self.token else ""
+        print(f"the menu is at {self.url}{needs}", file=sys.stderr, flush=True)
+        return self
+
+    @uninterrupted
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop the server."""
+        server, self._server = self._server, None
+        self.is_open = False
+        with self.changed:
+            self.changed.notify_all()
+        if server is not None:
+            server.shutdown()
+            server.server_close()
+
+    def show(self, screen: Screen) -> int:
+        """Make `screen` the one that browsers get; return the last offset."""
+        drawing = draw(screen, *SIZE)
+        with self.changed:
+            self._screen = screen
+            self.version += 1
+            self._picture = (self.version, png(drawing.pixels))
+            self.changed.notify_all()
+        return drawing.last_offset
+
+    def key(self, timeout_s: float) -> Key | None:
+        """Return the next key; None after `timeout_s`."""
+        try:
+            return self.keys.get(timeout=timeout_s) if timeout_s else self.keys.get_nowait()
+        except queue.Empty:
+            return None
+
+    def wait_for(self, version: int) -> tuple[int, list[str]]:
+        """Return (version, lines of text) of the screen, once it is another than `version`."""
+        with self.changed:
+            self.changed.wait_for(lambda: self.version != version or not self.is_open, _POLL_S)
+            lines = [] if self._screen is None else list(grid(self._screen, *_TEXT_SIZE).lines)
+            return self.version, [line.rstrip() for line in lines]
+
+    def picture(self) -> bytes:
+        """Return the screen as a PNG file."""
+        with self.changed:
+            return self._picture[1]
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers one request; `server_panel` is the panel."""
+
+    server_panel: WebPanel
+    protocol_version = "HTTP/1.1"
+    timeout = 60
+
+    def do_GET(self) -> None:
+        """Answer the page, the next screen, or its picture."""
+        if not self._is_allowed():
+            return
+        parts = urlsplit(self.path)
+        panel = self.server_panel
+        match parts.path:
+            case "/":
+                self._answer(_PAGE.read_bytes(), "text/html; charset=utf-8")
+            case "/screen":
+                after = parse_qs(parts.query).get("after", ["0"])[0]
+                known = int(after) if after.isascii() and after.isdigit() else 0
+                version, lines = panel.wait_for(known)
+                data = json.dumps({"version": version, "lines": lines}).encode()
+                self._answer(data, "application/json")
+            case "/screen.png":
+                self._answer(panel.picture(), "image/png")
+            case _:
+                self._refuse(HTTPStatus.NOT_FOUND, "there is no such page")
+
+    def do_POST(self) -> None:
+        """Take a key."""
+        if not self._is_allowed():
+            return
+        # Pages of other sites cannot send this header without being allowed to.
+        if self.headers.get("X-Camctl") is None:
+            self._refuse(HTTPStatus.FORBIDDEN, "keys are taken from the page of the menu only")
+            return
+        name = urlsplit(self.path).path.removeprefix("/key/")
+        if name not in _KEYS:
+            self._refuse(HTTPStatus.NOT_FOUND, f"no key is called {name[:20]!r}")
+            return
+        try:
+            self.server_panel.keys.put_nowait(_KEYS[name])
+        except queue.Full:
+            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "too many keys are waiting")
+            return
+        self._answer(b"", "text/plain")
+
+    def _is_allowed(self) -> bool:
+        """Return whether the request has the token, or comes to the loopback interface by name."""
+        panel = self.server_panel
+        if panel.token:
+            given = parse_qs(urlsplit(self.path).query).get("token", [self._cookie()])[0]
+            if hmac.compare_digest(given.encode(), panel.token.encode()):
+                return True
+            self._refuse(
+                HTTPStatus.FORBIDDEN, "the token is missing or wrong: open /?token=TOKEN once"
+            )
+            return False
+        # A name that another site made point here would let its pages read the screen.
+        host = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
+        if _is_loopback(host):
+            return True
+        self._refuse(HTTPStatus.FORBIDDEN, "open the page by the address 127.0.0.1")
+        return False
+
+    def _cookie(self) -> str:
+        try:
+            found = SimpleCookie(self.headers.get("Cookie", "")).get(_COOKIE)
+        except CookieError:
+            return ""
+        return found.value if found is not None else ""
+
+    def _answer(
+        self, data: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK, *, close: bool = False
+    ) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(data)))
+        self.send_header("Cache-Control", "no-store")
+        if close:
+            self.send_header("Connection", "close")
+        token = self.server_panel.token
+        if token and status is HTTPStatus.OK:
+            cookie = f"{_COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/"
+            self.send_header("Set-Cookie", cookie)
+        self.end_headers()
+        self.wfile.write(data)
+
+    def _refuse(self, status: HTTPStatus, reason: str) -> None:
+        # What else the client sends on this connection is not read.
+        self._answer(reason.encode(), "text/plain; charset=utf-8", status, close=True)
+
+    def log_message(self, format: str, *arguments: Any) -> None:
+        """Print nothing: the terminal belongs to the user."""

@@ -1,0 +1,69 @@
+"""Small pictures and histograms of frames and results, by numpy alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.camera import Frame
+from camctl.captures.pictures import colour_of
+from camctl.controls import Layout
+from menu.data import Picture
+
+COLUMNS, ROWS = 240, 180
+"""Size of a small picture at most, pixels."""
+
+BINS = 64
+"""Bins of a histogram of a frame."""
+
+_DISPLAY_GAMMA = 1 / 2.2
+
+
+def frame_histogram(frame: Frame, layout: Layout) -> tuple[float, ...]:
+    """Return the shares of the samples in `BINS` equal steps from black to white."""
+    step = _step(frame.pixels.shape)
+    counts = np.zeros(BINS)
+    for plane in layout.planes(frame.pixels):
+        above = plane[::step, ::step].astype(np.int64) - frame.black
+        bins = np.clip(above * BINS // (frame.white - frame.black + 1), 0, BINS - 1)
+        counts += np.bincount(bins.ravel(), minlength=BINS)
+    return tuple((counts / counts.sum()).tolist())
+
+
+def frame_picture(frame: Frame, layout: Layout) -> Picture:
+    """Return a frame as a small picture for a display."""
+    planes = layout.planes(frame.pixels)
+    step = _step(planes[0].shape)
+    # Without contiguous copies first, the arithmetic would run over the whole frame.
+    small = [plane[::step, ::step].astype(np.float32) for plane in planes]
+    if layout is Layout.MONO:
+        colours = [small[0]] * 3
+    elif layout is Layout.RGB:
+        colours = small
+    else:
+        places = [(row, column) for row in (0, 1) for column in (0, 1)]
+        owners = [colour_of(layout, *place) for place in places]
+        colours = [
+            np.mean([each for each, owner in zip(small, owners, strict=True) if owner == colour], 0)
+            for colour in range(3)
+        ]
+    light = (np.stack(colours, axis=-1) - frame.black) / (frame.white - frame.black)
+    shown = np.clip(light, 0.0, 1.0) ** _DISPLAY_GAMMA
+    return _picture((255 * shown + 0.5).astype(np.uint8))
+
+
+def image_picture(image: NDArray[np.uint16]) -> Picture:
+    """Return an image of 16 bits, (rows, columns) or (rows, columns, 3), as a small picture."""
+    step = _step(image.shape)
+    small = (image[::step, ::step] >> 8).astype(np.uint8)
+    return _picture(small if small.ndim == 3 else np.repeat(small[..., None], 3, axis=2))
+
+
+def _step(shape: tuple[int, ...]) -> int:
+    return max(1, -(-shape[0] // ROWS), -(-shape[1] // COLUMNS))
+
+
+def _picture(rgb: NDArray[Any]) -> Picture:
+    return Picture(rgb.shape[1], rgb.shape[0], np.ascontiguousarray(rgb).tobytes())

@@ -1,0 +1,81 @@
+"""What the menu shows of the controller's cameras, plans, progress and reports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from camctl.camera import CameraInfo
+from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.report import CaptureReport
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequence import Progress as CaptureProgress
+from camctl.controls import ExposureControls, ExposureSetting, Layout
+from menu.data import CameraEntry, Plan, Progress, Summary
+from menu.text import format_exact_time
+from menu.thumbnails import image_picture
+
+#: Bytes of the pictures of a capture for each sample of a frame: sum, image and radiance.
+_PICTURE_BYTES = 40
+
+
+def entry_of(info: CameraInfo) -> CameraEntry:
+    """Return what a camera is called."""
+    name = f"{info.make} {info.model}".strip() or info.id
+    return CameraEntry(info.id, name)
+
+
+def needed_bytes(plan: CapturePlan, controls: ExposureControls) -> int:
+    """Return the space that a capture takes, without compression."""
+    rows, columns = controls.shape
+    samples = rows * columns * (3 if controls.layout is Layout.RGB else 1)
+    frame_bytes = (1 if controls.bits <= 8 else 2) * len(plan.settings)
+    return samples * frame_bytes + rows * columns * _PICTURE_BYTES
+
+
+def plan_view(plan: CapturePlan, request: CaptureRequest) -> Plan:
+    """Return what the menu shows of a plan."""
+    texts = [_setting_text(setting) for setting in plan.settings]
+    return Plan(
+        frames=tuple(zip(texts, plan.exposures, strict=True)),
+        shutter_s=plan.shutter_s,
+        wall_s=plan.wall_s,
+        is_wall_known=plan.is_wall_known,
+        effective_levels=plan.effective_levels,
+        effective_levels_noise_free=plan.effective_levels_noise_free,
+        noise_known=plan.noise is not None,
+        xi=plan.xi,
+        levels_wanted=plan.levels_wanted,
+        dynamic_range=plan.dynamic_range,
+        warnings=plan.warnings,
+        handle=(plan, request),
+    )
+
+
+def _setting_text(setting: ExposureSetting) -> str:
+    parts = [format_exact_time(setting.time_s)]
+    if setting.gain != 1:
+        parts.append(f"gain {setting.gain:.7g}")
+    if setting.f_number is not None:
+        parts.append(f"f/{setting.f_number:.7g}")
+    return " ".join(parts)
+
+
+def progress_view(progress: CaptureProgress) -> Progress:
+    """Return how far a capture is."""
+    return Progress(progress.done, progress.total, progress.stage, progress.share)
+
+
+def summary_view(report: CaptureReport, folder: Path) -> Summary:
+    """Return what the menu shows of a complete capture."""
+    return Summary(
+        effective_levels=report.achieved.effective_levels,
+        effective_levels_noise_free=report.achieved.effective_levels_noise_free,
+        noise_known=report.achieved.noise is not None,
+        planned_levels=report.plan.effective_levels,
+        saturated=report.achieved.saturated_fraction,
+        folder=str(folder),
+        notes=tuple(report.warnings),
+        untrustworthy_because=report.untrustworthy_because or "",
+        histogram=tuple(report.achieved.light_shares),
+        picture=image_picture(report.image()),
+    )

@@ -1,0 +1,409 @@
+"""The estimated response beside OpenCV's: accuracy, stability, a real scene, time and memory.
+
+    python tests/bench/bench_response.py [--draws 50] [--scenes 20] [--skip-large]
+
+$CAMCTL_DATA holds emor.txt (Grossberg and Nayar's empirical model of response) and memorial/
+(Debevec and Malik's exposure series); without it smooth curves of our own are drawn, and memorial
+is left out.
+Errors are root mean squares of brightness (full scale = 1) over brightness from 2 % on, at the best
+scale of irradiance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.calibration.opencv_response import opencv_curves
+from camctl.calibration.response import ResponseEstimate, estimate_response
+from camctl.calibration.response_series import Series
+from camctl.controls import Layout
+from camctl.errors import DataError
+from camctl.response.camera import FloatArray
+from camctl.response.measured import ResponseModel, read_response_model
+from camctl.response_record import Z_95, ChannelResponse
+
+STOPS = tuple(2.0 ** np.arange(-1, 6))
+COARSE = {"steps of 4": (0.5, 2.0, 8.0, 32.0), "steps of 8": (0.5, 4.0, 32.0)}
+Curve = tuple[FloatArray, FloatArray]
+SIGMAS = np.array([1.0, 0.55, 0.35, 0.25, 0.2])  # of the first components, about as in its data
+
+
+def draw(rng: np.random.Generator, model: ResponseModel | None) -> Curve:
+    """Return a random ascending curve, irradiance and brightness from 0 to 1."""
+    if model is None:
+        E = np.linspace(0, 1, 1024)
+        gamma, bend = rng.uniform(0.3, 1.0), rng.uniform(-0.4, 0.4)
+        B = E**gamma
+        return E, B + bend * B * (1 - B)
+    while True:
+        B = model.mean + (rng.normal(size=5) * SIGMAS) @ model.components[:5]
+        if np.all(np.diff(B) > 0):
+            return model.irradiance, B
+
+
+def scene(rng: np.random.Generator, rows: int = 240, columns: int = 320) -> FloatArray:
+    """Return random irradiance over about 3.5 decades; its 99.5 % quantile is 1."""
+    wide, fine = (
+        cv2.GaussianBlur(rng.normal(size=(rows, columns)), (0, 0), sigma)
+        for sigma in (rows / 10, rows / 80)
+    )
+    E = np.exp(2.0 * wide / wide.std() + 0.3 * fine / fine.std())
+    return np.asarray(E / np.quantile(E, 0.995))
+
+
+def shoot(
+    E: FloatArray, exposures: tuple[float, ...], curve: Curve, bits: int, rng: np.random.Generator
+) -> list[NDArray[Any]]:
+    """Return frames: photon noise of 10,000 electrons at saturation, read noise 5 electrons."""
+    frames = []
+    for exposure in exposures:
+        charge = 1e4 * E * exposure
+        charge = charge + np.sqrt(charge + 25) * rng.normal(size=E.shape)
+        B = np.interp(np.clip(charge / 1e4, 0, 1), *curve)
+        frame = np.clip(np.floor(B * 2**bits), 0, 2**bits - 1)
+        frames.append(np.asarray(frame, np.uint8 if bits == 8 else np.uint16))
+    return frames
+
+
+def ours(frames: list[NDArray[Any]], exposures: tuple[float, ...], bits: int) -> ResponseEstimate:
+    layout = Layout.MONO if frames[0].ndim == 2 else Layout.RGB
+    series = Series(layout, bits, levels_are_stated=True)
+    for k, (frame, exposure) in enumerate(zip(frames, exposures, strict=True)):
+        series.add(frame, exposure, f"frame {k}")
+    return estimate_response(series)
+
+
+def levels_of(curve: FloatArray) -> FloatArray:
+    """Return levels from OpenCV's irradiance of each brightness: between two of them."""
+    return np.asarray(np.sqrt(np.maximum(curve[1:] * curve[:-1], 1e-12)))
+
+
+def error_of(levels: FloatArray, brightness: FloatArray, curve: Curve) -> float:
+    if not np.all(np.isfinite(levels)):
+        return float("nan")
+    levels = np.maximum.accumulate(levels)
+    B = np.linspace(0.02, 0.998, 400)
+    E = np.interp(B, curve[1], curve[0])
+    middle = np.interp(0.75, curve[1], curve[0]) / np.interp(0.75, brightness, levels)
+    errors = []
+    for scale in middle * np.exp(np.linspace(-0.15, 0.15, 301)):
+        found = np.interp(E, levels * scale, brightness)
+        inside = levels[-1] * scale > E
+        errors.append(float(np.sqrt(np.mean((found - B)[inside] ** 2))))
+    return min(errors)
+
+
+def quartiles(values: list[float]) -> str:
+    numbers = np.array(values)
+    good = numbers[np.isfinite(numbers)]
+    text = "  ".join(f"{value:.4f}" for value in np.quantile(good, [0.25, 0.5, 0.75, 1]))
+    return f"{text}   NaN {numbers.size - good.size}"
+
+
+def accuracy(model: ResponseModel | None, draws: int) -> None:
+    print(f"{draws} random responses, {len(STOPS)} frames; error: quartiles and maximum")
+    table: dict[str, list[float]] = {}
+    inside: dict[str, list[float]] = {}
+    places = np.arange(1, 256) / 256
+    for seed in range(draws):
+        rng = np.random.default_rng(1000 + seed)
+        curve, E = draw(rng, model), scene(rng)
+        for bits in (8, 10, 12):
+            frames = shoot(E, STOPS, curve, bits, rng)
+            channel = ours(frames, STOPS, bits).record.main_channel
+            irradiance, brightness = np.array(channel.irradiance), np.array(channel.brightness)
+            error = error_of(irradiance[1:], brightness[1:], curve)
+            table.setdefault(f"camctl {bits} bits", []).append(error)
+            inside.setdefault("steps of 2", []).append(share_inside(channel, curve))
+            if bits == 8:
+                for method in ("debevec", "robertson"):
+                    levels = levels_of(opencv_curves(frames, STOPS, method)[:, 0])
+                    table.setdefault(f"OpenCV {method}", []).append(error_of(levels, places, curve))
+        for name, exposures in COARSE.items():
+            try:
+                estimate = ours(shoot(E, exposures, curve, 8, rng), exposures, 8)
+            except DataError:
+                continue
+            share = share_inside(estimate.record.main_channel, curve)
+            inside.setdefault(name, []).append(share)
+    for name, errors in table.items():
+        print(f"  {name:18s} {quartiles(errors)}")
+    rivals = np.fmin(table["OpenCV debevec"], table["OpenCV robertson"])
+    for bits in (8, 10, 12):
+        ratios = np.array(table[f"camctl {bits} bits"]) / rivals
+        worse = int(np.sum(ratios > 0.5))
+        print(
+            f"  {bits} bits / the better of OpenCV's: median {np.median(ratios):.2f}, maximum "
+            f"{ratios.max():.2f}, above 0.5 in {worse} of {draws}"
+        )
+    for name, shares in inside.items():
+        print(
+            f"  levels inside their 95 % interval, {name}: {np.mean(shares):.1%} "
+            f"({len(shares)} series; in the worst tenth of them {np.quantile(shares, 0.1):.0%})"
+        )
+
+
+def share_inside(channel: ChannelResponse, curve: Curve) -> float:
+    """Return the share of the levels from 3 to 98 % of full scale that are in their interval."""
+    assert channel.deviation is not None
+    irradiance, brightness = np.array(channel.irradiance), np.array(channel.brightness)
+    used = (brightness > 0.03) & (brightness < 0.98)
+    logs = np.log(irradiance[used] / np.interp(brightness[used], curve[1], curve[0]))
+    logs -= np.interp(0.5, brightness[used], logs)
+    return float(np.mean(np.abs(logs) <= Z_95 * np.array(channel.deviation)[used]))
+
+
+def unknown_exposures(model: ResponseModel | None, draws: int) -> None:
+    errors = []
+    for seed in range(draws):
+        rng = np.random.default_rng(3000 + seed)
+        curve = draw(rng, model)
+        series = Series(Layout.MONO, 8, levels_are_stated=True, exposures_are_stated=False)
+        for k, frame in enumerate(shoot(scene(rng), STOPS, curve, 8, rng)):
+            series.add(frame, 1.0, f"frame {k}")
+        found = np.log(estimate_response(series).exposures)
+        errors.append(float(np.polyfit(np.log(STOPS), found, 1)[0] - 1))
+    print(
+        f"exposures that nobody states, {draws} random responses: relative error of the exponent: "
+        f"mean {np.mean(errors):.3f}, standard deviation {np.std(errors):.3f}, largest "
+        f"{np.max(np.abs(errors)):.3f}, root mean square {np.sqrt(np.mean(np.square(errors))):.3f}"
+    )
+
+
+def stability(model: ResponseModel | None, scenes: int, data: Path | None) -> None:
+    pictures = stability_scenes(scenes, data)
+    print(
+        f"spread of one curve over {len(pictures)} scenes ({', '.join(pictures)}): standard "
+        "deviation of brightness; refused or NaN"
+    )
+    curve = draw(np.random.default_rng(7), model)
+    B = np.linspace(0.05, 0.95, 100)
+    E = np.interp(B, curve[1], curve[0])
+    alone: list[tuple[str, int, FloatArray]] = []
+    for count in (3, 4, 5, 8, 12):
+        exposures = tuple(np.geomspace(0.5, 32, count))
+        found: dict[str, list[tuple[str, FloatArray]]] = {}
+        for seed, (scene_name, picture) in enumerate(pictures.items()):
+            frames = shoot(picture, exposures, curve, 8, np.random.default_rng(seed))
+            for name in ("camctl", "debevec", "robertson"):
+                levels, brightness = points(name, frames, exposures)
+                if not np.all(np.isfinite(levels)):
+                    continue
+                levels = np.maximum.accumulate(levels)
+                scale = np.interp(0.5, curve[1], curve[0]) / np.interp(0.5, brightness, levels)
+                found.setdefault(name, []).append(
+                    (scene_name, np.interp(E, levels * scale, brightness))
+                )
+        # Only scenes that all methods accept are compared.
+        names = [{each for each, _ in found.get(name, [])} for name in found]
+        common = set.intersection(*names)
+        spreads = {
+            name: float(np.sqrt(np.mean(np.var([c for n, c in curves if n in common], axis=0))))
+            for name, curves in found.items()
+        }
+        each = ", ".join(
+            f"{name} {spread:.4f} ({len(pictures) - len(found[name])} refused)"
+            for name, spread in spreads.items()
+        )
+        rival = min(spreads.get("debevec", np.inf), spreads.get("robertson", np.inf))
+        print(
+            f"  {count:2d} frames, {len(common)} scenes: {each}; camctl / the better "
+            f"{spreads['camctl'] / rival:.2f}"
+        )
+        alone += [(name, count, line - B) for name, line in found["camctl"]]
+    worst = max(alone, key=lambda each: float(np.sqrt(np.mean(each[2] ** 2))))
+    print(
+        f"  largest rms error of camctl: {np.sqrt(np.mean(worst[2] ** 2)):.4f} in {worst[0]}, "
+        f"{worst[1]} frames"
+    )
+
+
+def stability_scenes(count: int, data: Path | None) -> dict[str, FloatArray]:
+    """Return built-in scenes, the map of the memorial church, and drawn scenes, (rows, columns)."""
+    from sim.scenes.drawings import DRAWINGS
+    from sim.scenes.radiance_map import read_map
+
+    rows, columns = 240, 320
+    pictures = {name: np.asarray(draw_(rows, columns)) for name, draw_ in DRAWINGS.items()}
+    if data is not None:
+        pictures["memorial"] = np.asarray(read_map(data / "memorial" / "memorial.hdr")[0])
+    grey = {
+        name: np.asarray(each if each.ndim == 2 else each.mean(axis=2), np.float64)
+        for name, each in pictures.items()
+    }
+    found = {name: each / np.quantile(each, 0.995) for name, each in grey.items()}
+    for seed in range(max(0, count - len(found))):
+        found[f"drawn {seed}"] = scene(np.random.default_rng(seed), rows, columns)
+    return found
+
+
+def points(
+    method: str, frames: list[NDArray[Any]], exposures: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return levels, NaN where they were not found, and their brightness."""
+    places = np.arange(1, 256) / 256
+    if method != "camctl":
+        return levels_of(opencv_curves(frames, exposures, method)[:, 0]), places
+    try:
+        channel = ours(frames, exposures, 8).record.main_channel
+    except DataError:
+        return np.full(255, np.nan), places
+    return np.array(channel.irradiance[1:]), np.array(channel.brightness[1:])
+
+
+def memorial(folder: Path) -> None:
+    from sim.scenes.radiance_map import read_map
+
+    rows = [line.split() for line in (folder / "image_list.txt").read_text().splitlines()]
+    listed = [(row[0], 1 / float(row[2])) for row in rows if row and row[0].endswith(".png")]
+    frames = []
+    for name, _ in listed:
+        frame = cv2.imread(str(folder / name))
+        assert frame is not None, name
+        frames.append(frame[..., ::-1])
+    exposures = tuple(time_s for _, time_s in listed)
+    truth = np.asarray(read_map(folder / "memorial.hdr")[0], np.float64)
+    valid = np.ones(truth.shape[:2], bool)
+    for frame in frames:
+        valid &= ~((frame[..., 2] == 255) & (frame[..., 0] == 0) & (frame[..., 1] == 0))
+    good_rows = np.flatnonzero(valid.mean(axis=1) > 0.85)
+    good_columns = np.flatnonzero(valid.mean(axis=0) > 0.85)
+    part = np.ix_(
+        np.arange(good_rows[0], good_rows[-1] + 1), np.arange(good_columns[0], good_columns[-1] + 1)
+    )
+    print(f"memorial: {len(frames)} frames, {valid[part].mean():.1%} of the part used is valid")
+    parts = [np.ascontiguousarray(frame[part]) for frame in frames]
+    series = Series(Layout.RGB, 8)
+    for (name, time_s), frame in zip(listed, parts, strict=True):
+        series.add(frame, time_s, name)
+    estimate = estimate_response(series)
+    print("  " + "; ".join(estimate.notes))
+    ours_ = []
+    for channel in estimate.record.channels:
+        levels = channel_levels(channel)
+        below = np.full(channel.black + 1, levels[0] / 2)
+        ours_.append(np.concatenate([below, levels_of(levels), levels[-1:]]))
+    well = np.any([np.all((frame > 20) & (frame < 235), axis=2) for frame in parts], axis=0)
+    usable = valid[part] & well & np.all(truth[part] > 0, axis=2)
+    curves = {"camctl": np.stack(ours_, axis=1)} | {
+        name: opencv_curves(parts, exposures, name) for name in ("debevec", "robertson")
+    }
+    places = np.arange(256.0)
+    hat = np.minimum(places + 1, 256 - places)
+    own = np.stack([each.sample_weights() for each in estimate.record.channels], axis=1)
+    exposed = np.maximum(np.minimum(places - 20, 235 - places), 0)
+    for weights, used in (
+        (np.pad(own, ((0, 256 - len(own)), (0, 0))), "the weights of the record of camctl"),
+        (np.stack([exposed] * 3, axis=1), "samples of 20 to 235"),
+        (np.stack([hat] * 3, axis=1), "OpenCV's weights, black ones, too"),
+    ):
+        for name, curve in curves.items():
+            found = []
+            for colour in range(3):
+                log_E = np.log(np.maximum(curve[:, colour], 1e-12))
+                samples = np.array([frame[..., colour][usable] for frame in parts])
+                weight = np.maximum(weights[samples, colour], 1e-12)
+                light = (weight * (log_E[samples] - np.log(exposures)[:, None])).sum(axis=0)
+                found.append(light / weight.sum(axis=0))
+            print(f"  {used:34s} {name:10s} {compared(found, truth[part][usable])}")
+    merged = cv2.createMergeDebevec().process(
+        parts, np.array(exposures, np.float32), curves["debevec"][:, None].astype(np.float32)
+    )
+    found = list(np.log(np.maximum(merged[usable], 1e-12)).T)
+    print(f"  {'merged by OpenCV':34s} {'debevec':10s} {compared(found, truth[part][usable])}")
+
+
+def compared(found: list[FloatArray], truth: FloatArray) -> str:
+    """Return errors of ln(radiance) and the exponents of the radiance, R, G, B."""
+    errors, exponents = [], []
+    for logs, true in zip(found, np.log(truth).T, strict=True):
+        difference = logs - true
+        errors.append(f"{np.median(np.abs(difference - np.median(difference))):.4f}")
+        exponents.append(f"{np.polyfit(true, logs, 1)[0]:.3f}")
+    return f"median |ln error| {', '.join(errors)}; exponent {', '.join(exponents)}"
+
+
+def channel_levels(channel: ChannelResponse) -> FloatArray:
+    """Return the levels of a channel without a black level's phase."""
+    count = channel.white - channel.black
+    phase = 0.5 if channel.black else 0.0
+    places = (np.arange(1, count + 1) - phase) / (count + 1)
+    return np.asarray(np.interp(places, channel.brightness, channel.irradiance))
+
+
+def large() -> None:
+    rng = np.random.default_rng(0)
+    curve = draw(rng, None)
+    E = scene(rng, 500, 750)
+    exposures = tuple(np.geomspace(0.5, 64, 16))
+    small = [np.stack([frame] * 3, axis=2) for frame in shoot(E, exposures, curve, 8, rng)]
+
+    def picture(frame: NDArray[Any]) -> NDArray[Any]:
+        return np.tile(frame, (8, 8, 1))
+
+    start, memory = time.perf_counter(), peak()
+    series = Series(Layout.RGB, 8, levels_are_stated=True)
+    spent = 0.0
+    for k, frame in enumerate(small):
+        whole = picture(frame)
+        start = time.process_time()
+        series.add(whole, exposures[k], f"frame {k}")
+        spent += time.process_time() - start
+    start = time.process_time()
+    estimate_response(series)
+    spent += time.process_time() - start
+    print(
+        f"24 MP RGB, 16 frames: camctl {spent:.1f} s of CPU, {peak() - memory:.0f} MB more at most "
+        "(one frame of 72 MB in it)"
+    )
+    frames = [picture(frame) for frame in small]
+    memory_with_frames = peak()
+    start = time.process_time()
+    opencv_curves(frames, exposures, "debevec")
+    print(
+        f"  OpenCV debevec {time.process_time() - start:.1f} s of CPU, "
+        f"{peak() - memory:.0f} MB more ({memory_with_frames - memory:.0f} MB of frames)"
+    )
+    quarter = [frame[:1000, :1500] for frame in frames]
+    start = time.process_time()
+    opencv_curves(quarter, exposures, "robertson")
+    spent = time.process_time() - start
+    print(f"  OpenCV robertson on a sixteenth of each frame {spent:.1f} s of CPU")
+
+
+def peak() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--draws", type=int, default=50)
+    parser.add_argument("--scenes", type=int, default=20)
+    parser.add_argument("--only", default="accuracy,unknown,stability,memorial,large")
+    options = parser.parse_args()
+    only = options.only.split(",")
+    data = Path(os.environ["CAMCTL_DATA"]) if "CAMCTL_DATA" in os.environ else None
+    model = None if data is None else read_response_model(data / "emor.txt")
+    if "large" in only:  # first, since the peak of memory never falls
+        large()
+    if "accuracy" in only:
+        accuracy(model, options.draws)
+    if "unknown" in only:
+        unknown_exposures(model, options.draws)
+    if "stability" in only:
+        stability(model, options.scenes, data)
+    if "memorial" in only and data is not None:
+        memorial(data / "memorial")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,217 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_cameras import small_camera
+
+from camctl.captures.accurate_settings import accurate_settings, gain_choices, objective_of
+from camctl.captures.plan import plan_capture
+from camctl.captures.request import CaptureRequest
+from camctl.controls import Choices, ExposureControls, Layout, Steps
+from camctl.errors import UsageError
+from camctl.exposure.accuracy import solve_accuracy
+from camctl.exposure.accuracy_lookup import (
+    AccuracyJob,
+    accuracy_jobs,
+    look_up_accurate,
+    without_idle_limits,
+)
+from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
+from camctl.exposure.table import accuracy_rows, default_table
+from camctl.noise_model import NoiseModel
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
+
+NOISE = NoiseModel(39.0, ((1.0, 3.0),))
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "exposure"
+
+
+def controls_with(noise: NoiseModel | None) -> ExposureControls:
+    return ExposureControls(Steps(1e-4, 10.0, 1e-4), (4, 4), Layout.MONO, 8, white=255, noise=noise)
+
+
+@pytest.mark.parametrize(
+    ("fields", "noise", "expected"),
+    [
+        ({}, NOISE, "accuracy"),
+        ({}, None, "xi"),
+        ({"objective": "xi"}, NOISE, "xi"),
+        ({"accuracy": 50.0}, NOISE, "accuracy"),
+        ({"tolerance": 5.0, "levels_wanted": 100.0}, NOISE, "xi"),
+        ({"levels_wanted": 100.0}, NOISE, "xi"),
+        ({"ratios": (1.0, 2.0)}, NOISE, "xi"),
+        ({"use_aperture": True}, NOISE, "xi"),
+    ],
+)
+def test_accuracy_decides_where_the_noise_is_known(
+    fields: dict[str, Any], noise: NoiseModel | None, expected: str
+) -> None:
+    request = CaptureRequest(**fields)
+    assert objective_of(request, controls_with(noise), has_table=False) == expected
+
+
+def test_a_table_means_xi() -> None:
+    controls = controls_with(NOISE)
+    assert objective_of(CaptureRequest(), controls, has_table=True) == "xi"
+    with pytest.raises(UsageError, match=r"a table .* has exposures chosen by xi"):
+        objective_of(CaptureRequest(objective="accuracy"), controls, has_table=True)
+
+
+@pytest.mark.parametrize("fields", [{"objective": "accuracy"}, {"accuracy": 50.0}])
+def test_accuracy_without_known_noise_is_refused(fields: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match="the noise of this camera is unknown"):
+        objective_of(CaptureRequest(**fields), controls_with(None), has_table=False)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"objective": "speed"}, "unknown objective 'speed'"),
+        ({"objective": "xi", "accuracy": 50.0}, "cannot be reached with the objective 'xi'"),
+        ({"accuracy": 0.0}, "invalid accuracy 0: expected a number of effective levels"),
+        ({"accuracy": "many"}, "invalid accuracy 'many'"),
+        ({"objective": "accuracy", "ratios": (1, 2)}, "cannot be combined with ratios"),
+        ({"accuracy": 5.0, "levels_wanted": 9.0}, "cannot be combined with levels wanted"),
+        ({"objective": "accuracy", "use_aperture": True}, "cannot be combined with use aperture"),
+    ],
+)
+def test_contradicting_requests_are_refused(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        CaptureRequest(**fields)
+
+
+def test_plan_has_the_exposures_of_the_objective() -> None:
+    with small_camera() as camera:
+        by_accuracy = plan_capture(camera, CaptureRequest("linear", 1000.0, 3))
+        by_xi = plan_capture(camera, CaptureRequest("linear", 1000.0, 3, objective="xi"))
+    assert (by_accuracy.objective, by_xi.objective) == ("accuracy", "xi")
+    assert by_accuracy.effective_levels > 1.1 * by_xi.effective_levels
+    assert by_accuracy.shutter_s < 0.7 * by_xi.shutter_s
+    assert by_accuracy.xi > by_xi.xi
+
+
+def test_a_time_budget_chooses_the_count_unless_it_is_given() -> None:
+    with small_camera() as camera:
+        free = plan_capture(camera, CaptureRequest("linear", 100.0, time_budget_s=0.13))
+        given = plan_capture(camera, CaptureRequest("linear", 100.0, 2, time_budget_s=0.13))
+    assert len(given.settings) == 2
+    assert len(free.settings) > 3
+    assert max(free.shutter_s, given.shutter_s) <= 0.13
+    assert free.effective_levels > 1.5 * given.effective_levels
+
+
+def test_gain_is_raised_within_a_budget_below_the_exposures_at_gain_1() -> None:
+    with small_camera("webcam") as camera:
+        base_s = plan_capture(camera, CaptureRequest("log", 1000.0, 2)).base_s
+        request = CaptureRequest("log", 1000.0, 2, time_budget_s=1.5 * base_s)
+        plan = plan_capture(camera, request)
+    assert plan.shutter_s <= 1.5 * base_s
+    assert max(setting.gain for setting in plan.settings) > 1
+
+
+def test_an_accuracy_is_reached_by_the_plan() -> None:
+    with small_camera() as camera:
+        plan = plan_capture(camera, CaptureRequest("log", 1000.0, 3, accuracy=70.0))
+        slower = plan_capture(camera, CaptureRequest("log", 1000.0, 3))
+    assert 69.5 <= plan.effective_levels < 75
+    assert plan.shutter_s < slower.shutter_s
+
+
+def test_an_accuracy_out_of_reach_is_refused_with_the_best_and_its_time() -> None:
+    message = r"no set of 2 exposures has 500 .* the best has 62\.\d+ in 0\.\d+ s"
+    with small_camera() as camera, pytest.raises(UsageError, match=message):
+        plan_capture(camera, CaptureRequest("log", 1000.0, 2, accuracy=500.0))
+
+
+def test_a_list_of_shutter_times_is_searched() -> None:
+    times = Choices(tuple(2.0 ** (np.arange(-36, 13) / 3)))
+    with small_camera() as camera:
+        real = camera.controls
+        controls = ExposureControls(**{**vars(real), "time_s": times})
+        limit_s = 0.02
+        request = CaptureRequest("log", 1000.0, 3)
+        settings, _ = accurate_settings(
+            controls, request, desired_response("log", 1000.0), limit_s, None
+        )
+    assert all(setting.time_s in times.values for setting in settings)
+    assert settings[0].time_s == max(t for t in times.values if t <= limit_s)
+
+
+def test_shutter_times_are_whole_flicker_periods() -> None:
+    with small_camera() as camera:
+        request = CaptureRequest("log", 1000.0, 2, base_s=0.02, mains_hz=50.0)
+        plan = plan_capture(camera, request)
+    periods = np.array([setting.time_s for setting in plan.settings]) / 0.01
+    assert periods == pytest.approx(np.round(periods))
+    assert plan.warnings == ()
+
+
+def test_gain_choices_are_doublings_of_the_smallest() -> None:
+    assert gain_choices(Steps(1.0, 16.0, 0.0625)) == (1.0, 2.0, 4.0, 8.0, 16.0)
+    assert gain_choices(Choices((1.0,))) == (1.0,)
+    assert gain_choices(Choices((2.0, 3.0, 8.0))) == (2.0, 3.0, 8.0)
+
+
+def problem_with(available: AvailableExposures) -> AccuracyProblem:
+    return AccuracyProblem(linear_response(8), desired_response("log", 300.0), NOISE, available)
+
+
+def test_solved_exposures_are_kept(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = problem_with(AvailableExposures(gains=(1.0, 2.0)))
+    first = look_up_accurate(problem, [2], total_limit=5.0)
+    assert len(list(own_cache.glob("accuracy-*.json"))) == 1
+    monkeypatch.setattr(AccuracyJob, "solve", None)
+    again = look_up_accurate(problem, [2], total_limit=5.0)
+    assert (again.exposures, again.times, again.gains) == (
+        first.exposures,
+        first.times,
+        first.gains,
+    )
+    nearly = look_up_accurate(problem, [2], total_limit=5.004)
+    assert nearly.exposures == first.exposures
+    assert again.effective_levels == first.effective_levels
+
+
+def test_limits_that_do_not_bind_share_a_row() -> None:
+    free = without_idle_limits(problem_with(AvailableExposures()))
+    idle = without_idle_limits(
+        problem_with(AvailableExposures(shortest=0.01, longest=2000.0, unit_s=0.02))
+    )
+    binding = without_idle_limits(problem_with(AvailableExposures(longest=20.0)))
+    keys = [AccuracyJob(problem, (3,)).key for problem in (free, idle, binding)]
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_rows_for_the_sensors_are_part_of_camctl(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = accuracy_rows()
+    assert len(rows) == 5 * 3 * 3 * 6
+    assert not set(rows.values()) & set(default_table().entries)
+    with small_camera() as camera:
+        controls = camera.controls
+        available = AvailableExposures(longest=controls.time_s.maximum / 0.01, unit_s=0.01)
+        assert controls.noise is not None
+        problem = AccuracyProblem(
+            controls.levels, desired_response("gamma", 1000.0), controls.noise, available
+        )
+    solved = solve_accuracy(problem, [2])
+    monkeypatch.setattr(AccuracyJob, "solve", None)  # it must not be needed
+    row = look_up_accurate(problem, [2])
+    assert row.exposures == pytest.approx(solved.exposures, rel=1e-3)
+    assert row.effective_levels == pytest.approx(solved.effective_levels, rel=1e-3)
+
+
+def test_rows_of_a_table_are_jobs_for_every_count() -> None:
+    jobs = accuracy_jobs([problem_with(AvailableExposures())], (1, 2))
+    assert [job.counts for job in jobs] == [(1,), (2,)]
+    entry = jobs[0].solve()
+    assert jobs[0].matches(entry)
+    assert not jobs[1].matches(entry)
+    assert entry.effective_levels < (entry.effective_levels_noise_free or 0)

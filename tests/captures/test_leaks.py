@@ -1,0 +1,179 @@
+"""A long series in one process: memory, open files and threads do not grow."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import resource
+import shutil
+import threading
+import tracemalloc
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from small_cameras import gradient, small_camera
+
+import camctl
+
+MOST_RESIDENT_BYTES = 4 << 20
+"""Growth of the whole process: 7 kB in each of 600 captures."""
+
+MOST_PYTHON_BYTES = 50_000
+"""Growth of the memory of Python and numpy: 180 bytes in each of 280 captures."""
+
+EXR_BYTES = 1000
+"""What the library OpenEXR keeps of each file that it writes, whatever its caller does: the names
+of the attributes and of the channels, 0.6 kB for 3 channels and 0.84 kB for 9, by tracemalloc."""
+
+WARM_UP, TRACED, WARM_UP_OF_TRACING = 100, 300, 20
+"""Calls before the first measurement; calls at the end, of which Python's memory is traced, which
+makes them slow; and the first of those, which are not measured."""
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a process uses."""
+
+    resident_bytes: int
+    files: tuple[str, ...]
+    threads: int
+
+    @classmethod
+    def now(cls) -> Usage:
+        """Return what this process uses, without what its allocator holds in reserve."""
+        gc.collect()
+        # The reserve of glibc changes by 40 MB between two captures with a contact sheet.
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        # The listing itself opens the folder, which is gone afterwards.
+        links = [link for link in Path("/proc/self/fd").iterdir() if link.exists()]
+        files = tuple(sorted(str(link.readlink()) for link in links))
+        return cls(pages * resource.getpagesize(), files, threading.active_count())
+
+
+def python_bytes() -> int:
+    """Return the memory that Python and numpy hold, of that allocated since tracing began."""
+    gc.collect()
+    return tracemalloc.get_traced_memory()[0]
+
+
+def check_series(work: Callable[[int], object], count: int, *, exr_share: float = 0.0) -> None:
+    """Call `work` with 0 to `count` - 1, and check that nothing grows.
+
+    `exr_share` is the share of the calls that write an OpenEXR file.
+    """
+    for number in range(WARM_UP):
+        work(number)
+    before = Usage.now()
+    for number in range(WARM_UP, count - TRACED):
+        work(number)
+    after = Usage.now()
+    tracemalloc.start(1)
+    try:
+        for number in range(count - TRACED, count - TRACED + WARM_UP_OF_TRACING):
+            work(number)
+        traced_before = python_bytes()
+        for number in range(count - TRACED + WARM_UP_OF_TRACING, count):
+            work(number)
+        grown = python_bytes() - traced_before
+    finally:
+        tracemalloc.stop()
+    end = Usage.now()
+    assert end.files == before.files
+    assert end.threads == before.threads
+    files = exr_share * (TRACED - WARM_UP_OF_TRACING)
+    assert grown < MOST_PYTHON_BYTES + files * EXR_BYTES
+    assert after.resident_bytes - before.resident_bytes < MOST_RESIDENT_BYTES
+
+
+@pytest.fixture(autouse=True)
+def threads_without_tracing() -> Iterator[None]:
+    """Switch the tracing of coverage off in new threads: it keeps something of each.
+
+    The mark `no_cover` does so in the main thread alone.
+    """
+    tracing = threading.gettrace()
+    threading.settrace(cast("Any", None))
+    yield
+    threading.settrace(cast("Any", tracing))
+
+
+@pytest.mark.slow
+@pytest.mark.no_cover  # the tracing of coverage keeps something of each thread
+@pytest.mark.timeout(900)
+def test_a_thousand_captures_leave_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two in memory, two into folders, and so on; every second one of a mosaic."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)  # waiting for the disk shows nothing
+    request = camctl.CaptureRequest(ratios=(1.0, 8.0))
+    light = gradient(12, 16)
+
+    def shoot(number: int) -> None:
+        folder = tmp_path / f"{number}" if number & 2 else None
+        layout = "rggb" if number & 1 else "mono"
+        with small_camera("ideal-6", light, seed=number, layout=layout) as camera:
+            report = camctl.capture(camera, request, folder)
+        assert report.radiance().size > 0
+        assert report.sum().max() > 0
+        if folder is not None:
+            assert camctl.read_report(folder).status == "complete"
+            shutil.rmtree(folder)
+
+    check_series(shoot, 1000, exr_share=0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.no_cover  # the tracing of coverage keeps something of each thread
+@pytest.mark.timeout(900)
+def test_a_thousand_plans_leave_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every second plan looks up a row that is solved and cached for it."""
+    monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path))
+    light = gradient(12, 16)
+
+    def plan(number: int) -> None:
+        new = number % 2 == 0
+        request = camctl.CaptureRequest(
+            dynamic_range=100.0 + (number if new else 0), count=1 if new else 2, base_s=0.001
+        )
+        with small_camera("ideal-6", light) as camera:
+            assert camctl.plan_capture(camera, request).exposures
+
+    check_series(plan, 1000)
+    assert len(list((tmp_path / "exposure").iterdir())) == 501
+
+
+@pytest.mark.parametrize("leak", ["memory", "small memory", "file", "thread"])
+def test_a_leak_is_found(tmp_path: Path, leak: str) -> None:
+    kept: list[Any] = []
+    ended = threading.Event()
+
+    def work(number: int) -> None:
+        if leak == "memory":
+            kept.append(b"x" * 20_000)
+        elif leak == "small memory":
+            kept.append(gradient(12, 16))
+        elif leak == "file":
+            kept.append((tmp_path / f"{number}").open("w"))
+        else:
+            kept.append(threading.Thread(target=ended.wait, daemon=True))
+            kept[-1].start()
+
+    try:
+        with pytest.raises(AssertionError):
+            check_series(work, 900 if leak == "memory" else 410)
+    finally:
+        ended.set()
+        for each in kept:
+            if leak == "file":
+                each.close()
+            elif leak == "thread":
+                each.join()

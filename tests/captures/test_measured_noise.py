@@ -1,0 +1,138 @@
+"""The noise that a capture shows in its own pixels, compared with the noise that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from small_cameras import WrappedCamera, gradient, small_camera
+
+from camctl.captures.measured_noise import measure_noise
+from camctl.captures.report import CaptureReport
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture
+from camctl.controls import ExposureControls
+from camctl.exposure.patches import Patches
+from camctl.noise_model import FrameNoise, MeasuredNoise, NoiseModel
+from camctl.response.camera import linear_response
+from camctl.response.desired import desired_response
+
+REQUEST = CaptureRequest("log", 1000.0, 3, ratios=(1, 9, 80))
+RESPONSE, LOG = linear_response(8), desired_response("log", 1000.0)
+EXPOSURES = (1.0, 9.0, 80.0)
+
+
+class StatingCamera(WrappedCamera):
+    """A simulated camera that states another noise than it has."""
+
+    stated: NoiseModel | None = None
+
+    @property
+    def controls(self) -> ExposureControls:
+        """The controls of the camera, with the stated noise."""
+        return replace(super().controls, noise=self.stated)
+
+
+def captured(stated: NoiseModel | None, sensor: str = "standard") -> CaptureReport:
+    with small_camera(sensor, gradient(480, 160)) as camera:
+        stating = StatingCamera(camera)
+        stating.stated = stated
+        return capture(stating, replace(REQUEST, base_s=0.01))
+
+
+def measured_in(report: CaptureReport) -> MeasuredNoise:
+    assert report.achieved.measured is not None
+    return report.achieved.measured
+
+
+@pytest.mark.parametrize("sensor", ["standard", "webcam", "phone", "machine-vision"])
+def test_pixels_show_the_predicted_accuracy(sensor: str) -> None:
+    with small_camera(sensor, gradient(480, 160)) as camera:
+        report = capture(camera, REQUEST)
+    measured, predicted = measured_in(report), report.achieved.effective_levels
+    difference = abs(measured.effective_levels - predicted)
+    assert difference < max(0.02 * predicted, 3 * measured.uncertainty) < 0.05 * predicted
+    assert measured.electrons_per_level == pytest.approx(camera.sensor.electrons_per_dn, rel=0.05)
+    assert not any("frames show" in warning for warning in report.warnings)
+
+
+def test_a_wrong_noise_model_is_reported() -> None:
+    right = captured(NoiseModel(10000 / 256, ((1.0, 3.0),)))
+    wrong = captured(NoiseModel(3 * 10000 / 256, ((1.0, 3.0),)))
+    measured = measured_in(wrong)
+    assert wrong.achieved.effective_levels > 1.3 * right.achieved.effective_levels
+    assert measured.effective_levels == pytest.approx(right.achieved.effective_levels, rel=0.02)
+    assert not any("frames show" in warning for warning in right.warnings)
+    warnings = [warning for warning in wrong.warnings if "frames show" in warning]
+    assert warnings == [
+        f"the frames show {measured.effective_levels:.4g} effective levels instead of the "
+        f"{wrong.achieved.effective_levels:.4g} predicted: the noise known of this camera is not "
+        "that of its frames"
+    ]
+
+
+def test_unknown_noise_is_measured() -> None:
+    report = captured(None)
+    achieved = report.achieved
+    assert achieved.noise is None
+    assert report.plan.noise is None
+    assert achieved.effective_levels == achieved.effective_levels_noise_free
+    assert report.plan.effective_levels == report.plan.effective_levels_noise_free
+    known = captured(NoiseModel(10000 / 256, ((1.0, 3.0),)))
+    assert measured_in(report).effective_levels == pytest.approx(
+        known.achieved.effective_levels, rel=0.02
+    )
+    assert not any("frames show" in warning for warning in report.warnings)
+
+
+def patches(light: NDArray[np.float64], electrons: float, seed: int = 0) -> list[Patches]:
+    """Return frames of (patches, samples) light with photon noise and read noise of 0.3 levels."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for exposure in EXPOSURES:
+        signal = rng.poisson(exposure * light * 256 * electrons) / electrons
+        frames.append(
+            np.clip(np.floor(signal + 0.3 * rng.standard_normal(light.shape)), 0, 255).astype(
+                np.uint16
+            )
+        )
+    return frames
+
+
+def measure(frames: Sequence[Patches]) -> MeasuredNoise | None:
+    noise = [FrameNoise(np.inf, 0.0)] * 3
+    return measure_noise(RESPONSE, LOG, frames, EXPOSURES, noise, [1.0] * 3)
+
+
+LIGHT = np.geomspace(1e-3, 1, 600)[:, np.newaxis] * np.linspace(0.97, 1.03, 64)
+
+
+def test_moving_objects_do_not_count_as_noise() -> None:
+    still = patches(LIGHT, 40.0)
+    moving = [frame.copy() for frame in still]
+    rng = np.random.default_rng(3)
+    for frame in moving[1:]:
+        places = rng.permutation(600)[:120]
+        frame[places, :32] = np.minimum(frame[places, :32] + 40, 255)
+    expected, found = measure(still), measure(moving)
+    assert expected is not None
+    assert found is not None
+    assert expected.electrons_per_level == pytest.approx(40, rel=0.05)
+    assert expected.read_noise_levels == pytest.approx(0.3, abs=0.06)
+    assert found.effective_levels == pytest.approx(expected.effective_levels, rel=0.03)
+
+
+def test_uncertainty_is_the_scatter_of_repeated_captures() -> None:
+    found = [measure(patches(LIGHT[::4], 40.0, seed)) for seed in range(16)]
+    levels = [each.effective_levels for each in found if each is not None]
+    stated = np.median([each.uncertainty for each in found if each is not None])
+    assert len(levels) == 16
+    assert 0.4 < stated / np.std(levels, ddof=1) < 2.5
+
+
+def test_frames_that_do_not_overlap_show_nothing() -> None:
+    assert measure(patches(LIGHT[:40], 40.0)) is None
+    assert measure(patches(np.full((600, 64), 1e-4), 40.0)) is None

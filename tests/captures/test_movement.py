@@ -1,0 +1,191 @@
+"""Movement between the frames: found where it is, and false alarms at the stated rate."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import camctl
+from camctl.captures.exposure_check import NeighbourCheck
+from camctl.captures.frame_pairs import Pair, Side, outside
+from camctl.captures.movement import FALSE_ALARMS, find_movement
+from camctl.response.camera import standard_response
+
+Floats = NDArray[np.float64]
+
+SENSORS = ("standard", "webcam", "consumer", "phone", "machine-vision", "mobile")
+
+
+def shot(
+    sensor: str, scene: str, *, seed: int = 0, size: str | None = None
+) -> camctl.CaptureReport:
+    more = {} if size is None else {"size": size}
+    with camctl.open_camera("sim", scene=scene, sensor=sensor, seed=seed, **more) as camera:
+        return camctl.capture(camera, camctl.CaptureRequest(ratios=(1.0, 4.0, 16.0)))
+
+
+def found(report: camctl.CaptureReport) -> tuple[float, float]:
+    """Return the share of the samples that differ, and the share by noise that is stated."""
+    assert report.movement is not None
+    return report.movement.share, report.movement.false_alarms
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("scene", ["cloth", "ramp", "tile-floor"])
+def test_false_alarms_are_as_many_as_stated(sensor: str, scene: str) -> None:
+    """Some 1,000 to 2,000 samples are marked, so that their share scatters by 2 % to 3 %.
+
+    Where the longest frame is saturated everywhere only one of the two pairs has false alarms.
+    """
+    shares = [found(shot(sensor, scene, seed=seed, size="640x480")) for seed in range(3)]
+    share, stated = np.mean(shares, axis=0)
+    assert share == pytest.approx(stated, rel=0.1)
+    assert FALSE_ALARMS / 2 * 0.9 < share < FALSE_ALARMS * 1.1
+
+
+@pytest.mark.parametrize("colours", [1, 3])
+def test_bytes_are_compared_as_wider_samples_are(colours: int) -> None:
+    rng = np.random.default_rng(0)
+    low = np.sort(rng.integers(0, 240, (colours, 250))).astype(np.uint16)
+    high = np.minimum(low + rng.integers(0, 250, (colours, 250)), 249).astype(np.uint16)
+    short, long = rng.integers(0, 250, (2, 300, 50, 3), np.uint8)
+    planes = [min(k, colours - 1) for k in range(3)]
+    expected = np.stack(
+        [
+            (short[..., k] < low[plane][long[..., k]]) | (short[..., k] > high[plane][long[..., k]])
+            for k, plane in enumerate(planes)
+        ],
+        axis=-1,
+    )
+    assert 0.1 < expected.mean() < 0.9
+    assert np.array_equal(outside((low, high), short, long), expected)
+    wide = (each.astype(np.uint16) for each in (short, long))
+    assert np.array_equal(outside((low, high), *wide), expected)
+
+
+def test_frames_without_noise_have_no_false_alarms() -> None:
+    assert found(shot("ideal-8", "tile-floor", size="320x240")) == (0.0, 0.0)
+
+
+def test_a_moving_target_is_found_where_it_was_and_the_picture_stays_trustworthy() -> None:
+    report = shot("standard", "moving-target")
+    share, stated = found(report)
+    assert report.trustworthy
+    assert share > 10 * stated
+    assert report.movement is not None
+    mask, rows = report.mask(), report.mask().shape[0]
+    marked = (mask & 4) != 0
+    assert marked.mean() == pytest.approx(share)
+    # The wheel is 42 % of the height, from 29 % on; above and below nothing moves.
+    wheel = slice(round(0.28 * rows), round(0.72 * rows))
+    assert marked[wheel].mean() > 20 * stated
+    outside = np.delete(marked, np.arange(wheel.start, wheel.stop), axis=0)
+    assert outside.mean() < 2 * stated
+    first = report.movement.places[0]
+    assert wheel.start <= first.top < first.bottom <= wheel.stop + 4
+    assert first.right - first.left > 50
+
+
+def test_lamps_that_flicker_over_the_whole_picture_are_no_movement(tmp_path: Path) -> None:
+    scene = tmp_path / "lamps.json"
+    scene.write_text(
+        '{"name": "lamps", "picture": "cloth", "photons_s": 2e7, "shape": [240, 320],'
+        ' "lamps": {"mains_hz": 50, "depth": 0.4}}'
+    )
+    report = shot("standard", str(scene))
+    assert any(frame.ratio and not frame.ratio.agrees for frame in report.frames)
+    share, stated = found(report)
+    assert share < 3 * max(stated, FALSE_ALARMS)
+    assert report.movement is not None
+    assert report.movement.places == ()
+
+
+@pytest.mark.parametrize("sensor", ["standard", "phone"])
+def test_folder_and_memory_have_the_same_marks(sensor: str, tmp_path: Path) -> None:
+    """The phone's mosaic marks all pixels that a sample contributed to."""
+    masks = []
+    for path in (None, tmp_path / "capture"):
+        with camctl.open_camera("sim", scene="moving-target", sensor=sensor) as camera:
+            request = camctl.CaptureRequest(ratios=(1.0, 4.0))
+            masks.append(camctl.capture(camera, request, path).mask())
+    assert np.array_equal(masks[0], masks[1])
+    assert np.count_nonzero(masks[0] & 4) > 0
+    assert camctl.read_report(tmp_path / "capture").movement is not None
+
+
+@pytest.mark.parametrize(
+    ("sensor", "scene"), [("ccd", "room"), ("complete", "colour-chart"), ("complete", "room")]
+)
+def test_light_that_spreads_from_saturated_pixels_is_no_movement(sensor: str, scene: str) -> None:
+    report = shot(sensor, scene, seed=1, size="320x240")
+    share, stated = found(report)
+    assert share == pytest.approx(stated, rel=0.1)
+    assert share < 1.1 * FALSE_ALARMS
+    assert report.movement is not None
+    assert report.movement.area < 0.01
+    assert all(frame.attempts == 1 for frame in report.frames)
+
+
+@pytest.mark.parametrize("sensor", ["consumer", "complete", "ccd", "webcam"])
+def test_a_moving_target_is_found_by_sensors_whose_charge_spreads(sensor: str) -> None:
+    share, stated = found(shot(sensor, "moving-target", seed=1, size="320x240"))
+    assert share > 10 * stated
+
+
+@pytest.mark.parametrize("sensor", ["standard", "phone", "ideal-6"])
+def test_things_that_moved_are_not_shot_again(sensor: str) -> None:
+    with camctl.open_camera("sim", scene="moving-target", sensor=sensor, size="320x240") as camera:
+        report = camctl.capture(camera, camctl.CaptureRequest(ratios=(1.0, 2.0, 8.0)))
+    assert [frame.attempts for frame in report.frames] == [1, 1, 1]
+
+
+def compressed(picture: Floats, quality: int) -> NDArray[Any]:
+    """Return light, 1 at full scale, as a JPEG file in sRGB shows it; (rows, columns, 3)."""
+    levels = standard_response("srgb", 8).levels
+    codes = np.searchsorted(levels, picture, side="right").astype(np.uint8)
+    coded = cv2.imencode(".jpg", codes, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    decoded = cv2.imdecode(coded, cv2.IMREAD_COLOR)
+    assert decoded is not None
+    return decoded
+
+
+@pytest.mark.parametrize("quality", [75, 92])
+@pytest.mark.parametrize("moves", [False, True])
+def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: bool) -> None:
+    """Photographs: neither the noise of the sensor nor the error of JPEG files is known."""
+    rng = np.random.default_rng(0)
+    fine = cv2.GaussianBlur(rng.normal(size=(480, 640)), (0, 0), 4) * 12
+    light = np.exp(np.linspace(-6, 0, 640)[None, :] + np.clip(fine, -3, 3) - 1.5)
+    light = light[..., None] * np.array([1.0, 0.8, 0.6])
+    exposures, frames = (1.0, 4.0, 16.0), []
+    for k, exposure in enumerate(exposures):
+        E = light * exposure
+        if moves and k == 1:
+            E[200:260, 300:380] *= 0.3
+        noisy = E + np.sqrt(E / 5000) * rng.normal(size=E.shape)
+        frames.append(compressed(np.clip(noisy, 0, 1.001), quality))
+    check = NeighbourCheck(standard_response("srgb", 8), 0, camctl.Layout.RGB)
+    samples = [check.sample(frame) for frame in frames]
+    pairs = [
+        Pair(check.scale, Side(k, 4.0**k, None), Side(k + 1, 4.0 ** (k + 1), None), 4.0, both, 3)
+        for k, both in enumerate(pairwise(samples))
+    ]
+    movement = find_movement(frames.__getitem__, pairs)
+    assert movement is not None
+    share, stated = movement.found.share, movement.found.false_alarms
+    assert FALSE_ALARMS / 4 < stated < 1.5 * FALSE_ALARMS
+    if not moves:
+        assert movement.found.places == ()
+        assert share == pytest.approx(stated, rel=0.1)
+        return
+    first = movement.found.places[0]
+    assert 190 <= first.top < first.bottom <= 270
+    assert 290 <= first.left < first.right <= 390
+    assert share > 3 * stated

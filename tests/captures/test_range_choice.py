@@ -1,0 +1,72 @@
+"""The range where the metered light decides it: by the accuracy that is possible over each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+import camctl
+from camctl.captures import plan as planning
+from camctl.captures.accurate_settings import accurate_settings
+from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.range_choice import STOPS
+from camctl.captures.request import CaptureRequest
+from camctl.controls import ExposureControls
+from camctl.response.desired import DesiredResponse
+from sim.camera import SimulatedCamera
+from sim.scenes.scene import load_scene
+from sim.sensors.sensor import load_sensor
+
+
+def planned(request: CaptureRequest) -> CapturePlan:
+    with SimulatedCamera(load_scene("tile-floor", (48, 64)), load_sensor("standard")) as camera:
+        return camctl.plan_capture(camera, request)
+
+
+def test_an_accuracy_is_reached_over_the_largest_range_that_has_it() -> None:
+    request = CaptureRequest(dynamic_range="auto", accuracy=90.0, time_budget_s=1.5)
+    plan = planned(request)
+    assert plan.effective_levels >= 90.0 * (1 - 1e-6)
+    larger = replace(request, dynamic_range=STOPS[STOPS.index(plan.dynamic_range) + 1])
+    with pytest.raises(camctl.UsageError, match="no set of 1 to 6 exposures has 90 effective"):
+        planned(larger)
+
+
+def test_an_accuracy_beyond_all_ranges_names_the_range_with_most() -> None:
+    """Over a very small range there are fewer levels than over a larger one."""
+    request = CaptureRequest("log", "auto", 3, accuracy=1e5)
+    with pytest.raises(camctl.UsageError) as found:
+        planned(request)
+    error = found.value
+    assert error.what.startswith("no set of 3 exposures has 100000 effective levels")
+    assert "over any range up to 1:" in error.what
+    assert error.hint is not None
+    span, levels = (float(each.replace(",", "")) for each in _numbers(error.hint))
+    for other in STOPS[:9]:
+        plan = planned(replace(request, dynamic_range=other, accuracy=None))
+        assert plan.effective_levels <= 1.01 * levels, other
+    plan = planned(replace(request, dynamic_range=span, accuracy=levels * 0.98))
+    assert plan.effective_levels >= levels * 0.98
+
+
+def _numbers(hint: str) -> tuple[str, str]:
+    """Return the range and the levels of: over 1:256 the best has 121 in 3.4 s; ..."""
+    words = hint.split()
+    return words[1].removeprefix("1:"), words[words.index("has") + 1]
+
+
+def test_exposures_are_solved_for_one_range_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solving for all ranges from the largest to the chosen one took 11 s of processor time."""
+    solved: list[float] = []
+
+    def counted(
+        controls: ExposureControls, request: CaptureRequest, desired: DesiredResponse, *more: Any
+    ) -> Any:
+        solved.append(desired.dynamic_range)
+        return accurate_settings(controls, request, desired, *more)
+
+    monkeypatch.setattr(planning, "accurate_settings", counted)
+    plan = planned(CaptureRequest(dynamic_range="auto", time_budget_s=0.5))
+    assert solved == [plan.dynamic_range]

@@ -1,0 +1,211 @@
+"""Whether frames contradict their exposures: wrong ones do; lamps and moving things do not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from small_cameras import small_camera, sum_of_frames
+
+import camctl
+from camctl.captures.report import CaptureReport, RatioCheck
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture
+from camctl.captures.verdict import ShotLog, suspects
+from camctl.controls import ExposureSetting
+from sim.camera import Faults
+
+MAINS = CaptureRequest("log", 1000.0, ratios=(1.0, 2.0, 4.0), mains_hz=50)
+#: A bracket as it is computed for constant contrast, without the time to compute it.
+WIDE = CaptureRequest("log", 1000.0, ratios=(1.0, 8.9, 88.0))
+
+
+def check_of(
+    expected: float, measured: float, *, agrees: bool, compared: float = 0.5
+) -> RatioCheck:
+    return RatioCheck(
+        expected=expected,
+        measured=measured,
+        tolerance=0.03,
+        agrees=agrees,
+        moved=0.0,
+        compared=compared,
+    )
+
+
+def wrong_frame(sensor: str, position: int, factor: float, seed: int = 0) -> CaptureReport:
+    """Return a capture in which a frame has a wrong exposure in both tries."""
+    faults = Faults(wrong_exposure=dict.fromkeys((position, 3, 4, 5), factor))
+    with small_camera(sensor, faults=faults, seed=seed) as camera:
+        return capture(camera, MAINS)
+
+
+@pytest.mark.parametrize(
+    ("disagreeing", "expected"),
+    [
+        ([], []),
+        ([1], [0, 1]),  # frames 0 and 1 disagree: either may be wrong
+        ([1, 2], [1]),  # frame 1 disagrees with both neighbours
+        ([2, 3], [2]),
+        ([3], [2, 3]),
+        ([1, 3], [0, 1, 2, 3]),
+        ([1, 2, 3], [1, 2]),
+    ],
+)
+def test_suspects_are_the_frames_that_disagree_with_their_neighbours(
+    disagreeing: list[int], expected: list[int]
+) -> None:
+    checks = [None, *(check_of(2, 2, agrees=later not in disagreeing) for later in (1, 2, 3))]
+    assert suspects(checks) == expected
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.5, 0.95, 1.05, 2, 10])
+@pytest.mark.parametrize(
+    ("sensor", "position"), [("standard", 0), ("machine-vision", 2), ("phone", 1)]
+)
+def test_wrong_exposure_makes_a_capture_untrustworthy(
+    sensor: str, position: int, factor: float
+) -> None:
+    report = wrong_frame(sensor, position, factor)
+    assert not report.trustworthy
+    assert report.untrustworthy_because is not None
+    assert "frame" in report.untrustworthy_because
+
+
+@pytest.mark.parametrize(("factor", "position"), [(0.98, 0), (1.02, 1), (0.98, 2)])
+def test_two_percent_are_seen_where_noise_and_levels_allow(position: int, factor: float) -> None:
+    assert not wrong_frame("ideal-12", position, factor).trustworthy
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("factor", [0.99, 1.01])
+@pytest.mark.parametrize("sensor", ["standard", "machine-vision", "ideal-12"])
+def test_one_percent_is_within_the_tolerance(sensor: str, factor: float, seed: int) -> None:
+    assert wrong_frame(sensor, 1, factor, seed).trustworthy
+
+
+def test_untrustworthy_capture_has_all_its_files(tmp_path: Path) -> None:
+    faults = Faults(wrong_exposure=dict.fromkeys((1, 3, 4, 5), 0.5))
+    with small_camera(faults=faults) as camera:
+        report = capture(camera, MAINS, tmp_path / "out")
+    assert report.status == "complete"
+    assert [frame.attempts for frame in report.frames] == [1, 2, 1]
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= set(report.files.values())
+    assert (report.sum() == sum_of_frames(tmp_path / "out", report)).all()
+    written = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert written["trustworthy"] is False
+    assert "exposure is 2 times as long" in written["untrustworthy_because"]
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("scene", "sensor", "warns"),
+    [
+        ("night-street", "complete", False),
+        ("night-street", "ccd", False),  # its drain keeps the streaks of the lamps short
+        ("moving-target", "complete", True),
+        ("moving-target", "standard", True),
+    ],
+)
+def test_lamps_and_moving_things_do_not_contradict(
+    scene: str, sensor: str, warns: bool, seed: int
+) -> None:
+    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="640x480", seed=seed) as camera:
+        report = capture(camera, WIDE)
+    assert report.trustworthy
+    assert warns <= any("do not trust the parts" in warning for warning in report.warnings)
+
+
+@pytest.mark.parametrize("scene", ["tile-floor", "ball", "cloth", "colour-chart", "ramp", "room"])
+@pytest.mark.parametrize("sensor", ["standard", "ccd", "ideal-6", "phone"])
+def test_true_exposures_are_trusted(scene: str, sensor: str) -> None:
+    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="320x240") as camera:
+        assert capture(camera, WIDE).trustworthy
+
+
+@pytest.mark.parametrize(
+    "ratios", [(1.0, 8.9, 88.0), (1.0, 2.0, 4.0), (1.0, 1.003, 2.985), (1.0, 8.0)]
+)
+@pytest.mark.parametrize("late", [1, 2])
+def test_wrong_control_delay_makes_a_capture_untrustworthy(
+    late: int, ratios: tuple[float, ...]
+) -> None:
+    faults = Faults(late_frames=late)
+    with camctl.open_camera("sim", sensor="phone", size="320x240", faults=faults) as camera:
+        # Metering may end with an exposure so long that two late frames are white altogether.
+        report = capture(camera, CaptureRequest(ratios=ratios, base_s=0.01))
+    assert not report.trustworthy
+    assert "again with camctl calibrate delay --camera sim" in (report.untrustworthy_because or "")
+
+
+@pytest.mark.parametrize("late", [2, 3])
+def test_wrong_control_delay_is_noticed_where_all_frames_are_white(late: int) -> None:
+    def shot(faults: Faults) -> CaptureReport:
+        with camctl.open_camera(
+            "sim", scene="ramp", sensor="phone", size="160x120", faults=faults
+        ) as camera:
+            return capture(camera, CaptureRequest(ratios=(1.0, 1.003)))
+
+    report = shot(Faults(late_frames=late))
+    assert min(frame.saturated_fraction for frame in report.frames) > 0.9
+    assert not report.trustworthy
+    assert "of frame 1 is white" in (report.untrustworthy_because or "")
+    assert "again with camctl calibrate delay --camera sim" in (report.untrustworthy_because or "")
+    assert shot(Faults()).trustworthy
+
+
+@pytest.mark.parametrize("late", [-2, -1, 1, 2, 3])
+def test_wrong_control_delay_is_recognised(late: int) -> None:
+    settings = [ExposureSetting(time) for time in (0.01, 0.02, 0.05, 0.15, 0.6, 3.0)]
+    log = ShotLog(settings)
+    log.begin(range(6))
+    had = [settings[min(max(k - late, 0), 5)].exposure for k in range(6)]
+    checks: list[RatioCheck | None] = [None]
+    for k in range(1, 6):
+        expected, measured = settings[k].exposure / settings[k - 1].exposure, had[k] / had[k - 1]
+        # What was set before the capture is unknown.
+        unknown = k - 1 < late
+        agrees = abs(measured / expected - 1) < 0.03
+        checks.append(check_of(expected, 1.7 if unknown else measured, agrees=agrees))
+    assert log.shift(checks) == late
+    true = [check and check_of(check.expected, check.expected, agrees=True) for check in checks]
+    log = ShotLog(settings)
+    log.begin(range(6))
+    assert log.shift(true) is None
+
+
+def test_few_samples_do_not_show_a_wrong_control_delay() -> None:
+    settings = [ExposureSetting(time) for time in (0.01, 0.02, 0.05)]
+    for compared, shift in ((0.5, 1), (0.01, None)):
+        log = ShotLog(settings)
+        log.begin(range(3))
+        checks = [None, None, check_of(2.5, 2, agrees=False, compared=compared)]
+        assert log.shift(checks) == shift
+
+
+@pytest.mark.parametrize(
+    ("scene", "sensor"), [("moving-target", "ideal-4"), ("night-street", "machine-vision")]
+)
+def test_lamps_and_moving_things_are_not_a_wrong_control_delay(scene: str, sensor: str) -> None:
+    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="320x240") as camera:
+        assert capture(camera, WIDE).trustworthy
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_noise_near_saturation_does_not_contradict(seed: int) -> None:
+    # At gain 15 noise saturates a part of each patch of the evenly lit sky.
+    with camctl.open_camera(
+        "sim", scene="stars", sensor="mobile", size="320x240", seed=seed
+    ) as camera:
+        report = capture(camera, CaptureRequest(ratios=(1.0, 8.9, 80.0), base_s=5.5))
+    assert report.trustworthy
+    assert not any("do not trust" in warning for warning in report.warnings)
+
+
+def test_one_wrong_frame_is_not_a_wrong_control_delay() -> None:
+    settings = [ExposureSetting(time) for time in (0.01, 0.02, 0.05, 0.15)]
+    log = ShotLog(settings)
+    log.begin(range(4))
+    checks = [None, check_of(2, 1, agrees=False), check_of(2.5, 5, agrees=False)]
+    assert log.shift([*checks, check_of(3, 3, agrees=True)]) is None

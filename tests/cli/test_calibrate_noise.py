@@ -1,0 +1,124 @@
+"""`camctl calibrate noise` from a camera, from files, and from the folder of a capture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from command_line import Run
+
+from camctl.profile_folder import list_profiles
+
+SIZE = ("--size", "160x120")
+
+
+def write_pairs(suffix: str = ".png") -> list[Path]:
+    """Write pairs of frames with 20 electrons a level and read noise of 16 electrons."""
+    random = np.random.default_rng(5)
+    light = np.broadcast_to(np.geomspace(4, 200, 320), (160, 320))
+    paths: list[Path] = []
+    for time_s in (0.25, 0.5, 1.0, 2.0):
+        for _ in (0, 1):
+            levels = random.poisson(light * time_s * 20) / 20 + random.normal(0, 0.8, light.shape)
+            frame = np.clip(np.floor(levels + 0.5), 0, 255).astype(np.uint8)
+            paths.append(Path(f"frame-{len(paths)}{suffix}"))
+            if suffix == ".tiff":
+                tifffile.imwrite(paths[-1], frame)
+            else:
+                assert cv2.imwrite(str(paths[-1]), frame)
+    return paths
+
+
+TIMES = ("--times", "0.25,0.25,0.5,0.5,1,1,2,2")
+
+
+def test_a_camera_is_measured_and_the_result_is_kept(run: Run) -> None:
+    ran = run("calibrate", "noise", "--sensor", "phone", *SIZE, "-n", "6", "--json")
+    assert ran.status == 0, ran.err
+    for name, true in (("conversion_e_per_dn", 6.0), ("read_noise_e", 5.0), ("full_well_e", 5754)):
+        figure = ran.json[name]
+        assert figure["low"] < figure["value"] < figure["high"]
+        assert figure["value"] == pytest.approx(true, rel=0.05)
+    assert ran.json["emva1288"]["dynamic_range"]["value"] == pytest.approx(1000, rel=0.05)
+    (profile,) = list_profiles()
+    record = profile.noises[ran.json["mode"]]
+    assert record.noise_model().conversion_e_per_dn == ran.json["conversion_e_per_dn"]["value"]
+
+
+def test_flat_field_and_lens_cap_complete_the_record(run: Run) -> None:
+    sensor = ("--sensor", "mobile", *SIZE)
+    flat = run("calibrate", "noise", *sensor, "--scene", "uniform", "--flat", "-n", "8")
+    assert flat.status == 0, flat.err
+    assert "PRNU                     0.7" in flat.out or "PRNU                     0.6" in flat.out
+    assert "put the lens cap on" in flat.out
+    cap = {"name": "cap", "picture": "uniform", "photons_s": 1e-6, "what": "a lens cap"}
+    Path("cap.json").write_text(json.dumps(cap))
+    dark = run("calibrate", "noise", *sensor, "--scene", "cap.json", "--dark", "--json")
+    assert dark.status == 0, dark.err
+    current = dark.json["dark"]["dark_current_e_s"]["value"]
+    assert current == pytest.approx(3 * 2 ** (15 / 8), rel=0.03)
+    assert dark.json["prnu"]["value"] == pytest.approx(0.007, rel=0.1)
+    (profile,) = list_profiles()
+    (record,) = profile.noises.values()
+    assert record.dark is not None
+    assert record.prnu is not None
+
+
+def test_lens_cap_alone_is_refused(run: Run) -> None:
+    ran = run("calibrate", "noise", "--sensor", "phone", *SIZE, "--dark")
+    assert ran.status == 2
+    assert "without --dark first" in ran.error
+
+
+def test_light_in_dark_frames_is_refused(run: Run) -> None:
+    assert run("calibrate", "noise", "--sensor", "phone", *SIZE, "-n", "5").status == 0
+    ran = run("calibrate", "noise", "--sensor", "phone", *SIZE, "--dark")
+    assert ran.status == 1
+    assert "is not dark" in ran.error
+    assert "lens cap" in ran.error
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+def test_photographs_are_measured_and_nothing_is_kept(run: Run, suffix: str) -> None:
+    ran = run("calibrate", "noise", *write_pairs(suffix), *TIMES, "--json")
+    assert ran.status == 0, ran.err
+    figure = ran.json["conversion_e_per_dn"]
+    assert figure["value"] == pytest.approx(20, rel=0.05)
+    assert ran.json["read_noise_e"]["value"] == pytest.approx(16, rel=0.05)
+    assert ran.json["file"] is None
+    assert list_profiles() == []
+
+
+def test_jpeg_files_are_noted(run: Run) -> None:
+    ran = run("calibrate", "noise", *write_pairs(".jpg"), *TIMES, "--response", "linear")
+    assert "compression hides noise" in ran.err
+
+
+def test_a_capture_with_two_frames_of_each_exposure_is_measured(run: Run) -> None:
+    shot = run("shoot", "--sensor", "phone", *SIZE, "--ratios", "1,1,4,4,16,16", "-o", "hall")
+    assert shot.status == 0, shot.err
+    ran = run("calibrate", "noise", "hall", "--json")
+    assert ran.status == 0, ran.err
+    assert ran.json["conversion_e_per_dn"]["value"] == pytest.approx(6.0, rel=0.05)
+    assert list_profiles()[0].noises
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("--times", "1,2"), "has 2 values for 8 files"),
+        ((*TIMES, "--white", "300"), "invalid levels"),
+        ((*TIMES, "--sensor", "phone"), "--sensor"),
+        ((*TIMES, "--dark"), "--dark"),
+        ((*TIMES, "--response", "sepia"), "unknown camera response"),
+        (("--times", "1,2,3,4,5,6,7,8"), "no two of the 8 frames"),
+    ],
+)
+def test_unsuitable_options_are_refused(run: Run, arguments: tuple[str, ...], problem: str) -> None:
+    ran = run("calibrate", "noise", *write_pairs(), *arguments)
+    assert ran.status in (1, 2)
+    assert problem in ran.error

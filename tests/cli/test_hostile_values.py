@@ -1,0 +1,255 @@
+"""Every option of every command with values that no one should give.
+
+A command line may be refused, but always in one line: no internal error, no traceback, no warning
+of Python or of a library, no NaN in JSON, and no wait for a file that never ends.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+from command_line import Run
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from camctl.cli import cli
+from camctl.cli.parameter_types import (
+    DynamicRange,
+    FrameSize,
+    ListOf,
+    Number,
+    Seconds,
+    Settings,
+    WholeNumber,
+)
+
+NUMBERS = (
+    *("0", "-0", "-1", "1", "2", "0.5", "nan", "-nan", "inf", "-inf", "1e308", "-1e308", "1e400"),
+    *("5e-324", "1e-300", "9007199254740993", "1,000", "1,000,000.5", "1.000,5", "1_000", "0x10"),
+    *("1/0", "0/1", "1/1e308", "1e308/1e-308", "0x0", "1x1", "2x1", "-1x5", "1:0:1", "0:1:0"),
+    *("1:2:1e-300", "1:1e308:1", "1:1e308:5e-324", "nan:nan:nan", "1:5", "1,nan", "0,0"),
+    *("1,1e308", "5e-324,1", "1e-12,1e12", "1e-50,1,1e50"),
+    *("1" + "0" * 30, "1" + "0" * 400, "9" * 5000, "9" * 5000 + "x1", "", " ", "٣", "½", "x"),
+)
+TEXTS = ("", " ", "-", "=", ":", "a=b", "x" * 5000, "NUL", "%s%n{0}", "é", "power:1e400", "sim:")
+
+OUTPUTS = {"-o", "--output", "--plot"}
+"""Options that name what is written.  They get names in the test's own folder only: the tests may
+run as root, and a command that replaced a device or a system file would damage the machine."""
+
+REFUSED = {
+    "menu",
+    "profile export",
+    "profile import",
+    "profile show",
+    "profile remove",
+    "figures",
+}
+"""Commands whose line in `BASES` is refused: without a terminal, a profile, or a quick figure."""
+
+NUMERIC = (Number, WholeNumber, Seconds, DynamicRange, FrameSize, ListOf)
+"""Types of options that open no files."""
+
+LEFT_OUT = {"--real-time", "--debug", "--help", "--probe", "--workers"}
+"""Real time waits; the next two print what they promise; a probe writes to serial ports; and
+workers are processes."""
+
+BASES = {
+    "shoot": (
+        "--scene uniform --size 16x12 -o out -n 2 --force",
+        "--size 9x7 --base 0.01",
+        "--scene uniform --size 9x7 --base 0.01 -n 1 --repeat 1",
+    ),
+    "merge": ("p0.png p1.png p2.png --times 1/8,1/2,2 --curve power:2.222 -o out --force",),
+    "menu": ("--scene uniform --size 16x12",),
+    "cameras": ("",),
+    "calibrate all": ("--scene uniform --size 16x12 --longest 0.01 -O unknown=yes",),
+    "calibrate delay": ("--scene uniform --size 16x12 --trials 2",),
+    "profile list": ("",),
+    "profile show": ("nothing",),
+    "profile export": ("nothing",),
+    "profile import": ("nothing",),
+    "profile remove": ("nothing",),
+    "simulate": ("--scene uniform --size 16x12", "--sensor standard --size 16x12 --times 0.1,1"),
+    "solve": (
+        "-n 2 --bits 3",
+        "-n 2 --bits 3 --p 2.5 --levels 5 --response gamma --gamma 3",
+        "-n 2 --bits 3 --settings 0.01,0.02,0.04",
+        "-n 2 --bits 2 --certificate",
+        "--bits 3 --tolerance 5 --levels 8",
+    ),
+    "evaluate": ("--ratios 1,2 --bits 3", "--ratios 1,2 --bits 3 --noise 0.1 --sensitivity"),
+    "table show": ("-n 2", "-n 1 --sensitivity --range low"),
+    "table build": ("--bits 3 -n 1 --ranges low --responses linear --workers 1 --force",),
+    "tradeoff solver": (
+        "-n 2 --bits 4 --range low --responses linear --methods camctl --seeds 1 --evaluations 50 "
+        "--limit 0.1 --workers 1",
+    ),
+    "tradeoff simulation": ("--scenes uniform --size 16x12 --tolerances 0 --frames 1 --workers 1",),
+    "tradeoff capture": (
+        "--scene uniform --size 16x12 --sensor ideal-6 -n 1 --methods doubling --repeats 1 "
+        "--workers 1",
+    ),
+    "figures": ("--only 11 --dpi 30 --force",),
+    "calibrate exposure": (
+        "--scene uniform --size 16x12 --sensor ideal-6 --repeats 2 --longest 0.01",
+    ),
+    "calibrate noise": ("--sensor phone --scene tile-floor --size 160x120",),
+    "calibrate response": ("--scene tile-floor --size 160x120 -n 6",),
+    "help": ("",),
+}
+"""Command lines that work, and are quick, by command; each option is added to each.  There is no
+figure 11: drawing one takes half a minute."""
+
+
+def commands(group: click.Group, path: str = "") -> Iterator[tuple[str, click.Command]]:
+    """Yield each command that does something, with its full name."""
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        found = group.get_command(context, name)
+        assert found is not None
+        if isinstance(found, click.Group):
+            yield from commands(found, f"{path}{name} ")
+        else:
+            yield path + name, found
+
+
+COMMANDS = dict(commands(cli))
+CASES = [
+    pytest.param(name, option, id=f"{name} {option.opts[-1]}")
+    for name, command in COMMANDS.items()
+    for option in command.params
+    if not LEFT_OUT & set(option.opts)
+]
+
+
+@pytest.fixture
+def places(tmp_path: Path) -> Iterator[tuple[str, ...]]:
+    """Paths that are no regular file, or an unexpected one."""
+    folder = tmp_path / "places"
+    folder.mkdir()
+    (folder / "folder.json").mkdir()
+    (folder / "folder.hdr").mkdir()
+    (folder / "empty.json").touch()
+    (folder / "empty.npy").touch()
+    (folder / "text.json").write_text("[1, 2")
+    (folder / "zeros.exr").write_bytes(bytes(1000))
+    for suffix in (".json", ".hdr", ".exr", ".npy", ".tiff", ""):
+        os.mkfifo(folder / f"pipe{suffix}")
+        (folder / f"endless{suffix}").symlink_to("/dev/zero")
+    (folder / "loop.json").symlink_to(folder / "loop.json")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(folder / "socket.json"))
+        yield (
+            *(str(path) for path in sorted(folder.iterdir())),
+            *("/", ".", "missing", "missing.json", "x" * 300 + ".json", "a/" * 3000 + "b.hdr"),
+            *("/dev/zero", "/dev/full", "/dev/null", "/proc/self/mem", "/dev/tty"),
+        )
+
+
+@pytest.fixture(autouse=True)
+def photographs(run: Run) -> None:
+    """Write the photographs of `BASES` into the empty folder of `run`."""
+    import cv2
+    import numpy as np
+
+    assert run is not None
+    light = np.geomspace(0.01, 1, 32 * 24).reshape(24, 32)
+    for k in range(3):
+        brightness = np.minimum((light * 4.0 ** (k - 1)) ** 0.45 * 255, 255)
+        assert cv2.imwrite(f"p{k}.png", brightness.astype(np.uint8))
+
+
+def problem(run: Run, *arguments: str) -> str:
+    """Run a command line; return what is wrong with how it ends, empty if nothing is."""
+    ran = run(*arguments)
+    warning = "camctl: warning: "
+    errors = [line for line in ran.err.splitlines() if not line.startswith(warning)]
+    if ran.status not in (0, 1, 2):
+        return f"status {ran.status}"
+    if "internal error" in ran.err or len(errors) != (ran.status != 0):
+        return ran.err
+    if errors and not errors[0].startswith("camctl: "):
+        return ran.err
+    if "--json" in arguments:
+        try:
+            _ = ran.json
+        except (ValueError, AssertionError) as error:
+            return f"invalid JSON: {error}"
+    return ""
+
+
+def test_every_command_is_tried() -> None:
+    assert set(BASES) == set(COMMANDS)
+
+
+@pytest.mark.parametrize("name", sorted(set(BASES) - REFUSED))
+def test_the_command_lines_without_hostile_values_work(run: Run, name: str) -> None:
+    for base in BASES[name]:
+        ran = run(*name.split(), *base.split())
+        assert ran.status == 0, ran.err
+
+
+@pytest.mark.parametrize(("name", "option"), CASES)
+def test_hostile_values_are_refused_in_one_line(
+    run: Run, tmp_path: Path, places: tuple[str, ...], name: str, option: click.Parameter
+) -> None:
+    is_numeric = isinstance(option.type, NUMERIC)
+    values: tuple[str | None, ...] = NUMBERS if is_numeric else (*TEXTS, *places)
+    if "--repeat" in option.opts:
+        values = tuple(value for value in NUMBERS if value != "1_000")  # sets of frames take long
+    if isinstance(option.type, Settings):
+        values = (*NUMBERS, *TEXTS, *places)
+    if isinstance(option, click.Option) and option.is_flag:
+        values = (None,)
+    elif OUTPUTS & set(option.opts):
+        own = (path for path in places if path.startswith(str(tmp_path)) and "endless" not in path)
+        values = ("", ".", "x" * 300, "a/" * 3000 + "b", *own)
+    flag = ["--json"] if any("--json" in each.opts for each in COMMANDS[name].params) else []
+    bases = BASES[name]
+    # Each value with one of the command lines in turn; a flag with all of them.
+    count = max(len(bases), len(values))
+    pairs = [(bases[k % len(bases)], values[k % len(values)]) for k in range(count)]
+    problems = []
+    for base, value in pairs:
+        added = [] if value is None else [value]
+        added = [option.opts[-1], *added] if isinstance(option, click.Option) else added
+        line = [*name.split(), *base.split(), *flag, *added]
+        if found := problem(run, *line):
+            problems.append(f"{' '.join(line)[:300]}: {found[:300]}")
+    assert problems == []
+
+
+EDGES = ("0", "1", "1e-12", "1e12", "1e7", "1e15", "0.01", "100", "1.0000000000000002", "16", "2.5")
+"""Numbers at the limits of options: each is allowed somewhere."""
+
+
+def numeric(command: str) -> list[click.Parameter]:
+    return [
+        option
+        for option in COMMANDS[command].params
+        if isinstance(option.type, (*NUMERIC, Settings))
+    ]
+
+
+@st.composite
+def command_lines(draw: st.DrawFn) -> list[str]:
+    """Return a command line with several numeric options, each at a limit or beyond it."""
+    name = draw(st.sampled_from(("solve", "evaluate", "evaluate", "simulate", "shoot")))
+    line = [*name.split(), *draw(st.sampled_from(BASES[name])).split(), "--json"]
+    for option in draw(st.lists(st.sampled_from(numeric(name)), min_size=2, max_size=4)):
+        # Sixteen exposures take long, and so do many sets, and nothing else.
+        if option.name not in ("count", "repeat"):
+            line += [option.opts[-1], draw(st.sampled_from(EDGES) | st.sampled_from(NUMBERS))]
+    return line
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(line=command_lines())
+def test_hostile_values_together_are_refused_in_one_line(run: Run, line: list[str]) -> None:
+    assert problem(run, *line) == ""

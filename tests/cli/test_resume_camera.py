@@ -1,0 +1,110 @@
+"""Which camera `camctl shoot --resume` opens: none that only a report asks for."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import Ran, Run
+
+from camctl.backends import is_local
+
+SMALL = ("--size", "64x48", "--ratios", "1,4", "--base", "0.01")
+
+
+@pytest.fixture
+def begun(run: Run) -> Path:
+    """A folder whose second frame is missing."""
+    folder = Path("here")
+    assert run("shoot", *SMALL, "-o", folder).status == 0
+    (folder / "frames" / "frame-02.npy").unlink()
+    edit(folder, status="incomplete")
+    return folder
+
+
+def edit(folder: Path, **changes: Any) -> None:
+    report = json.loads((folder / "report.json").read_text())
+    (folder / "report.json").write_text(json.dumps({**report, **changes}))
+
+
+def resume(run: Run, *arguments: str | Path) -> Ran:
+    return run("shoot", "--resume", "here", *arguments)
+
+
+def test_report_with_a_spy_url_writes_no_file(run: Run, begun: Path) -> None:
+    victim = Path("letter.txt").absolute()
+    victim.write_text("dear")
+    url = f"coolpix:spy:///dev/null?file={victim}"
+    edit(begun, source={"camera": url, "options": {}})
+    ran = resume(run)
+    assert ran.status == 1
+    assert ran.error == (
+        f"here/report.json names the camera {url[:80]!r}, which is not opened unless you name it: "
+        "it may lead to another machine; if you trust it: camctl shoot --resume here --camera ID"
+    )
+    assert victim.read_text() == "dear"
+
+
+@pytest.mark.parametrize("scheme", ["socket", "rfc2217"])
+def test_report_with_a_network_url_connects_to_nothing(run: Run, begun: Path, scheme: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        port = server.getsockname()[1]
+        edit(begun, source={"camera": f"coolpix:{scheme}://127.0.0.1:{port}", "options": {}})
+        assert "is not opened unless you name it" in resume(run).error
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+def test_the_user_can_name_the_camera(run: Run, begun: Path) -> None:
+    edit(begun, source={"camera": "coolpix:socket://127.0.0.1:9", "options": {}})
+    ran = resume(run, "--camera", "sim", *SMALL[:2], "--json")
+    assert ran.json["status"] == "complete"
+
+
+def test_other_options_are_refused_beside_the_camera(run: Run, begun: Path) -> None:
+    ran = resume(run, "--camera", "sim", "-n", "2")
+    assert ran.status == 2
+    assert ran.error.startswith("--resume cannot be combined with --exposures; ")
+    ran = resume(run, *SMALL[:2])
+    assert ran.error.startswith("--resume cannot be combined with --size; ")
+
+
+@pytest.mark.parametrize(
+    ("camera_id", "options", "expected"),
+    [
+        ("sim", {}, True),
+        ("sim", {"scene": "room", "seed": "3"}, True),
+        ("sim", {"faults": {"unplug_after": 1}}, False),
+        ("sim", {"seed": 3}, False),
+        ("sim:7", {}, False),
+        ("v4l2", {}, True),
+        ("v4l2:/dev/video0", {"format": "y16"}, True),
+        ("v4l2:/dev/v4l/by-id/usb-046d_C920_1-video-index0", {}, True),
+        ("v4l2:/dev/../etc/passwd", {}, False),
+        ("v4l2:/dev/video0/../../etc/passwd", {}, False),
+        ("v4l2:/dev/v4l/by-id/../../../etc/passwd", {}, False),
+        ("v4l2:/dev/video0\n", {}, False),
+        ("ptp", {}, True),
+        ("ptp:001:012", {}, True),
+        ("ptp:2B05-11", {}, True),
+        ("coolpix:/dev/ttyUSB0", {}, True),
+        ("coolpix:COM3", {}, True),
+        ("coolpix:/dev/serial/by-id/usb-FTDI_1-port0", {}, True),
+        ("coolpix:/dev/sda", {}, False),
+        ("coolpix:/dev/tty/../sda", {}, False),
+        ("coolpix:spy:///dev/ttyUSB0?file=/etc/passwd", {}, False),
+        ("coolpix:socket://127.0.0.1:9", {}, False),
+        ("coolpix:loop://", {}, False),
+        ("coolpix:hwgrep://0403", {}, False),
+        ("nothing:/dev/video0", {}, False),
+        ("", {}, False),
+    ],
+)
+def test_only_devices_of_this_machine_are_local(
+    camera_id: str, options: dict[str, Any], expected: bool
+) -> None:
+    assert is_local(camera_id, options) is expected

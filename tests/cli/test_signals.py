@@ -1,0 +1,313 @@
+"""Control-C, SIGTERM and SIGHUP at many points of the commands: status, message, camera, folder."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
+from command_line import Run
+from crash_sweep import checked
+
+from camctl.interrupts import run_interruptible
+from sim.camera import SimulatedCamera
+
+SHOOT = "shoot --size 24x16 --ratios 1,8 --base 0.03 -o out"
+SIGNALS = [(signal.SIGINT, ""), (signal.SIGTERM, " by SIGTERM"), (signal.SIGHUP, " by SIGHUP")]
+CLOSING = "sim.camera:SimulatedCamera._close"
+RESUME = "go on with: camctl shoot --resume out"
+
+
+class Cameras:
+    """Counts the simulated cameras that were opened and closed."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.opened = self.closed = 0
+        open_, close = SimulatedCamera._open, SimulatedCamera._close
+
+        def count_opened(camera: SimulatedCamera) -> None:
+            open_(camera)
+            self.opened += 1
+
+        def count_closed(camera: SimulatedCamera) -> None:
+            close(camera)
+            self.closed += 1
+
+        monkeypatch.setattr(SimulatedCamera, "_open", count_opened)
+        monkeypatch.setattr(SimulatedCamera, "_close", count_closed)
+
+
+@pytest.fixture
+def cameras(monkeypatch: pytest.MonkeyPatch) -> Cameras:
+    return Cameras(monkeypatch)
+
+
+@pytest.fixture(autouse=True)
+def surviving() -> Iterator[None]:
+    """A signal that a command does not handle fails the test, and does not end all tests."""
+
+    def fail(number: int, _frame: FrameType | None) -> None:
+        raise AssertionError(f"{signal.Signals(number).name} was not handled")
+
+    before = {number: signal.signal(number, fail) for number, _ in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def at_call(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, signal.Signals], None]:
+    """Send a signal to this process when "module:function" is called for the first time."""
+
+    def install(point: str, number: signal.Signals) -> None:
+        module, _, path = point.partition(":")
+        owner: Any = import_module(module)
+        *names, last = path.split(".")
+        for name in names:
+            owner = getattr(owner, name)
+        function = getattr(owner, last)
+        left = [number]
+
+        def call(*arguments: Any, **named: Any) -> Any:
+            if left:
+                os.kill(os.getpid(), left.pop())
+            return function(*arguments, **named)
+
+        monkeypatch.setattr(owner, last, call)
+
+    return install
+
+
+AtCall = Callable[[str, signal.Signals], None]
+
+
+@pytest.mark.parametrize(("number", "by"), SIGNALS)
+@pytest.mark.parametrize(
+    ("line", "point", "end"),
+    [
+        (SHOOT, "camctl.captures.sequencer:plan_capture", ""),
+        ("shoot --size 24x16 -n 2 -o out", "sim.camera:SimulatedCamera.preview", ""),
+        (
+            "shoot --size 24x16 -n 2 --range 3 --base 0.01 -o out",
+            "camctl.exposure.build:solve_job",
+            "",
+        ),
+        (SHOOT, "sim.camera:SimulatedCamera._frames", f"; 0 of 2 frames are kept; {RESUME}"),
+        (SHOOT, "camctl.captures.sequence:complete", f"; 2 of 2 frames are kept; {RESUME}"),
+        (SHOOT, "tifffile:imwrite", f"; 2 of 2 frames are kept; {RESUME}"),
+        (SHOOT, CLOSING, "; the capture in out is complete"),
+        (SHOOT, "camctl.cli.shoot:capture_text", "; the capture in out is complete"),
+        ("solve -n 2", "camctl.exposure.solver:solve", ""),
+        ("simulate --size 24x16", "sim.render:Renderer.expose", ""),
+        ("simulate --size 24x16", CLOSING, ""),
+        ("calibrate delay --size 24x16", "sim.camera:SimulatedCamera.step", ""),
+        (
+            "table build -n 1 --bits 3 --workers 1",
+            "camctl.exposure.build:solve_job",
+            " after 0 of 9 rows",
+        ),
+    ],
+)
+def test_signal_ends_a_command(
+    run: Run,
+    cameras: Cameras,
+    at_call: AtCall,
+    number: signal.Signals,
+    by: str,
+    line: str,
+    point: str,
+    end: str,
+) -> None:
+    at_call(point, number)
+    ran = run(*line.split())
+    assert ran.status == 128 + number
+    assert ran.error == f"interrupted{by}{end}"
+    assert cameras.closed == cameras.opened
+    if "--resume" in end:
+        assert checked(Path("out"))["wrong"] == []
+
+
+@pytest.mark.parametrize("first", ["sim.camera:SimulatedCamera._frames", "tifffile:imwrite"])
+@pytest.mark.parametrize(
+    "second",
+    [CLOSING, "camctl.captures.sequence:Sequence._failure", "camctl.cli:_report"],
+)
+def test_second_signal_changes_nothing(
+    run: Run, cameras: Cameras, at_call: AtCall, first: str, second: str
+) -> None:
+    at_call(first, signal.SIGTERM)
+    at_call(second, signal.SIGINT)
+    ran = run(*SHOOT.split())
+    assert ran.status == 143
+    assert ran.error.startswith("interrupted by SIGTERM; ")
+    assert ran.error.endswith(RESUME)
+    assert (cameras.opened, cameras.closed) == (1, 1)
+    assert checked(Path("out"))["wrong"] == []
+
+
+def test_signal_while_an_error_is_reported_changes_nothing(run: Run, at_call: AtCall) -> None:
+    at_call("camctl.cli:_report", signal.SIGTERM)
+    ran = run("solve", "-n", "77")
+    assert ran.status == 2
+    assert ran.error.startswith("invalid value for --exposures: 77")
+
+
+@pytest.mark.slow
+# Libraries leave files open where they are interrupted.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_signal_at_any_call_leaves_a_capture_that_can_be_resumed(
+    run: Run, cameras: Cameras, tmp_path: Path, number: signal.Signals
+) -> None:
+    """The signal arrives at the k-th call of a Python function in the main thread, for 150 k."""
+    run_until(run, tmp_path / "imports", sys.maxsize, number)  # imports take most of the calls
+    total = run_until(run, tmp_path / "whole", sys.maxsize, number)
+    assert total > 2000
+    ends = set()
+    for k in range(0, total, total // 150):
+        folder = tmp_path / str(k)
+        cameras.opened = cameras.closed = 0
+        run_until(run, folder, k, number)
+        assert cameras.closed == cameras.opened, k
+        if folder.exists():
+            gc.collect()  # the end of the process would free a lock that a traceback still holds
+            found = checked(folder)
+            assert found["wrong"] == [], k
+            ends.add(found["done"])
+    assert {"resumed", "complete"} <= ends
+
+
+def run_until(run: Run, folder: Path, k: int, number: signal.Signals) -> int:
+    """Shoot with a signal at call number k; check the end, and return the number of calls."""
+    calls, inside = 0, False
+
+    def count(frame: FrameType, event: str, _argument: object) -> None:
+        nonlocal calls, inside
+        if frame.f_code is run_interruptible.__code__:
+            inside = event == "call"
+        elif inside and event == "call":
+            calls += 1
+            if calls > k:
+                sys.setprofile(None)
+                os.kill(os.getpid(), number)
+
+    sys.setprofile(count)
+    try:
+        ran = run("shoot", "--size", "24x16", "--ratios", "1,8", "--base", "0.03", "-o", folder)
+    finally:
+        sys.setprofile(None)
+    if calls > k:
+        assert ran.status == 128 + number, (k, ran)
+        assert ran.err.startswith(f"camctl: interrupted by {number.name}"), (k, ran)
+        assert ran.err.count("\n") == 1, (k, ran)
+    else:
+        assert (ran.status, ran.err) == (0, "")
+    return calls
+
+
+def start(*arguments: str, folder: Path, **settings: Any) -> subprocess.Popen[str]:
+    """Start camctl as a process of its own in a folder."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "camctl", *arguments],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **settings,
+    )
+
+
+def wait_for_file(process: subprocess.Popen[str], path: Path) -> None:
+    """Wait until a process has made a file."""
+    while not path.exists():
+        assert process.poll() is None, process.communicate()
+
+
+LONG = ("shoot", "--size", "24x16", "--ratios", "1,250", "--base", "0.2", "--real-time")
+"""A capture whose second frame takes 50 s, with its folder in "out"."""
+
+
+@pytest.mark.parametrize(("number", "by"), SIGNALS)
+def test_signal_from_another_process_keeps_the_frames(
+    tmp_path: Path, number: signal.Signals, by: str
+) -> None:
+    process = start(*LONG, "-o", "out", folder=tmp_path)
+    wait_for_file(process, tmp_path / "out/frames/frame-01.npy")
+    process.send_signal(number)
+    out, err = process.communicate()
+    assert process.returncode == 128 + number
+    assert out == ""
+    assert err == f"camctl: interrupted{by}; 1 of 2 frames are kept; {RESUME}\n"
+    assert checked(tmp_path / "out")["wrong"] == []
+
+
+def test_ignored_hangup_stays_ignored(tmp_path: Path) -> None:
+    """As with nohup: the capture goes on; SIGTERM still ends it."""
+
+    def ignore() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    process = start(*LONG, "-o", "out", folder=tmp_path, preexec_fn=ignore)
+    wait_for_file(process, tmp_path / "out/frames/frame-01.npy")
+    process.send_signal(signal.SIGHUP)
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate()
+    assert process.returncode == 143
+    assert err.startswith("camctl: interrupted by SIGTERM; 1 of 2 frames are kept")
+
+
+def start_build(folder: Path) -> subprocess.Popen[str]:
+    """Start the building of a table in two processes; wait for its first row."""
+    line = ("table", "build", "--bits", "4", "-n", "5", "--workers", "2", "-o", "table.json")
+    process = start(*line, folder=folder, start_new_session=True)
+    parts = folder / "table.json.parts"
+    while not (parts.is_dir() and any(parts.glob("*.json"))):
+        assert process.poll() is None, process.communicate()
+    return process
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGTERM])
+def test_signal_to_all_processes_ends_the_building_of_a_table(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    """A terminal sends Control-C and its closing to the workers, too."""
+    process = start_build(tmp_path)
+    os.killpg(process.pid, number)
+    out, err = process.communicate()
+    assert process.returncode == 128 + number
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("camctl: ")
+    assert "the same command continues" in err
+
+
+@pytest.mark.slow
+def test_lost_worker_ends_the_building_of_a_table(tmp_path: Path) -> None:
+    """The system ends processes where memory lacks."""
+    process = start_build(tmp_path)
+    worker = next(pid for pid in children(process.pid) if b"spawn_main" in command_line(pid))
+    os.kill(int(worker), signal.SIGKILL)
+    _, err = process.communicate()
+    assert process.returncode == 1
+    assert err.startswith("camctl: a worker process was ended after ")
+    assert err.endswith("the same command continues, with the rows kept in table.json.parts\n")
+    assert err.count("\n") == 1
+
+
+def children(pid: int) -> list[str]:
+    """Return the ids of the child processes."""
+    tasks = (Path("/proc") / str(pid) / "task").glob("*/children")
+    return [child for task in tasks for child in task.read_text().split()]
+
+
+def command_line(pid: str) -> bytes:
+    return (Path("/proc") / pid / "cmdline").read_bytes()

@@ -1,0 +1,65 @@
+"""A virtual camera in the network with our driver on it: in virtual time, or over TCP."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ptp_bench import virtual_sensor
+
+from drivers.ptp.network_backend import NetworkCamera, NetworkOptions
+from drivers.ptp.network_link import Address, Link
+from drivers.ptp.network_transport import Caller, NetworkTransport
+from sim.devices.clock import VirtualDeviceClock
+from sim.devices.ptp.link import HostConnection, NetworkConfig
+from sim.devices.ptp.network import NetworkCamera as VirtualCamera
+from sim.devices.ptp.tcp import TcpPort
+
+CALLER = Caller(bytes(range(16)))
+
+
+def virtual_camera(sensor: str = "ideal-8", scene: str = "ramp", **config: Any) -> VirtualCamera:
+    """Return a camera in the network, in virtual time."""
+    return VirtualCamera(
+        NetworkConfig(**config), virtual_sensor(scene, sensor), VirtualDeviceClock()
+    )
+
+
+def our_camera(device: VirtualCamera, **options: Any) -> NetworkCamera:
+    """Return our camera on it, not opened (linear response unless given)."""
+
+    def connect(address: Address) -> Link:
+        return HostConnection(device)
+
+    parsed = NetworkOptions.parse({"response": "linear", **options})
+    return NetworkCamera("10.0.0.1", parsed, clock=device.clock, connect=connect)
+
+
+def transport_on(device: VirtualCamera) -> NetworkTransport:
+    """Return our transport, connected to a camera."""
+    return NetworkTransport(
+        Address("10.0.0.1"), lambda address: HostConnection(device), CALLER, device.clock
+    )
+
+
+@contextmanager
+def camera_on_network(
+    options: dict[str, Any] | None = None, **config: Any
+) -> Iterator[tuple[NetworkCamera, VirtualCamera]]:
+    """Yield (our camera, the virtual one) in virtual time."""
+    device = virtual_camera(**config)
+    with our_camera(device, **(options or {})).open() as camera:
+        yield camera, device
+
+
+@contextmanager
+def camera_on_tcp(scene: str = "ramp", **config: Any) -> Iterator[tuple[VirtualCamera, int]]:
+    """Yield a camera that listens on 127.0.0.1, in real time, and its port."""
+    device = VirtualCamera(NetworkConfig(**config), virtual_sensor(scene))
+    port = TcpPort(device)
+    device.attach()
+    try:
+        yield device, port.number
+    finally:
+        device.detach()

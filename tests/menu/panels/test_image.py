@@ -1,0 +1,59 @@
+"""The image panel: each screen as a picture that other programs can read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from panel_fakes import FakeJob
+
+from camctl.clock import VirtualClock
+from camctl.errors import UsageError
+from menu.app import run
+from menu.drawing import draw
+from menu.model import State
+from menu.panels.image import ImagePanel
+from menu.ports import Key
+from menu.screens import screen
+from tests.menu.test_machine import FULL
+
+
+def test_each_screen_is_a_picture(tmp_path: Path) -> None:
+    panel = ImagePanel(f"{tmp_path}/shots,320x240")
+    shown = screen(FULL)
+    with panel:
+        panel.show(shown)
+    read = cv2.imread(str(tmp_path / "shots" / "screen-0001.png"))
+    assert read is not None
+    np.testing.assert_array_equal(read[..., ::-1], draw(shown, 320, 240).pixels)
+
+
+def test_menu_runs_on_a_list_of_keys(tmp_path: Path) -> None:
+    pauses: list[Key | None] = [None] * 400
+    keys = [*pauses, Key.EXIT, *pauses, Key.RIGHT, Key.ENTER]
+    panel = ImagePanel(str(tmp_path), keys, clock=VirtualClock())
+    assert run(panel, FakeJob) is None
+    assert panel.count >= 3
+
+
+@pytest.mark.parametrize(
+    ("address", "message"),
+    [("", "invalid address"), ("x,10x10", "10 x 10 pixels is too small for the menu; use 240x240")],
+)
+def test_address_that_cannot_be_used_is_refused(address: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        ImagePanel(address)
+
+
+@pytest.mark.parametrize("size", [(240, 240), (320, 240), (480, 320), (800, 480), (1920, 1080)])
+@pytest.mark.parametrize("state", list(State))
+def test_every_screen_is_drawn_in_every_size(state: State, size: tuple[int, int]) -> None:
+    pixels = draw(screen(replace(FULL, state=state)), *size).pixels
+    assert pixels.shape == (size[1], size[0], 3)
+    if state is State.SAVER:
+        assert not pixels.any()
+    else:
+        assert len(np.unique(pixels)) > 3, "a flat picture"

@@ -1,0 +1,117 @@
+"""The web panel: page, screens, keys, and who may use it."""
+
+from __future__ import annotations
+
+import json
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+
+import pytest
+
+from camctl.errors import UsageError
+from menu.drawing import draw, png
+from menu.panels.web import SIZE, WebPanel
+from menu.ports import Key, Line, Screen
+
+SCREEN = Screen(Line(("Ready",)), lines=(Line(("one",)),), actions=("Set",))
+
+
+@pytest.fixture
+def panel() -> Iterator[WebPanel]:
+    with WebPanel("0", token="") as opened:
+        opened.show(SCREEN)
+        yield opened
+
+
+def ask(
+    panel: WebPanel, path: str, *, post: bool = False, headers: dict[str, str] | None = None
+) -> tuple[int, bytes]:
+    """Return (status, content) of a request."""
+    request = urllib.request.Request(
+        panel.url + path, data=b"" if post else None, headers=headers or {}
+    )
+    try:
+        with urllib.request.urlopen(request, timeout=60) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read()
+
+
+def press(panel: WebPanel, key: str, **headers: str) -> tuple[int, bytes]:
+    """Send a key as the page does."""
+    return ask(panel, f"key/{key}", post=True, headers={"X-Camctl": "1", **headers})
+
+
+def test_page_and_screen_are_served(panel: WebPanel) -> None:
+    status, page = ask(panel, "")
+    assert (status, b"<html" in page) == (200, True)
+    status, shown = ask(panel, "screen?after=0")
+    assert json.loads(shown)["version"] == 1
+    assert json.loads(shown)["lines"][:2] == ["Ready", "one"]
+    assert ask(panel, "screen.png") == (200, png(draw(SCREEN, *SIZE).pixels))
+
+
+def test_keys_arrive_in_their_order(panel: WebPanel) -> None:
+    for key in ("up", "down", "left", "right", "enter", "exit"):
+        assert press(panel, key)[0] == 200
+    assert [panel.key(1) for _ in range(6)] == list(Key)
+    assert panel.key(0) is None
+
+
+def test_unknown_key_is_refused(panel: WebPanel) -> None:
+    assert press(panel, "fire") == (404, b"no key is called 'fire'")
+    assert panel.key(0) is None
+
+
+def test_page_of_another_site_cannot_press_keys(panel: WebPanel) -> None:
+    assert ask(panel, "key/enter", post=True)[0] == 403
+    assert press(panel, "enter", Host="evil.example")[0] == 403
+    assert ask(panel, "screen?after=0", headers={"Host": "evil.example"})[0] == 403
+    assert panel.key(0) is None
+
+
+def test_keys_that_nobody_takes_are_limited(panel: WebPanel) -> None:
+    statuses = {press(panel, "up")[0] for _ in range(70)}
+    assert statuses == {200, 503}
+
+
+def test_request_for_the_next_screen_waits_for_it(panel: WebPanel) -> None:
+    panel.show(SCREEN)
+    assert json.loads(ask(panel, "screen?after=1")[1])["version"] == 2
+    assert ask(panel, "nothing")[0] == 404
+
+
+def test_token_is_needed_where_one_is_set() -> None:
+    with WebPanel("0.0.0.0:0", token="s3cret") as panel:
+        panel.show(SCREEN)
+        refused = (403, b"the token is missing or wrong: open /?token=TOKEN once")
+        assert ask(panel, "") == refused
+        assert ask(panel, "?token=wrong") == refused
+        assert press(panel, "enter") == refused
+        assert ask(panel, "?token=s3cret")[0] == 200
+        cookie = {"Cookie": "camctl_token=s3cret"}
+        assert ask(panel, "screen?after=0", headers=cookie)[0] == 200
+        assert press(panel, "enter", **cookie)[0] == 200
+        assert ask(panel, "", headers={"Cookie": "camctl_token=\u00e9"})[0] == 403
+
+
+@pytest.mark.parametrize(
+    ("address", "message"),
+    [
+        ("0.0.0.0:8080", "could be used by anybody; set a token in CAMCTL_MENU_TOKEN"),
+        ("example.org:80", "could be used by anybody"),
+        ("x", "invalid address 'x' of the panel web; use web:8080"),
+        ("99999", "invalid address"),
+    ],
+)
+def test_address_that_cannot_be_used_is_refused(address: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        WebPanel(address, token="")
+
+
+def test_port_in_use_is_one_line(panel: WebPanel) -> None:
+    port = panel.url.rstrip("/").rpartition(":")[2]
+    with pytest.raises(UsageError, match=rf"cannot listen on 127.0.0.1:{port}: .* choose another"):
+        WebPanel(port, token="").__enter__()

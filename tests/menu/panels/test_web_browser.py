@@ -1,0 +1,105 @@
+"""The page of the web panel in headless Chromium: from the start to a result, by its buttons."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import socket
+import subprocess
+import threading
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from panel_fakes import FakeJob
+
+from menu.app import run
+from menu.panels.web import WebPanel
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        shutil.which("chromedriver") is None, reason="apt-get install chromium chromium-driver"
+    ),
+]
+PHONE = "--window-size=420,800"
+Call = Callable[..., Any]
+
+
+@pytest.fixture
+def call(tmp_path: Path) -> Iterator[Call]:
+    """Return a function that sends a command to a browser of its own (W3C WebDriver)."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    driver = subprocess.Popen(["chromedriver", f"--port={port}"], stdout=subprocess.DEVNULL)
+
+    def send(method: str, path: str, **data: object) -> Any:
+        request = urllib.request.Request(
+            f"http://127.0.0.1:{port}{path}",
+            method=method,
+            data=json.dumps(data).encode() if method == "POST" else None,
+        )
+        with urllib.request.urlopen(request, timeout=120) as answer:
+            return json.load(answer)["value"]
+
+    try:
+        while True:
+            try:
+                send("GET", "/status")
+                break
+            except OSError:
+                time.sleep(0.1)
+        options = {"args": ["--headless=new", "--no-sandbox", "--disable-gpu", PHONE]}
+        wanted = {"alwaysMatch": {"goog:chromeOptions": options}}
+        session = send("POST", "/session", capabilities=wanted)["sessionId"]
+        yield lambda method, path, **data: send(method, f"/session/{session}/{path}", **data)
+        send("DELETE", f"/session/{session}")
+    finally:
+        driver.terminate()
+        driver.wait()
+
+
+def test_capture_is_taken_with_the_buttons_of_the_page(call: Call, tmp_path: Path) -> None:
+    job, panel = FakeJob(), WebPanel("0", token="")
+    menu = threading.Thread(target=run, args=(panel, lambda: job), daemon=True)
+    menu.start()
+    while not panel.is_open:
+        time.sleep(0.01)
+    call("POST", "url", url=panel.url)
+
+    def script(text: str) -> Any:
+        return call("POST", "execute/sync", script=text, args=[])
+
+    def wait_for(text: str) -> None:
+        shown = "return document.getElementById('text').textContent"
+        while text not in script(shown):
+            time.sleep(0.02)
+
+    def press(key: str) -> None:
+        script(f"document.querySelector('[data-key={key}]').click()")
+
+    wait_for("Ready")
+    for title in ("Desired response", "Dynamic range", "Exposures", "Review", "Done"):
+        press("enter")
+        wait_for(title)
+    picture = "const p = document.getElementById('screen'); return [p.complete, p.naturalWidth]"
+    while script(picture) != [True, 640]:
+        time.sleep(0.02)
+    shot = base64.b64decode(call("GET", "screenshot"))
+    assert shot.startswith(b"\x89PNG")
+    width = script("return [document.body.scrollWidth, window.innerWidth]")
+    assert width[0] <= width[1], "the page is wider than the screen of a phone"
+    script("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape', bubbles: true}))")
+    wait_for("[Set]")
+    press("exit")
+    wait_for("Quit the menu?")
+    press("right")
+    wait_for("[Quit]")
+    press("enter")
+    menu.join()
+    assert len(job.shot) == 1

@@ -1,0 +1,107 @@
+"""Screens on panels of text, from 16 x 2 to full size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from menu.data import Settings
+from menu.layout import binned, grid
+from menu.model import Model, State
+from menu.ports import Line, Screen
+from menu.screens import screen
+from tests.menu.test_machine import FULL
+
+SIZES = [(16, 2), (20, 4), (24, 8), (40, 12), (60, 16)]
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("state", list(State))
+def test_every_screen_fills_its_panel_and_fits(state: State, size: tuple[int, int]) -> None:
+    shown = grid(screen(replace(FULL, state=state)), *size)
+    assert [len(line) for line in shown.lines] == [size[0]] * size[1]
+    if state is not State.SAVER:
+        assert shown.lines[0].strip()
+
+
+def texts_cut(model: Model, columns: int) -> list[str]:
+    """Return the lines that are longer than a row, in their shortest form."""
+    shown = screen(model)
+    lines = [shown.title, *shown.lines, *([shown.detail] if shown.detail else [])]
+    room = columns - 2 if shown.selected is not None or shown.actions else columns
+    return [line.texts[-1] for line in lines if len(line.texts[-1]) > room]
+
+
+@pytest.mark.parametrize("state", list(State))
+def test_no_text_is_cut_on_the_smallest_panel(state: State) -> None:
+    cut = texts_cut(replace(FULL, state=state), 16)
+    if state is State.CAMERAS:  # names of makers may be longer
+        return
+    assert cut == []
+
+
+@pytest.mark.parametrize("state", [s for s in State if s is not State.SAVER])
+def test_selected_entry_and_button_are_shown(state: State) -> None:
+    model = replace(FULL, state=state)
+    shown = screen(model)
+    for size in SIZES:
+        result = grid(shown, *size)
+        if shown.selected is not None:
+            assert result.highlight is not None
+            assert result.lines[result.highlight.row].startswith(">")
+        elif shown.actions:
+            assert result.highlight is not None
+            row = result.lines[result.highlight.row]
+            assert row[result.highlight.column] == "["
+
+
+@given(
+    st.builds(
+        Settings,
+        response=st.integers(0, 3),
+        range=st.integers(0, 4),
+        stops=st.integers(0, 16),
+        count=st.integers(0, 7),
+        budget=st.integers(0, 9),
+        accuracy=st.integers(0, 9),
+    ),
+    st.sampled_from(sorted(State)),
+    st.tuples(st.integers(16, 100), st.integers(2, 40)),
+    st.integers(0, 50),
+)
+def test_every_selection_can_be_shown(
+    settings: Settings, state: State, size: tuple[int, int], offset: int
+) -> None:
+    shown = grid(screen(replace(FULL, state=state, settings=settings, offset=offset)), *size)
+    assert [len(line) for line in shown.lines] == [size[0]] * size[1]
+
+
+def test_page_scrolls_to_its_end_and_marks_where_more_is() -> None:
+    page = Screen(Line(("Title",)), paragraphs=("one two three four five six",), actions=("Go",))
+    first = grid(page, 16, 3)
+    assert first.lines == ("Title           ", "one two three  v", "[Go]            ")
+    assert first.last_offset == 1
+    last = grid(replace(page, offset=9), 16, 3)
+    assert last.lines[1] == " four five six ^"
+
+
+def test_message_keeps_its_title_on_two_rows() -> None:
+    page = Screen(Line(("Failed",)), paragraphs=("why",), actions=("Back",))
+    assert grid(page, 16, 2).lines[0] == "Failed         v"
+
+
+def test_histogram_is_drawn_in_one_row_or_several() -> None:
+    page = Screen(Line(("T",)), histogram=(0.0, 0.25, 0.5, 1.0), actions=("Go",))
+    assert grid(page, 16, 6).lines[3] == "    " + "----" + "++++" + "@@@@"
+    tall = grid(page, 16, 14).lines
+    assert tall[8].rstrip() == " " * 12 + "####"
+    assert tall[11].rstrip() == "    " + "#" * 12
+
+
+def test_binned_histogram_keeps_its_highest_at_one() -> None:
+    assert binned((1.0, 3.0, 2.0, 2.0), 2) == [1.0, 1.0]
+    assert binned((1.0, 2.0), 4) == [0.5, 0.5, 1.0, 1.0]
+    assert binned((0.0, 0.0), 2) == [0.0, 0.0]

@@ -1,0 +1,108 @@
+"""Each fault of the simulated hardware does what it says, and no capture hides it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from camctl.camera import Frame
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture
+from camctl.controls import ExposureSetting
+from camctl.errors import UsageError
+from sim.backend import SimulatedOptions
+from sim.camera import SimulatedCamera
+from sim.faults import FAULT_FORMS, Faults
+from sim.scenes.scene import load_scene
+from sim.sensors.sensor import load_sensor
+
+TIMES = load_sensor("standard").times
+SETTINGS = [ExposureSetting(TIMES.nearest(time_s)) for time_s in (0.005, 0.02, 0.04, 0.01)]
+
+
+def taken(faults: Faults | None = None) -> list[Frame]:
+    scene, sensor = load_scene("tile-floor", (48, 64)), load_sensor("standard")
+    with SimulatedCamera(scene, sensor, faults=faults, seed=2) as camera:
+        return list(camera.shoot(SETTINGS))
+
+
+def same(one: Frame, other: Frame) -> bool:
+    return bool(np.array_equal(one.pixels, other.pixels))
+
+
+def test_a_dropped_frame_is_missing_from_the_stream_and_the_capture_still_right() -> None:
+    scene, sensor = load_scene("tile-floor", (48, 64)), load_sensor("standard")
+    with SimulatedCamera(scene, sensor, faults=Faults(dropped_frames=[1])) as camera:
+        frames = list(camera.shoot(SETTINGS))
+        assert camera.frames_lost == 1
+    assert [frame.applied for frame in frames] == SETTINGS
+    means = [frame.pixels.mean() / frame.applied.time_s for frame in frames if frame.index != 2]
+    assert max(means) < 1.15 * min(means)
+
+
+def test_a_repeated_frame_has_the_pixels_of_the_frame_before() -> None:
+    frames = taken(Faults(repeated_frames=[2]))
+    assert same(frames[2], frames[1])
+    assert frames[2].applied == SETTINGS[2]
+    assert not same(frames[3], frames[2])
+
+
+def test_a_corrupt_frame_is_right_in_its_upper_half_only() -> None:
+    right, wrong = taken(), taken(Faults(corrupt_frames=[1]))
+    assert np.array_equal(right[1].pixels[:24], wrong[1].pixels[:24])
+    assert np.mean(right[1].pixels[24:] == wrong[1].pixels[24:]) < 0.1
+    assert all(same(right[i], wrong[i]) for i in (0, 2, 3))
+
+
+def test_a_late_frame_and_a_clock_that_jumps() -> None:
+    right = taken()
+    late = taken(Faults(delayed_frames={2: 5.0}))
+    assert late[2].timestamp_s > right[2].timestamp_s + 4.5
+    jumped = taken(Faults(clock_jumps={2: -100.0}))
+    offsets = [a.timestamp_s - b.timestamp_s for a, b in zip(jumped, right, strict=True)]
+    assert offsets == pytest.approx([0, 0, -100, -100])
+
+
+def test_a_clamped_exposure_states_the_time_that_was_requested() -> None:
+    right, clamped = taken(), taken(Faults(longest_exposure_s=0.01))
+    assert [frame.applied for frame in clamped] == SETTINGS
+    assert same(clamped[0], right[0])
+    assert clamped[1].pixels.mean() == pytest.approx(right[1].pixels.mean() / 2, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("text", "fields"),
+    [
+        ("unplug@3", {"unplug_after": 3}),
+        ("freeze@0,busy=2,delay=1", {"freeze_after": 0, "busy_calls": 2, "late_frames": 1}),
+        ("drop@1,drop@4,repeat@2", {"dropped_frames": [1, 4], "repeated_frames": [2]}),
+        ("wrong@1=0.5, wrong@2=2", {"wrong_exposure": {1: 0.5, 2: 2.0}}),
+        ("late@1=0.25,jump@2=-3", {"delayed_frames": {1: 0.25}, "clock_jumps": {2: -3.0}}),
+        ("clamp=0.1,longer=1e-4", {"longest_exposure_s": 0.1, "shutter_offset_s": 1e-4}),
+        ("corrupt@0", {"corrupt_frames": [0]}),
+    ],
+)
+def test_text_and_json_give_the_same_faults(text: str, fields: dict[str, Any]) -> None:
+    parsed = SimulatedOptions.parse({"faults": text}).faults
+    assert parsed == SimulatedOptions.parse({"faults": json.loads(json.dumps(fields))}).faults
+
+
+@pytest.mark.parametrize(
+    "text", ["", "unplug", "unplug@", "unplug@x", "unplug@3=1", "wrong@1", "jump@1=nan", "bang@2"]
+)
+def test_an_invalid_fault_is_named_with_those_that_are_known(text: str) -> None:
+    with pytest.raises(UsageError, match=f"invalid fault '{text}'; known are ") as caught:
+        SimulatedOptions.parse({"faults": text})
+    assert all(form in str(caught.value) for form in FAULT_FORMS)
+
+
+@pytest.mark.parametrize("faults", [Faults(repeated_frames=[1]), Faults(longest_exposure_s=0.01)])
+def test_a_capture_with_wrong_pixels_is_not_called_trustworthy(faults: Faults) -> None:
+    scene, sensor = load_scene("tile-floor", (96, 128)), load_sensor("machine-vision")
+    lasting = Faults(repeated_frames=list(range(1, 30))) if faults.repeated_frames else faults
+    with SimulatedCamera(scene, sensor, faults=lasting) as camera:
+        report = capture(camera, CaptureRequest(ratios=(1, 4, 16), count=3, base_s=0.005))
+    assert not report.trustworthy

@@ -1,0 +1,313 @@
+"""Cameras that report what is not true: each is found by the check that is named here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ptp_bench import Bench, bench, in_force
+from small_cameras import WrappedCamera
+
+from camctl.camera import Camera, Frame, FrameStream
+from camctl.controls import ExposureSetting
+from camctl.errors import CameraDisconnectedError, CameraTimeoutError
+from camctl.testing.conformance import CameraConformance
+from sim.camera import SimulatedCamera
+from sim.scenes.scene import Scene
+from sim.sensors.sensor import load_sensor
+
+Change = Callable[[ExposureSetting], ExposureSetting]
+
+
+class Honest(CameraConformance):
+    """A streaming camera in front of a picture with structure."""
+
+    sensor = "standard"
+    simulated: SimulatedCamera
+
+    def middle_s(self, camera: Camera) -> float:
+        return camera.controls.time_s.nearest(0.02)
+
+    def open_camera(self) -> Camera:
+        model = load_sensor(self.sensor)
+        controls = model.controls((24, 32), is_coloured=True, photons_per_unit=1.0)
+        assert controls.sensitivity is not None
+        rows, columns = np.mgrid[0:24, 0:32]
+        light = 0.45 + 0.2 * np.sin(columns / 5.0) * np.cos(rows / 4.0)
+        light = np.repeat(light[..., None], 3, axis=2).astype(np.float32)
+        scene = Scene("steady", light, photons_per_unit=1 / (controls.sensitivity * 0.02 * 1.2))
+        self.simulated = SimulatedCamera(scene, model, seed=3)
+        return self.simulated
+
+    def unplug(self, camera: Camera) -> None:
+        self.simulated.device.unplug()
+
+    def silence(self, camera: Camera) -> None:
+        self.simulated.device.freeze()
+
+
+class HonestGain(Honest):
+    """A streaming camera whose gain can be set."""
+
+    sensor = "machine-vision"
+
+
+@pytest.mark.usefixtures("own_profiles")
+class HonestStill(CameraConformance):
+    """A still camera with an aperture."""
+
+    pair: Bench
+
+    def middle_s(self, camera: Camera) -> float:
+        return camera.controls.time_s.nearest(1 / 125)
+
+    def open_camera(self) -> Camera:
+        self.pair = bench()
+        return self.pair.camera()
+
+    def open_second(self, camera: Camera) -> Camera:
+        return self.pair.camera()
+
+    def in_force(self, camera: Camera) -> ExposureSetting:
+        return in_force(self.pair.device)
+
+
+class TestHonest(Honest):
+    pass
+
+
+class TestHonestGain(HonestGain):
+    pass
+
+
+class TestHonestStill(HonestStill):
+    pass
+
+
+class Liar(WrappedCamera):
+    """Passes changed settings on, and states the requested ones; it previews by shooting."""
+
+    count = 0
+
+    def preview(self, setting: ExposureSetting) -> Frame:
+        (frame,) = self.shoot([setting])
+        return frame
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        for setting in settings:
+            self.controls.check(setting)
+        changed = [self.possible(self.changed(setting)) for setting in settings]
+        return self._frames(self.camera.shoot(changed), settings)
+
+    def _frames(
+        self, frames: FrameStream, settings: Sequence[ExposureSetting]
+    ) -> Generator[Frame, None, None]:
+        for frame, setting in zip(frames, settings, strict=True):
+            type(self).count += 1
+            yield self.told(replace(frame, requested=setting, applied=setting))
+
+    def possible(self, setting: ExposureSetting) -> ExposureSetting:
+        return replace(setting, time_s=self.controls.time_s.nearest(setting.time_s))
+
+    def changed(self, setting: ExposureSetting) -> ExposureSetting:
+        return setting
+
+    def told(self, frame: Frame) -> Frame:
+        return frame
+
+
+class IgnoresGain(Liar):
+    def changed(self, setting: ExposureSetting) -> ExposureSetting:
+        return replace(setting, gain=1.0)
+
+
+class IgnoresFNumber(Liar):
+    def changed(self, setting: ExposureSetting) -> ExposureSetting:
+        return replace(setting, f_number=2.8)
+
+
+class ExposesLongTimesTooLong(Liar):
+    """Times from 20 ms on last 8 % longer."""
+
+    def changed(self, setting: ExposureSetting) -> ExposureSetting:
+        return replace(setting, time_s=setting.time_s * (1.08 if setting.time_s >= 0.02 else 1))
+
+
+class RepeatsEveryThirtiethFrame(Liar):
+    last: Frame | None = None
+
+    def told(self, frame: Frame) -> Frame:
+        number, before = self.__dict__.get("number", 0) + 1, self.last
+        self.__dict__["number"], self.last = number, frame
+        if number % 30 == 0 and before is not None:
+            return replace(frame, pixels=before.pixels)
+        return frame
+
+
+class MirrorsTheLowerHalf(Liar):
+    """In every second frame."""
+
+    def told(self, frame: Frame) -> Frame:
+        if frame.index % 2 == 0:
+            return frame
+        pixels = frame.pixels.copy()
+        half = len(pixels) // 2
+        pixels[half:] = pixels[half:, ::-1]
+        return replace(frame, pixels=pixels)
+
+
+class ClampsLongTimes(Liar):
+    def changed(self, setting: ExposureSetting) -> ExposureSetting:
+        return replace(setting, time_s=min(setting.time_s, 0.5 * self.controls.time_s.maximum))
+
+
+class FailsOnLongLists(Liar):
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        if len(settings) > 40:
+            raise RuntimeError("list index out of range")
+        return super().shoot(settings)
+
+
+# Five more.
+
+
+class AppliesTheFNumberOnce(Liar):
+    """The light changes by the ratio of the f-numbers, not by its square."""
+
+    def told(self, frame: Frame) -> Frame:
+        return frame
+
+    def changed(self, setting: ExposureSetting) -> ExposureSetting:
+        assert setting.f_number is not None
+        assert self.controls.f_number is not None
+        wide = self.controls.f_number.minimum
+        number = self.controls.f_number.nearest((setting.f_number * wide) ** 0.5)
+        return replace(setting, f_number=number)
+
+
+class SetsFullStopsOnly(Liar):
+    """It states thirds of a stop, which its shutter does not have."""
+
+    def changed(self, setting: ExposureSetting) -> ExposureSetting:
+        return replace(setting, time_s=2.0 ** round(np.log2(setting.time_s)))
+
+
+class ClipsBelowItsWhiteLevel(Liar):
+    def told(self, frame: Frame) -> Frame:
+        top = frame.black + (frame.white - frame.black) * 4 // 5
+        return replace(frame, pixels=np.minimum(frame.pixels, top).astype(np.uint8))
+
+
+class HasHighGainsWrong(Liar):
+    """Gains from 4 on give 8 % more light than stated."""
+
+    def changed(self, setting: ExposureSetting) -> ExposureSetting:
+        longer_s = setting.time_s * (1.08 if setting.gain >= 4 else 1)
+        return replace(setting, time_s=longer_s)
+
+
+class SwapsPairsOfFrames(Liar):
+    def _frames(
+        self, frames: FrameStream, settings: Sequence[ExposureSetting]
+    ) -> Generator[Frame, None, None]:
+        made = list(super()._frames(frames, settings))
+        for index, frame in enumerate(made):
+            other = made[index ^ 1] if index ^ 1 < len(made) and len(made) > 40 else frame
+            yield replace(frame, pixels=other.pixels)
+
+
+class InventsTimestamps(Liar):
+    def told(self, frame: Frame) -> Frame:
+        return replace(frame, timestamp_s=frame.timestamp_s + 60.0)
+
+
+class HidesItsBlackLevel(Liar):
+    """Adds a pedestal of 12 levels that it does not state."""
+
+    def told(self, frame: Frame) -> Frame:
+        pixels = np.minimum(frame.pixels.astype(np.int64) + 12, frame.white)
+        return replace(frame, pixels=pixels.astype(np.uint8))
+
+
+class RepeatsItsLastFrame(Liar):
+    """It goes on without its device."""
+
+    last: Frame | None = None
+
+    def _frames(
+        self, frames: FrameStream, settings: Sequence[ExposureSetting]
+    ) -> Generator[Frame, None, None]:
+        made = super()._frames(frames, settings)
+        for setting in settings:
+            try:
+                self.last = next(made)
+            except (CameraDisconnectedError, CameraTimeoutError):
+                assert self.last is not None
+                self.last = replace(self.last, requested=setting)
+            yield self.last
+
+
+class StatesTheRequestedTime(Liar):
+    """It exposes for half of it, always, which no ratio of light shows."""
+
+    def changed(self, setting: ExposureSetting) -> ExposureSetting:
+        return replace(setting, time_s=setting.time_s / 2)
+
+
+Suite = type[Honest] | type[HonestStill]
+# What a check raises: its own assertion, pytest's if an error did not come, or the liar's error.
+_FOUND = (AssertionError, pytest.fail.Exception, RuntimeError)
+RANGE, CONTROL = "test_light_follows_the_control_over_its_whole_range", "control"
+
+LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
+    (IgnoresGain, HonestGain, RANGE, {CONTROL: "gain"}),
+    (IgnoresFNumber, HonestStill, RANGE, {CONTROL: "f_number"}),
+    (ExposesLongTimesTooLong, Honest, RANGE, {CONTROL: "time_s"}),
+    (RepeatsEveryThirtiethFrame, Honest, "test_long_sequences_have_the_right_frames", {}),
+    (MirrorsTheLowerHalf, Honest, "test_frames_show_the_same_picture", {}),
+    (ClampsLongTimes, Honest, "test_long_exposures_last_as_long_as_they_state", {}),
+    (ClampsLongTimes, HonestStill, "test_long_exposures_last_as_long_as_they_state", {}),
+    (FailsOnLongLists, Honest, "test_long_sequences_have_the_right_frames", {}),
+    (AppliesTheFNumberOnce, HonestStill, RANGE, {CONTROL: "f_number"}),
+    (SetsFullStopsOnly, HonestStill, "test_neighbouring_times_differ_in_light", {}),
+    (ClipsBelowItsWhiteLevel, Honest, RANGE, {CONTROL: "time_s"}),
+    (HasHighGainsWrong, HonestGain, RANGE, {CONTROL: "gain"}),
+    (SwapsPairsOfFrames, Honest, "test_long_sequences_have_the_right_frames", {}),
+    (InventsTimestamps, Honest, "test_timestamps_increase", {}),
+    (HidesItsBlackLevel, Honest, RANGE, {CONTROL: "time_s"}),
+    (RepeatsItsLastFrame, Honest, "test_unplugged_camera_raises_an_error_of_one_line", {}),
+    (RepeatsItsLastFrame, Honest, "test_silent_camera_raises_an_error_after_a_limited_time", {}),
+    (StatesTheRequestedTime, HonestStill, "test_applied_is_what_the_device_itself_states", {}),
+]
+
+
+@pytest.mark.usefixtures("own_profiles")
+@pytest.mark.parametrize(
+    ("liar", "kind", "check", "arguments"),
+    LIARS,
+    ids=[f"{liar.__name__}-{check}" for liar, _, check, _ in LIARS],
+)
+def test_liar_is_found_by_the_named_check(
+    liar: type[Liar], kind: Suite, check: str, arguments: dict[str, str]
+) -> None:
+    suite = kind()
+    with suite.open_camera() as camera:
+        try:
+            getattr(suite, check)(camera, **arguments)
+        except pytest.skip.Exception as reason:
+            pytest.fail(f"the check was left out: {reason}")
+    with suite.open_camera() as camera, pytest.raises(_FOUND):
+        getattr(suite, check)(liar(camera), **arguments)
+
+
+@pytest.mark.usefixtures("own_profiles")
+def test_a_camera_that_lets_a_second_program_in_is_found() -> None:
+    class Shared(HonestStill):
+        def open_second(self, camera: Camera) -> Camera:
+            return bench().camera()
+
+    suite = Shared()
+    with suite.open_camera() as camera, pytest.raises(pytest.fail.Exception):
+        suite.test_second_opener_does_not_disturb_the_first(camera)
