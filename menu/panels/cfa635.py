@@ -165,7 +165,8 @@ class Cfa635Panel:
 
     def _receive(self, timeout_s: float) -> list[Packet]:
         """Wait for bytes; return the packets but for keys, which are kept."""
-        self._port.timeout = timeout_s
+        # Each of the three may be the one that finds the port gone.
+        self._guarded(lambda: setattr(self._port, "timeout", timeout_s))
         data = self._guarded(lambda: self._port.read(1))
         data += self._guarded(lambda: self._port.read(self._port.in_waiting) if data else b"")
         packets = []

@@ -57,10 +57,10 @@ class Usage:
         return cls(pages * resource.getpagesize(), files, threading.active_count())
 
 
-def python_bytes() -> int:
-    """Return the memory that Python and numpy hold, of that allocated since tracing began."""
+def python_memory() -> tuple[int, tracemalloc.Snapshot]:
+    """Return the memory that Python and numpy hold, of that allocated since tracing began, B."""
     gc.collect()
-    return tracemalloc.get_traced_memory()[0]
+    return tracemalloc.get_traced_memory()[0], tracemalloc.take_snapshot()
 
 
 def check_series(work: Callable[[int], object], count: int, *, exr_share: float = 0.0) -> None:
@@ -78,17 +78,19 @@ def check_series(work: Callable[[int], object], count: int, *, exr_share: float 
     try:
         for number in range(count - TRACED, count - TRACED + WARM_UP_OF_TRACING):
             work(number)
-        traced_before = python_bytes()
+        traced_before, snapshot_before = python_memory()
         for number in range(count - TRACED + WARM_UP_OF_TRACING, count):
             work(number)
-        grown = python_bytes() - traced_before
+        traced, snapshot = python_memory()
     finally:
         tracemalloc.stop()
     end = Usage.now()
     assert end.files == before.files
     assert end.threads == before.threads
     files = exr_share * (TRACED - WARM_UP_OF_TRACING)
-    assert grown < MOST_PYTHON_BYTES + files * EXR_BYTES
+    most = MOST_PYTHON_BYTES + files * EXR_BYTES
+    lines = snapshot.compare_to(snapshot_before, "lineno")[:12]
+    assert traced - traced_before < most, "\n".join(map(str, lines))
     assert after.resident_bytes - before.resident_bytes < MOST_RESIDENT_BYTES
 
 

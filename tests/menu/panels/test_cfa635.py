@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 from panel_fakes import FakeJob
@@ -90,6 +91,34 @@ def test_panel_that_is_unplugged_shows_the_screen_again_when_it_is_back(tmp_path
         assert run(Cfa635Panel(str(link)), lambda: job) is not None
         user.join()
     assert len(job.shot) == 1
+
+
+class UnplugsAtUse:
+    """A serial port whose device is unplugged just before the nth use of one of its members."""
+
+    def __init__(self, port: Any, device: VirtualCfa635, uses: int) -> None:
+        vars(self).update(port=port, device=device, left=uses)
+
+    def _use(self) -> None:
+        vars(self)["left"] -= 1
+        if self.left == 0:
+            self.device.unplug()
+
+    def __getattr__(self, name: str) -> Any:
+        self._use()
+        return getattr(self.port, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        self._use()
+        setattr(self.port, name, value)
+
+
+@pytest.mark.parametrize("uses", range(1, 9))
+def test_panel_that_is_unplugged_at_any_use_of_its_port_is_disconnected(uses: int) -> None:
+    with VirtualCfa635() as device, Cfa635Panel(device.path) as panel:
+        panel._port = UnplugsAtUse(panel._port, device, uses)
+        with pytest.raises(PanelDisconnectedError, match="was disconnected"):
+            panel.show(Screen(Line(("Title",)), lines=(Line(("one",)), Line(("two",)))))
 
 
 def test_port_that_is_not_there_is_one_line() -> None:
