@@ -171,7 +171,7 @@ def _problem(
         counts: Sequence[int] = (request.count,)
     else:
         counts = COUNTS if chooses_time else (DEFAULT_COUNT,)
-    total_limit = (request.time_budget_s or math.inf) / unit_s
+    total_limit = (request.time_budget_s or math.inf) / unit_s * (1 + _SAME)
     return accuracy_problem(controls, desired, available), counts, total_limit
 
 

@@ -14,8 +14,8 @@ from camctl.errors import CaptureError, UsageError
 
 #: Attempts to find settings within a time budget.
 _ATTEMPTS = 6
-#: Relative difference up to which two times are the same.
-_SAME = 1e-9
+#: Relative difference up to which a time is within the budget: more than that of float64.
+_SAME = 1e-8
 
 Found: TypeAlias = tuple[tuple[ExposureSetting, ...], tuple[float, ...]]
 """Settings, and the ratios that were asked of the camera."""

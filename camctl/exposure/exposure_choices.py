@@ -97,9 +97,8 @@ class TimeCosts:
         return (total - n * self.extra) / self.factor
 
     def in_unit(self, unit: float) -> TimeCosts:
-        """Return the same for another unit of time, rounded up so that similar ones are equal."""
-        times = (rounded_up(each / unit) for each in (self.least, self.extra, self.fixed))
-        return TimeCosts(self.factor, *times)
+        """Return the same for another unit of time."""
+        return TimeCosts(self.factor, self.least / unit, self.extra / unit, self.fixed / unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,14 +280,6 @@ def _any_times(available: AvailableExposures, reach: float) -> FloatArray:
     )
     low, high = available.shortest * (1 - SAME), available.longest * (1 + SAME)
     return np.asarray(pairs[(pairs[:, 0] >= low) & (pairs[:, 0] <= high)])
-
-
-def rounded_up(value: float) -> float:
-    """Return a positive number rounded up to three digits, and others as they are."""
-    if value <= 0:
-        return value
-    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
-    return math.ceil(value / unit * (1 - SAME)) * unit
 
 
 def _rounded_down(value: float) -> float:

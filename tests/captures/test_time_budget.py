@@ -45,7 +45,7 @@ CAMERAS = {
 @pytest.mark.parametrize("objective", ["accuracy", "xi"])
 @pytest.mark.parametrize(
     ("sensor", "budget_s"),
-    [("webcam", 0.17), ("webcam", 0.3), ("standard", 0.3), ("consumer", 1.6), ("consumer", 3.0)],
+    [("webcam", 5 / 30), ("webcam", 0.3), ("standard", 0.3), ("consumer", 1.6), ("consumer", 3.0)],
 )
 def test_what_is_announced_and_taken_is_within_the_budget(
     sensor: str, budget_s: float, objective: str
@@ -55,9 +55,9 @@ def test_what_is_announced_and_taken_is_within_the_budget(
         is_constant = camera.controls.delay_frames is not None
         report = camctl.capture(camera, request)
     planned_s = report.timing["planned_wall_s"]
-    assert report.plan.wall_s == planned_s <= budget_s * (1 + 1e-9)
+    assert report.plan.wall_s == planned_s <= budget_s * (1 + 1e-8)
     if is_constant:  # otherwise the delay is known on average
-        assert report.timing["actual_wall_s"] <= budget_s * (1 + 1e-9)
+        assert report.timing["actual_wall_s"] <= budget_s * (1 + 1e-8)
 
 
 @pytest.mark.parametrize("name", CAMERAS)
