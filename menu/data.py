@@ -62,7 +62,7 @@ class Choice:
         response: desired response, one of `camctl.response.desired.RESPONSES`, or "auto"
         dynamic_range: desired dynamic range, brightest over darkest; None: that of the scene
         count: number of exposures; None: as many as the other two need
-        time_budget_s: longest total exposure time, s
+        time_budget_s: longest time of the capture, s
         accuracy: effective levels to reach in the least time
         mains_hz: frequency of the mains that feeds the lamps; None: daylight
     """

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from camctl.captures.request import ACCURACY, DEFAULT_COUNT, XI, CaptureRequest
-from camctl.captures.setting_selection import BASE_SLACK_STOPS, given_base
+from camctl.captures.setting_selection import BASE_SLACK_STOPS, at_most, given_base
+from camctl.captures.wall_time import predicted_wall_s, time_costs
 from camctl.controls import Choices, Control, ExposureControls, ExposureSetting
 from camctl.errors import UsageError
 from camctl.exposure.accuracy import COUNTS, estimate_levels
 from camctl.exposure.accuracy_lookup import look_up_accurate, without_idle_limits
-from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
+from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
 from camctl.response.desired import DesiredResponse
 
 #: Whole flicker periods that are tried as shutter times, at most.
@@ -85,6 +85,8 @@ def accurate_settings(
     desired: DesiredResponse,
     limit_s: float,
     progress: Callable[[float], None] | None,
+    *,
+    before: ExposureSetting | None = None,
 ) -> tuple[tuple[ExposureSetting, ...], tuple[float, ...]]:
     """Return the settings, ascending in exposure, and the exposures that were asked of the camera.
 
@@ -97,13 +99,14 @@ def accurate_settings(
         desired: the desired response
         limit_s: the longest shutter time of the shortest exposure, s
         progress: called with the share done, 0 to 1
+        before: the setting of the frame before, such as the metering frame
 
     Raises:
         UsageError: the time budget is too short, or no set reaches the accuracy
         CaptureError: the given base exposure is beyond the camera's shutter times
     """
     time = controls.time_s
-    problem, counts, total_limit = _problem(controls, request, desired, limit_s)
+    problem, counts, total_limit = _problem(controls, request, desired, limit_s, before)
     unit_s = problem.available.unit_s
     found = look_up_accurate(
         problem, counts, total_limit=total_limit, accuracy=request.accuracy, progress=progress
@@ -113,27 +116,37 @@ def accurate_settings(
         for each, gain in zip(found.times, found.gains, strict=True)
         for each_gain in [controls.gain.nearest(gain)]
     ]
-    if sum(setting.time_s for setting in settings) > (request.time_budget_s or math.inf):
+    settings.sort(key=lambda setting: setting.exposure)
+    if predicted_wall_s(controls, settings, before=before) > (request.time_budget_s or math.inf):
         settings = [
-            replace(setting, time_s=_at_most(time, each * unit_s))
-            for setting, each in zip(settings, found.times, strict=True)
+            ExposureSetting(at_most(time, each * unit_s), controls.gain.nearest(gain))
+            for each, gain in zip(found.times, found.gains, strict=True)
         ]
     return tuple(sorted(settings, key=lambda setting: setting.exposure)), found.exposures
 
 
 def estimated_levels(
-    controls: ExposureControls, request: CaptureRequest, desired: DesiredResponse, limit_s: float
+    controls: ExposureControls,
+    request: CaptureRequest,
+    desired: DesiredResponse,
+    limit_s: float,
+    *,
+    before: ExposureSetting | None = None,
 ) -> float | None:
     """Return about the effective levels that `accurate_settings` can reach, in less time.
 
     They are within a few per cent; see `camctl.exposure.accuracy.estimate_levels`.
     """
-    problem, counts, total_limit = _problem(controls, request, desired, limit_s)
+    problem, counts, total_limit = _problem(controls, request, desired, limit_s, before)
     return estimate_levels(without_idle_limits(problem), counts, total_limit=total_limit)
 
 
 def _problem(
-    controls: ExposureControls, request: CaptureRequest, desired: DesiredResponse, limit_s: float
+    controls: ExposureControls,
+    request: CaptureRequest,
+    desired: DesiredResponse,
+    limit_s: float,
+    before: ExposureSetting | None,
 ) -> tuple[AccuracyProblem, Sequence[int], float]:
     """Return the problem, the numbers of exposures to choose from, and the limit of time."""
     time, base_s = controls.time_s, _base(controls, request, limit_s)
@@ -142,6 +155,9 @@ def _problem(
     is_limited = chooses_time or time.maximum * desired.e_min < base_s
     gains = gain_choices(controls.gain) if is_limited else (controls.gain.nearest(1.0),)
     unit_s = base_s if times is None else 1.0
+    costs = TimeCosts()
+    if chooses_time:
+        costs = time_costs(controls, before=before, shortest_s=base_s).in_unit(unit_s)
     available = AvailableExposures(
         times,
         gains,
@@ -149,12 +165,13 @@ def _problem(
         longest=max(1.0, time.maximum / base_s),
         base=(base_s * gains[0], base_s * gains[0]),
         unit_s=unit_s,
+        costs=costs,
     )
     if request.count is not None:
         counts: Sequence[int] = (request.count,)
     else:
         counts = COUNTS if chooses_time else (DEFAULT_COUNT,)
-    total_limit = (request.time_budget_s or math.inf) / unit_s
+    total_limit = (request.time_budget_s or math.inf) / unit_s * (1 + _SAME)
     return accuracy_problem(controls, desired, available), counts, total_limit
 
 
@@ -162,18 +179,13 @@ def _base(controls: ExposureControls, request: CaptureRequest, limit_s: float) -
     """Return the shutter time of the shortest exposure at the smallest gain, s."""
     if request.base_s is not None:
         return given_base(controls.time_s, limit_s)
-    base_s = _at_most(controls.time_s, limit_s)
+    base_s = at_most(controls.time_s, limit_s)
     if request.mains_hz is not None:
         period_s = 0.5 / request.mains_hz
-        whole_s = _at_most(controls.time_s, math.floor(base_s / period_s + _SAME) * period_s)
+        whole_s = at_most(controls.time_s, math.floor(base_s / period_s + _SAME) * period_s)
         if base_s * 2.0**-BASE_SLACK_STOPS <= whole_s:
             return whole_s
     return base_s
-
-
-def _at_most(time: Control, limit_s: float) -> float:
-    """Return the longest time up to a limit, or the shortest that there is."""
-    return (*time.between(time.minimum, limit_s * (1 + _SAME), 1), time.minimum)[0]
 
 
 def _times(

@@ -25,9 +25,10 @@ from camctl.captures.setting_selection import (
     search_choices,
     setting_warnings,
 )
+from camctl.captures.time_budget import Found, shutter_budget, within_budget
 from camctl.captures.wall_time import predicted_wall_s
 from camctl.controls import Choices, ExposureControls, ExposureSetting
-from camctl.errors import CaptureError, DataError, UsageError
+from camctl.errors import DataError, UsageError
 from camctl.exposure.build import look_up
 from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
@@ -90,7 +91,9 @@ def plan_capture(
         ratios = lookup_ratios(real, desired, request, table, progress)
     metered = metered or meter_light(camera, request)
     warnings += metered.warnings
-    metering, limit_s = metered.metering, metered.limit_s
+    metering, limit_s, before = metered.metering, metered.limit_s, metered.last
+    controls = camera.controls  # metering may have measured more of the camera's times
+    wall_s = partial(predicted_wall_s, controls, before=before)
 
     def choose(desired: DesiredResponse) -> Chosen:
         chosen = most_accurate(desired)
@@ -100,25 +103,26 @@ def plan_capture(
         return chosen if longer is None else Chosen(desired, *longer)
 
     def most_accurate(desired: DesiredResponse) -> Chosen:
-        if kind == ACCURACY:
-            found = accurate_settings(controls, request, desired, limit_s, progress)
-            return Chosen(desired, *found)
-        wanted = ratios or _ratios_by_xi(controls, request, desired, limit_s, progress)
-        settings = _settings_by_xi(controls, request, desired, wanted, limit_s)
-        return Chosen(desired, settings, wanted)
+        def within(allowed: CaptureRequest) -> Found:
+            if kind == ACCURACY:
+                return accurate_settings(
+                    controls, allowed, desired, limit_s, progress, before=before
+                )
+            wanted = ratios or _ratios_by_xi(controls, allowed, desired, limit_s, progress)
+            return _settings_by_xi(controls, allowed, desired, wanted, limit_s), wanted
+
+        by_shutter = (
+            request if kind == ACCURACY else shutter_budget(controls, request, limit_s, before)
+        )
+        return Chosen(desired, *within_budget(request, by_shutter, within, wall_s))
 
     if request.given_range is None:
-        estimate = partial(estimated_levels, controls, request, limit_s=limit_s)
+        estimate = partial(estimated_levels, controls, request, limit_s=limit_s, before=before)
         by_accuracy = estimate if kind == ACCURACY else None
         chosen = choose_range(controls, request, metered, choose, by_accuracy)
     else:
         chosen = choose(desired or metered.desired(request, request.given_range))
     desired, settings, ratios = chosen.desired, chosen.settings, chosen.ratios
-    if sum(setting.time_s for setting in settings) > (request.time_budget_s or math.inf):
-        raise CaptureError(
-            f"the camera's settings do not fit into {request.time_budget_s:.4g} s",
-            hint="allow more time, or take fewer exposures",
-        )
     levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
     objective, exposures = Objective(levels_wanted), controls.relative_exposures(settings)
     noise = None if controls.noise is None else controls.frame_noise(settings)
@@ -138,9 +142,8 @@ def plan_capture(
         metering=metering,
         curve=_samples(desired) if request.response == AUTO else request.desired_curve,
         gamma=request.gamma,
-        # Metering may have measured more of the camera's times than `controls` states.
-        wall_s=predicted_wall_s(camera.controls, settings, before=metered.last),
-        is_wall_known=camera.controls.timing is not None,
+        wall_s=wall_s(settings),
+        is_wall_known=controls.timing is not None,
         noise=controls.noise,
         objective=kind,
         light=metered.planned(chosen),
@@ -262,21 +265,12 @@ def _solve_ratios(
 
     Their sum is limited by the longest exposure that shutter time and gain give together, and by
     the request's time budget.
-
-    Raises:
-        UsageError: the time budget is too short
     """
     longest_s = controls.time_s.maximum * controls.gain.maximum / controls.gain.nearest(1.0)
     count = request.most_exposures
     total = max(longest_s / limit_s * _BUDGET_SHARE, float(count))
     if request.time_budget_s is not None:
-        total = min(total, request.time_budget_s / limit_s * _BUDGET_SHARE)
-        if not total >= count:
-            raise UsageError(
-                f"{count} exposures do not fit into {request.time_budget_s:.4g} s",
-                hint=f"the least is {count * limit_s / _BUDGET_SHARE:.4g} s; allow more, "
-                "or take fewer exposures",
-            )
+        total = max(min(total, request.time_budget_s / limit_s * _BUDGET_SHARE), float(count))
     found = solve(
         real,
         desired,

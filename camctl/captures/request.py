@@ -66,7 +66,8 @@ class CaptureRequest:
         levels_wanted: number of levels G of the desired camera; None: as many as the frames hold
         tolerance: take the fewest exposures, `count` at most, that leave no more than this number
             of `levels_wanted` missing
-        time_budget_s: longest total exposure time of all frames, s
+        time_budget_s: longest predicted time from the request of the frames until the last one is
+            here, s; see `camctl.captures.wall_time`
         objective: what the exposures are chosen by: "accuracy", least predicted error with the
             camera's noise; "xi", as in the paper; None: accuracy where the noise is known and
             nothing is asked that only xi answers (`tolerance`, `levels_wanted`, `use_aperture`)

@@ -277,6 +277,11 @@ def given_base(time: Control, base_s: float) -> float:
     return nearest
 
 
+def at_most(time: Control, limit_s: float) -> float:
+    """Return the longest time up to a limit, or the shortest that there is."""
+    return (*time.between(time.minimum, limit_s * (1 + _SAME), 1), time.minimum)[0]
+
+
 def search_choices(
     controls: ExposureControls,
     request: CaptureRequest,

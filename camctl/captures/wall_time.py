@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from camctl.clock import CaptureTiming
 from camctl.controls import ExposureControls, ExposureSetting
+from camctl.exposure.exposure_choices import TimeCosts
 
 NOTABLE = 0.1
 """Relative difference between planned and actual time of a capture from which it is reported."""
@@ -38,25 +39,66 @@ def predicted_wall_s(
     """
     if not settings:
         return 0.0
-    timing = controls.timing or CaptureTiming()
     times = [setting.time_s for setting in settings]
-    if controls.frame_interval_s == 0:
-        return _still_s(timing, times)
-    usual = controls.frame_interval_s
-    slots = [max(time_s, usual) for time_s in times]
-    first = max(before.time_s, usual) if before and not timing.rests else usual
-    if controls.delay_frames is not None:
-        waiting_s = (timing.lead_frames + controls.delay_frames) * first
-        return waiting_s + sum(max(slot, timing.readout_s) for slot in slots) + timing.readout_s
-    lead_frames = math.ceil(timing.lead_frames) if first > usual else timing.lead_frames
-    total, last = lead_frames * first, first
-    for place, slot in enumerate(slots):
+    costs = time_costs(controls, before=before, shortest_s=times[0])
+    if controls.frame_interval_s == 0 or controls.delay_frames is not None:
+        return costs.fixed + costs.total(times)
+    timing, usual = controls.timing or CaptureTiming(), controls.frame_interval_s
+    last = first = _first_slot_s(controls, before)
+    total = _lead_frames(controls, first) * first
+    for place, slot in enumerate(max(time_s, usual) for time_s in times):
         # Each write after the first comes when a frame has been read, after a slot has begun.
         if place and timing.lead_frames:
             total += last * max(1, math.ceil(timing.readout_s / last))
         total += timing.old_frames * last + (timing.unsettled_frames + 1) * slot
         last = slot
     return total + timing.readout_s
+
+
+def time_costs(
+    controls: ExposureControls, *, before: ExposureSetting | None, shortest_s: float
+) -> TimeCosts:
+    """Return what exposures take by `predicted_wall_s`, in seconds, before they are chosen.
+
+    Where the control delay is not constant, the slots before the later exposures are counted as
+    frame intervals: sets with several exposures longer than that take more.
+
+    Args:
+        controls: of the camera
+        before: the setting of the frame before
+        shortest_s: shutter time of the first exposure, which is the shortest, or more
+    """
+    timing, usual = controls.timing or CaptureTiming(), controls.frame_interval_s
+    readout_s, download_s = timing.readout_s, timing.download_s
+    if usual == 0:
+        extra_s = timing.settling_s + readout_s
+        if not timing.overlaps:
+            return TimeCosts(extra=extra_s + download_s)
+        # No download runs during the first exposure.
+        least_s = max(0.0, download_s - readout_s)
+        return TimeCosts(1.0, least_s, extra_s, download_s - max(0.0, least_s - shortest_s))
+    first = _first_slot_s(controls, before)
+    if controls.delay_frames is not None:
+        waiting_s = (timing.lead_frames + controls.delay_frames) * first
+        return TimeCosts(least=max(usual, readout_s), fixed=waiting_s + readout_s)
+    later_s = timing.old_frames * usual
+    if timing.lead_frames:
+        later_s += usual * max(1, math.ceil(readout_s / usual))
+    waiting_s = (_lead_frames(controls, first) + timing.old_frames) * first
+    fixed_s = waiting_s + readout_s - later_s  # the first one has no slot before it
+    return TimeCosts(timing.unsettled_frames + 1, usual, later_s, fixed_s)
+
+
+def _first_slot_s(controls: ExposureControls, before: ExposureSetting | None) -> float:
+    """Return how long the frames before the first exposure take each, s."""
+    rests = controls.timing is not None and controls.timing.rests
+    return max(controls.frame_interval_s, 0.0 if rests or before is None else before.time_s)
+
+
+def _lead_frames(controls: ExposureControls, first_s: float) -> float:
+    """Return the frames that pass before the first setting is written, without constant delay."""
+    frames = 0.0 if controls.timing is None else controls.timing.lead_frames
+    return math.ceil(frames) if first_s > controls.frame_interval_s else frames
 
 
 def wall_time_warnings(
@@ -82,12 +124,3 @@ def wall_time_warnings(
         f"the last frame arrived after {actual_s:.3g} s instead of the {planned_s:.3g} s planned: "
         "the computer was busy, or frames were lost"
     ]
-
-
-def _still_s(timing: CaptureTiming, times: Sequence[float]) -> float:
-    total = timing.download_s
-    for place, time_s in enumerate(times):
-        exposing_s, download_s = time_s + timing.readout_s, timing.download_s if place else 0.0
-        together_s = max(exposing_s, download_s) if timing.overlaps else exposing_s + download_s
-        total += timing.settling_s + together_s
-    return total

@@ -8,7 +8,7 @@ Durand and Freeman (2010), "Noise-optimal capture for high dynamic range photogr
 twice the gain needs half the time for the same brightness, and has half the photons.
 
 The rule of choice: the most effective levels within the time allowed; among sets within `NEAR_TIE`
-of them the one with the shortest total exposure time.
+of them the one that takes the least time.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from camctl.errors import UsageError
 from camctl.exposure.accurate_sets import AccurateSets
 from camctl.exposure.effective import check_count
 from camctl.exposure.evaluation import evaluate
-from camctl.exposure.exposure_choices import AccuracyProblem, Rated
+from camctl.exposure.exposure_choices import AccuracyProblem, Rated, TimeCosts
 from camctl.exposure.solver import Progress, Solution
 
 NEAR_TIE = 0.005
@@ -79,7 +79,8 @@ def solve_accuracy(
     Args:
         problem: the camera, its noise and the desired response
         counts: numbers of exposures to choose from, 1 to 16 each
-        total_limit: longest total exposure time, in the unit of the available times
+        total_limit: longest time of a set as `AvailableExposures.costs` counts it, in the unit of
+            the available times
         accuracy: effective levels, noise included, to reach in the least time
         near_tie: relative difference in effective levels up to which the shorter set is preferred
         progress: called with the completed share, 0 to 1
@@ -103,20 +104,21 @@ def solve_accuracy(
         raise UsageError(f"invalid accuracy {accuracy:g}: expected a positive number of levels")
     started = process_time()
     search = AccurateSets(problem, 1.0 if len(set(counts)) == 1 else EFFORT_OF_EACH)
-    possible = [n for n in sorted(set(counts)) if search.least_time(n) <= total_limit]
+    limit = total_limit - problem.available.costs.fixed
+    possible = [n for n in sorted(set(counts)) if search.least_time(n) <= limit]
     if not possible:
         fewest, text = min(counts), problem.available.duration
         least = text(search.least_time(fewest))
         raise UsageError(
             f"{f'{fewest} exposures take' if fewest > 1 else 'one exposure takes'} {least} at "
-            f"least, more than the {text(total_limit)} allowed",
+            f"least, more than the {text(limit)} allowed",
             hint="allow more time" + (", or take fewer exposures" if fewest > 1 else ""),
         )
     report = progress or (lambda _: None)
     if accuracy is None:
-        chosen = _most_accurate(search, possible, total_limit, near_tie, report)
+        chosen = _most_accurate(search, possible, limit, near_tie, report)
     else:
-        chosen = _least_time(search, possible, total_limit, accuracy, report)
+        chosen = _least_time(search, possible, limit, accuracy, report)
     report(1.0)
     found = _solution(problem, chosen)
     return replace(
@@ -136,8 +138,12 @@ def estimate_levels(
     little noise that there is no fast estimate.
     """
     search = AccurateSets(problem)
-    possible = [n for n in set(counts) if search.least_time(n) <= total_limit]
-    return search.estimated(max(possible), total_limit) if possible else None
+    limit = total_limit - problem.available.costs.fixed
+    possible = [n for n in set(counts) if search.least_time(n) <= limit]
+    if problem.available.costs == TimeCosts():
+        possible = possible and [max(possible)]  # more exposures are never worse then
+    estimates = [search.estimated(n, limit) for n in possible]
+    return max((levels for levels in estimates if levels is not None), default=None)
 
 
 def _most_accurate(

@@ -11,7 +11,7 @@ import numpy as np
 
 from camctl.exposure.accuracy import NEAR_TIE, AccuracySolution, solve_accuracy
 from camctl.exposure.build import COUNTS, cached_row
-from camctl.exposure.exposure_choices import AccuracyProblem
+from camctl.exposure.exposure_choices import AccuracyProblem, TimeCosts
 from camctl.exposure.solver import Progress
 from camctl.exposure.table import TableEntry, accuracy_rows
 
@@ -29,7 +29,7 @@ class AccuracyJob:
     Attributes:
         problem: the camera, its noise and the desired response
         counts: numbers of exposures to choose from
-        total_limit: longest total exposure time, in the unit of the available times
+        total_limit: longest time of a set, in the unit of the available times
         accuracy: effective levels to reach in the least time; None: as many as possible
     """
 
@@ -68,6 +68,7 @@ class AccuracyJob:
             self.counts,
             self.total_limit,
             self.accuracy,
+            *([] if available.costs == TimeCosts() else [available.costs]),
         )
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
@@ -138,9 +139,8 @@ def look_up_accurate(
     if accuracy is None and available.times is None and math.isfinite(total_limit):
         digits = _LIMIT_DIGITS - 1 - math.floor(math.log10(total_limit))
         rounded = math.floor(total_limit * 10.0**digits) / 10.0**digits
-        if rounded >= min(counts) * max(
-            available.shortest, min(available.gains) / max(available.gains)
-        ):
+        shortest = max(available.shortest, min(available.gains) / max(available.gains))
+        if rounded >= available.costs.total([shortest] * min(counts)) + available.costs.fixed:
             total_limit = rounded
     job = AccuracyJob(problem, tuple(sorted(set(counts))), total_limit, accuracy)
     entry = accuracy_rows().get(job.key) or cached_row(job, progress)

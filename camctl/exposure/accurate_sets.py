@@ -19,6 +19,7 @@ from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.enumerated_sets import MAX_ENUMERATED, EnumeratedSets, number_of_sets
 from camctl.exposure.exchange_search import ExchangeSearch, Set
 from camctl.exposure.exposure_choices import (
+    SAME,
     AccuracyProblem,
     Rated,
     Shot,
@@ -61,6 +62,9 @@ SHORTER = 0.8
 
 MARGIN = 0.96
 """Share of the effective levels that an estimate must reach for the set to be rated exactly."""
+
+SHORTENINGS = 3
+"""Attempts to fit exposures into a time in which short ones take as long as a frame."""
 
 QUICK_EFFORT = 0.15
 """Effort of the search for the least quantisation error."""
@@ -106,7 +110,7 @@ class AccurateSets:
         return self._all(n) is not None
 
     def least_time(self, n: int) -> float:
-        """Return the shortest total time of n exposures."""
+        """Return the shortest total time of n exposures, as `TimeCosts.total` counts it."""
         return min(search.least_time for search in self._searches_for(n))
 
     def may_reach(self, n: int, levels: float, limit: float) -> bool:
@@ -210,7 +214,8 @@ class AccurateSets:
             camera = EffectiveCamera.of(problem.response, [shot.exposure for shot in shots])
             noise = [problem.frame_noise(shot) for shot in shots]
             levels = noisy_effective_levels(camera, problem.desired, noise)
-            self._rated[shots] = Rated(shots, levels)
+            time = problem.available.costs.total([shot.time for shot in shots])
+            self._rated[shots] = Rated(shots, levels, time)
         return self._rated[shots]
 
     @cached_property
@@ -252,20 +257,29 @@ class AccurateSets:
         It is searched for at the smallest gain, and where any time can be set.
         """
         available, gain = self.problem.available, min(self.problem.available.gains)
-        if self._dithered or available.times is not None or not limit >= n:
-            return []
-        found = solve(
-            self.problem.response,
-            self.problem.desired,
-            n,
-            objective=Objective(kind="levels"),
-            total_limit=limit,
-            search=SearchOptions(effort=QUICK_EFFORT),
-        )
-        self._extra_evaluations += found.evaluations
-        if found.exposures[-1] > available.longest:
-            return []
-        return [self.rate(tuple(Shot(e, e, gain) for e in found.exposures))]
+        costs = available.costs
+        total = costs.shutter(limit, n) - max(0.0, costs.least - 1)
+        for _ in range(SHORTENINGS):
+            if self._dithered or available.times is not None or not total >= n:
+                return []
+            found = solve(
+                self.problem.response,
+                self.problem.desired,
+                n,
+                objective=Objective(kind="levels"),
+                total_limit=total,
+                search=SearchOptions(effort=QUICK_EFFORT),
+            )
+            self._extra_evaluations += found.evaluations
+            if found.exposures[-1] > available.longest:
+                return []
+            rated = self.rate(tuple(Shot(e, e, gain) for e in found.exposures))
+            # Exposures shorter than a frame take more time than their shutter times.
+            over = rated.time - limit
+            if over <= SAME * limit:
+                return [rated]
+            total = min(total, found.total_exposure) - over / costs.factor
+        return []
 
     def _interleaved_best(self, choices: ShotChoices, shots: Shots) -> Rated:
         """Return the set, or the best one with its nearly equal exposures spread."""

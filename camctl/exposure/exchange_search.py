@@ -54,7 +54,7 @@ class Choices:
 
     Attributes:
         exposures: (K,) exposures relative to the shortest, >= 1
-        times: (K,) shutter time of each, any unit
+        times: (K,) time that each takes, any unit
         is_base: (K,) whether it may be the shortest exposure of a set (exposure 1)
         frames: what each contributes to the accuracy
     """

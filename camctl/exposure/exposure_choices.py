@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
@@ -53,15 +53,52 @@ Shots: TypeAlias = tuple[Shot, ...]
 
 @dataclass(frozen=True)
 class Rated:
-    """A set of exposures with its effective levels, noise included."""
+    """A set of exposures with its effective levels, noise included.
+
+    `time` is what `TimeCosts.total` counts, in the unit of `AvailableExposures`.
+    """
 
     shots: Shots
     levels: float
+    time: float
 
-    @property
-    def time(self) -> float:
-        """Total exposure time, in the unit of `AvailableExposures`."""
-        return math.fsum(shot.time for shot in self.shots)
+
+@dataclass(frozen=True)
+class TimeCosts:
+    """What is counted as time: an exposure of shutter time t takes factor x max(t, least) + extra.
+
+    By default shutter time alone is counted.
+
+    Attributes:
+        factor: how many frames each exposure takes
+        least: shortest time of a frame, such as the frame interval of a stream
+        extra: further time of each exposure
+        fixed: further time of each set
+    """
+
+    factor: float = 1.0
+    least: float = 0.0
+    extra: float = 0.0
+    fixed: float = 0.0
+
+    def each(self, times: FloatArray) -> FloatArray:
+        """Return what exposures of these shutter times take, without the time of their set."""
+        return self.factor * np.maximum(times, self.least) + self.extra
+
+    def total(self, times: Sequence[float]) -> float:
+        """Return what a set takes, without its fixed time."""
+        return math.fsum(self.each(np.array(times, dtype=np.float64)))
+
+    def shutter(self, total: float, n: int = 1) -> float:
+        """Return the longest sum of n shutter times that take `total`; less where some are short.
+
+        `total` is without the fixed time.
+        """
+        return (total - n * self.extra) / self.factor
+
+    def in_unit(self, unit: float) -> TimeCosts:
+        """Return the same for another unit of time."""
+        return TimeCosts(self.factor, self.least / unit, self.extra / unit, self.fixed / unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +114,7 @@ class AvailableExposures:
             shortest exposure is time 1 at the smallest gain
         unit_s: seconds in the unit of time; 0: unknown, and the dark current is left out
         dark_unit_s: the same for the dark current alone; None: `unit_s`
+        costs: what is counted as the time of a set
 
     Raises:
         UsageError: a list is empty, or the limits exclude the shortest exposure
@@ -90,6 +128,7 @@ class AvailableExposures:
     base: tuple[float, float] | None = None
     unit_s: float = 0.0
     dark_unit_s: float | None = None
+    costs: TimeCosts = TimeCosts()
 
     def __post_init__(self) -> None:
         for values in (self.gains, [1.0] if self.times is None else self.times):
@@ -136,7 +175,8 @@ class AvailableExposures:
         return replace(self, shortest=shortest, longest=longest, dark_unit_s=dark_unit_s)
 
     def duration(self, time: float) -> str:
-        """Return a time in this unit as text."""
+        """Return the time of a set, given without its fixed time in this unit, as text."""
+        time += self.costs.fixed
         return f"{time * self.unit_s:.4g} s" if self.unit_s else f"{time:.4g} x the shortest"
 
 
@@ -177,12 +217,14 @@ class ShotChoices:
     """The choices of a search, and what they are on the camera.
 
     Attributes:
-        choices: their exposures, times and contributions to the accuracy
+        choices: their exposures, the time that each takes, and contributions to the accuracy
+        times: (K,) shutter time of each
         gains: (K,) gain of each
         is_list: whether they are settings of a list, so that nothing lies between them
     """
 
     choices: Choices
+    times: FloatArray
     gains: FloatArray
     is_list: bool
 
@@ -191,7 +233,7 @@ class ShotChoices:
         found = [
             Shot(
                 float(self.choices.exposures[index]),
-                float(self.choices.times[index]),
+                float(self.times[index]),
                 float(self.gains[index]),
             )
             for index in chosen
@@ -224,9 +266,8 @@ def shot_choices(problem: AccuracyProblem) -> Iterator[ShotChoices]:
         frames = [problem.frame_noise(Shot(*values)) for values in shots]
         table = FrameTable.of(response, desired, chosen, frames)
         is_base = chosen <= 1 + SAME
-        yield ShotChoices(
-            Choices(chosen, times, is_base, table), gains, available.times is not None
-        )
+        choices = Choices(chosen, available.costs.each(times), is_base, table)
+        yield ShotChoices(choices, times, gains, available.times is not None)
 
 
 def _any_times(available: AvailableExposures, reach: float) -> FloatArray:

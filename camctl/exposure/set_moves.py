@@ -52,8 +52,10 @@ class SetMoves:
     def filled(self, shots: Shots, total: float) -> Shots | None:
         """Return the set with its longest time changed so that the sum is `total`, if possible."""
         place = max(range(len(shots)), key=lambda index: shots[index].time)
-        others = math.fsum(shot.time for index, shot in enumerate(shots) if index != place)
-        exposure = (total - others) * shots[place].gain / min(self.problem.available.gains)
+        available = self.problem.available
+        others = available.costs.total([s.time for s in (*shots[:place], *shots[place + 1 :])])
+        longest = available.costs.shutter(total - others)
+        exposure = longest * shots[place].gain / min(available.gains)
         if place == 0 or exposure < 1:
             return None
         changed = self._exposed(shots[place], exposure)
@@ -62,7 +64,7 @@ class SetMoves:
     def _neighbour(self, choices: ShotChoices, place: int, step: int, shots: Shots) -> Shots | None:
         """Return the set with the setting `step` places further on the list."""
         table = choices.choices
-        same = (table.times == shots[place].time) & (choices.gains == shots[place].gain)
+        same = (choices.times == shots[place].time) & (choices.gains == shots[place].gain)
         index = int(np.flatnonzero(same)[0]) + step
         if not 0 <= index < table.exposures.size:
             return None

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from camctl.captures.accurate_settings import accurate_settings, gain_choices
 from camctl.captures.request import ACCURACY, CaptureRequest
+from camctl.captures.wall_time import predicted_wall_s
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.build import look_up
@@ -28,11 +29,13 @@ class Bracket:
         controls: of the camera
         request: the response, the range and the number of exposures
         base_s: longest shutter time of the shortest exposure at gain 1, as metered, s
+        before: the setting of the frame before, such as the metering frame
     """
 
     controls: ExposureControls
     request: CaptureRequest
     base_s: float
+    before: ExposureSetting | None = None
 
     @property
     def desired(self) -> DesiredResponse:
@@ -68,7 +71,9 @@ class Bracket:
         """Return the most accurate settings with the camera's noise, in no more than `budget_s`."""
         assert self.noise  # or it raises
         request = replace(self.request, base_s=None, objective=ACCURACY, time_budget_s=budget_s)
-        return accurate_settings(self.controls, request, self.desired, self.base_s, None)[0]
+        return accurate_settings(
+            self.controls, request, self.desired, self.base_s, None, before=self.before
+        )[0]
 
     def at_gain(self, exposures: tuple[float, ...]) -> tuple[ExposureSetting, ...]:
         """Return settings at gain 1 for relative exposures; gain extends the longest time."""
@@ -95,7 +100,8 @@ def _accuracy(bracket: Bracket) -> tuple[ExposureSetting, ...]:
 
 def _quick(bracket: Bracket) -> tuple[ExposureSetting, ...]:
     """At equal time: the most accurate set in the time of 1, 2, 4, ... of as many exposures."""
-    return bracket.accurate(_total_s(_doubling(bracket)))
+    doubling = _doubling(bracket)
+    return bracket.accurate(predicted_wall_s(bracket.controls, doubling, before=bracket.before))
 
 
 def _total_s(settings: Iterable[ExposureSetting]) -> float:

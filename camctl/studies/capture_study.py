@@ -210,7 +210,7 @@ def rate(run: CaptureRun) -> CapturePoint:
     camera = simulated_camera(run, run.seeds[0]) if simulated else None
     controls = camera.controls if camera is not None else _controls(run.camera, run.profile)
     try:
-        bracket = Bracket(controls, run.request, run.base_s)
+        bracket = Bracket(controls, run.request, run.base_s, run.before)
         settings = bracket_settings(run.method, bracket)
     except CaptureError as error:
         return CapturePoint(note=error.what)

@@ -1,0 +1,137 @@
+"""A capture chosen for a time budget is announced with a time, and takes one, within that budget."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import camctl
+from camctl.captures.accurate_settings import estimated_levels
+from camctl.captures.request import CaptureRequest
+from camctl.captures.time_budget import within_budget
+from camctl.captures.wall_time import predicted_wall_s, time_costs
+from camctl.clock import CaptureTiming
+from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
+from camctl.errors import CaptureError, UsageError
+from camctl.noise_model import NoiseModel
+
+STREAM = ExposureControls(
+    Steps(1e-4, 10.0, 1e-4),
+    (24, 32),
+    Layout.MONO,
+    8,
+    white=255,
+    delay_frames=2,
+    frame_interval_s=0.1,
+    timing=CaptureTiming(lead_frames=0.5, readout_s=0.02),
+    noise=NoiseModel(39.0625, ((1.0, 3.0),)),
+)
+VARYING = replace(
+    STREAM,
+    delay_frames=None,
+    timing=CaptureTiming(0.0, 0.02, lead_frames=0.5, old_frames=2.0, unsettled_frames=1.0),
+)
+STILL = replace(STREAM, delay_frames=None, frame_interval_s=0.0)
+CAMERAS = {
+    "stream": STREAM,
+    "varying delay": VARYING,
+    "still": replace(STILL, timing=CaptureTiming(0.3, 0.1, 0.5)),
+    "still, overlapping": replace(STILL, timing=CaptureTiming(0.3, 0.1, 0.5, overlaps=True)),
+    "still, not timed": replace(STILL, timing=None),
+}
+
+
+@pytest.mark.parametrize("objective", ["accuracy", "xi"])
+@pytest.mark.parametrize(
+    ("sensor", "budget_s"),
+    [("webcam", 5 / 30), ("webcam", 0.3), ("standard", 0.3), ("consumer", 1.6), ("consumer", 3.0)],
+)
+def test_what_is_announced_and_taken_is_within_the_budget(
+    sensor: str, budget_s: float, objective: str
+) -> None:
+    request = CaptureRequest("log", 256.0, 3, time_budget_s=budget_s, objective=objective)
+    with camctl.open_camera("sim", sensor=sensor, size="32x24") as camera:
+        is_constant = camera.controls.delay_frames is not None
+        report = camctl.capture(camera, request)
+    planned_s = report.timing["planned_wall_s"]
+    assert report.plan.wall_s == planned_s <= budget_s * (1 + 1e-8)
+    if is_constant:  # otherwise the delay is known on average
+        assert report.timing["actual_wall_s"] <= budget_s * (1 + 1e-8)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("times", [(0.03,), (0.02, 0.08), (0.05, 0.4, 0.05), (0.2, 0.3, 1.5)])
+def test_costs_are_the_predicted_time(name: str, times: tuple[float, ...]) -> None:
+    """With a varying delay they are, where all but the last exposure fit into a frame interval."""
+    controls = CAMERAS[name]
+    settings = [ExposureSetting(time_s) for time_s in times]
+    costs = time_costs(controls, before=None, shortest_s=times[0])
+    predicted_s = predicted_wall_s(controls, settings)
+    total_s = costs.fixed + costs.total(times)
+    if name != "varying delay":
+        assert total_s == pytest.approx(predicted_s)
+        assert costs.shutter(costs.total(times), len(times)) >= sum(times) - 1e-9
+    elif max(times[:-1], default=0.0) <= controls.frame_interval_s and len(times) > 1:
+        assert total_s == pytest.approx(predicted_s)
+
+
+def test_fewer_exposures_are_estimated_where_each_takes_a_frame() -> None:
+    request = CaptureRequest("log", 256.0, time_budget_s=0.75)
+    desired = request.desired
+    assert desired is not None
+    free = estimated_levels(STREAM, request, desired, 0.02)
+    given = [
+        estimated_levels(STREAM, replace(request, count=n), desired, 0.02) for n in (1, 2, 3, 4, 5)
+    ]
+    assert free is not None
+    assert given[4] is None  # five frames and the delay take longer
+    assert free == max(levels for levels in given if levels is not None)
+
+
+def test_exposures_within_a_frame_are_free() -> None:
+    """As long as a frame lasts anyway, its exposure costs no time: it is used up."""
+    with camctl.open_camera("sim", sensor="webcam", size="32x24") as camera:
+        interval_s = camera.controls.frame_interval_s
+        request = CaptureRequest("linear", 16.0, 1, base_s=interval_s / 4, time_budget_s=1.0)
+        plan = camctl.plan_capture(camera, replace(request, count=3))
+    assert all(each.exposure >= interval_s / 4 * 0.99 for each in plan.settings)
+
+
+def test_an_accuracy_is_reached_in_the_least_time_until_the_last_frame() -> None:
+    """More exposures of less shutter time in all are no gain where each takes a frame."""
+    with camctl.open_camera("sim", sensor="webcam", size="32x24") as camera:
+        request = CaptureRequest("log", 256.0, accuracy=40.0)
+        plan = camctl.plan_capture(camera, request)
+        longer = camctl.plan_capture(camera, replace(request, count=6))
+    assert len(plan.settings) <= 3
+    assert plan.effective_levels >= 39.5
+    assert plan.wall_s is not None
+    assert longer.wall_s is not None
+    assert plan.wall_s < 0.8 * longer.wall_s
+
+
+def test_less_is_asked_for_until_the_settings_fit() -> None:
+    asked: list[float] = []
+
+    def choose(allowed: CaptureRequest) -> tuple[tuple[ExposureSetting, ...], tuple[float, ...]]:
+        assert allowed.time_budget_s is not None
+        asked.append(allowed.time_budget_s)
+        return (ExposureSetting(min(0.5, allowed.time_budget_s)),), (1.0,)
+
+    request = CaptureRequest(time_budget_s=1.0)
+    found, _ = within_budget(request, request, choose, lambda chosen: chosen[0].time_s + 0.6)
+    assert found[0].time_s + 0.6 <= 1.0
+    assert asked == sorted(asked, reverse=True)
+    with pytest.raises(CaptureError, match=r"no settings of this camera .* fit into 1 s"):
+        within_budget(request, request, choose, lambda chosen: 1.5)
+
+
+@pytest.mark.parametrize("objective", ["accuracy", "xi"])
+def test_a_budget_that_only_the_shutter_times_fit_into_is_refused(objective: str) -> None:
+    request = CaptureRequest("log", 256.0, 2, time_budget_s=0.1, objective=objective)
+    with (
+        camctl.open_camera("sim", sensor="webcam", size="32x24") as camera,
+        pytest.raises(UsageError, match=r"0\.133\d* s"),
+    ):
+        camctl.plan_capture(camera, request)
