@@ -4,13 +4,16 @@ Counting the frames that were read gives no slot numbers: frames are lost and di
 that keeps its frame rate shows in its timestamps how many slots have passed: the frame of slot k
 ends at its timestamp, and slot k + 1 is exposed from then on.  A sequence number counts the frames
 that reached the driver: it shows which were lost there, but not which the camera never sent.
+
+A timestamp may be late, where a busy computer takes it, but not early.  So the earliest of the
+recent ones show when slots end, and how late the last one is.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from statistics import median
 from typing import Generic, Protocol, TypeVar
@@ -23,18 +26,28 @@ from camctl.streaming.source import FrameStamp, Written, irregular_frames
 DataT = TypeVar("DataT")
 DataT_co = TypeVar("DataT_co", covariant=True)
 
-#: A gap between timestamps may differ from a whole number of intervals by this share of one, which
-#: is more than their jitter; 0.5 would accept every gap.
-_GAP_TOLERANCE = 0.35
-#: The same where the sequence numbers show the same number of slots.
-_COUNTED_TOLERANCE = 0.5
+#: A timestamp may be later than the end of its slot by this share of a slot, which is more than
+#: jitter; 0.5 would leave it open which slot it is.
+_LATEST = 0.35
+#: The same where the sequence numbers show the same number of slots: short of the next slot's end.
+_LATEST_COUNTED = 0.65
+#: A timestamp that is earlier than expected by more than this shows that all recent ones were late.
+_EARLIEST = 0.1
+#: After so many frames in a row that do not fit the recent ones, the camera's slots have moved, or
+#: it has another rate.
+_MOST_UNCERTAIN = 4
 #: Sequence numbers have 32 bits and begin again at 0.
 _SEQUENCES = 2**32
 #: A measured interval that differs by more than this share from the announced one is another rate.
 _RATE_TOLERANCE = 0.1
-#: The interval is the median of the last gaps: of at most, and at least, this number of them.
-#: Frames may arrive in bursts, so a few gaps would be misleading.
-_MOST_GAPS, _FEWEST_GAPS = 15, 5
+#: Gaps show another rate where all differ by at most this share from their median.
+_GAP_TOLERANCE = 0.04
+#: Recent frames are those of so many slots: few enough for an interval that is off by 0.3 %.
+_RECENT_SLOTS = 32
+#: The interval is measured from at least so many frames.
+_FEWEST_FRAMES = 12
+#: It is changed where it differs by so many times what chance would make of late timestamps.
+_CHANCE = 6
 
 #: When settings are written, in slots after the timestamp of a frame.  Up to the middle of the
 #: slot, so that the write ends before the next slot begins.  Some cameras deliver a frame long
@@ -66,36 +79,89 @@ class FrameClock:
         interval_s: the same as measured
         number: slot of the last frame; None before the first
         time_s: timestamp of the last frame
+        late: from the end of the last frame's slot to its timestamp, slots
     """
 
     def __init__(self, interval_s: float) -> None:
         self.interval_s = interval_s
         self.number: int | None = None
         self.time_s = -math.inf
-        self._gaps: deque[float] = deque(maxlen=_MOST_GAPS)
+        self.late = 0.0
+        self._recent: deque[tuple[int, float]] = deque()  # slot and timestamp
+        self._gaps: deque[float] = deque(maxlen=_MOST_UNCERTAIN)  # s
         self._sequence: int | None = None
+        self._uncertain = 0  # frames in a row
 
     def add(self, time_s: float, sequence: int | None = None) -> FrameStamp:
         """Return the number of the frame with this timestamp, and sequence number if it has one.
 
-        Both numbers must agree in how many slots have passed, or the timestamps alone must be
-        clear and show more than the sequence numbers: frames that the camera did not send.
+        It is certain where the timestamp is late by less than a slot and the sequence numbers
+        agree, or the timestamp alone is clear and shows more slots than the sequence numbers:
+        frames that the camera did not send.  A timestamp that shows that those before it were
+        late is uncertain too: settings were perhaps written in another slot than it seemed.
         """
-        last, self.time_s = self.time_s, time_s
         counted = self._counted(sequence)
         if self.number is None:
-            self.number = 0
+            self.number, self.time_s = 0, time_s
+            self._recent.append((0, time_s))
             return FrameStamp(0, time_s, is_certain=False)
-        gap = (time_s - last) / self.interval_s
-        passed = max(1, round(gap), counted)
+        gap = (time_s - self.time_s) / self.interval_s
+        passed = _passed(gap + self.late, counted)
+        late = gap + self.late - passed
+        if passed == counted:
+            is_certain = -_EARLIEST <= late <= _LATEST_COUNTED
+        else:
+            is_certain = -_EARLIEST <= late <= _LATEST and abs(gap - passed) <= _LATEST
         self.number += passed
-        tolerance = _COUNTED_TOLERANCE if passed == counted else _GAP_TOLERANCE
-        is_certain = abs(gap - passed) <= tolerance
-        if is_certain:
-            self._gaps.append((time_s - last) / passed)
-            if len(self._gaps) >= _FEWEST_GAPS:
-                self.interval_s = median(self._gaps)
+        self.time_s = time_s
+        self._uncertain = 0 if is_certain else self._uncertain + 1
+        self._gaps.append(gap * self.interval_s)
+        # One that is a little early shows when slots end; the numbers are as certain as before.
+        if is_certain or (-2 * _EARLIEST < late < 0 and self._uncertain < _MOST_UNCERTAIN):
+            self._recent.append((self.number, time_s))
+        else:
+            self._begin_anew(max(0.0, late))
+        while self._recent[0][0] < self.number - _RECENT_SLOTS:
+            self._recent.popleft()
+        self._measure()
         return FrameStamp(self.number, time_s, is_certain)
+
+    def _begin_anew(self, late: float) -> None:
+        """Forget frames whose numbers may be wrong, but not when slots end unless it fits none."""
+        if self._uncertain >= _MOST_UNCERTAIN:
+            late, self._uncertain = 0.0, 0
+            self.interval_s = _agreed(self._gaps) or self.interval_s
+        assert self.number is not None
+        self._recent.clear()
+        self._recent.append((self.number, self.time_s - late * self.interval_s))
+
+    def _measure(self) -> None:
+        """Measure how late the last frame is, and the interval, by the earliest recent frames."""
+        frames = list(self._recent)
+        if len(frames) >= _FEWEST_FRAMES:
+            self._measure_interval(frames)
+        number, time_s = self._earliest(frames)
+        assert self.number is not None
+        passed = self.number - number
+        self.late = (self.time_s - time_s) / self.interval_s - passed
+
+    def _measure_interval(self, frames: list[tuple[int, float]]) -> None:
+        """Measure the interval from the earliest frame of each half of the recent ones.
+
+        It is changed where that moves them by more than chance: the earliest of m timestamps, of
+        which half are late by more than u, is late by about 2 u / m.
+        """
+        half = len(frames) // 2
+        (first, first_s), (last, last_s) = map(self._earliest, (frames[:half], frames[half:]))
+        passed = last - first
+        interval_s = (last_s - first_s) / passed
+        late_s = median(time_s - first_s - (k - first) * interval_s for k, time_s in frames)
+        if abs(interval_s - self.interval_s) * passed >= _CHANCE * 2 * late_s / half:
+            self.interval_s = interval_s
+
+    def _earliest(self, frames: list[tuple[int, float]]) -> tuple[int, float]:
+        """Return the frame that is the least late."""
+        return min(frames, key=lambda frame: frame[1] - frame[0] * self.interval_s)
 
     def _counted(self, sequence: int | None) -> int:
         """Return how many frames the driver has counted since the last; 0 where that is unknown."""
@@ -112,21 +178,19 @@ class FrameClock:
         precise.  Another one needs gaps that all agree: a camera may begin irregularly.
         """
         gaps = [after - before for before, after in pairwise(times_s)]
-        usual = median(gaps)
-        if abs(usual / self.interval_s - 1) <= _RATE_TOLERANCE:
+        if abs(median(gaps) / self.interval_s - 1) <= _RATE_TOLERANCE:
             return True
-        if usual <= 0 or any(abs(gap / usual - 1) > _RATE_TOLERANCE for gap in gaps):
-            return False
-        self.interval_s = usual
-        return True
+        agreed = _agreed(gaps)
+        self.interval_s = agreed or self.interval_s
+        return agreed is not None
 
     def phase(self, now_s: float) -> float:
-        """Return the time since the timestamp of the last frame, in slots."""
-        return (now_s - self.time_s) / self.interval_s
+        """Return the time since the end of the last frame's slot, in slots."""
+        return (now_s - self.time_s) / self.interval_s + self.late
 
     def time_of(self, phase: float) -> float:
-        """Return the time that is `phase` slots after the timestamp of the last frame, s."""
-        return self.time_s + phase * self.interval_s
+        """Return the time that is `phase` slots after the end of the last frame's slot, s."""
+        return self.time_s + (phase - self.late) * self.interval_s
 
     def upcoming(self, now_s: float) -> int:
         """Return the number of the first slot that has not begun at `now_s`.
@@ -137,6 +201,26 @@ class FrameClock:
         if self.number is None:
             raise ValueError("a frame clock needs a frame before it knows the current slot")
         return self.number + max(1, math.ceil(self.phase(now_s))) + 1
+
+
+def _agreed(gaps_s: Sequence[float]) -> float | None:
+    """Return the median of gaps between timestamps that are all alike, else None."""
+    usual_s = median(gaps_s)
+    if usual_s <= 0 or any(abs(gap_s / usual_s - 1) > _GAP_TOLERANCE for gap_s in gaps_s):
+        return None
+    return usual_s
+
+
+def _passed(position: float, counted: int) -> int:
+    """Return how many slots passed from a frame to the next.
+
+    Args:
+        position: of the next one's timestamp after the end of the slot of the first, slots
+        counted: by the sequence numbers; 0 where that is unknown
+    """
+    if counted and position - counted <= _LATEST_COUNTED:
+        return counted
+    return max(1, math.floor(position + _EARLIEST), counted)
 
 
 class TimestampedSource(Protocol[DataT_co]):

@@ -1,0 +1,123 @@
+"""Timestamps that are late on a busy computer, lost frames, and no frame of a wrong exposure."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import Random
+
+import pytest
+
+from camctl.clock import VirtualClock
+from camctl.controls import ExposureSetting
+from camctl.streaming import ControlDelay, DelayOrigin, ExposurePipeline, TimestampedStream
+
+INTERVAL_S = 0.1
+#: Frames that wait for the consumer at most, and how long a write takes at most, slots.
+BUFFERS, WRITE = 8, 0.1
+#: Share of the frames that the driver loses, and of those that the camera does not send.
+LOST, UNSENT = 0.05, 0.05
+#: Settings of a capture, and pauses within it and after it, slots.
+SETTINGS, PAUSE, LONG_PAUSE = 8, 0.6, 5.0
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """A frame: its timestamp, the driver's number of it, and the exposure time that it had."""
+
+    stamp_s: float
+    sequence: int
+    time_s: float
+
+
+class Camera:
+    """A source of frames whose timestamps are late by `late` slots; frames are lost at random."""
+
+    def __init__(self, random: Random, delay: int, late: Callable[[], float]) -> None:
+        self.clock = VirtualClock(1000.0)
+        self.last = Arrived(self.clock.now(), 0, 1.0)
+        self._random, self._delay, self._late = random, delay, late
+        self._slot, self._begin_s = 0, self.clock.now()
+        self._time_s = 1.0
+        self._writes: deque[tuple[int, float]] = deque()  # first slot that has it, exposure time
+        self._sequence = 0
+        self._arrived: deque[Arrived] = deque()
+
+    def wait(self, slots: float) -> None:
+        self.clock.sleep_until(self.clock.now() + slots * INTERVAL_S)
+        self._advance()
+
+    def grab(self) -> float:
+        self._advance()
+        while not self._arrived:
+            self.clock.sleep_until(self._begin_s + INTERVAL_S)
+            self._advance()
+        self.last = self._arrived.popleft()
+        self.clock.sleep_until(self.last.stamp_s)
+        return self.last.stamp_s
+
+    def retrieve(self) -> float:
+        return self.last.time_s
+
+    def write(self, setting: ExposureSetting) -> ExposureSetting:
+        self.wait(self._random.random() * WRITE / 2)
+        self._writes.append((self._slot + 1 + self._delay, setting.time_s))
+        self.wait(self._random.random() * WRITE / 2)
+        return setting
+
+    def _advance(self) -> None:
+        while self._begin_s + INTERVAL_S <= self.clock.now():
+            self._end_slot()
+
+    def _end_slot(self) -> None:
+        while self._writes and self._writes[0][0] <= self._slot:
+            self._time_s = self._writes.popleft()[1]
+        self._slot += 1
+        self._begin_s += INTERVAL_S
+        fate = self._random.random()
+        self._sequence += fate >= UNSENT
+        if fate >= UNSENT + LOST and len(self._arrived) < BUFFERS:
+            stamp_s = self._begin_s + self._late() * INTERVAL_S
+            self._arrived.append(Arrived(stamp_s, self._sequence, self._time_s))
+
+
+def wrong_captures(seed: int, captures: int, share: float, late: float) -> int:
+    """Return how many captures have a frame of a wrong exposure.
+
+    A share of the timestamps is late by up to `late` slots, the others by up to 0.02.
+    """
+    random = Random(seed)
+    delay = random.randrange(4)
+    camera = Camera(
+        random, delay, lambda: random.random() * (late if random.random() < share else 0.02)
+    )
+    stream = TimestampedStream[float](
+        camera, camera.clock, INTERVAL_S, sequence=lambda: camera.last.sequence
+    )
+    stream.start()
+    pipeline = ExposurePipeline(stream, ControlDelay(delay, delay, DelayOrigin.GUARANTEED))
+    wrong = 0
+    for _ in range(captures):
+        times_s = [float(random.randint(1, 9)) for _ in range(SETTINGS)]
+        taken = []
+        for shot in pipeline.shoot([ExposureSetting(time_s) for time_s in times_s]):
+            taken.append(shot.data)
+            camera.wait(random.random() * PAUSE)
+        wrong += taken != times_s
+        camera.wait(random.random() * LONG_PAUSE)
+    return wrong
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_no_frame_has_a_wrong_exposure(share: float) -> None:
+    assert sum(wrong_captures(seed, 50, share, 0.6) for seed in range(16)) == 0
+
+
+@pytest.mark.slow
+def test_no_frame_of_10000_captures_has_a_wrong_exposure() -> None:
+    shares = (0.1, 0.2, 0.35, 0.5)
+    wrong = {
+        share: sum(wrong_captures(seed, 50, share, 0.6) for seed in range(50)) for share in shares
+    }
+    assert wrong == dict.fromkeys(shares, 0)
