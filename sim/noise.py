@@ -7,6 +7,7 @@ so that no stream depends on another.
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from functools import lru_cache
 from statistics import NormalDist
@@ -40,6 +41,10 @@ class Stream(IntEnum):
     COLUMN = 7
     COSMIC = 8
     PHOTON_FINE = 9
+    DCNU = 10
+    RTS = 11
+    RTS_STATE = 12
+    ADC = 13
 
 
 PATTERN = 0
@@ -92,9 +97,28 @@ def tile_bits(seed: int, frame: int, stream: Stream, tile: int, count: int) -> N
     return words.astype("<u8", copy=False).view("<u2")[:count]
 
 
-def line_noise(seed: int, frame: int, stream: Stream, count: int) -> NDArray[np.float32]:
-    """Return `count` standard normal numbers, one for each row or column."""
-    return normal_quantiles()[tile_bits(seed, frame, stream, 0, count)]
+def line_noise(
+    seed: int, frame: int, stream: Stream, count: int, pink_share: float = 0.0
+) -> NDArray[np.float32]:
+    """Return `count` standard normal numbers, one for each row or column.
+
+    The share `pink_share` of their variance is 1/f noise along the lines; such numbers are clipped
+    at `largest_noise`.
+    """
+    table = normal_quantiles()
+    if pink_share == 0:
+        return table[tile_bits(seed, frame, stream, 0, count)]
+    length = 1 << (2 * count - 1).bit_length()  # the noise of a period must not repeat in a frame
+    z = table[tile_bits(seed, frame, stream, 0, count + length)].astype(np.float64)
+    power = 1 / np.arange(1, length // 2 + 1)
+    spectrum = np.fft.rfft(z[count:])
+    spectrum[0] = 0
+    spectrum[1:] *= np.sqrt(power)
+    pink = np.fft.irfft(spectrum, length)[:count]
+    pink *= math.sqrt(length / (2 * float(power.sum()) - power[-1]))
+    both = math.sqrt(1 - pink_share) * z[:count] + math.sqrt(pink_share) * pink
+    most = float(table[-1])
+    return np.clip(both, -most, most).astype(np.float32)
 
 
 class TileNoise:
@@ -184,12 +208,18 @@ class TileNoise:
         np.copyto(electrons, poisson_quantiles(electrons, uniform))
 
     def add_read_noise(
-        self, electrons: NDArray[np.float32], sigma_e: float, seed: int, frame: int, tile: int
+        self,
+        electrons: NDArray[np.float32],
+        sigma_e: float,
+        seed: int,
+        frame: int,
+        tile: int,
+        stream: Stream = Stream.READ,
     ) -> None:
         """Add Gaussian noise of `sigma_e` electrons in place."""
         table = scaled_quantiles(sigma_e)
         if self.kernels is not None:
-            self.kernels.add_draws(_state(seed, frame, Stream.READ, tile), table, electrons)
+            self.kernels.add_draws(_state(seed, frame, stream, tile), table, electrons)
             return
-        noise = self.normal(electrons.size, seed, frame, Stream.READ, tile, table)
+        noise = self.normal(electrons.size, seed, frame, stream, tile, table)
         np.add(electrons, noise, out=electrons)

@@ -185,14 +185,14 @@ class Renderer:
 
         across_tiles = _pictures(running, Stage.WELL)
         if not across_tiles:
-            self._run_tiles(shot, light.size, (collect, read))
+            self._run_tiles(shot, light, (collect, read))
             return
         charge = np.empty(light.size, np.float32)
-        self._run_tiles(shot, light.size, (collect,), charge)
+        self._run_tiles(shot, light, (collect,), charge)
         picture = charge.reshape(self._view.planes().shape[:2] + self._view.light.shape[2:])
         for change in across_tiles:
             picture = change(picture, shot)
-        self._run_tiles(shot, light.size, (read,), picture.reshape(-1))
+        self._run_tiles(shot, light, (read,), picture.reshape(-1))
 
     def _light(self, shot: Shot, running: Sequence[Effect], timing: RowTiming) -> Light:
         """Return photons a second on each sample, after all effects on the picture of light."""
@@ -224,14 +224,15 @@ class Renderer:
     def _run_tiles(
         self,
         shot: Shot,
-        size: int,
+        light: Light,
         steps: Sequence[Callable[[Tile, slice], None]],
         charge: Light | None = None,
     ) -> None:
-        """Do `steps` on each tile of a frame of `size` samples.
+        """Do `steps` on each tile of a frame with `light` on its samples.
 
         Its values lie in `charge` where that is given, and otherwise in the thread's own memory.
         """
+        size = light.size
         tiles = math.ceil(size / TILE)
         kernels = self._kernels.after(size)
 
@@ -242,7 +243,7 @@ class Renderer:
                 start = index * TILE
                 here = slice(start, min(start + TILE, size))
                 values = memory[: here.stop - start] if charge is None else charge[here]
-                tile = Tile(shot, values, start, index, noise, self._cache)
+                tile = Tile(shot, values, light[here], start, index, noise, self._cache)
                 for step in steps:
                     step(tile, here)
 

@@ -2,8 +2,9 @@
 
 Run by hand: ``python tests/bench/bench_sensor.py [--pyxel PYTHON] [--json]``, where PYTHON is an
 interpreter that has pyxel-sim.  "compiled" is `sim` with the extra `fast`; its rival is `sim` with
-numpy alone, which gives the same frame, with as many threads.  The methods take turns, and medians of the CPU seconds of all
-threads are printed: Pyxel uses one thread, so that elapsed times would compare unequal work.
+numpy alone, which gives the same frame, with as many threads.  The methods take turns, and medians
+of the CPU seconds of all threads are printed: Pyxel uses one thread, so that elapsed times would
+compare unequal work.
 """
 
 from __future__ import annotations

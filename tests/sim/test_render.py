@@ -76,7 +76,7 @@ def test_samples_stay_within_the_adc(name: str, gain: float, seed: int, lines: i
     frame = Renderer(View(light), sensor, seed=seed).frame(lines * sensor.line_s, gain, 0)
     assert frame.dtype == (np.uint8 if sensor.bits <= 8 else np.uint16)
     assert frame.max() <= 2**sensor.bits - 1
-    assert frame[-1] >= sensor.white
+    assert frame[-1] >= sensor.white or sensor.read_out.reset_s > 0  # then the sun is black
 
 
 @given(st.sampled_from(sensor_names()), st.floats(1e-4, 5), st.floats(1, 50), st.floats(1, 8))

@@ -18,7 +18,7 @@ from sim.effects.bounds import Bounds
 from sim.effects.budget import greedy, plan_frame
 from sim.effects.record import Shot
 from sim.render import Renderer
-from sim.scenes.motion import Lamps, Target
+from sim.scenes.motion import Lamps, PwmLamps, Target
 from sim.scenes.scene import Scene, load_scene
 from sim.scenes.view import View
 from sim.sensors.parts import Dark, Lens
@@ -54,7 +54,9 @@ def a_scene(random: np.random.Generator) -> Scene:
         light = 0.5 + 1e-3 * random.random(shape)
     irradiance: NDArray[np.float64] = np.maximum(np.asarray(light, dtype=np.float64), 0)
     irradiance[(0,) * irradiance.ndim] += 1e-6
-    lamps = Lamps(float(random.choice([50.0, 60.0])), random.random() * 0.9)
+    lamps: Lamps | PwmLamps = Lamps(float(random.choice([50.0, 60.0])), random.random() * 0.9)
+    if random.random() < 0.4:
+        lamps = PwmLamps(log_uniform(random, 10, 1e4), random.uniform(0.01, 1), random.random())
     target = None
     if random.random() < 0.35:
         height, width = (int(n) for n in random.integers(1, 9, 2))
@@ -105,12 +107,17 @@ def a_sensor(random: np.random.Generator) -> Sensor:
             "vignetting": some(random, 1e-6, 0.6),
             "glare": some(random, 1e-6, 0.2),
             "blur_px": some(random, 0.05, 2.5),
+            "f_number": log_uniform(random, 1, 30),
+            "diffraction": bool(random.random() < 0.4),
+            "lateral_colour": some(random, 1e-5, 0.05) if random.random() < 0.5 else 0.0,
         },
         "dark": {
             "current_e_s": some(random, 1e-4, 1e3),
             "temperature_c": float(random.uniform(-20, 60)),
             "hot_share": some(random, 1e-4, 0.02),
             "hot_rate_e_s": some(random, 1e-2, 1e4),
+            "hot_decades": some(random, 0.1, 8),
+            "dcnu_e_s": some(random, 1e-4, 1e3) if random.random() < 0.6 else 0.0,
         },
         "pixels": {
             "prnu": some(random, 1e-7, 0.05),
@@ -124,6 +131,11 @@ def a_sensor(random: np.random.Generator) -> Sensor:
             "row_noise_e": some(random, 1e-3, well / 400),
             "column_noise_e": some(random, 1e-3, well / 400),
             "row_s": some(random, 1e-7, 1e-3),
+            "pink_share": random.random(),
+            "adc_noise_e": some(random, 1e-3, well / 400),
+            "rts_share": some(random, 1e-4, 0.1),
+            "rts_e": some(random, 1e-2, well / 40),
+            "reset_s": some(random, 1e-8, 1e-3) if random.random() < 0.5 else 0.0,
             "nonlinearity_dn": 0.0 if curved else min(some(random, 0.001, 3), 2**bits / 16),
             "cosmic_rate_s": some(random, 1, 1e5),
         },
