@@ -11,6 +11,7 @@ from collections.abc import Callable, MutableMapping
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.scenes.charts import grey_steps, outdoor_sun, slanted_edge
 from sim.scenes.night import night_street, stars
 
 Light = NDArray[np.float32]
@@ -290,9 +291,12 @@ DRAWINGS: MutableMapping[str, Callable[[int, int], Light]] = {
     "ball": ball,
     "cloth": cloth,
     "colour-chart": colour_chart,
+    "grey-steps": grey_steps,
     "night-street": night_street,
+    "outdoor-sun": outdoor_sun,
     "ramp": ramp,
     "room": room,
+    "slanted-edge": slanted_edge,
     "stars": stars,
     "tile-floor": tile_floor,
     "uniform": uniform,
