@@ -93,6 +93,15 @@ def _bessel_1(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(waves.mean(axis=-1))
 
 
+@lru_cache(maxsize=1)
+def _airy_intensity() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return distances in the argument of J1, and the light of an Airy disk there."""
+    v = np.linspace(0, _THIRD_ZERO, 4096)
+    intensity = np.ones_like(v)
+    intensity[1:] = (2 * _bessel_1(v[1:]) / v[1:]) ** 2
+    return v, intensity
+
+
 @lru_cache(maxsize=8)
 def airy_kernel(radius_px: float) -> NDArray[np.float64]:
     """Return the Airy disk averaged over pixels, with sum 1, up to its third dark ring.
@@ -100,13 +109,11 @@ def airy_kernel(radius_px: float) -> NDArray[np.float64]:
     The light beyond that ring, 6 %, is spread over the rest.  `radius_px` is that of the first
     dark ring.
     """
-    v = np.linspace(0, _THIRD_ZERO, 4096)[1:]
-    intensity = np.concatenate(([1.0], (2 * _bessel_1(v) / v) ** 2))
     reach = max(1, math.ceil(radius_px * _THIRD_ZERO / _FIRST_ZERO))
     parts, side = _PARTS_OF_A_PIXEL, 2 * reach + 1
     at = ((np.arange(side * parts) + 0.5) / parts - side / 2) * (_FIRST_ZERO / radius_px)
     distance = np.hypot(at, at[:, np.newaxis])
-    fine = np.interp(distance, np.concatenate(([0.0], v)), intensity, right=0.0)
+    fine = np.interp(distance, *_airy_intensity(), right=0.0)
     kernel = fine.reshape(side, parts, side, parts).sum(axis=(1, 3))
     return np.asarray(kernel / kernel.sum())
 
