@@ -24,7 +24,7 @@ SAMPLES_WORTH_LOADING = 1 << 27
 them that takes about as long as loading does."""
 
 # numba takes a plain number for a float64 or an int64, and these as what they are.
-_ZERO, _SIX, _FIFTH, _TWO = (np.float32(x) for x in (0, 6, 0.2, 2))
+_ZERO, _FIFTH, _WHOLE, _TWO, _SIX = (np.float32(x) for x in (0, 0.2, 1, 2, 6))
 _ONE, _3, _11, _16, _24, _32, _40, _48 = (np.uint64(n) for n in (1, 3, 11, 16, 24, 32, 40, 48))
 _LOW = np.uint64(0xFFFF)
 
@@ -67,12 +67,20 @@ def _quantise(
         out[i] = min(max(values[i] * scale + offset, _ZERO), top)
 
 
+def _add_bow(dn: Light, top: np.float32, factor: np.float32) -> None:
+    """Add ``factor u (1 - u / top)``, u brightness limited to 0..top."""
+    for i in range(dn.size):
+        u = min(max(dn[i], _ZERO), top)
+        dn[i] += u * (_WHOLE - u / top) * factor
+
+
 @dataclass(frozen=True)
 class Kernels:
     """The compiled functions; all release the lock of Python."""
 
     add_draws: Callable[[NDArray[np.uint64], Light, Light], None]
     add_photon_noise: Callable[[Light, Light], None]
+    add_bow: Callable[[Light, np.float32, np.float32], None]
     quantise: Callable[[Light, np.float32, np.float32, np.float32, NDArray[Any]], None]
 
 
@@ -96,11 +104,13 @@ def load() -> Kernels | None:
             made = numba.njit(**options)(function)
         return made
 
-    kernels = Kernels(compiled(_add_draws), compiled(_add_photon_noise), compiled(_quantise))
+    functions = (_add_draws, _add_photon_noise, _add_bow, _quantise)
+    kernels = Kernels(*(compiled(function) for function in functions))
     light, table = np.ones(1, np.float32), np.ones(1 << 16, np.float32)
     table.setflags(write=False)
     kernels.add_draws(np.ones(4, np.uint64), table, light)
     kernels.add_photon_noise(light, light.copy())
+    kernels.add_bow(light, _TWO, _ZERO)
     for dtype in (np.uint8, np.uint16):
         kernels.quantise(light, _TWO, _ZERO, _TWO, np.empty(1, dtype))
     return kernels

@@ -75,9 +75,13 @@ def _bow_adc(tile: Tile) -> None:
     """Add the ADC's error 4 A u (1 - u), u brightness above black from 0 to 1."""
     sensor, dn = tile.shot.sensor, tile.values
     top = np.float32(2**sensor.bits - sensor.black)
+    factor = np.float32(4 * sensor.read_out.nonlinearity_dn) / top
+    if tile.noise.kernels is not None:
+        tile.noise.kernels.add_bow(dn, top, factor)
+        return
     u = np.clip(dn, np.float32(0), top)
     bow = u * (np.float32(1) - u / top)
-    np.multiply(bow, np.float32(4 * sensor.read_out.nonlinearity_dn) / top, out=bow)
+    np.multiply(bow, factor, out=bow)
     np.add(dn, bow, out=dn)
 
 

@@ -259,18 +259,29 @@ class Lines:
 
     def apply(self, tile: Tile) -> None:
         """Combine the numbers of their row and column with the samples of a tile, in place."""
-        width = tile.shot.width
-        stop = tile.start + tile.values.size
-        first, last = tile.start // width, -(-stop // width)
+        values, width = tile.values, tile.shot.width
+        row, column = divmod(tile.start, width)
+        begun = min(-tile.start % width, values.size)  # samples of a row of the tile before
+        if begun:
+            self._combine(values[np.newaxis, :begun], row, column)
+            row += 1
+        whole = begun + (values.size - begun) // width * width
+        self._combine(values[begun:whole].reshape(-1, width), row, 0)
+        if whole < values.size:
+            row += (whole - begun) // width
+            self._combine(values[np.newaxis, whole:], row, 0)
+
+    def _combine(self, part: Light, row: int, column: int) -> None:
+        """Do so for (rows, columns) samples from a row and a column on."""
+        height, width = part.shape
         if self.columns is None:
             assert self.rows is not None
-            numbers = np.repeat(self.rows[first:last], width)
-        elif self.rows is None:
-            numbers = np.broadcast_to(self.columns, (last - first, width)).reshape(-1)
+            numbers = self.rows[row : row + height, np.newaxis]
         else:
-            numbers = np.add(self.rows[first:last, np.newaxis], self.columns).reshape(-1)
-        here = numbers[tile.start - first * width : stop - first * width]
-        self.combine(tile.values, here, out=tile.values)
+            numbers = self.columns[column : column + width]
+            if self.rows is not None:
+                numbers = self.rows[row : row + height, np.newaxis] + numbers
+        self.combine(part, numbers, out=part)
 
 
 @dataclass(frozen=True)
