@@ -131,10 +131,13 @@ def print_scenes(rows: list[dict[str, Any]]) -> None:
         print(f"| **geometric mean** | {exposure} | {whole:.1f} | {means} | | |")
 
 
-def curve(shape: tuple[int, int], rounds: int, scene: str) -> list[dict[str, Any]]:
+def curve(
+    shape: tuple[int, int], rounds: int, scene: str, *, compiled: bool
+) -> list[dict[str, Any]]:
     """Return a row for each tolerance: milliseconds, bound, and the measured difference."""
     sensor = load_sensor("complete")
-    renderer = Renderer(View.of(load_scene(scene, shape), sensor), sensor, threads=1)
+    view = View.of(load_scene(scene, shape), sensor)
+    renderer = Renderer(view, sensor, threads=1, compiled=compiled)
     rows = []
     for exposure, shot in exposures(renderer).items():
         plans = {tolerance: plan_frame(shot, tolerance) for tolerance in TOLERANCES}
@@ -173,10 +176,9 @@ def main() -> None:
     parser.add_argument("--compiled", action="store_true", help="with the extra `fast`")
     arguments = parser.parse_args()
     width, height = (int(part) for part in arguments.size.split("x"))
-    scenes = per_scene(
-        (height, width), arguments.rounds, arguments.tolerance, compiled=arguments.compiled
-    )
-    tolerances = curve((height, width), arguments.rounds, arguments.scene)
+    compiled = arguments.compiled
+    scenes = per_scene((height, width), arguments.rounds, arguments.tolerance, compiled=compiled)
+    tolerances = curve((height, width), arguments.rounds, arguments.scene, compiled=compiled)
     if arguments.json:
         print(json.dumps({"size": [height, width], "scenes": scenes, "curve": tolerances}))
         return

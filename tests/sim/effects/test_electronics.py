@@ -12,7 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.effects.budget import plan_frame
-from sim.noise import Stream, largest_noise, line_noise
+from sim.effects.record import Lines, Tile
+from sim.frame_cache import FrameCache
+from sim.noise import Stream, TileNoise, largest_noise, line_noise
 from sim.render import Renderer
 from sim.scenes.motion import PwmLamps
 from sim.scenes.scene import Scene, load_scene
@@ -70,6 +72,21 @@ def test_left_out_is_the_same_as_absent_and_changes_the_frame(name: str) -> None
         frames.append(renderer.expose(shot, plan_frame(shot, 0.0, left_out=left_out)))
     assert np.array_equal(frames[0], frames[1])
     assert not np.array_equal(frames[0], frames[2])
+
+
+@pytest.mark.parametrize(("has_rows", "has_columns"), [(True, False), (False, True), (True, True)])
+@pytest.mark.parametrize(("start", "stop"), [(0, 35), (0, 3), (2, 5), (5, 7), (3, 20), (9, 35)])
+def test_lines_are_added_to_a_tile_that_begins_and_ends_anywhere(
+    start: int, stop: int, has_rows: bool, has_columns: bool
+) -> None:
+    rows, columns = np.arange(5, dtype=np.float32) * 100, np.arange(7, dtype=np.float32)
+    expected = np.full((5, 7), 0.5, dtype=np.float32)
+    expected += rows[:, np.newaxis] * has_rows + columns * has_columns
+    shot = Renderer(View(np.ones((5, 7), np.float32)), sensor_with()).shot(0.01, 1.0, 0)
+    values = np.full(stop - start, 0.5, dtype=np.float32)
+    tile = Tile(shot, values, values, start, 0, TileNoise(), FrameCache(0))
+    Lines(np.add, rows if has_rows else None, columns if has_columns else None).apply(tile)
+    assert np.array_equal(values, expected.reshape(-1)[start:stop])
 
 
 @pytest.mark.parametrize(("time_s", "temperature_c"), [(1.0, 25.0), (4.0, 25.0), (1.0, 41.0)])

@@ -10,13 +10,14 @@ import pytest
 from pydantic import ValidationError
 from scipy import special
 
+from sim.effects.bounds import Bounds
 from sim.effects.budget import plan_frame
 from sim.effects.lens import airy_kernel
 from sim.render import Renderer
-from sim.scenes.scene import Scene
+from sim.scenes.scene import LUMINANCE, Scene
 from sim.scenes.view import Light, View
 from sim.sensors.parts import Lens, Pixels
-from sim.sensors.sensor import Sensor
+from sim.sensors.sensor import Sensor, load_sensor
 
 
 def photographed(light: Any, lens: Lens, pitch_um: float = 2.0) -> Light:
@@ -99,7 +100,37 @@ def test_lateral_colour_parts_the_colours_of_an_edge() -> None:
     assert np.allclose((seen - plain)[10], (seen - plain)[90], atol=a_pixel / 100)
 
 
+def test_the_bound_of_lateral_colour_is_nearly_reached_in_the_corner_of_a_ramp() -> None:
+    """A slope of the same size along rows and columns, steepest where colours part most."""
+    y, x = np.mgrid[:61, :81]
+    light = np.repeat(np.abs(np.stack([x - 40.0 + y - 30.0])).transpose(1, 2, 0), 3, axis=2)
+    lens = Lens(lateral_colour=0.02)
+    sensor = Sensor(name="s", bits=16, full_well_e=1e6, photon_noise=False, lens=lens)
+    view = View.of(Scene("s", (light * 1e5 + 1).astype(np.float32)), sensor)
+    renderer = Renderer(view, sensor)
+    shot = renderer.shot(0.01, 1.0, 0)
+    bound = Bounds(shot).joint(["lateral colour"])
+    with_it, without = (
+        renderer.brightness(shot, plan_frame(shot, 0.0, left_out=names)).astype(np.float64)
+        for names in ((), ("lateral colour",))
+    )
+    assert 0.9 * bound < np.abs(with_it - without).max() <= bound
+
+
 def test_lateral_colour_does_not_change_grey_pictures_of_one_channel() -> None:
     light = np.random.default_rng(1).random((20, 30)) * 1e6
     lens = Lens(lateral_colour=0.02)
     assert np.array_equal(photographed(light, lens), photographed(light, Lens()))
+
+
+def test_lens_and_pixel_convert_candela_to_photons() -> None:
+    """100 cd/m^2 at f/4, T 0.9: pi 100 0.9 / 64 = 4.42 lx; 683 lm/W at 555 nm."""
+    sensor = load_sensor("complete")
+    lux = np.pi * 100 * 0.9 / (4 * 16)
+    photon_j = 6.62607015e-34 * 299_792_458 / 555e-9
+    expected = lux / 683 / photon_j * (3.45e-6) ** 2
+    scene = Scene("even", np.full((1, 1), 100.0, np.float32), LUMINANCE)
+    light = View.of(scene, sensor).light
+    assert light[0, 0] == pytest.approx(expected, rel=1e-3)
+    wide = sensor.model_copy(update={"lens": sensor.lens.model_copy(update={"f_number": 2.0})})
+    assert View.of(scene, wide).light[0, 0] == pytest.approx(4 * light[0, 0], rel=1e-6)
