@@ -137,7 +137,8 @@ def ball(rows: int, columns: int) -> Light:
     lambert = np.maximum(nx * light[0] + ny * light[1] + nz * light[2], 0)
     half = light + np.array([0, 0, 1], dtype=np.float32)
     half /= np.linalg.norm(half)
-    highlight = np.maximum(nx * half[0] + ny * half[1] + nz * half[2], 0) ** 350
+    # Beside the ball there is no normal, and the product may be above 1.
+    highlight = np.clip(nx * half[0] + ny * half[1] + nz * half[2], 0, 1) ** 350
     # Light that the table reflects to the ball.
     bounce = np.float32(0.02) * np.clip(ny + np.float32(0.4), 0, None) + np.float32(0.004)
     speckle = 1 + np.float32(0.03) * _waves(nx * 6, ny * 6, 21, 12, 2.0, 14.0)
