@@ -1,7 +1,7 @@
 """Draw the pictures of the built-in scenes: ``python docs/draw_scenes.py``.
 
-Each is one frame of the sensor `complete` (`ccd` for the stars) at 1024 x 768 with every effect,
-reduced in size and converted to sRGB.
+Each is one frame of the sensor `complete` at 1024 x 768 with every effect, reduced in size and
+converted to sRGB; the stars are by `ccd`, the sun and the switched lamps by `security`.
 """
 
 from __future__ import annotations
@@ -20,16 +20,20 @@ TIMES_S = {
     "ball": 0.02,
     "cloth": 0.013,
     "colour-chart": 0.065,
+    "grey-steps": 0.005,
     "moving-target": 0.03,
     "night-street": 2.0,
+    "outdoor-sun": 0.0006,
+    "pwm-lamp": 0.002,
     "ramp": 0.016,
     "room": 10.0,
+    "slanted-edge": 0.04,
     "stars": 240.0,
     "tile-floor": 0.1,
     "uniform": 0.01,
 }
 STARTS_S = {"moving-target": 0.7}
-SENSORS = {"stars": "ccd"}
+SENSORS = {"outdoor-sun": "security", "pwm-lamp": "security", "stars": "ccd"}
 
 
 def main() -> None:
@@ -38,6 +42,10 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     for name, time_s in TIMES_S.items():
         sensor = load_sensor(SENSORS.get(name, "complete"))
+        if (
+            sensor.layout is not None and sensor.layout.is_mosaic
+        ):  # three colours a pixel instead of a mosaic
+            sensor = sensor.model_copy(update={"layout": None})
         renderer = Renderer(View.of(load_scene(name, (768, 1024)), sensor), sensor)
         shot = renderer.shot(time_s, 1.0, 0, start_s=STARTS_S.get(name, 0.0))
         pixels = renderer.expose(shot, renderer.plan(shot))

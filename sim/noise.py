@@ -7,13 +7,16 @@ so that no stream depends on another.
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from functools import lru_cache
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.compiled import Kernels
 from sim.photon_counts import poisson_quantiles
 
 TILE = 1 << 18
@@ -38,6 +41,10 @@ class Stream(IntEnum):
     COLUMN = 7
     COSMIC = 8
     PHOTON_FINE = 9
+    DCNU = 10
+    RTS = 11
+    RTS_STATE = 12
+    ADC = 13
 
 
 PATTERN = 0
@@ -72,24 +79,57 @@ def largest_noise() -> float:
     return NormalDist().inv_cdf(1 - 0.5 / 2**_TABLE_BITS) * 1.0001
 
 
+def _bits_of(seed: int, frame: int, stream: Stream, tile: int) -> np.random.SFC64:
+    return np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(frame, int(stream), tile)))
+
+
+def _state(seed: int, frame: int, stream: Stream, tile: int) -> NDArray[np.uint64]:
+    """Return the four words with which the generator of `tile_bits` starts."""
+    state: Any = _bits_of(seed, frame, stream, tile).state
+    return np.asarray(state["state"]["state"], dtype=np.uint64)
+
+
 def tile_bits(seed: int, frame: int, stream: Stream, tile: int, count: int) -> NDArray[np.uint16]:
     """Return `count` uniform 16-bit numbers of one tile of one effect in one frame."""
-    key = np.random.SeedSequence(seed, spawn_key=(frame, int(stream), tile))
-    generator = np.random.Generator(np.random.SFC64(key))
+    generator = np.random.Generator(_bits_of(seed, frame, stream, tile))
     # The full range gives the generator's raw words; `integers` releases the lock of Python.
     words = generator.integers(0, _LARGEST_WORD, (count + 3) // 4, dtype=np.uint64, endpoint=True)
     return words.astype("<u8", copy=False).view("<u2")[:count]
 
 
-def line_noise(seed: int, frame: int, stream: Stream, count: int) -> NDArray[np.float32]:
-    """Return `count` standard normal numbers, one for each row or column."""
-    return normal_quantiles()[tile_bits(seed, frame, stream, 0, count)]
+def line_noise(
+    seed: int, frame: int, stream: Stream, count: int, pink_share: float = 0.0
+) -> NDArray[np.float32]:
+    """Return `count` standard normal numbers, one for each row or column.
+
+    The share `pink_share` of their variance is 1/f noise along the lines; such numbers are clipped
+    at `largest_noise`.
+    """
+    table = normal_quantiles()
+    if pink_share == 0:
+        return table[tile_bits(seed, frame, stream, 0, count)]
+    length = 1 << (2 * count - 1).bit_length()  # the noise of a period must not repeat in a frame
+    z = table[tile_bits(seed, frame, stream, 0, count + length)].astype(np.float64)
+    power = 1 / np.arange(1, length // 2 + 1)
+    spectrum = np.fft.rfft(z[count:])
+    spectrum[0] = 0
+    spectrum[1:] *= np.sqrt(power)
+    pink = np.fft.irfft(spectrum, length)[:count]
+    pink *= math.sqrt(length / (2 * float(power.sum()) - power[-1]))
+    both = math.sqrt(1 - pink_share) * z[:count] + math.sqrt(pink_share) * pink
+    most = float(table[-1])
+    return np.clip(both, -most, most).astype(np.float32)
 
 
 class TileNoise:
-    """Draws the noise of tiles of up to `TILE` samples, with the working memory of one thread."""
+    """Draws the noise of tiles of up to `TILE` samples, with the working memory of one thread.
 
-    def __init__(self) -> None:
+    Attributes:
+        kernels: compiled functions that give the same numbers sooner, or None
+    """
+
+    def __init__(self, kernels: Kernels | None = None) -> None:
+        self.kernels = kernels
         self._index = np.empty(TILE, dtype=np.intp)
         self._z = np.empty(TILE, dtype=np.float32)
         self._a = np.empty(TILE, dtype=np.float32)
@@ -110,9 +150,14 @@ class TileNoise:
         The next call overwrites them.
         """
         index, z = self._index[:count], self._z[:count]
+        quantiles = self._table if table is None else table
+        if self.kernels is not None:
+            z.fill(0)
+            self.kernels.add_draws(_state(seed, frame, stream, tile), quantiles, z)
+            return z
         np.copyto(index, tile_bits(seed, frame, stream, tile, count))
         # 16 bits never lie outside of the table, and wrap is the fastest mode.
-        (self._table if table is None else table).take(index, out=z, mode="wrap")
+        quantiles.take(index, out=z, mode="wrap")
         return z
 
     def add_photon_noise(
@@ -129,6 +174,9 @@ class TileNoise:
         """
         count = electrons.size
         z = self.normal(count, seed, frame, Stream.PHOTON, tile)
+        if self.kernels is not None:
+            self.kernels.add_photon_noise(electrons, z)
+            return
         a, s = self._a[:count], self._b[:count]
         np.multiply(electrons, np.float32(6), out=a)
         np.add(a, np.float32(0.2), out=a)
@@ -160,10 +208,18 @@ class TileNoise:
         np.copyto(electrons, poisson_quantiles(electrons, uniform))
 
     def add_read_noise(
-        self, electrons: NDArray[np.float32], sigma_e: float, seed: int, frame: int, tile: int
+        self,
+        electrons: NDArray[np.float32],
+        sigma_e: float,
+        seed: int,
+        frame: int,
+        tile: int,
+        stream: Stream = Stream.READ,
     ) -> None:
         """Add Gaussian noise of `sigma_e` electrons in place."""
-        noise = self.normal(
-            electrons.size, seed, frame, Stream.READ, tile, scaled_quantiles(sigma_e)
-        )
+        table = scaled_quantiles(sigma_e)
+        if self.kernels is not None:
+            self.kernels.add_draws(_state(seed, frame, stream, tile), table, electrons)
+            return
+        noise = self.normal(electrons.size, seed, frame, stream, tile, table)
         np.add(electrons, noise, out=electrons)

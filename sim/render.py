@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import Pixels
 from camctl.errors import UsageError
+from sim.compiled import KernelChoice
 from sim.effects import EFFECTS
 from sim.effects.budget import FramePlan, check_tolerance, plan_frame
 from sim.effects.record import Effect, RowTiming, Shot, Stage, Tile
@@ -68,6 +69,8 @@ class Renderer:
             effects out; 0 leaves out only what changes no bit
         cache_bytes: memory for what is the same in every frame: the light of a scene without a
             moving target behind the lens, PRNU, DSNU and hot pixels; frames do not depend on it
+        compiled: whether the functions of `sim.compiled` are used, see `KernelChoice` there; frames
+            do not depend on it
 
     Raises:
         UsageError: a seed or a tolerance out of range
@@ -82,6 +85,7 @@ class Renderer:
         threads: int = 2,
         tolerance_dn: float = 0.0,
         cache_bytes: int = CACHE_BYTES,
+        compiled: bool | None = None,
     ) -> None:
         if not 0 <= seed < 2**64:
             raise UsageError(f"invalid seed {seed}", hint="expected 0 to 2^64 - 1")
@@ -93,6 +97,7 @@ class Renderer:
         response = sensor.response
         self._curve = LevelLookup.of(response.levels) if response is not None else None
         self._cache = FrameCache(cache_bytes)
+        self._kernels = KernelChoice(compiled)
         self._memory = threading.local()
 
     @property
@@ -180,14 +185,14 @@ class Renderer:
 
         across_tiles = _pictures(running, Stage.WELL)
         if not across_tiles:
-            self._run_tiles(shot, light.size, (collect, read))
+            self._run_tiles(shot, light, (collect, read))
             return
         charge = np.empty(light.size, np.float32)
-        self._run_tiles(shot, light.size, (collect,), charge)
+        self._run_tiles(shot, light, (collect,), charge)
         picture = charge.reshape(self._view.planes().shape[:2] + self._view.light.shape[2:])
         for change in across_tiles:
             picture = change(picture, shot)
-        self._run_tiles(shot, light.size, (read,), picture.reshape(-1))
+        self._run_tiles(shot, light, (read,), picture.reshape(-1))
 
     def _light(self, shot: Shot, running: Sequence[Effect], timing: RowTiming) -> Light:
         """Return photons a second on each sample, after all effects on the picture of light."""
@@ -219,23 +224,26 @@ class Renderer:
     def _run_tiles(
         self,
         shot: Shot,
-        size: int,
+        light: Light,
         steps: Sequence[Callable[[Tile, slice], None]],
         charge: Light | None = None,
     ) -> None:
-        """Do `steps` on each tile of a frame of `size` samples.
+        """Do `steps` on each tile of a frame with `light` on its samples.
 
         Its values lie in `charge` where that is given, and otherwise in the thread's own memory.
         """
+        size = light.size
         tiles = math.ceil(size / TILE)
+        kernels = self._kernels.after(size)
 
         def run(first: int) -> None:
             noise, memory = self._thread_memory()
+            noise.kernels = kernels
             for index in range(first, tiles, self._threads):
                 start = index * TILE
                 here = slice(start, min(start + TILE, size))
                 values = memory[: here.stop - start] if charge is None else charge[here]
-                tile = Tile(shot, values, start, index, noise, self._cache)
+                tile = Tile(shot, values, light[here], start, index, noise, self._cache)
                 for step in steps:
                     step(tile, here)
 
@@ -258,17 +266,23 @@ class Renderer:
                 return
             np.add(self._curve.brightness(values), sensor.black, out=out, casting="unsafe")
             return
-        np.multiply(values, np.float32(shot.gain / sensor.electrons_per_dn), out=values)
+        scale = np.float32(shot.gain / sensor.electrons_per_dn)
+        offset, top = np.float32(sensor.black + sensor.phase), np.float32(2**sensor.bits - 1)
+        if tile.noise.kernels is not None and not effects and not is_analogue:
+            tile.noise.kernels.quantise(values, scale, offset, top, out)
+            return
+        np.multiply(values, scale, out=values)
         for apply in effects:
             apply(tile)
-        if offset := sensor.black + sensor.phase:
-            np.add(values, np.float32(offset), out=values)
         if is_analogue:
-            np.copyto(out, values)
-            return
-        # Nothing is negative after clipping, so that the cast is a floor.
-        np.clip(values, np.float32(0), np.float32(2**sensor.bits - 1), out=values)
-        np.copyto(out, values, casting="unsafe")
+            np.add(values, offset, out=out)
+        elif tile.noise.kernels is not None:
+            tile.noise.kernels.quantise(values, np.float32(1), offset, top, out)
+        else:
+            np.add(values, offset, out=values)
+            # Nothing is negative after clipping, so that the cast is a floor.
+            np.clip(values, np.float32(0), top, out=values)
+            np.copyto(out, values, casting="unsafe")
 
 
 def _pictures(effects: Sequence[Effect], stage: Stage) -> list[Callable[[Light, Shot], Light]]:

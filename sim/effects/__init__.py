@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from camctl.errors import unknown_name
-from sim.effects.charge import CHARGE
+from sim.effects.charge import CHARGE, PIXELS
+from sim.effects.dark import DARK
 from sim.effects.optics import OPTICS
 from sim.effects.readout import READ_OUT
 from sim.effects.record import Effect
 
 __all__ = ["EFFECTS", "check_names", "effect_names"]
 
-EFFECTS: tuple[Effect, ...] = (*OPTICS, *CHARGE, *READ_OUT)
+EFFECTS: tuple[Effect, ...] = (*OPTICS, *PIXELS, *DARK, *CHARGE, *READ_OUT)
 """All effects, in the order in which light goes through them."""
 
 

@@ -22,6 +22,7 @@ With S the set of effects left out, in the order in which light goes through the
 5. *Well.*  Clipping does not enlarge a difference.  Blooming does, at most by the number of rows:
    it moves charge along a column, and can move all differences of the column to one sample.
 6. *Reading* adds its bounded noises, *gain* and the slope of the *ADC* multiply, the bow adds.
+   Where light fills the reset level, too, its change is added, at most a full well.
 7. *Rounding* in float32 is counted for each operation in which the two frames can differ.
 """
 
@@ -35,13 +36,15 @@ from functools import cached_property
 import numpy as np
 
 from sim.effects import EFFECTS
-from sim.effects.optics import rounding_count
+from sim.effects.lens import rounding_count
 from sim.effects.record import LARGEST_NOISE, Change, Shot
 from sim.photon_counts import COUNT_ERROR_E, LARGEST_COUNT_NOISE
 
 _ULP = 2.0**-23  # twice the unit of rounding in float32, for the two frames
 _TILE_OPERATIONS, _ADC_OPERATIONS = 24, 6  # roundings of charge, and from charge to brightness
+_TRANSFORM_ROUNDING = 1e-12  # relative to the brightest light: Fourier transforms of diffraction
 _ROUNDING_MARGIN = 1e-5  # relative: more than all float32 roundings of a sample's light together
+_LARGEST_SHARE = 1e30  # instead of an infinite one, whose product with no light is not a number
 
 _MOST_BELOW_ZERO_E = LARGEST_NOISE**2 / 4 + 1 / 6
 """How far below 0 photon noise can take the charge: the least ``m + z s - a`` for ``s <= sqrt m``
@@ -182,7 +185,8 @@ class Bounds:
     def _rounding_e(self) -> float:
         sensor = self.shot.sensor
         largest = min(self.peak_e, 2 * sensor.full_well_e)
-        return (_TILE_OPERATIONS + rounding_count(self.shot)) * _ULP * largest
+        count = _TILE_OPERATIONS + rounding_count(self.shot)
+        return count * _ULP * largest + _TRANSFORM_ROUNDING * self.peak_e
 
     def joint(self, left_out: Collection[str]) -> float:
         """Return the bound of leaving out these effects together, in DN before the ADC."""
@@ -203,6 +207,7 @@ class Bounds:
             charge *= 1 + sum(change.spreads for change in stay)
         # Whatever came before, the well holds no more, and noise takes no more from nothing.
         charge = min(charge, sensor.full_well_e + _MOST_BELOW_ZERO_E)
+        charge += self._reset_e(left_out, gone, stay)
         charge += sum(change.read_e for change in gone) + self._rounding_e
         brightness = charge * self._dn_per_electron
         for change in stay:
@@ -210,8 +215,8 @@ class Bounds:
         bow = sum(change.dn for change in gone)
         return float(brightness + bow + _ADC_OPERATIONS * _ULP * 2**sensor.bits)
 
-    def _charge_e(self, left_out: Collection[str], gone: list[Change], stay: list[Change]) -> float:
-        """Return the bound in electrons before the well: items 1 to 4 of the derivation."""
+    def _factor_shares(self, left_out: Collection[str]) -> tuple[float, float]:
+        """Return the largest product of the factors that stay, and R of item 2."""
         stay_more, more, less = 1.0, 1.0, 1.0
         for name, change in self.changes.items():
             if name not in left_out:
@@ -219,7 +224,22 @@ class Bounds:
             elif not change.within or change.within not in left_out:
                 more *= 1 + change.more
                 less *= 1 - change.less
-        share = max(more - 1, 1 - less)
+        return stay_more, min(max(more - 1, 1 - less), _LARGEST_SHARE)
+
+    def _reset_e(self, left_out: Collection[str], gone: list[Change], stay: list[Change]) -> float:
+        """Return by how much the charge of reset levels changes: item 6 of the derivation."""
+        taken = sum(change.resets for change in stay)
+        if taken == 0:
+            return 0.0
+        well = self.shot.sensor.full_well_e
+        stay_more, share = self._factor_shares(left_out)
+        light = sum(change.light for change in gone) + share * self.shot.statistics.most
+        shift = taken * self.shot.electrons_per_photon_s * stay_more * light
+        return min(shift, well) + _TILE_OPERATIONS * _ULP * well
+
+    def _charge_e(self, left_out: Collection[str], gone: list[Change], stay: list[Change]) -> float:
+        """Return the bound in electrons before the well: items 1 to 4 of the derivation."""
+        stay_more, share = self._factor_shares(left_out)
         per_photon_s = self._electrons_per_photon_s * stay_more
         shift = per_photon_s * sum(change.light for change in gone)
         shift += sum(change.mean_e for change in gone)
@@ -233,6 +253,7 @@ class Bounds:
             return charge + noise + self._count_error_e
         if self._has_photon_noise and charge > 0:
             least = self._smallest_light_e + sum(change.least_e for change in stay)
-            charge += absolute_shift(shift, least, self._noise_limit)
+            least += sum(min(change.least_e, 0.0) for change in gone)
+            charge += absolute_shift(shift, max(least, 0.0), self._noise_limit)
             charge += relative_shift(share, most, self._noise_limit) + self._count_error_e
         return charge

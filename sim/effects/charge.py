@@ -1,4 +1,4 @@
-"""Effects on charge: what the pixels make of light, and the charge that comes without light."""
+"""Effects on charge: what the pixels make of light, photon noise, and what limits charge."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sim.effects.record import (
     Stage,
     Tile,
 )
-from sim.noise import PATTERN, TILE, Stream
+from sim.noise import Stream
 
 Hits = tuple[NDArray[np.int64], NDArray[np.float32]]
 
@@ -52,7 +52,7 @@ def _lag_change(shot: Shot) -> Change:
     most = shot.statistics.most * shot.electrons_per_photon_s * shot.lag_ratio
     most *= 1 + LARGEST_NOISE * sensor.pixels.prnu
     if shot.view.lamps is not None:
-        most *= 1 + shot.view.lamps.remaining_depth(shot.time_s)
+        most *= 1 + shot.view.lamps.swing(shot.time_s)[1]
     lag = sensor.pixels.lag
     return Change(mean_e=lag * min(most, sensor.full_well_e), repeats=lag * shot.lag_ratio)
 
@@ -66,45 +66,6 @@ def _smear_lines(shot: Shot, _: RowTiming) -> Lines:
 def _smear_change(shot: Shot) -> Change:
     per_photon = shot.sensor.quantum_efficiency * shot.sensor.pixels.smear_s
     return Change(mean_e=shot.statistics.most * per_photon)
-
-
-def _dark_e(shot: Shot) -> float:
-    """Return the mean dark signal of the exposure, electrons."""
-    dark = shot.sensor.dark
-    return dark.current_e_s * dark.rate_factor * shot.time_s
-
-
-def _dark(tile: Tile) -> None:
-    np.add(tile.values, np.float32(_dark_e(tile.shot)), out=tile.values)
-
-
-def _dark_change(shot: Shot) -> Change:
-    signal = _dark_e(shot)
-    return Change(mean_e=signal, least_e=signal)
-
-
-def _hottest_e(shot: Shot) -> float:
-    """Return the largest charge that a hot pixel collects in the exposure, electrons."""
-    dark = shot.sensor.dark
-    return dark.hot_rate_e_s * dark.rate_factor * shot.time_s
-
-
-def _hot(tile: Tile) -> None:
-    shot = tile.shot
-
-    def draw() -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        key = np.random.SeedSequence(shot.seed, spawn_key=(PATTERN, int(Stream.HOT), tile.index))
-        random = np.random.Generator(np.random.SFC64(key))
-        # Always for a whole tile, so that it is the same in a frame that ends within it.
-        count = int(TILE * shot.sensor.dark.hot_share + random.random())
-        places = (random.random(count) * TILE).astype(np.intp)
-        shares = random.random(count)
-        places, first = np.unique(places, return_index=True)
-        inside = places < tile.values.size
-        return places[inside], shares[first][inside]
-
-    places, shares = tile.cache.get((Stream.HOT, tile.index), draw)
-    tile.values[places] += (shares * _hottest_e(shot)).astype(np.float32)
 
 
 def _photon_noise(tile: Tile) -> None:
@@ -225,7 +186,7 @@ def _well(tile: Tile) -> None:
     np.clip(tile.values, _NO_LOWER_LIMIT, full, out=tile.values)
 
 
-CHARGE = (
+PIXELS = (
     Effect(
         "PRNU",
         Stage.MEAN,
@@ -253,24 +214,9 @@ CHARGE = (
         cost=0.6,
         lines=_smear_lines,
     ),
-    Effect(
-        "dark current",
-        Stage.MEAN,
-        "electrons a second, doubling every doubling_k kelvin; its noise is part of photon noise",
-        present=lambda shot: shot.sensor.dark.current_e_s > 0,
-        change=_dark_change,
-        cost=0.1,
-        apply=_dark,
-    ),
-    Effect(
-        "hot pixels",
-        Stage.MEAN,
-        "a share of the pixels has a dark rate of up to hot_rate_e_s, doubling likewise",
-        present=lambda s: s.sensor.dark.hot_share > 0 and s.sensor.dark.hot_rate_e_s > 0,
-        change=lambda shot: Change(mean_e=_hottest_e(shot)),
-        cost=0.2,
-        apply=_hot,
-    ),
+)
+
+CHARGE = (
     Effect(
         "photon noise",
         Stage.CHARGE,

@@ -1,4 +1,4 @@
-"""Effects on light, before it becomes charge: timing, lens, colour filters, crosstalk, lamps."""
+"""Effects on light, before it becomes charge: timing, colour filters, crosstalk, lamps."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from sim.effects.lens import LENS, glare_bend
 from sim.effects.record import Change, Effect, Light, Lines, RowTiming, Shot, Stage
-
-_GLARE_SAMPLES_PER_SIGMA = 2.5
-"""Glare is computed at this many samples a standard deviation, enough for a smooth Gaussian."""
+from sim.scenes.motion import Lamps, PwmLamps
 
 _ROUNDED_SWING = 2.0**-26  # 1 plus or minus less than this is 1 in float32
 _STEADY = "over this exposure the light of the lamps averages out"
@@ -49,78 +48,13 @@ def _rolling_change(shot: Shot) -> Change:
     lamps = shot.view.lamps
     if lamps is None:
         return Change(light=light)
-    swing = lamps.remaining_depth(shot.time_s)
-    if swing < _ROUNDED_SWING and light == 0:
+    less, more = lamps.swing(shot.time_s)
+    if max(less, more) < _ROUNDED_SWING and light == 0:
         return Change(nothing=_STEADY)
-    change = min(2 * swing, 2 * math.pi * lamps.flicker_hz * late_s * swing)
-    share = change / (1 - swing) if swing < 1 else math.inf
-    return Change(light=light, less=min(share, 1.0), more=share, within="mains flicker")
-
-
-def gaussian(sigma: float) -> Light:
-    """Return a Gaussian kernel with sum 1 that reaches 3 sigma to both sides."""
-    reach = max(1, math.ceil(3 * sigma))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    return np.asarray(kernel / kernel.sum(), dtype=np.float32)
-
-
-def _blur(planes: Light, shot: Shot) -> Light:
-    import cv2
-
-    kernel = gaussian(shot.sensor.lens.blur_px)
-    return np.asarray(
-        cv2.sepFilter2D(planes, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT), dtype=np.float32
-    )
-
-
-def _blur_change(shot: Shot) -> Change:
-    # sum_j k_j E(x + j) - E(x) for a symmetric k is a sum of second differences over j, each at
-    # most j^2 times the largest one: half the second moment times that, along and across.
-    s = shot.statistics
-    kernel = gaussian(shot.sensor.lens.blur_px).astype(np.float64)
-    reach = kernel.size // 2
-    moment = float((kernel * np.arange(-reach, reach + 1) ** 2).sum())
-    return Change(light=min(moment / 2 * (s.bend + _glare_bend(shot)), s.most - s.least))
-
-
-def _glare_samples(shot: Shot) -> tuple[tuple[int, int], Light]:
-    """Return the (columns, rows) at which glare is computed, and its kernel at that scale."""
-    rows, columns = shot.rows, shot.width // shot.channels
-    sigma = shot.sensor.lens.glare_width * max(rows, columns)
-    step = max(1, int(sigma / _GLARE_SAMPLES_PER_SIGMA))
-    return (max(1, columns // step), max(1, rows // step)), gaussian(sigma / step)
-
-
-def _glare(planes: Light, shot: Shot) -> Light:
-    import cv2
-
-    lens = shot.sensor.lens
-    rows, columns = planes.shape[:2]
-    size, kernel = _glare_samples(shot)
-    small = cv2.resize(planes, size, interpolation=cv2.INTER_AREA)
-    small = cv2.sepFilter2D(small, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
-    wide = cv2.resize(small, (columns, rows), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.addWeighted(planes, 1 - lens.glare, wide, lens.glare, 0.0))
-
-
-def _glare_change(shot: Shot) -> Change:
-    s = shot.statistics
-    return Change(light=shot.sensor.lens.glare * (s.most - s.least))
-
-
-def _glare_bend(shot: Shot) -> float:
-    """Return by how much glare can enlarge second differences, along rows plus along columns.
-
-    A kernel that rises and falls once changes what it smooths from sample to sample by at most its
-    peak times the light's range.  Enlarged to pixels, that slope is smaller by the scale, and a
-    second difference is the difference of two slopes.
-    """
-    s, glare = shot.statistics, shot.sensor.lens.glare
-    if glare == 0:
-        return 0.0
-    (columns, rows), kernel = _glare_samples(shot)
-    scale = columns * shot.channels / shot.width + rows / shot.rows
-    return 2 * glare * float(kernel.max()) * scale * (s.most - s.least)
+    change = min(less + more, lamps.steepest(shot.time_s) * late_s)
+    share = change / (1 - less) if less < 1 else math.inf
+    within = "PWM lamps" if isinstance(lamps, PwmLamps) else "mains flicker"
+    return Change(light=light, less=min(share, 1.0), more=share, within=within)
 
 
 def _crosstalk(light: Light, shot: Shot) -> Light:
@@ -136,9 +70,10 @@ def _crosstalk(light: Light, shot: Shot) -> Light:
 def _crosstalk_change(shot: Shot) -> Change:
     s, share = shot.statistics, shot.sensor.pixels.crosstalk
     spread = s.most - s.least * (1 - shot.sensor.lens.vignetting)
-    if s.is_mosaic:  # neighbours have other colours
+    # Neighbours in a mosaic have other colours, and lateral colour bends light in other ways.
+    if s.is_mosaic or shot.sensor.lens.lateral_colour > 0:
         return Change(light=4 * share * spread)
-    bend = s.bend + _glare_bend(shot) + _vignetting_bend(shot)
+    bend = s.bend + glare_bend(shot) + _vignetting_bend(shot)
     return Change(light=share * min(bend, 4 * spread))
 
 
@@ -179,33 +114,10 @@ def _flicker_lines(shot: Shot, timing: RowTiming) -> Lines:
 
 def _flicker_change(shot: Shot) -> Change:
     assert shot.view.lamps is not None
-    swing = shot.view.lamps.remaining_depth(shot.time_s)
-    if swing < _ROUNDED_SWING:
+    less, more = shot.view.lamps.swing(shot.time_s)
+    if max(less, more) < _ROUNDED_SWING:
         return Change(nothing=_STEADY)
-    return Change(less=swing, more=swing)
-
-
-def rounding_count(shot: Shot) -> float:
-    """Return how many roundings in float32 the light of a sample goes through, one after another.
-
-    A sum of n terms >= 0 is wrong by at most n units of rounding.  Those of glare count by the
-    share of the light that is glare.
-    """
-    lens = shot.sensor.lens
-    count = 0.0
-    if lens.blur_px > 0:
-        count += 2 * gaussian(lens.blur_px).size
-    if lens.glare > 0:
-        (columns, rows), kernel = _glare_samples(shot)
-        averaged = shot.width / shot.channels / columns + shot.rows / rows
-        count += 4 + lens.glare * (2 * kernel.size + 2 * averaged + 8)
-    if lens.vignetting > 0:
-        count += 3
-    if shot.sensor.pixels.crosstalk > 0:
-        count += 6
-    if shot.view.target is not None:
-        count += 6
-    return count
+    return Change(less=less, more=more)
 
 
 OPTICS = (
@@ -227,24 +139,7 @@ OPTICS = (
         cost=0.3,
         timing=_roll,
     ),
-    Effect(
-        "veiling glare",
-        Stage.LENS,
-        "ISO 9358: a share of all light is scattered widely; a Gaussian of glare_width",
-        present=lambda shot: shot.sensor.lens.glare > 0,
-        change=_glare_change,
-        cost=1.5,
-        picture=_glare,
-    ),
-    Effect(
-        "point spread",
-        Stage.LENS,
-        "a Gaussian of blur_px for the point spread of the lens, as blur in ISO 12233; pixels",
-        present=lambda shot: shot.sensor.lens.blur_px > 0,
-        change=_blur_change,
-        cost=1.2,
-        picture=_blur,
-    ),
+    *LENS,
     Effect(
         "colour mosaic",
         Stage.SAMPLES,
@@ -275,7 +170,17 @@ OPTICS = (
         "mains flicker",
         Stage.MEAN,
         "lamps on 50 or 60 Hz mains peak at 100 or 120 Hz: 1 + a cos, averaged over the exposure",
-        present=lambda shot: shot.view.lamps is not None,
+        present=lambda shot: isinstance(shot.view.lamps, Lamps),
+        change=_flicker_change,
+        cost=0.3,
+        lines=_flicker_lines,
+    ),
+    Effect(
+        "PWM lamps",
+        Stage.MEAN,
+        "lamps that are on for the share `duty` of each period of pwm_hz, averaged over the"
+        " exposure exactly; with a rolling shutter each row begins elsewhere in the period",
+        present=lambda shot: isinstance(shot.view.lamps, PwmLamps),
         change=_flicker_change,
         cost=0.3,
         lines=_flicker_lines,

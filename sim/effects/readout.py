@@ -21,23 +21,67 @@ def _read_noise(tile: Tile) -> None:
     tile.noise.add_read_noise(tile.values, sigma_e, shot.seed, shot.number, tile.index)
 
 
+def _adc_noise_e(shot: Shot) -> float:
+    """Return the noise behind the amplifier, in electrons in front of it."""
+    return shot.sensor.read_out.adc_noise_e / shot.gain
+
+
+def _adc_noise(tile: Tile) -> None:
+    shot = tile.shot
+    sigma_e = _adc_noise_e(shot)
+    tile.noise.add_read_noise(tile.values, sigma_e, shot.seed, shot.number, tile.index, Stream.ADC)
+
+
 def _row_noise_lines(shot: Shot, _: RowTiming) -> Lines:
-    z = line_noise(shot.seed, shot.number, Stream.ROW, shot.rows)
-    return Lines(np.add, rows=z * np.float32(shot.sensor.read_out.row_noise_e))
+    read_out = shot.sensor.read_out
+    z = line_noise(shot.seed, shot.number, Stream.ROW, shot.rows, read_out.pink_share)
+    return Lines(np.add, rows=z * np.float32(read_out.row_noise_e))
 
 
 def _column_noise_lines(shot: Shot, _: RowTiming) -> Lines:
-    z = line_noise(shot.seed, PATTERN, Stream.COLUMN, shot.width)
-    return Lines(np.add, columns=z * np.float32(shot.sensor.read_out.column_noise_e))
+    read_out = shot.sensor.read_out
+    z = line_noise(shot.seed, PATTERN, Stream.COLUMN, shot.width, read_out.pink_share)
+    return Lines(np.add, columns=z * np.float32(read_out.column_noise_e))
+
+
+def _rts(tile: Tile) -> None:
+    shot = tile.shot
+    places, sizes = tile.some_pixels(Stream.RTS, shot.sensor.read_out.rts_share)
+    key = (shot.number, int(Stream.RTS_STATE), tile.index)
+    random = np.random.Generator(np.random.SFC64(np.random.SeedSequence(shot.seed, spawn_key=key)))
+    # Full or empty before and after, each with probability 1/2: -1, 0, 0, or 1.
+    before, after = random.random((2, places.size)) < 0.5
+    step = after.astype(np.float64) - before
+    tile.values[places] += (step * sizes * shot.sensor.read_out.rts_e).astype(np.float32)
+
+
+def _reset_e(shot: Shot) -> float:
+    """Return the electrons in the reset level for one photon a second."""
+    return shot.sensor.quantum_efficiency * shot.sensor.read_out.reset_s
+
+
+def _black_sun(tile: Tile) -> None:
+    reset = tile.light * np.float32(_reset_e(tile.shot))
+    np.minimum(reset, np.float32(tile.shot.sensor.full_well_e), out=reset)
+    np.subtract(tile.values, reset, out=tile.values)
+
+
+def _black_sun_change(shot: Shot) -> Change:
+    most = min(_reset_e(shot) * shot.statistics.most, shot.sensor.full_well_e) * (1 + 1e-5)
+    return Change(read_e=most, resets=shot.sensor.read_out.reset_s / shot.time_s)
 
 
 def _bow_adc(tile: Tile) -> None:
     """Add the ADC's error 4 A u (1 - u), u brightness above black from 0 to 1."""
     sensor, dn = tile.shot.sensor, tile.values
     top = np.float32(2**sensor.bits - sensor.black)
+    factor = np.float32(4 * sensor.read_out.nonlinearity_dn) / top
+    if tile.noise.kernels is not None:
+        tile.noise.kernels.add_bow(dn, top, factor)
+        return
     u = np.clip(dn, np.float32(0), top)
     bow = u * (np.float32(1) - u / top)
-    np.multiply(bow, np.float32(4 * sensor.read_out.nonlinearity_dn) / top, out=bow)
+    np.multiply(bow, factor, out=bow)
     np.add(dn, bow, out=dn)
 
 
@@ -47,6 +91,16 @@ def _bow_change(shot: Shot) -> Change:
 
 
 READ_OUT = (
+    Effect(
+        "black sun",
+        Stage.READING,
+        "correlated double sampling: the reset level is taken reset_s after the reset and holds the"
+        " charge of that time, at most a full well, which is subtracted",
+        present=lambda shot: shot.sensor.read_out.reset_s > 0,
+        change=_black_sun_change,
+        cost=0.5,
+        apply=_black_sun,
+    ),
     Effect(
         "DSNU",
         Stage.READING,
@@ -66,9 +120,30 @@ READ_OUT = (
         apply=_read_noise,
     ),
     Effect(
+        "ADC noise",
+        Stage.READING,
+        "noise behind the amplifier, normal: adc_noise_e / gain electrons, so that read noise falls"
+        " with gain as sqrt(a^2 + (b / gain)^2)",
+        present=lambda shot: shot.sensor.read_out.adc_noise_e > 0,
+        change=lambda shot: Change(read_e=LARGEST_NOISE * _adc_noise_e(shot)),
+        cost=1.6,
+        apply=_adc_noise,
+    ),
+    Effect(
+        "RTS pixels",
+        Stage.READING,
+        "random telegraph signal: in a share of the pixels a trap is full or empty at each of the"
+        " two samples of a reading, which adds -A, 0, 0 or A electrons, A from 0 to rts_e",
+        present=lambda s: s.sensor.read_out.rts_share > 0 and s.sensor.read_out.rts_e > 0,
+        change=lambda shot: Change(read_e=shot.sensor.read_out.rts_e),
+        cost=0.2,
+        apply=_rts,
+    ),
+    Effect(
         "row noise",
         Stage.READING,
-        "EMVA 1288 row-temporal noise: an offset of each row, new in every frame, electrons",
+        "EMVA 1288 row-temporal noise: an offset of each row, new in every frame, electrons; the"
+        " share pink_share of its variance is 1/f",
         present=lambda shot: shot.sensor.read_out.row_noise_e > 0,
         change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.read_out.row_noise_e),
         cost=0.3,
@@ -77,7 +152,8 @@ READ_OUT = (
     Effect(
         "column noise",
         Stage.READING,
-        "EMVA 1288 column DSNU: an offset of each column amplifier, always the same, electrons",
+        "EMVA 1288 column DSNU: an offset of each column amplifier, always the same, electrons; the"
+        " share pink_share of its variance is 1/f",
         present=lambda shot: shot.sensor.read_out.column_noise_e > 0,
         change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.read_out.column_noise_e),
         cost=0.3,

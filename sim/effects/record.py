@@ -17,12 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.frame_cache import FrameCache
-from sim.noise import PATTERN, Stream, TileNoise, largest_noise
+from sim.noise import PATTERN, TILE, Stream, TileNoise, largest_noise
 from sim.photon_counts import READ_NOISE_THAT_HIDES_COUNTS_E
 from sim.scenes.view import Statistics, View
 from sim.sensors.sensor import Sensor
 
 Light: TypeAlias = NDArray[np.float32]
+
+Places: TypeAlias = tuple[NDArray[np.intp], NDArray[np.float64]]
 
 LARGEST_NOISE = largest_noise()
 
@@ -69,10 +71,11 @@ class Change:
 
     Attributes:
         repeats: share of the mean charge that the effect adds again
-        least_e: least charge that it adds to the mean of every sample, electrons
+        least_e: least charge that it adds to the mean of every sample, electrons; may be negative
         hit_e: largest charge that it adds to a sample after photon noise, electrons
         spreads: share by which a difference grows if samples reach the well
         slope: share by which a difference in DN grows
+        resets: share of the mean charge that the effect takes away again after the well
     """
 
     light: float = 0.0
@@ -91,6 +94,7 @@ class Change:
     hit_e: float = 0.0
     spreads: float = 0.0
     slope: float = 0.0
+    resets: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +191,7 @@ class Tile:
         shot: the exposure
         values: (samples,) float32, electrons up to `Stage.READING` and DN in `Stage.ADC`; effects
             change them in place
+        light: (samples,) float32, photons a second on them; not to be written to
         start: number of the first sample in the frame
         index: number of the tile in the frame
         noise: generator and working memory of the thread
@@ -195,6 +200,7 @@ class Tile:
 
     shot: Shot
     values: Light
+    light: Light
     start: int
     index: int
     noise: TileNoise
@@ -216,6 +222,26 @@ class Tile:
 
         return self.cache.get((stream, self.index), draw)[0]
 
+    def some_pixels(self, stream: Stream, share: float) -> Places:
+        """Return a fixed random share of the samples, ascending, each with a number from 0 to 1.
+
+        `share` belongs to the sensor, so that it is no part of the key; do not write.
+        """
+
+        def draw() -> Places:
+            key = (PATTERN, int(stream), self.index)
+            seeds = np.random.SeedSequence(self.shot.seed, spawn_key=key)
+            random = np.random.Generator(np.random.SFC64(seeds))
+            # Always for a whole tile, so that it is the same in a frame that ends within it.
+            count = int(TILE * share + random.random())
+            places = (random.random(count) * TILE).astype(np.intp)
+            numbers = random.random(count)
+            places, first = np.unique(places, return_index=True)
+            inside = places < self.values.size
+            return places[inside], numbers[first][inside]
+
+        return self.cache.get((stream, self.index), draw)
+
 
 @dataclass(frozen=True, eq=False)
 class Lines:
@@ -233,18 +259,29 @@ class Lines:
 
     def apply(self, tile: Tile) -> None:
         """Combine the numbers of their row and column with the samples of a tile, in place."""
-        width = tile.shot.width
-        stop = tile.start + tile.values.size
-        first, last = tile.start // width, -(-stop // width)
+        values, width = tile.values, tile.shot.width
+        row, column = divmod(tile.start, width)
+        begun = min(-tile.start % width, values.size)  # samples of a row of the tile before
+        if begun:
+            self._combine(values[np.newaxis, :begun], row, column)
+            row += 1
+        whole = begun + (values.size - begun) // width * width
+        self._combine(values[begun:whole].reshape(-1, width), row, 0)
+        if whole < values.size:
+            row += (whole - begun) // width
+            self._combine(values[np.newaxis, whole:], row, 0)
+
+    def _combine(self, part: Light, row: int, column: int) -> None:
+        """Do so for (rows, columns) samples from a row and a column on."""
+        height, width = part.shape
         if self.columns is None:
             assert self.rows is not None
-            numbers = np.repeat(self.rows[first:last], width)
-        elif self.rows is None:
-            numbers = np.broadcast_to(self.columns, (last - first, width)).reshape(-1)
+            numbers = self.rows[row : row + height, np.newaxis]
         else:
-            numbers = np.add(self.rows[first:last, np.newaxis], self.columns).reshape(-1)
-        here = numbers[tile.start - first * width : stop - first * width]
-        self.combine(tile.values, here, out=tile.values)
+            numbers = self.columns[column : column + width]
+            if self.rows is not None:
+                numbers = self.rows[row : row + height, np.newaxis] + numbers
+        self.combine(part, numbers, out=part)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from collections.abc import Callable, MutableMapping
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.scenes.charts import grey_steps, outdoor_sun, slanted_edge
 from sim.scenes.night import night_street, stars
 
 Light = NDArray[np.float32]
@@ -136,7 +137,8 @@ def ball(rows: int, columns: int) -> Light:
     lambert = np.maximum(nx * light[0] + ny * light[1] + nz * light[2], 0)
     half = light + np.array([0, 0, 1], dtype=np.float32)
     half /= np.linalg.norm(half)
-    highlight = np.maximum(nx * half[0] + ny * half[1] + nz * half[2], 0) ** 350
+    # Beside the ball there is no normal, and the product may be above 1.
+    highlight = np.clip(nx * half[0] + ny * half[1] + nz * half[2], 0, 1) ** 350
     # Light that the table reflects to the ball.
     bounce = np.float32(0.02) * np.clip(ny + np.float32(0.4), 0, None) + np.float32(0.004)
     speckle = 1 + np.float32(0.03) * _waves(nx * 6, ny * 6, 21, 12, 2.0, 14.0)
@@ -290,9 +292,12 @@ DRAWINGS: MutableMapping[str, Callable[[int, int], Light]] = {
     "ball": ball,
     "cloth": cloth,
     "colour-chart": colour_chart,
+    "grey-steps": grey_steps,
     "night-street": night_street,
+    "outdoor-sun": outdoor_sun,
     "ramp": ramp,
     "room": room,
+    "slanted-edge": slanted_edge,
     "stars": stars,
     "tile-floor": tile_floor,
     "uniform": uniform,

@@ -1,7 +1,8 @@
-"""What changes in a scene while a frame is exposed: flickering lamps and a moving target."""
+"""What changes in a scene while a frame is exposed: lamps that are not steady, a moving target."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -52,11 +53,77 @@ class Lamps:
         """
         return self.depth * abs(float(np.sinc(self.flicker_hz * time_s)))
 
+    def swing(self, time_s: float) -> tuple[float, float]:
+        """Return by which share of its mean the light of an exposure is less and more at most."""
+        depth = self.remaining_depth(time_s)
+        return depth, depth
+
+    def steepest(self, time_s: float) -> float:
+        """Return the largest change of `factors` for each second by which an exposure is later."""
+        return 2 * np.pi * self.flicker_hz * self.remaining_depth(time_s)
+
     def factors(self, starts_s: NDArray[np.float64], time_s: float) -> Light:
         """Return the light in exposures that start at `starts_s`, relative to its mean."""
         middle = 2 * np.pi * np.mod(self.flicker_hz * (starts_s + time_s / 2), 1.0)
         swing = self.depth * np.sinc(self.flicker_hz * time_s)
         return np.asarray(1 + swing * np.cos(middle), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class PwmLamps:
+    """Lamps that are switched on and off, as dimmed LEDs are (pulse-width modulation).
+
+    Attributes:
+        pwm_hz: periods a second
+        duty: share of each period for which the lamps are on
+        depth: share of the scene's mean light that is theirs
+
+    Raises:
+        DataError: a number out of range
+    """
+
+    pwm_hz: float
+    duty: float
+    depth: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (0 < self.pwm_hz < 1e9 and 1e-3 <= self.duty <= 1 and 0 <= self.depth <= 1):
+            raise DataError(
+                f"invalid lamps: pwm_hz {self.pwm_hz:g}, duty {self.duty:g}, depth {self.depth:g}",
+                hint="expected pwm_hz above 0, duty 0.001 to 1, depth 0 to 1",
+            )
+
+    def swing(self, time_s: float) -> tuple[float, float]:
+        """Return by which share of its mean the light of an exposure is less and more at most.
+
+        Of an exposure of n + r periods the lamps are on for ``n duty`` periods and, of the rest,
+        for ``max(0, r + duty - 1)`` to ``min(r, duty)``.
+        """
+        periods = self.pwm_hz * time_s
+        whole = math.floor(periods)
+        rest = periods - whole
+        mean = periods * self.duty
+        least = whole * self.duty + max(0.0, rest + self.duty - 1)
+        most = whole * self.duty + min(rest, self.duty)
+        return self.depth * max(0.0, 1 - least / mean), self.depth * max(0.0, most / mean - 1)
+
+    def steepest(self, time_s: float) -> float:
+        """Return the largest change of `factors` for each second by which an exposure is later."""
+        return self.depth / (self.duty * time_s)
+
+    def factors(self, starts_s: NDArray[np.float64], time_s: float) -> Light:
+        """Return the light in exposures that start at `starts_s`, relative to its mean."""
+        periods = self.pwm_hz * time_s
+        start = np.mod(self.pwm_hz * starts_s, 1.0)
+        on = (self._on(start + periods) - self._on(start)) / (periods * self.duty)
+        less, more = self.swing(time_s)
+        factors = np.clip(1 + self.depth * (on - 1), 1 - less, 1 + more)
+        return np.asarray(factors, dtype=np.float32)
+
+    def _on(self, periods: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return for how many periods the lamps were on until `periods`."""
+        whole = np.floor(periods)
+        return whole * self.duty + np.minimum(periods - whole, self.duty)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from sim.data_files import (
     read_text,
 )
 from sim.scenes.drawings import DRAWINGS, wheel
-from sim.scenes.motion import Lamps, Target
+from sim.scenes.motion import Lamps, PwmLamps, Target
 from sim.scenes.radiance_map import SUFFIXES, read_map, read_shape
 
 DEFAULT_SCENE = "tile-floor"
@@ -52,7 +52,7 @@ class Scene:
         photons_per_unit: photons a pixel a second for one unit of irradiance; if the unit is
             `LUMINANCE`, `Sensor.photons_per_candela` multiplies it
         notes: about the file that it was read from, one line each
-        lamps: lamps that flicker, if any
+        lamps: lamps that are not steady, if any
         target: a moving target, if any
 
     Raises:
@@ -65,7 +65,7 @@ class Scene:
     unit: str = PHOTONS
     photons_per_unit: float = 1.0
     notes: tuple[str, ...] = ()
-    lamps: Lamps | None = None
+    lamps: Lamps | PwmLamps | None = None
     target: Target | None = None
 
     def __post_init__(self) -> None:
@@ -130,13 +130,28 @@ def _count(bad: NDArray[np.bool_]) -> str:
 
 
 class LampsFile(FileModel):
-    """Flickering lamps in a scene file; see `sim.scenes.motion.Lamps`."""
+    """Lamps in a scene file that flicker (`mains_hz`) or are switched (`pwm_hz` and `duty`).
 
-    mains_hz: Annotated[float, Field(gt=0, le=1000)]
+    See `sim.scenes.motion.Lamps` and `sim.scenes.motion.PwmLamps`.
+    """
+
+    mains_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
+    pwm_hz: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
+    duty: Annotated[float, Field(ge=1e-3, le=1)] | None = None
     depth: Share
 
-    def lamps(self) -> Lamps:
+    @model_validator(mode="after")
+    def _check_kind(self) -> Self:
+        given = (self.mains_hz is not None, self.pwm_hz is not None, self.duty is not None)
+        if given not in ((True, False, False), (False, True, True)):
+            raise ValueError("give either mains_hz, or pwm_hz and duty")
+        return self
+
+    def lamps(self) -> Lamps | PwmLamps:
         """Return the lamps."""
+        if self.pwm_hz is not None and self.duty is not None:
+            return PwmLamps(self.pwm_hz, self.duty, self.depth)
+        assert self.mains_hz is not None
         return Lamps(self.mains_hz, self.depth)
 
 
@@ -186,7 +201,7 @@ class SceneFile(FileModel):
         luminance_cd_m2: the luminance of that part instead; lens and pixel of the sensor determine
             how many photons that is
         shape: (rows, columns) that a drawing has unless a size is requested
-        lamps: lamps that flicker, if any
+        lamps: lamps that are not steady, if any
         target: a moving target, if any
     """
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.controls import Layout
-from sim.scenes.motion import Lamps, Target
+from sim.scenes.motion import Lamps, PwmLamps, Target
 from sim.scenes.scene import LUMINANCE, Scene
 from sim.sensors.sensor import Sensor
 
@@ -68,6 +68,7 @@ class Statistics:
     Attributes:
         least, most: of all light, that of a moving target included
         bend: largest second difference along rows plus that along columns, borders mirrored
+        slopes: largest first difference from row to row, and from column to column
         drift: largest change of light if the target moves by one pixel; 0 without a target
         speed_px_s: of the target
         height: rows of the picture
@@ -77,6 +78,7 @@ class Statistics:
     least: float
     most: float
     bend: float
+    slopes: tuple[float, float] = (0.0, 0.0)
     drift: float = 0.0
     speed_px_s: float = 0.0
     height: int = 1
@@ -113,8 +115,8 @@ class View:
         return cls(light, layout, (scene, sensor))
 
     @property
-    def lamps(self) -> Lamps | None:
-        """The scene's flickering lamps, if any."""
+    def lamps(self) -> Lamps | PwmLamps | None:
+        """The scene's lamps, if they are not steady."""
         return self.source[0].lamps if self.source else None
 
     def planes(self) -> Light:
@@ -150,7 +152,7 @@ class View:
         """Statistics of the light, computed once."""
         planes = self.planes()
         least, most = float(planes.min()), float(planes.max())
-        bend = _largest_bend(planes)
+        bend, slopes = _largest_differences(planes)
         target = self.target
         drift = speed = 0.0
         if target is not None:
@@ -159,16 +161,19 @@ class View:
             least, most = min(least, float(target.light.min())), max(most, target.most)
             # A target that is sheared by its motion has no smaller limit that is certain.
             bend = 4 * (most - least)
+            slopes = (most - least, most - least)
         # Upwards by the rounding of the statistics themselves: they must not be too small.
         bend = bend * (1 + _ROUNDING_SHARE) + 8 * _ROUNDING_SHARE * most
+        slopes = (slopes[0] + 8 * _ROUNDING_SHARE * most, slopes[1] + 8 * _ROUNDING_SHARE * most)
         drift *= 1 + _ROUNDING_SHARE
         mosaic = self.layout.is_mosaic and planes.ndim == 3
-        return Statistics(least, most, bend, drift, speed, planes.shape[0], mosaic)
+        return Statistics(least, most, bend, slopes, drift, speed, planes.shape[0], mosaic)
 
 
-def _largest_bend(planes: Light) -> float:
-    """Return the largest |second difference| along rows plus along columns, borders mirrored."""
+def _largest_differences(planes: Light) -> tuple[float, tuple[float, float]]:
+    """Return `Statistics.bend` and `Statistics.slopes`."""
     along = across = 0.0
+    down = right = 0.0
     rows = planes.shape[0]
     for top in range(0, rows, _BAND_ROWS):
         band = planes[max(0, top - 1) : min(rows, top + _BAND_ROWS + 1)]
@@ -176,14 +181,16 @@ def _largest_bend(planes: Light) -> float:
         if slope.size:
             ends = max(_largest(slope[:, 0]), _largest(slope[:, -1]))
             along = max(along, ends, _largest(np.diff(slope, axis=1)))
+            right = max(right, _largest(slope))
         slope = np.diff(band, axis=0)
         if slope.size:
             across = max(across, _largest(np.diff(slope, axis=0)))
+            down = max(down, _largest(slope))
             if top == 0:
                 across = max(across, _largest(slope[0]))
             if top + _BAND_ROWS >= rows:
                 across = max(across, _largest(slope[-1]))
-    return along + across
+    return along + across, (down, right)
 
 
 def _largest(values: Light) -> float:

@@ -25,6 +25,9 @@ class Lens(FileModel):
         glare: share of the light that is scattered widely, as in ISO 9358's veiling glare index
         glare_width: standard deviation of that scatter, share of the picture's longer side
         blur_px: standard deviation of the point spread, pixels
+        diffraction: whether the aperture spreads each point to an Airy disk, whose size follows
+            from `f_number` and the pixels' pitch
+        lateral_colour: share by which red is drawn larger than green, and blue smaller
     """
 
     f_number: Annotated[Positive, Field(ge=0.1, le=1e3)] = 4.0
@@ -33,6 +36,8 @@ class Lens(FileModel):
     glare: Annotated[float, Field(ge=0, le=0.5)] = 0.0
     glare_width: Annotated[float, Field(ge=1e-6, le=0.5)] = 0.06
     blur_px: Annotated[NotNegative, Field(le=8), NotTiny] = 0.0
+    diffraction: bool = False
+    lateral_colour: Annotated[float, Field(ge=0, le=0.05)] = 0.0
 
 
 class Dark(FileModel):
@@ -45,7 +50,10 @@ class Dark(FileModel):
         doubling_k: the rates double every so many kelvin (about 8 in silicon)
         hot_share: share of pixels that are hot
         hot_rate_e_s: largest rate of a hot pixel at `reference_c`, electrons a second; the rates
-            are spread evenly from 0 to it
+            are spread evenly from 0 to it, or evenly in the logarithm
+        hot_decades: over so many decades below the largest rate; 0 for evenly from 0
+        dcnu_e_s: standard deviation of the rates over the pixels (EMVA 1288 DCNU) at `reference_c`,
+            electrons a second
     """
 
     current_e_s: Annotated[NotNegative, Field(le=1e9)] = 0.0
@@ -54,6 +62,8 @@ class Dark(FileModel):
     doubling_k: Positive = 8.0
     hot_share: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     hot_rate_e_s: Annotated[NotNegative, Field(le=1e9)] = 0.0
+    hot_decades: Annotated[float, Field(ge=0, le=9)] = 0.0
+    dcnu_e_s: Annotated[NotNegative, Field(le=1e9)] = 0.0
 
     @property
     def rate_factor(self) -> float:
@@ -101,6 +111,13 @@ class ReadOut(FileModel):
     Attributes:
         row_noise_e: standard deviation of each row's offset, new in every frame, electrons
         column_noise_e: standard deviation of each column's offset, always the same, electrons
+        pink_share: share of the variance of both that is 1/f noise along rows or columns; the rest
+            is white
+        adc_noise_e: standard deviation of the noise behind the amplifier, electrons at gain 1
+        rts_share: share of pixels with a random telegraph signal
+        rts_e: largest step of such a signal, electrons; the steps are spread evenly from 0 to it
+        reset_s: seconds from the reset of a pixel to the reading of its reset level, for which
+            light as bright as the sun fills that level; CMOS sensors only
         row_s: seconds from the exposure of one row to that of the next; 0 is a global shutter
         nonlinearity_dn: bow of the ADC in the middle of its range, DN
         cosmic_rate_s: hits on a million pixels a second (0.002 at sea level for 3.45 um)
@@ -109,6 +126,11 @@ class ReadOut(FileModel):
 
     row_noise_e: Annotated[NotNegative, Field(le=1e9)] = 0.0
     column_noise_e: Annotated[NotNegative, Field(le=1e9)] = 0.0
+    pink_share: Share = 0.0
+    adc_noise_e: Annotated[NotNegative, Field(le=1e9)] = 0.0
+    rts_share: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    rts_e: Annotated[NotNegative, Field(le=1e9)] = 0.0
+    reset_s: Annotated[NotNegative, Field(le=1e-3)] = 0.0
     row_s: Annotated[NotNegative, Field(le=1e5)] = 0.0
     nonlinearity_dn: NotNegative = 0.0
     cosmic_rate_s: Annotated[NotNegative, Field(le=1e5)] = 0.0

@@ -54,6 +54,9 @@ _PHOTONS_PER_LUX_S_UM2 = 4091.0
 """Photons of 555 nm a second and square micrometre in one lux: 1 lx = 1/683 W/m^2 there, over
 h c / wavelength = 3.579e-19 J, times 1e-12 m^2."""
 
+_MOST_AIRY_PX = 32.0  # first dark ring; the third one then is within 86 pixels
+_LONGEST_UM = 0.6  # wavelength of red
+
 _MOST_CHARGE_E = 1e9  # in a pixel
 
 Weights = tuple[NotNegative, NotNegative, NotNegative]
@@ -145,6 +148,11 @@ class Sensor(FileModel):
             )
         if self.white <= self.black:
             raise ValueError("read noise and offsets are as large as the full well")
+        if self.lens.diffraction and self.airy_radius_px(_LONGEST_UM) > _MOST_AIRY_PX:
+            raise ValueError(
+                f"an Airy disk with a radius of {self.airy_radius_px(_LONGEST_UM):.3g} pixels:"
+                f" expected at most {_MOST_AIRY_PX:g}; enlarge pitch_um or lower f_number"
+            )
         if self.time_minimum_s > self.time_maximum_s:
             raise ValueError("time_minimum_s is above time_maximum_s")
         lines = self.time_minimum_s / self.line_s
@@ -173,7 +181,9 @@ class Sensor(FileModel):
         """Largest error of the charge by reading, electrons."""
         added = self.read_noise_e + self.pixels.dsnu_e
         added += self.read_out.row_noise_e + self.read_out.column_noise_e
-        return largest_noise() * added
+        added += self.read_out.adc_noise_e
+        stepped = self.read_out.rts_e if self.read_out.rts_share > 0 else 0.0
+        return largest_noise() * added + stepped
 
     @property
     def photons_per_candela(self) -> float:
@@ -183,6 +193,10 @@ class Sensor(FileModel):
         """
         illuminance = math.pi * self.lens.transmission / (4 * self.lens.f_number**2)
         return illuminance * _PHOTONS_PER_LUX_S_UM2 * self.pixels.pitch_um**2
+
+    def airy_radius_px(self, wavelength_um: float) -> float:
+        """Radius of the first dark ring of the Airy disk, pixels."""
+        return 1.22 * wavelength_um * self.lens.f_number / self.pixels.pitch_um
 
     @property
     def adc_range_e(self) -> float:
@@ -224,9 +238,15 @@ class Sensor(FileModel):
     @property
     def noise_model(self) -> NoiseModel:
         """The noise that its parameters give; row and column noise count as read noise and DSNU."""
+        temporal_e, adc_e = (
+            (self.read_noise_e, self.read_out.row_noise_e),
+            self.read_out.adc_noise_e,
+        )
+        count = math.ceil(2 * math.log2(self.gain_maximum)) + 1 if adc_e > 0 else 1
+        gains = [2 ** (step / 2) for step in range(count)]
         return NoiseModel(
             conversion_e_per_dn=self.electrons_per_dn,
-            read_noise_e=((1.0, math.hypot(self.read_noise_e, self.read_out.row_noise_e)),),
+            read_noise_e=tuple((gain, math.hypot(*temporal_e, adc_e / gain)) for gain in gains),
             full_well_e=self.full_well_e,
             dark_current_e_s=self.dark.current_e_s * self.dark.rate_factor,
             prnu=self.pixels.prnu,

@@ -7,7 +7,8 @@ each figure's share of intervals with the truth in it must be 91 to 98 %, as 200
 coverage of 95 % have.  Full well: what saturates a sample, by the well or the end of the ADC.
 
 Agreement: conversion gain, read noise, PRNU and DSNU from the same flat and dark frames, by the
-package in an environment of its own, which the bench makes with pip.
+package in an environment of its own, which the bench makes with pip; and the parameters that the
+frames were simulated with.
 """
 
 from __future__ import annotations
@@ -218,12 +219,20 @@ def agreement(folder: Path, frames_folder: Path) -> bool:
             timeout=600,
         )
         theirs = json.loads(ran.stdout)
+        model = sensor.noise_model
+        given = {
+            "conversion_e_per_dn": model.conversion_e_per_dn,
+            "read_noise_e": model.read_noise_e[0][1],
+            "prnu": model.prnu,
+            "dsnu_e": model.dsnu_e,
+        }
         for figure, value in theirs.items():
             difference = ours[figure] / value - 1
             good &= abs(difference) <= AGREEMENT
+            off = value / given[figure] - 1
             print(
-                f"{name:16}{figure:22} emva1288 {value:9.5g}, camctl {ours[figure]:9.5g}: "
-                f"{difference:+.2%}"
+                f"{name:16}{figure:22} simulated {given[figure]:9.5g}, emva1288 {value:9.5g}:"
+                f" {off:+.2%}, camctl {ours[figure]:9.5g}: {difference:+.2%}"
             )
     return good
 

@@ -1,8 +1,10 @@
-"""Speed of photon noise, read noise, full well and ADC: camctl, plain numpy, and Pyxel.
+"""Speed of photon noise, read noise, full well and ADC: camctl, compiled, numpy alone, and Pyxel.
 
 Run by hand: ``python tests/bench/bench_sensor.py [--pyxel PYTHON] [--json]``, where PYTHON is an
-interpreter that has pyxel-sim.  The methods take turns, and medians of the CPU seconds of all
-threads are printed: Pyxel uses one thread, so that elapsed times would compare unequal work.
+interpreter that has pyxel-sim.  "compiled" is `sim` with the extra `fast`; its rival is `sim` with
+numpy alone, which gives the same frame, with as many threads.  The methods take turns, and medians
+of the CPU seconds of all threads are printed: Pyxel uses one thread, so that elapsed times would
+compare unequal work.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.compiled import load
 from sim.noise import TILE, Stream, TileNoise, normal_quantiles, tile_bits
 from sim.render import Renderer
 from sim.scenes.scene import load_scene
@@ -31,7 +34,10 @@ from sim.sensors.sensor import Sensor, load_sensor
 TIME_S = 0.01
 NAIVE = "naive Poisson + normal, float64"
 PYXEL = "Pyxel"
-SIM, FLOOR = "sim, 2 threads", "arithmetic alone, 2 threads"
+FLOOR = "arithmetic alone, 2 threads"
+SIM = {n: f"sim, {n} thread{'s'[: n - 1]}" for n in (1, 2)}
+COMPILED = {n: f"compiled, {n} thread{'s'[: n - 1]}" for n in (1, 2)}
+RIVAL = {COMPILED[n]: SIM[n] for n in (1, 2)}
 
 
 def naive(light: NDArray[np.float32], sensor: Sensor) -> NDArray[np.uint8]:
@@ -79,7 +85,9 @@ def measure(shape: tuple[int, int], rounds: int, python: str | None) -> list[dic
     sensor = load_sensor("standard")
     view = View.of(load_scene("ramp", shape), sensor)
     light = view.light
-    renderers = {n: Renderer(view, sensor, threads=n) for n in (1, 2)}
+    renderers = {n: Renderer(view, sensor, threads=n, compiled=False) for n in (1, 2)}
+    compiled = {n: Renderer(view, sensor, threads=n, compiled=True) for n in (1, 2)}
+    has_numba = load() is not None
 
     def timed(work: Callable[[], object]) -> float:
         start = time.process_time()
@@ -93,11 +101,14 @@ def measure(shape: tuple[int, int], rounds: int, python: str | None) -> list[dic
     with pyxel(python, shape) as other:
         methods: dict[str, Callable[[], float]] = {
             NAIVE: lambda: timed(lambda: naive(light, sensor)),
-            "sim, 1 thread": lambda: timed(lambda: renderers[1].frame(TIME_S, 1.0, 0)),
-            SIM: lambda: timed(lambda: renderers[2].frame(TIME_S, 1.0, 0)),
+            SIM[1]: lambda: timed(lambda: renderers[1].frame(TIME_S, 1.0, 0)),
+            SIM[2]: lambda: timed(lambda: renderers[2].frame(TIME_S, 1.0, 0)),
             "arithmetic alone, 1 thread": lambda: floor(1),
             FLOOR: lambda: floor(2),
         }
+        if has_numba:
+            methods[COMPILED[1]] = lambda: timed(lambda: compiled[1].frame(TIME_S, 1.0, 0))
+            methods[COMPILED[2]] = lambda: timed(lambda: compiled[2].frame(TIME_S, 1.0, 0))
         if other is not None:
             methods = {PYXEL: other} | methods
         seconds: dict[str, list[float]] = {name: [] for name in methods}
@@ -119,8 +130,10 @@ def measure(shape: tuple[int, int], rounds: int, python: str | None) -> list[dic
             "ms": median * 1e3,
             "times_naive": medians[NAIVE] / median,
             "times_pyxel": medians[PYXEL] / median if PYXEL in medians else None,
+            "rival": RIVAL.get(name),
+            "times_rival": medians[RIVAL[name]] / median if name in RIVAL else None,
             "of_floor": medians[FLOOR] / median,
-            "bytes_a_pixel_beside_the_light": peak / light.size if name == SIM else None,
+            "bytes_a_pixel_beside_the_light": peak / light.size if name == SIM[2] else None,
         }
         for name, median in medians.items()
     ]
@@ -148,6 +161,7 @@ def main() -> None:
             f"{width:>5} x {height:<5} {row['method']:32} {row['mpixel_per_s']:7.1f} Mpixel/CPU s"
             f" {row['ms']:8.2f} ms {row['times_naive']:6.1f} x naive"
             + (f" {row['times_pyxel']:6.1f} x Pyxel" if row["times_pyxel"] else "")
+            + (f" {row['times_rival']:6.2f} x {row['rival']}" if row["rival"] else "")
             + f" {row['of_floor']:6.1%} of the arithmetic"
         )
         if row["bytes_a_pixel_beside_the_light"]:

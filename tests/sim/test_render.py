@@ -34,8 +34,9 @@ def frame_of(
 
 @pytest.mark.parametrize("name", sensor_names())
 def test_a_frame_depends_on_seed_and_number_but_not_on_threads(name: str) -> None:
-    scene, sensor = load_scene("ball", (201, 307)), load_sensor(name)
+    scene, sensor = load_scene("ball", (390, 700)), load_sensor(name)
     view = View.of(scene, sensor)
+    assert view.light.size > TILE  # one tile has one thread
     time_s = min(0.01, sensor.full_well_e * 1e-6)
     one, two = (Renderer(view, sensor, seed=5, threads=n).frame(time_s, 1.0, 0) for n in (1, 2))
     assert np.array_equal(one, two)
@@ -76,7 +77,7 @@ def test_samples_stay_within_the_adc(name: str, gain: float, seed: int, lines: i
     frame = Renderer(View(light), sensor, seed=seed).frame(lines * sensor.line_s, gain, 0)
     assert frame.dtype == (np.uint8 if sensor.bits <= 8 else np.uint16)
     assert frame.max() <= 2**sensor.bits - 1
-    assert frame[-1] >= sensor.white
+    assert frame[-1] >= sensor.white or sensor.read_out.reset_s > 0  # then the sun is black
 
 
 @given(st.sampled_from(sensor_names()), st.floats(1e-4, 5), st.floats(1, 50), st.floats(1, 8))
@@ -224,7 +225,7 @@ def test_the_well_clips_before_the_gain() -> None:
 
 
 @pytest.mark.parametrize("scene", ["ball", "moving-target", "night-street"])
-@pytest.mark.parametrize("sensor", ["complete", "mobile", "ccd"])
+@pytest.mark.parametrize("sensor", ["complete", "mobile", "ccd", "security"])
 def test_frames_are_the_same_whatever_is_kept_between_them(scene: str, sensor: str) -> None:
     """With no cache, with one that is full before all is kept, and with all kept."""
     chosen = load_sensor(sensor)

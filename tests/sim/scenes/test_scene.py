@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from sim.scenes.scene import (
 
 
 @pytest.mark.parametrize("name", scene_names())
-@pytest.mark.parametrize("shape", [(1, 1), (3, 2), (48, 64), (61, 37)])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 2), (48, 64), (61, 37), (36, 64), (40, 200), (200, 40)])
 def test_every_built_in_scene_is_positive_and_finite_at_any_size(
     name: str, shape: tuple[int, int]
 ) -> None:
@@ -42,10 +43,14 @@ def test_scene_names() -> None:
         "ball",
         "cloth",
         "colour-chart",
+        "grey-steps",
         "moving-target",
         "night-street",
+        "outdoor-sun",
+        "pwm-lamp",
         "ramp",
         "room",
+        "slanted-edge",
         "stars",
         "tile-floor",
         "uniform",
@@ -81,6 +86,28 @@ def test_the_ball_is_matte_with_a_small_highlight() -> None:
     light = load_scene("ball", (480, 640)).irradiance.max(axis=2) / HIGHLIGHT_PHOTONS_S
     assert light.max() > 5
     assert 0.0005 < np.mean(light > 1) < 0.01
+
+
+def test_the_edge_is_slanted_by_5_degrees_and_each_pixel_has_the_mean_of_its_area() -> None:
+    light = load_scene("slanted-edge", (200, 300)).irradiance / 200.0
+    assert (light.min(), light.max()) == pytest.approx((0.25, 1.0))
+    where = 300 - ((light - 0.25) / 0.75).sum(axis=1, dtype=np.float64)
+    slope, middle = np.polyfit(np.arange(200) - 99.5, where, 1)
+    assert slope == pytest.approx(-math.tan(math.radians(5)), rel=1e-4)
+    assert middle == pytest.approx(150, abs=1e-3)
+
+
+def test_the_grey_steps_have_equal_ratios_over_ten_thousand() -> None:
+    light = load_scene("grey-steps", (80, 100)).irradiance / 2000.0
+    steps = light[10::20, 10::20].ravel()
+    assert steps == pytest.approx(np.geomspace(1, 1e-4, 20), rel=1e-5)
+
+
+def test_the_sun_is_160000_times_as_bright_as_white() -> None:
+    light = load_scene("outdoor-sun", (480, 640)).irradiance.max(axis=2)
+    assert light.max() == pytest.approx(1.6e9, rel=0.01)
+    assert 2e-5 < (light > 1e8).mean() < 5e-4
+    assert 500 < np.median(light) < 10_000
 
 
 def test_the_cloth_is_bright_and_has_no_edges() -> None:

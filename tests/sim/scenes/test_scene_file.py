@@ -11,6 +11,7 @@ import pytest
 
 from camctl.errors import DataError, UsageError
 from sim.data_files import built_in_files, read_text
+from sim.scenes.motion import Lamps, PwmLamps
 from sim.scenes.scene import LUMINANCE, PHOTONS, SceneFile, load_scene, scene_names
 
 VALID: dict[str, Any] = {"name": "mine", "picture": "wall", "photons_s": 2e5}
@@ -49,12 +50,20 @@ def test_the_size_is_that_of_the_caller_else_of_the_file_else_the_usual_one(tmp_
 def test_lamps_and_a_target_are_read(tmp_path: Path) -> None:
     lamps, target = {"mains_hz": 60, "depth": 0.3}, {"size": 0.5, "crossing_s": -4.0}
     scene = load_scene(written(tmp_path, lamps=lamps, target=target), (40, 80))
-    assert scene.lamps is not None
+    assert isinstance(scene.lamps, Lamps)
     assert scene.lamps.flicker_hz == 120
     assert scene.target is not None
     assert scene.target.velocity_px_s == -20
     assert scene.target.cover.shape == (20, 20)
     assert 1e5 < scene.target.light.max() <= 2e5
+
+
+def test_switched_lamps_are_read(tmp_path: Path) -> None:
+    lamps = {"pwm_hz": 200, "duty": 0.3, "depth": 0.9}
+    assert load_scene(written(tmp_path, lamps=lamps), (4, 8)).lamps == PwmLamps(200, 0.3, 0.9)
+    for wrong in ({"pwm_hz": 200}, {"mains_hz": 50, "pwm_hz": 200, "duty": 0.3}, {"duty": 0.3}):
+        with pytest.raises(DataError, match="give either mains_hz, or pwm_hz and duty"):
+            load_scene(written(tmp_path, lamps={**wrong, "depth": 0.9}))
 
 
 def test_a_radiance_map_beside_the_file_gets_the_units_of_the_file(tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ def test_sensor_names() -> None:
         "qcmos",
         "quanta-1",
         "quanta-3",
+        "security",
     }
     for name in sensor_names():
         assert load_sensor(name).name == name
