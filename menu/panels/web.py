@@ -24,7 +24,8 @@ from urllib.parse import parse_qs, urlsplit
 
 from camctl.errors import UsageError
 from camctl.interrupts import uninterrupted
-from menu.drawing import draw, png
+from camctl.picture_operations import png
+from menu.drawing import draw
 from menu.layout import grid
 from menu.ports import Key, Screen
 

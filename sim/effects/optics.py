@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from camctl.picture_operations import correlated, enlarged_smoothly, reduced_by_area, smoothed
 from sim.effects.record import Change, Effect, Light, Lines, RowTiming, Shot, Stage
 
 _GLARE_SAMPLES_PER_SIGMA = 2.5
@@ -65,12 +66,7 @@ def gaussian(sigma: float) -> Light:
 
 
 def _blur(planes: Light, shot: Shot) -> Light:
-    import cv2
-
-    kernel = gaussian(shot.sensor.lens.blur_px)
-    return np.asarray(
-        cv2.sepFilter2D(planes, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT), dtype=np.float32
-    )
+    return smoothed(planes, gaussian(shot.sensor.lens.blur_px))
 
 
 def _blur_change(shot: Shot) -> Change:
@@ -92,15 +88,12 @@ def _glare_samples(shot: Shot) -> tuple[tuple[int, int], Light]:
 
 
 def _glare(planes: Light, shot: Shot) -> Light:
-    import cv2
-
     lens = shot.sensor.lens
     rows, columns = planes.shape[:2]
     size, kernel = _glare_samples(shot)
-    small = cv2.resize(planes, size, interpolation=cv2.INTER_AREA)
-    small = cv2.sepFilter2D(small, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
-    wide = cv2.resize(small, (columns, rows), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.addWeighted(planes, 1 - lens.glare, wide, lens.glare, 0.0))
+    small = smoothed(reduced_by_area(planes, size), kernel)
+    wide = enlarged_smoothly(small, (columns, rows))
+    return planes * np.float32(1 - lens.glare) + wide * np.float32(lens.glare)
 
 
 def _glare_change(shot: Shot) -> Change:
@@ -124,13 +117,9 @@ def _glare_bend(shot: Shot) -> float:
 
 
 def _crosstalk(light: Light, shot: Shot) -> Light:
-    import cv2
-
     share = shot.sensor.pixels.crosstalk
     kernel = np.array([[0, share, 0], [share, 1 - 4 * share, share], [0, share, 0]], np.float32)
-    return np.asarray(
-        cv2.filter2D(light, -1, kernel, borderType=cv2.BORDER_REFLECT), dtype=np.float32
-    )
+    return correlated(light, kernel, repeats_border=True)
 
 
 def _crosstalk_change(shot: Shot) -> Change:

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 import pytest
 
 from camctl.errors import UsageError
-from menu.drawing import draw, png
+from camctl.picture_operations import png
+from menu.drawing import draw
 from menu.panels.web import SIZE, WebPanel
 from menu.ports import Key, Line, Screen
 
