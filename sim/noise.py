@@ -87,13 +87,13 @@ def line_noise(seed: int, frame: int, stream: Stream, count: int) -> NDArray[np.
 
 
 class TileNoise:
-    """Draws the noise of tiles of up to `TILE` samples, with the working memory of one thread."""
+    """Draws the noise of tiles of up to `most` samples, with the working memory of one thread."""
 
-    def __init__(self) -> None:
-        self._index = np.empty(TILE, dtype=np.intp)
-        self._z = np.empty(TILE, dtype=np.float32)
-        self._a = np.empty(TILE, dtype=np.float32)
-        self._b = np.empty(TILE, dtype=np.float32)
+    def __init__(self, most: int = TILE) -> None:
+        self._index = np.empty(most, dtype=np.intp)
+        self._z = np.empty(most, dtype=np.float32)
+        self._a = np.empty(most, dtype=np.float32)
+        self._b = np.empty(most, dtype=np.float32)
         self._table = normal_quantiles()
 
     def normal(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -93,7 +92,6 @@ class Renderer:
         response = sensor.response
         self._curve = LevelLookup.of(response.levels) if response is not None else None
         self._cache = FrameCache(cache_bytes)
-        self._memory = threading.local()
 
     @property
     def cached_bytes(self) -> int:
@@ -225,12 +223,13 @@ class Renderer:
     ) -> None:
         """Do `steps` on each tile of a frame of `size` samples.
 
-        Its values lie in `charge` where that is given, and otherwise in the thread's own memory.
+        Its values lie in `charge` where that is given, and otherwise in memory of the thread.
         """
         tiles = math.ceil(size / TILE)
 
         def run(first: int) -> None:
-            noise, memory = self._thread_memory()
+            # Not kept from frame to frame: an idle camera would hold it for every thread.
+            noise, memory = TileNoise(min(size, TILE)), np.empty(min(size, TILE), np.float32)
             for index in range(first, tiles, self._threads):
                 start = index * TILE
                 here = slice(start, min(start + TILE, size))
@@ -240,12 +239,6 @@ class Renderer:
                     step(tile, here)
 
         _run_threads(run, min(self._threads, tiles))
-
-    def _thread_memory(self) -> tuple[TileNoise, Light]:
-        if not hasattr(self._memory, "noise"):
-            self._memory.noise = TileNoise()
-            self._memory.values = np.empty(TILE, dtype=np.float32)
-        return self._memory.noise, self._memory.values
 
     def _convert(self, tile: Tile, out: Pixels | Light, effects: Sequence[TileWork]) -> None:
         """Turn charge into pixels, or into the input of the ADC where `out` is float32."""
