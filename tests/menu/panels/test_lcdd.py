@@ -40,7 +40,10 @@ USB=no
 MenuKey=none
 """
 
-pytestmark = pytest.mark.skipif(LCDD is None or not DRIVERS, reason="apt-get install lcdproc")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(LCDD is None or not DRIVERS, reason="apt-get install lcdproc"),
+]
 
 
 class Client:
