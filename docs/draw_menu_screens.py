@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import camctl
+from camctl.picture_operations import png
 from menu.data import (
     CameraEntry,
     Cost,
@@ -20,7 +21,7 @@ from menu.data import (
     Reading,
     Summary,
 )
-from menu.drawing import Pixels, draw, png, text_picture
+from menu.drawing import Pixels, draw, text_picture
 from menu.layout import grid
 from menu.model import Model, State
 from menu.screens import screen

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import ctypes
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from camctl.backends import list_cameras
 from camctl.camera import Camera, PreviewingCamera
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.folder_store import read_report
 from camctl.captures.metering import MeteringFrames, meter
-from camctl.captures.plan import plan_capture
-from camctl.captures.report import CaptureReport
 from camctl.captures.request import AUTO, CaptureRequest
-from camctl.captures.sequencer import capture, resume
 from camctl.errors import (
     CamctlError,
     CameraError,
@@ -41,10 +35,15 @@ from menu.data import (
     Settings,
     Summary,
 )
+from menu.memory import return_free_memory
 from menu.remembered_previews import RememberedPreviews
 from menu.settings_file import load_settings, save_settings
 from menu.thumbnails import frame_histogram, frame_picture
 from menu.views import entry_of, needed_bytes, plan_view, progress_view, summary_view
+
+if TYPE_CHECKING:  # the idle menu does not load what captures are made with
+    from camctl.captures.capture_plan import CapturePlan
+    from camctl.captures.report import CaptureReport
 
 OpenCamera = Callable[[str], tuple[Camera, Mapping[str, Any]]]
 """Returns an open camera for an id, "" the default one, and what a report keeps of it."""
@@ -101,7 +100,7 @@ class CameraJob:
         self._camera_id = camera_id
         self._camera, self._source = self._open_camera(camera_id)
         self._entry = entry_of(self._camera.info)
-        _return_free_memory()
+        return_free_memory()
         return self._entry
 
     def close(self) -> None:
@@ -210,6 +209,8 @@ class CameraJob:
         cancelled: Callable[[], bool],
     ) -> Summary:
         """Shoot the settings of `plan` into a new folder."""
+        from camctl.captures.sequencer import capture
+
         assert isinstance(plan.handle, tuple)  # `plan_view` made it
         made, request = plan.handle
         folder = next_folder(self._parent, datetime.now())
@@ -226,7 +227,7 @@ class CameraJob:
             )
 
         summary = summary_view(self._with_camera(shoot_with), folder)
-        _return_free_memory()
+        return_free_memory()
         return summary
 
     def resume(
@@ -236,6 +237,8 @@ class CameraJob:
         cancelled: Callable[[], bool],
     ) -> Summary:
         """Shoot the missing frames of a capture with the camera that is open."""
+        from camctl.captures.sequencer import resume
+
         folder = self._parent / past.name
 
         def resume_with(camera: Camera) -> CaptureReport:
@@ -259,6 +262,8 @@ class CameraJob:
 
     def look(self, past: Past) -> Summary:
         """Read the report and the picture of a capture."""
+        from camctl.captures.folder_store import read_report
+
         folder = self._parent / past.name
         return summary_view(read_report(folder), folder)
 
@@ -282,14 +287,10 @@ class CameraJob:
 
 
 def _planned(camera: Camera, request: CaptureRequest, cancelled: Callable[[], bool]) -> CapturePlan:
+    from camctl.captures.plan import plan_capture
+
     def stop_if_cancelled(_: float) -> None:
         if cancelled():
             raise InterruptedCaptureError("the menu went on")
 
     return plan_capture(camera, request, progress=stop_if_cancelled)
-
-
-def _return_free_memory() -> None:
-    """Give memory that is free again back to the system; only the C library of GNU can do it."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)

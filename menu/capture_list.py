@@ -11,7 +11,7 @@ import re
 from datetime import datetime
 from pathlib import Path
 
-from camctl.captures.report_file import REPORT
+from camctl.captures.file_names import REPORT
 from camctl.errors import CamctlError
 from camctl.input_files import read_own_file
 from menu.data import Past

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.characters import coverage
 from menu.data import Picture
 from menu.layout import arranged, best, binned, button_texts
 from menu.ports import Mood, Screen
@@ -24,8 +21,6 @@ Pixels: TypeAlias = NDArray[np.uint8]
 SMALLEST = (240, 240)
 """(columns, rows) of the smallest picture, pixels."""
 
-_GLYPHS = Path(__file__).with_name("glyphs.npz")
-_FIRST_CHARACTER, _LAST_CHARACTER = " ", "~"
 _LINE_HEIGHTS = (20, 28, 40)
 _LEAST_COLUMNS, _LEAST_ROWS = 24, 10
 """Characters that a picture has room for, at least."""
@@ -42,16 +37,6 @@ class Drawing:
 
     pixels: Pixels
     last_offset: int
-
-
-@lru_cache(maxsize=4)
-def _glyphs(height: int) -> Pixels:
-    """Return the coverage of the characters at a line height, (95, height, height / 2)."""
-    available = max((each for each in _LINE_HEIGHTS if each <= height), default=_LINE_HEIGHTS[0])
-    with np.load(_GLYPHS) as sizes:
-        glyphs: Pixels = sizes[f"lines_{available}"]
-    factor = height // available
-    return glyphs.repeat(factor, axis=1).repeat(factor, axis=2)
 
 
 def _line_height(columns: int, rows: int) -> int:
@@ -86,15 +71,11 @@ class _Canvas:
         clean = fit(text, min(len(text), room))
         if not clean:
             return
-        places = [
-            ord(c) - ord(_FIRST_CHARACTER) if _FIRST_CHARACTER <= c <= _LAST_CHARACTER else 31
-            for c in clean
-        ]
-        coverage = _glyphs(self.line)[places].transpose(1, 0, 2).reshape(self.line, -1)
+        ink_share = coverage(clean, self.line)
         share = np.arange(256)[:, None] / 255
         shades = (np.array(paper) + share * (np.array(ink) - np.array(paper))).astype(np.uint8)
-        area = self.pixels[top : top + self.line, left : left + coverage.shape[1]]
-        area[:] = shades[coverage[: area.shape[0], : area.shape[1]]]
+        area = self.pixels[top : top + self.line, left : left + ink_share.shape[1]]
+        area[:] = shades[ink_share[: area.shape[0], : area.shape[1]]]
 
     def band(self, top: int, text: str, ink: _Colour, paper: _Colour) -> None:
         """Draw a line of text on a band over the whole width."""
@@ -240,16 +221,3 @@ def text_picture(lines: Sequence[str]) -> Pixels:
     for row, text in enumerate(lines):
         canvas.text(text, margin, margin + row * line, _INK, _BAND)
     return canvas.pixels
-
-
-def png(pixels: Pixels) -> bytes:
-    """Return a picture, (rows, columns, 3), as a PNG file."""
-    rows, columns, _ = pixels.shape
-    filtered = np.zeros((rows, 1 + 3 * columns), np.uint8)  # each row begins with its filter, 0
-    filtered[:, 1:] = pixels.reshape(rows, -1)
-    header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), 6)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-        for name, data in chunks
-    )

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Frame
-from camctl.captures.pictures import colour_of
 from camctl.controls import Layout
 from menu.data import Picture
 
@@ -43,6 +42,8 @@ def frame_picture(frame: Frame, layout: Layout) -> Picture:
     elif layout is Layout.RGB:
         colours = small
     else:
+        from camctl.captures.pictures import colour_of
+
         places = [(row, column) for row in (0, 1) for column in (0, 1)]
         owners = [colour_of(layout, *place) for place in places]
         colours = [

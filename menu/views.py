@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from camctl.camera import CameraInfo
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.report import CaptureReport
-from camctl.captures.request import CaptureRequest
-from camctl.captures.sequence import Progress as CaptureProgress
 from camctl.controls import ExposureControls, ExposureSetting, Layout
 from menu.data import CameraEntry, Plan, Progress, Summary
 from menu.text import format_exact_time
 from menu.thumbnails import image_picture
+
+if TYPE_CHECKING:  # the idle menu does not load what captures are made with
+    from camctl.captures.capture_plan import CapturePlan
+    from camctl.captures.report import CaptureReport
+    from camctl.captures.request import CaptureRequest
+    from camctl.captures.sequence import Progress as CaptureProgress
 
 #: Bytes of the pictures of a capture for each sample of a frame: sum, image and radiance.
 _PICTURE_BYTES = 40

@@ -122,18 +122,18 @@ def line_noise(
 
 
 class TileNoise:
-    """Draws the noise of tiles of up to `TILE` samples, with the working memory of one thread.
+    """Draws the noise of tiles of up to `most` samples, with the working memory of one thread.
 
     Attributes:
         kernels: compiled functions that give the same numbers sooner, or None
     """
 
-    def __init__(self, kernels: Kernels | None = None) -> None:
+    def __init__(self, kernels: Kernels | None = None, most: int = TILE) -> None:
         self.kernels = kernels
-        self._index = np.empty(TILE, dtype=np.intp)
-        self._z = np.empty(TILE, dtype=np.float32)
-        self._a = np.empty(TILE, dtype=np.float32)
-        self._b = np.empty(TILE, dtype=np.float32)
+        self._index = np.empty(most, dtype=np.intp)
+        self._z = np.empty(most, dtype=np.float32)
+        self._a = np.empty(most, dtype=np.float32)
+        self._b = np.empty(most, dtype=np.float32)
         self._table = normal_quantiles()
 
     def normal(

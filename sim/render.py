@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -98,7 +97,6 @@ class Renderer:
         self._curve = LevelLookup.of(response.levels) if response is not None else None
         self._cache = FrameCache(cache_bytes)
         self._kernels = KernelChoice(compiled)
-        self._memory = threading.local()
 
     @property
     def cached_bytes(self) -> int:
@@ -230,15 +228,16 @@ class Renderer:
     ) -> None:
         """Do `steps` on each tile of a frame with `light` on its samples.
 
-        Its values lie in `charge` where that is given, and otherwise in the thread's own memory.
+        Its values lie in `charge` where that is given, and otherwise in memory of the thread.
         """
         size = light.size
         tiles = math.ceil(size / TILE)
         kernels = self._kernels.after(size)
 
         def run(first: int) -> None:
-            noise, memory = self._thread_memory()
-            noise.kernels = kernels
+            # Not kept from frame to frame: an idle camera would hold it for every thread.
+            most = min(size, TILE)
+            noise, memory = TileNoise(kernels, most), np.empty(most, np.float32)
             for index in range(first, tiles, self._threads):
                 start = index * TILE
                 here = slice(start, min(start + TILE, size))
@@ -248,12 +247,6 @@ class Renderer:
                     step(tile, here)
 
         _run_threads(run, min(self._threads, tiles))
-
-    def _thread_memory(self) -> tuple[TileNoise, Light]:
-        if not hasattr(self._memory, "noise"):
-            self._memory.noise = TileNoise()
-            self._memory.values = np.empty(TILE, dtype=np.float32)
-        return self._memory.noise, self._memory.values
 
     def _convert(self, tile: Tile, out: Pixels | Light, effects: Sequence[TileWork]) -> None:
         """Turn charge into pixels, or into the input of the ADC where `out` is float32."""

@@ -2,8 +2,10 @@
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -14,6 +16,13 @@ _ALWAYS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("default", _ALWAYS, derandomize=True)
 settings.register_profile("explore", _ALWAYS, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+# A device may do without OpenCV: with this variable the tests run as if it was not installed, and
+# those skip that cannot.  Programs that tests start see it all the same.
+if os.environ.get("CAMCTL_TEST_WITHOUT_OPENCV"):
+    if "cv2" in sys.modules:
+        raise pytest.UsageError("OpenCV was imported before it could be blocked")
+    sys.modules["cv2"] = None  # type: ignore[assignment]  # an import of it raises ImportError
 
 # nohup and a shell's background jobs ignore these signals, and what the tests start would, too.
 for _name in ("SIGINT", "SIGQUIT", "SIGHUP"):  # the last two are POSIX signals
@@ -44,6 +53,12 @@ def own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("CAMCTL_PROFILES", str(tmp_path_factory.mktemp("profiles")))
         patch.setenv("CAMCTL_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture
+def cv2() -> Any:
+    """OpenCV, which reads pictures independently; without it the test is skipped."""
+    return pytest.importorskip("cv2", reason="OpenCV is blocked")
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from camctl.controls import Layout
 from camctl.errors import DataError
 from camctl.input_files import read_input_text
+from camctl.picture_operations import required_opencv
 from camctl.response.camera import FloatArray, srgb_to_linear
 
 #: Patches that a file may list, and the least number.
@@ -158,8 +159,7 @@ def find_macbeth(frames: Sequence[NDArray[Any]], layout: Layout) -> tuple[ChartP
 
 def _picture(frame: NDArray[Any], layout: Layout, encoding: float) -> NDArray[np.uint8]:
     """Return a frame in 8-bit B, G, R, of limited size, from its darkest to its brightest parts."""
-    import cv2
-
+    cv2 = required_opencv("finding a colour chart")
     planes = layout.planes(frame)
     if layout.is_mosaic:
         letters = np.array(list(layout.upper()))
@@ -184,8 +184,7 @@ def _detect(picture: NDArray[np.uint8]) -> tuple[float, FloatArray, FloatArray] 
 
     The corners are shares of the picture's size, (24, 4, 2); the colours are linear, (24, 3).
     """
-    import cv2
-
+    cv2 = required_opencv("finding a colour chart")
     detector = cv2.mcc.CCheckerDetector.create()
     detector.setColorChartType(cv2.mcc.MCC24)
     try:

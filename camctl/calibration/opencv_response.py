@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
+from camctl.picture_operations import required_opencv
 from camctl.response.camera import FloatArray
 from camctl.response_record import ChannelResponse, ResponseRecord
 
@@ -77,7 +78,7 @@ def opencv_curves(
     frames: Sequence[NDArray[Any]], exposures: Sequence[float], method: str
 ) -> FloatArray:
     """Return OpenCV's irradiance of each brightness, (256, channels)."""
-    import cv2
+    cv2 = required_opencv(f"the method {method}")
 
     calibration: Any = (
         cv2.createCalibrateDebevec() if method == "debevec" else cv2.createCalibrateRobertson()

@@ -26,6 +26,7 @@ from camctl.captures.drawing import (
 )
 from camctl.captures.picture_details import PictureDetails, ShownFrame
 from camctl.captures.preview import ALL, Light
+from camctl.picture_operations import reduced_by_area
 
 _WIDTH = 1280
 _INNER = _WIDTH - 2 * MARGIN
@@ -49,6 +50,9 @@ _DARK_COLOUR: Colour = (40, 90, 230)
 _MOVED_COLOUR: Colour = (250, 200, 0)
 _RANGE_COLOUR: Colour = (226, 234, 222)
 _BAR_COLOUR: Colour = (120, 130, 150)
+_GRID_COLOUR: Colour = (205, 205, 205)
+#: Weights of R, G and B in grey (ITU-R BT.601).
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _CHANNEL_COLOURS: dict[int, tuple[Colour, ...]] = {
     1: ((90, 90, 90),),
     3: ((200, 40, 40), (30, 140, 40), (40, 70, 210)),
@@ -161,12 +165,10 @@ def _marked(
     light: Light, preview: NDArray[np.uint8], moved: NDArray[np.bool_] | None
 ) -> NDArray[np.uint8]:
     """Return the preview in grey with the marks, reduced so that each mark is seen."""
-    import cv2
-
     size = ((_INNER - MARGIN) // 2, _PICTURE_HEIGHT)
-    grey = cv2.cvtColor(fitted(preview, size), cv2.COLOR_RGB2GRAY)
-    pale = cv2.convertScaleAbs(grey, alpha=0.55, beta=70)
-    marked = np.asarray(cv2.cvtColor(pale, cv2.COLOR_GRAY2RGB), np.uint8)
+    grey = fitted(preview, size) @ _LUMA
+    pale = np.rint(0.55 * grey + 70).astype(np.uint8)
+    marked = np.repeat(pale[..., np.newaxis], 3, axis=2)
     shape = (marked.shape[1], marked.shape[0])
     marks = [
         (light.dark > _NOTABLY_DARK * ALL, _DARK_COLOUR),
@@ -177,7 +179,7 @@ def _marked(
     for mark, colour in marks:
         if not mark.any():
             continue
-        shown = cv2.resize(mark.astype(np.float32), shape, interpolation=cv2.INTER_AREA)
+        shown = reduced_by_area(mark.astype(np.float32), shape)
         marked[shown > 0 if colour is _SATURATED_COLOUR else shown >= 0.5] = colour
     return marked
 
@@ -203,8 +205,6 @@ def _setting_text(frame: ShownFrame) -> str:
 
 def _draw_light(sheet: Drawing, top: int, light: Light, details: PictureDetails) -> None:
     """Draw the histogram, and under it what each exposure reaches."""
-    import cv2
-
     frames = details.frames
     shares, first, last = _histogram(light, details)
     left, width = MARGIN + _LABELS, _INNER - _LABELS - 2 * MARGIN
@@ -225,15 +225,17 @@ def _draw_light(sheet: Drawing, top: int, light: Light, details: PictureDetails)
     sheet.fill((low, top), (max(1, high - low), bottom - top), _RANGE_COLOUR)
     for exponent in range(first, last + 1):
         x = x_of(10.0**exponent)
-        cv2.line(sheet.pixels, (x, top), (x, bottom), (205, 205, 205), 1)
+        sheet.fill((x, top), (1, bottom - top + 1), _GRID_COLOUR)
         sheet.text(power_text(exponent), (x - 30, bottom + 3), 60, size=SMALL_TEXT, align=0.5)
     heights = np.sqrt(shares / max(float(shares.max()), 1e-12)) * (_HISTOGRAM_HEIGHT - 6)
     edges = left + np.linspace(0, width, shares.shape[1] + 1)
     for values, colour in zip(heights, _CHANNEL_COLOURS[len(shares)], strict=True):
-        xs, ys = np.repeat(edges, 2)[1:-1], np.repeat(bars_top - values, 2)
-        line = np.rint(np.stack([xs, ys], axis=1)).astype(np.int32)
-        cv2.polylines(sheet.pixels, [line], False, colour, 1, cv2.LINE_AA)
-    cv2.line(sheet.pixels, (left, bars_top), (left + width, bars_top), INK, 1)
+        xs, ys = np.rint(edges).astype(int), np.rint(bars_top - values).astype(int)
+        for begin, end, y in zip(xs, xs[1:], ys, strict=False):
+            sheet.fill((begin, y), (end - begin + 1, 1), colour)
+        for x, first_y, last_y in zip(xs[1:], ys, ys[1:], strict=False):
+            sheet.fill((x, min(first_y, last_y)), (1, abs(last_y - first_y) + 1), colour)
+    sheet.fill((left, bars_top), (width + 1, 1), INK)
     for number, frame in enumerate(frames):
         y = bars_top + number * _BAR_HEIGHT
         begin, end = x_of(frame.lowest), x_of(frame.highest)

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.picture_operations import draw_text, reduced_by_area, text_width
+
 Colour = tuple[int, int, int]
 
 INK: Colour = (40, 40, 40)
@@ -56,18 +58,15 @@ class Drawing:
         `align` is where the text stands in the width: 0 left, 1 right.  Letters that the font does
         not have are replaced.
         """
-        import cv2
-
-        font = cv2.FONT_HERSHEY_SIMPLEX
         text = text.encode("ascii", "replace").decode()
-        while (needed := cv2.getTextSize(text, font, size, 1)[0][0]) > width and text:
+        while (needed := text_width(text, size)) > width and text:
             if size > _LEAST_SIZE:
                 size = max(_LEAST_SIZE, size - 0.02)
             else:
                 text = text[:-1]
         left = place[0] + round(align * (width - needed))
         baseline = place[1] + round(26 * size)
-        cv2.putText(self.pixels, text, (left, baseline), font, size, colour, 1, cv2.LINE_AA)
+        draw_text(self.pixels, text, (left, baseline), size, colour)
 
     def picture(
         self, picture: NDArray[np.uint8], place: tuple[int, int], size: tuple[int, int]
@@ -86,15 +85,17 @@ class Drawing:
 
 def fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
     """Return a picture as (rows, columns, 3), enlarged or reduced to fit (width, height)."""
-    import cv2
-
     rows, columns = picture.shape[:2]
     factor = min(size[0] / columns, size[1] / rows, MOST_ENLARGED)
     shape = (max(1, round(columns * factor)), max(1, round(rows * factor)))
-    # Enlarged pixels stay visible as pixels.
-    how = cv2.INTER_AREA if factor < 1 else cv2.INTER_NEAREST
-    shown = np.asarray(cv2.resize(picture, shape, interpolation=how), np.uint8)
-    return shown if shown.ndim == 3 else np.asarray(cv2.cvtColor(shown, cv2.COLOR_GRAY2RGB))
+    if factor < 1:
+        shown = reduced_by_area(picture, shape)
+    else:  # enlarged pixels stay visible as pixels
+        down, across = (
+            np.arange(n) * m // n for n, m in zip(shape[::-1], (rows, columns), strict=True)
+        )
+        shown = picture[down][:, across]
+    return shown if shown.ndim == 3 else np.repeat(shown[..., np.newaxis], 3, axis=2)
 
 
 def time_text(seconds: float) -> str:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from camctl.camera import Pixels
 from camctl.exposure.patches import LightScale, Patches
 from camctl.noise_model import FrameNoise
+from camctl.picture_operations import opencv
 
 #: Error of the light besides noise and rounding (non-linearity, black level): in levels at least,
 #: and as a share of full scale where there are many levels.
@@ -240,9 +241,7 @@ def outside(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
         long: likewise, of the same shape
     """
     low, high = limits
-    if short.dtype == long.dtype == np.uint8:
-        import cv2
-
+    if short.dtype == long.dtype == np.uint8 and (cv2 := opencv()) is not None:
         # Five times as fast.  What is below the least brightness wraps to a large one; what is
         # above white counts as white.
         white = low.shape[1] - 1

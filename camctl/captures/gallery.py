@@ -16,6 +16,7 @@ from camctl.errors import DataError
 from camctl.files import make_folder, storage_error, write_bytes
 from camctl.input_files import read_own_file
 from camctl.library_output import quiet_libraries
+from camctl.picture_operations import opencv
 
 #: Longest side of a thumbnail, pixels, and the quality of its JPEG file.
 _SIDE, _QUALITY = 480, 85
@@ -60,11 +61,13 @@ dd {{ margin: 0; overflow-wrap: anywhere; }}
 def make_thumbnail(directory: Path, record: SetRecord) -> bool:
     """Make the small picture of a complete set; return False where its preview cannot be read.
 
+    It is a JPEG file, which needs OpenCV; without that, False is returned, too.
+
     Raises:
         StorageError: it could not be written
     """
-    import cv2
-
+    if (cv2 := opencv()) is None:
+        return False
     try:
         content = read_own_file(directory / record.folder / PREVIEW, _LARGEST_PREVIEW)
         with quiet_libraries():

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import Pixels
 from camctl.captures.frame_pairs import Limits, Pair, outside
+from camctl.picture_operations import AREA, connected_parts, dilated
 
 FALSE_ALARMS = 0.002
 """Share of the samples of a scene without movement that noise alone puts outside."""
@@ -164,8 +165,6 @@ def _reach(limits: Limits, white: int, short: Pixels, long: Pixels) -> int:
 
     It is 0 where as many pixels contradict far from saturated ones, as with things that moved.
     """
-    import cv2
-
     every = -(-short.shape[1] // _MOST_COLUMNS)
     dim, bright = short[:, ::every].copy(), long[:, ::every].copy()
     found = outside(limits, dim, bright)
@@ -175,8 +174,7 @@ def _reach(limits: Limits, white: int, short: Pixels, long: Pixels) -> int:
     sources, found = _any_colour(sources), _any_colour(found)
     within, rates = sources, []
     for distance in _DISTANCES:
-        kernel = np.ones((2 * distance + 1, 1), np.uint8)
-        reached = cv2.dilate(sources.astype(np.uint8), kernel) > 0
+        reached = dilated(sources.astype(np.uint8), (2 * distance + 1, 1)) > 0
         ring = reached & ~within
         size = np.count_nonzero(ring)
         rates.append(np.count_nonzero(found & ring) / size if size >= _RING_SAMPLES else np.nan)
@@ -202,11 +200,9 @@ def _near_saturated(
     bright: Pixels, found: NDArray[np.bool_], white: int, reach: int
 ) -> NDArray[np.bool_]:
     """Return which samples are up to `reach` from saturated ones that do not contradict."""
-    import cv2
-
     source = _any_colour((bright >= white) & ~found)
-    kernel = np.ones((2 * reach + 1, 2 * min(reach, _ACROSS) + 1), np.uint8)
-    near = cv2.dilate(source.astype(np.uint8), kernel) > 0
+    box = (2 * reach + 1, 2 * min(reach, _ACROSS) + 1)
+    near = dilated(source.astype(np.uint8), box) > 0
     return np.asarray(near if bright.ndim == 2 else near[..., np.newaxis])
 
 
@@ -249,20 +245,16 @@ def _sizes(length: int, cell: int) -> _Floats:
 
 def _connected(moves: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """Return the cells of which at least so many are connected."""
-    import cv2
-
-    _, labels, boxes, _ = cv2.connectedComponentsWithStats(moves.astype(np.uint8))
-    return np.asarray(moves & (boxes[labels, cv2.CC_STAT_AREA] >= least))
+    labels, boxes = connected_parts(moves)
+    return np.asarray(moves & (boxes[labels, AREA] >= least))
 
 
 def _places(
     moves: NDArray[np.bool_], counts: _Floats, shape: tuple[int, int], cell: int
 ) -> tuple[Place, ...]:
     """Return the rectangles around connected cells that move, those with most marks first."""
-    import cv2
-
-    number, labels, boxes, _ = cv2.connectedComponentsWithStats(moves.astype(np.uint8))
-    weights = np.bincount(labels.ravel(), weights=counts.ravel(), minlength=number)[1:]
+    labels, boxes = connected_parts(moves)
+    weights = np.bincount(labels.ravel(), weights=counts.ravel(), minlength=len(boxes))[1:]
     largest = np.argsort(-weights, kind="stable")[:_MOST_PLACES]
     return tuple(
         Place(

@@ -16,6 +16,7 @@ from camctl.captures.exposure_check import NeighbourCheck, lamp_factor
 from camctl.captures.photographs import Photograph
 from camctl.errors import DataError
 from camctl.exposure.patches import Patches
+from camctl.picture_operations import reduced_by_area, required_opencv
 
 #: Longest side of the grey copies in which alignment is measured, pixels.
 _SIDE = 1024
@@ -58,14 +59,13 @@ class Sight:
 
     @classmethod
     def of(cls, photograph: Photograph, pixels: Pixels, white: int) -> Sight:
-        """Return that of a photograph's pixels."""
-        import cv2
-
+        """Return that of a photograph's pixels; raises `UsageError` without OpenCV."""
+        required_opencv("merging photographs")
         digest = hashlib.sha256(np.ascontiguousarray(pixels).data).digest()
         grey = pixels[..., 1] if pixels.ndim == 3 else pixels
         scale = max(1.0, max(grey.shape) / _SIDE)
         size = (max(1, round(grey.shape[1] / scale)), max(1, round(grey.shape[0] / scale)))
-        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        small = reduced_by_area(grey, size)
         copy = np.float32(1 / white) * np.asarray(small, np.float32)
         is_even = bool((pixels == pixels.flat[0]).all())
         return cls(photograph, digest, copy, scale, is_even)

@@ -14,6 +14,7 @@ from camctl.captures.drawing import range_text, time_text
 from camctl.captures.pictures import colour_of
 from camctl.captures.preview import srgb_codes
 from camctl.controls import ExposureControls, ExposureSetting, Layout
+from camctl.picture_operations import reduced_by_area
 
 THUMBNAIL_SIDE = 400
 """Longest side of a thumbnail, pixels."""
@@ -115,8 +116,6 @@ def reduced(
 
     A cell of a mosaic is one pixel.
     """
-    import cv2
-
     if not layout.is_mosaic or min(values.shape[:2]) < 2:
         planes = [values if layout is Layout.RGB else values[..., np.newaxis]]
     else:
@@ -129,5 +128,5 @@ def reduced(
     height, width = planes[0].shape[:2]
     factor = min(1.0, side / max(height, width))
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
-    small = [cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in planes]
+    small = [reduced_by_area(plane, size) for plane in planes]
     return np.dstack(small).astype(np.float32)

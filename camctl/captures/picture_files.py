@@ -29,6 +29,7 @@ from camctl.files import atomic_file, storage_error, write_bytes
 from camctl.input_files import check_regular
 from camctl.interrupts import uninterrupted
 from camctl.library_output import exr_source, quiet_libraries
+from camctl.picture_operations import opencv, png
 
 #: Threads that compress the radiance of a picture of at least so many pixels.
 _THREADS, _LARGE = 2, 4_000_000
@@ -37,14 +38,8 @@ SUM, IMAGE, RADIANCE = "sum.tiff", "image.tiff", "radiance.exr"
 PREVIEW, CONTACT = "preview.png", "contact.png"
 
 _MASK_PREFIX, _DEVIATION_PREFIX = "mask.", "sd."
-#: Compression 1, rows predicted from those above: as fast as the default, files a third smaller.
-_PNG_OPTIONS = (16, 1, 19, 32)  # cv2.IMWRITE_PNG_COMPRESSION, cv2.IMWRITE_PNG_FILTER of UP
-_LIBRARIES = {
-    "cv2": "opencv-contrib-python-headless",
-    "OpenEXR": "OpenEXR",
-    "tifffile": "tifffile",
-}
-"""Modules that write pictures, with the packages that hold them."""
+_LIBRARIES = ("OpenEXR", "tifffile")
+"""Modules that write pictures; the packages that hold them have the same names."""
 _SHOOT_AGAIN = "shoot the capture again"
 
 
@@ -91,9 +86,10 @@ def write_picture_files(
         )
     light = reducer.light()
     preview = tone_map(light)
-    write_bytes(directory / PREVIEW, _png(preview, details))
+    write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))
     moved = None if rendering.movement is None else rendering.movement.cells
-    write_bytes(directory / CONTACT, _png(contact_sheet(light, preview, details, moved), details))
+    sheet = contact_sheet(light, preview, details, moved)
+    write_bytes(directory / CONTACT, png_with_metadata(png(sheet), details))
     return {
         "sum": SUM,
         "image": IMAGE,
@@ -152,20 +148,21 @@ def _read_channels(path: Path, prefix: str) -> NDArray[Any]:
 
 
 def load_libraries() -> None:
-    """Import the libraries that write pictures, before anything is shot.
+    """Import the libraries that make and write pictures, before anything is shot.
 
     Where memory is short, loading one may end the process.
 
     Raises:
         UsageError: one of them is not installed
     """
-    for module, package in _LIBRARIES.items():
+    opencv()
+    for module in _LIBRARIES:
         try:
             import_module(module)
         except ModuleNotFoundError as error:
             raise UsageError(
                 f"a capture cannot write its pictures: {module} is not installed",
-                hint=f"install it with: pip install {package}",
+                hint=f"install it with: pip install {module}",
             ) from error
 
 
@@ -181,14 +178,6 @@ def _readable(path: Path) -> Iterator[None]:
     except Exception as error:  # the libraries raise errors of any type for a damaged file
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise DataError(f"cannot read {path}: {reason}", hint=_SHOOT_AGAIN) from error
-
-
-def _png(picture: NDArray[np.uint8], details: PictureDetails) -> bytes:
-    """Return a picture in sRGB, (rows, columns) or (rows, columns, 3), as a PNG file."""
-    import cv2
-
-    ordered = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else picture
-    return png_with_metadata(cv2.imencode(".png", ordered, _PNG_OPTIONS)[1].tobytes(), details)
 
 
 @contextmanager

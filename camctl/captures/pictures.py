@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from camctl.captures.movement import Movement
 from camctl.controls import Layout
 from camctl.exposure.inverse import Posterior
+from camctl.picture_operations import correlated, dilated
 from camctl.response.desired import DesiredResponse
 
 #: Values of a mask: within the range, light below the range, saturated in every frame.
@@ -86,8 +87,6 @@ def _interpolated(
     red_blue: NDArray[np.floating[Any]],
 ) -> NDArray[np.float32]:
     """Return (rows, columns, 3): each colour's samples, weighted by these kernels."""
-    import cv2
-
     colours = np.empty((*mosaic.shape, 3), np.float32)
     for channel in range(3):
         plane = np.zeros_like(mosaic)
@@ -97,16 +96,13 @@ def _interpolated(
                     plane[row::2, column::2] = mosaic[row::2, column::2]
         kernel = green if channel == 1 else red_blue
         # Mirroring without repeating the border keeps the colour of every mirrored pixel.
-        colours[..., channel] = cv2.filter2D(plane, -1, kernel, borderType=cv2.BORDER_REFLECT_101)
+        colours[..., channel] = correlated(plane, kernel, repeats_border=False)
     return colours
 
 
 def demosaic_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a mosaic's mask as (rows, columns, 3): a mark covers all pixels it contributed to."""
-    import cv2
-
-    wide = cv2.dilate(mask, np.ones((3, 3), np.uint8))
-    return np.repeat(wide[..., None], 3, axis=2)
+    return np.repeat(dilated(mask, (3, 3))[..., None], 3, axis=2)
 
 
 def encode(desired: DesiredResponse, E: NDArray[Any]) -> NDArray[np.uint16]:

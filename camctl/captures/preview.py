@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.captures.pictures import DARK, SATURATED, Strip
+from camctl.picture_operations import box_means, reduced_by_area
 
 PREVIEW_SIDE = 2560
 """Longest side of the preview, pixels."""
@@ -163,14 +164,12 @@ class LightReducer:
         light.white[place] = self._mean(parts[5], rows)[..., 0]
 
     def _mean(self, part: NDArray[Any], rows: int) -> NDArray[Any]:
-        import cv2
-
         cut = part[: rows * self._step, : self._shape[1] * self._step]
         if self._step == 1:
             return cut
         size = (self._shape[1], rows)
-        reduced = cv2.resize(np.ascontiguousarray(cut), size, interpolation=cv2.INTER_AREA)
-        return np.asarray(reduced, part.dtype).reshape(rows, self._shape[1], -1)
+        reduced = reduced_by_area(np.ascontiguousarray(cut), size)
+        return reduced.reshape(rows, self._shape[1], -1)
 
 
 def tone_map(light: Light) -> NDArray[np.uint8]:
@@ -199,7 +198,7 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     # A pixel of which one channel is saturated keeps the colour of its neighbours that are not.
     full = light.white / np.float32(ALL)
     shown += full * (1 - shown)
-    around = _blurred(pixel_noise, 2)
+    around = box_means(pixel_noise, 2)
     # Where a channel shows no light, the colour is not known.
     colourful = (1 - full) * (1 - np.sqrt(unlit)) / (1 + around * around)
     colours -= 1
@@ -253,23 +252,23 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
         # Beside samples without light the noise of the others decides which of them have some.
         doubt = _largest(noise)
         if has_unlit:
-            doubt = doubt * (1 + _UNLIT_DOUBT * _blurred(unlit, radius))
+            doubt = doubt * (1 + _UNLIT_DOUBT * box_means(unlit, radius))
         if doubt.max() <= low:
             break
         hidden = np.clip((doubt - low) / (high - low), 0, 1)
         counts = np.clip((doubt - least) / (low - least), 0, 1)
-        area = np.maximum(_blurred(counts, radius), _LEAST_VARIANCE)
+        area = np.maximum(box_means(counts, radius), _LEAST_VARIANCE)
         samples = area * (2 * radius + 1) ** 2
         for place in range(noise.shape[2]):
             values, errors = irradiance[..., place], noise[..., place]
             # Sums over windows are running ones, and may round to just below 0.
-            variance = np.maximum(_blurred((values * errors) ** 2 * counts, radius), 0) / area
-            average = np.maximum(_blurred(values * counts, radius) / area, _NO_LIGHT)
+            variance = np.maximum(box_means((values * errors) ** 2 * counts, radius), 0) / area
+            average = np.maximum(box_means(values * counts, radius) / area, _NO_LIGHT)
             error = np.sqrt(variance / samples) / average
             values += (average - values) * hidden
             errors += (np.minimum(error, errors) - errors) * hidden
         if has_unlit:
-            unlit += (_blurred(unlit * counts, radius) / area - unlit) * hidden
+            unlit += (box_means(unlit * counts, radius) / area - unlit) * hidden
     return irradiance, noise, np.clip(unlit, 0, 1)
 
 
@@ -285,7 +284,7 @@ def _without_noise(logs: Floats, noise: Floats) -> Floats:
     """Return log2 of the light with noise of this standard deviation filtered out."""
     for radius, left in _NOISE_WINDOWS:
         mean, variance = _moments(logs, radius)
-        kept = _blurred(noise * noise, radius)
+        kept = box_means(noise * noise, radius)
         kept *= -np.float32(left)
         kept /= np.maximum(variance, _LEAST_VARIANCE, out=variance)
         kept += 1
@@ -301,23 +300,14 @@ def _surround(logs: Floats) -> Floats:
     offset, slope = _moments(logs, radius)
     slope /= np.maximum(slope, 0, out=slope) + np.float32(_EDGE)
     offset -= slope * offset
-    surround = _blurred(slope, radius)
+    surround = box_means(slope, radius)
     surround *= logs
-    surround += _blurred(offset, radius)
+    surround += box_means(offset, radius)
     return surround
 
 
 def _moments(values: Floats, radius: int) -> tuple[Floats, Floats]:
     """Return mean and variance over squares; rounding may leave a variance just below 0."""
-    mean, variance = _blurred(values, radius), _blurred(values * values, radius)
+    mean, variance = box_means(values, radius), box_means(values * values, radius)
     variance -= mean * mean
     return mean, variance
-
-
-def _blurred(values: NDArray[Any], radius: int) -> Floats:
-    """Return the means over squares of 2 radius + 1 pixels a side."""
-    import cv2
-
-    side = 2 * radius + 1
-    mean = cv2.blur(values, (side, side), borderType=cv2.BORDER_REFLECT)
-    return np.asarray(mean, np.float32).reshape(values.shape)

@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from camctl.camera import Camera
 from camctl.captures.capture_plan import relative_exposures
+from camctl.captures.file_names import REPORT as REPORT
 from camctl.captures.picture_files import CONTACT, IMAGE, PREVIEW, RADIANCE, SUM
 from camctl.captures.report import FORMAT_VERSION, CaptureReport, StoredFrame, UnfinishedCapture
 from camctl.controls import ExposureSetting
@@ -24,7 +25,7 @@ from camctl.errors import CamctlError, DataError
 from camctl.exposure.effective import check_count
 from camctl.input_files import read_own_file
 
-REPORT, FRAMES, LOCK = "report.json", "frames", ".camctl.lock"
+FRAMES, LOCK = "frames", ".camctl.lock"
 
 PICTURE_FILES = {
     "sum": SUM,

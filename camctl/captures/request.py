@@ -13,7 +13,6 @@ import numpy as np
 
 from camctl.errors import DataError, UsageError, unknown_name
 from camctl.exposure.effective import check_count
-from camctl.exposure.objective import check_levels_wanted
 from camctl.response.desired import (
     RANGES,
     RESPONSES,
@@ -236,6 +235,8 @@ class CaptureRequest:
                 f"{MIN_ACCURACY:g}"
             )
         if self.levels_wanted is not None:
+            from camctl.exposure.objective import check_levels_wanted  # loads the mathematics
+
             check_levels_wanted(self.levels_wanted)
         if not abs(self.compensation_stops) <= MAX_COMPENSATION_STOPS:
             raise UsageError(

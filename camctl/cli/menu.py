@@ -70,6 +70,9 @@ def menu(
     accuracy. Each choice is shown with its exposure time, the time of the capture, and the
     effective levels that it gives with this camera.
     """
+    from menu.memory import use_little_memory
+
+    use_little_memory()
     from menu.app import run
     from menu.ports import Job
 

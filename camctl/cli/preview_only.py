@@ -42,6 +42,7 @@ def show_responses(
     """
     from camctl.captures.response_preview import preview_responses
     from camctl.files import check_replaceable, write_bytes
+    from camctl.picture_operations import png
 
     path = _free_name() if path is None else path
     if path.suffix.lower() != _SUFFIX:
@@ -52,11 +53,9 @@ def show_responses(
     if path.exists() and not force:
         raise StorageError(f"{path} exists", hint="choose another name with -o, or add --force")
     check_replaceable(path)
-    import cv2
-
     with camera_options.open() as camera:
         shown = preview_responses(camera, request)
-    write_bytes(path, cv2.imencode(_SUFFIX, shown.picture[..., ::-1])[1].tobytes())
+    write_bytes(path, png(shown.picture))
     for warning in shown.plan.warnings:
         print_warning(warning)
     times = [setting.time_s for setting in shown.settings]

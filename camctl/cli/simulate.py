@@ -337,10 +337,9 @@ def _write(frame: Frame, output: Path) -> None:
         return
     data = io.BytesIO()
     if kind == ".png":
-        import cv2
+        from camctl.picture_operations import png
 
-        in_bgr_order = frame.pixels if frame.pixels.ndim == 2 else frame.pixels[..., ::-1]
-        data.write(cv2.imencode(".png", in_bgr_order)[1].tobytes())
+        data.write(png(frame.pixels))
     else:
         import tifffile
 

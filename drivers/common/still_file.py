@@ -23,6 +23,7 @@ from camctl.camera import Pixels
 from camctl.controls import Layout
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.library_output import quiet_libraries
+from camctl.picture_operations import required_opencv
 from camctl.profile import StillRecord
 
 # The largest pictures of still cameras (medium format with pixel shift) have 400 million pixels.
@@ -191,8 +192,7 @@ def _read_png(data: bytes, name: str) -> Still:
 
 
 def _decode(data: bytes, name: str) -> Still:
-    import cv2
-
+    cv2 = required_opencv("decoding JPEG, PNG and TIFF files of cameras")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:

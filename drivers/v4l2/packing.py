@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import Pixels
 from camctl.errors import CameraError
+from camctl.picture_operations import required_opencv
 from drivers.v4l2.node import Shape
 
 Bytes: TypeAlias = NDArray[np.uint8]
@@ -134,7 +135,7 @@ def _decode_jpeg(stream: bytes) -> tuple[NDArray[Any] | None, list[str]]:
     libjpeg invents samples for damaged parts and reports that on standard error only.  That is
     redirected to a file meanwhile, so that it is read here and not printed.
     """
-    import cv2  # a second of loading that other formats do not need
+    cv2 = required_opencv("decoding MJPG frames")  # a second of loading, here alone
 
     with _STANDARD_ERROR_LOCK, tempfile.TemporaryFile() as warnings:
         standard_error = os.dup(2)

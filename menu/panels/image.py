@@ -11,7 +11,8 @@ from typing import Self
 from camctl.clock import Clock, RealClock
 from camctl.errors import StorageError, UsageError
 from camctl.files import make_folder, storage_error, write_bytes
-from menu.drawing import SMALLEST, draw, png
+from camctl.picture_operations import png
+from menu.drawing import SMALLEST, draw
 from menu.ports import Key, Screen
 
 DEFAULT_SIZE = (480, 320)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-import cv2
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from camctl.camera import Pixels
 from camctl.controls import Layout
 from camctl.errors import UsageError, unknown_name
+from camctl.picture_operations import reduced_by_area, required_opencv
 
 MAKE = "camctl"
 MODEL = "virtual still camera"
@@ -31,12 +31,6 @@ _D65 = 21  # EXIF light source
 # XYZ (D65) to linear sRGB, IEC 61966-2-1, in 1/10000: the colour matrix that DNG requires.
 _XYZ_TO_RGB = (32406, -15372, -4986, -9689, 18758, 415, 557, -2040, 10570)
 _COLOUR_OF = {"r": 0, "g": 1, "b": 2}
-_DEMOSAIC = {
-    Layout.RGGB: cv2.COLOR_BayerRGGB2RGB,
-    Layout.GRBG: cv2.COLOR_BayerGRBG2RGB,
-    Layout.GBRG: cv2.COLOR_BayerGBRG2RGB,
-    Layout.BGGR: cv2.COLOR_BayerBGGR2RGB,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +78,7 @@ def thumbnail(image: RawImage, *, rows: int = 120) -> bytes:
     picture = _eight_bits(_developed(image, grey=False), image.bits)
     scale = min(1.0, rows / picture.shape[0])
     size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    return _cv2_jpeg(small.astype(np.uint8, copy=False), 80)
+    return _cv2_jpeg(reduced_by_area(picture, size), 80)
 
 
 def _jpeg(image: RawImage, grey: bool, quality: int) -> bytes:
@@ -150,8 +143,10 @@ SUFFIXES = {"jpeg": "JPG", "tiff": "TIF", "dng": "DNG"}
 
 def _developed(image: RawImage, grey: bool) -> NDArray[Any]:
     """Return the picture as grey or, demosaiced, as RGB; with the sensor's bit depth."""
-    if image.layout in _DEMOSAIC:
-        return np.asarray(cv2.cvtColor(image.pixels, _DEMOSAIC[image.layout]))
+    if image.layout.is_mosaic:
+        cv2 = required_opencv("the virtual camera with a mosaic")
+        code = getattr(cv2, f"COLOR_Bayer{image.layout.value.upper()}2RGB")
+        return np.asarray(cv2.cvtColor(image.pixels, code))
     if image.layout is Layout.MONO and not grey:
         return np.repeat(image.pixels[..., np.newaxis], 3, axis=2)
     return image.pixels
@@ -163,6 +158,7 @@ def _eight_bits(picture: NDArray[Any], bits: int) -> NDArray[np.uint8]:
 
 
 def _cv2_jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
+    cv2 = required_opencv("the virtual camera with JPEG files")
     bgr = picture[..., ::-1] if picture.ndim == 3 else picture
     is_encoded, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert is_encoded  # it fails for empty pictures only

@@ -8,6 +8,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.picture_operations import (
+    enlarged_smoothly,
+    reduced_by_area,
+    required_opencv,
+    smoothed,
+)
 from sim.effects.record import Change, Effect, Light, Shot, Stage
 
 _GLARE_SAMPLES_PER_SIGMA = 2.5
@@ -16,7 +22,6 @@ _GLARE_SAMPLES_PER_SIGMA = 2.5
 _CHANNELS_UM = (0.60, 0.54, 0.46)  # wavelengths of red, green and blue
 _GREY_UM = 0.55
 _FIRST_ZERO, _THIRD_ZERO = 3.8317, 10.1735  # of the Bessel function J1: dark rings of an Airy disk
-_MIRROR = 2  # cv2.BORDER_REFLECT; OpenCV is imported when a lens is simulated
 _PARTS_OF_A_PIXEL = 7  # along rows and columns, to average the Airy disk over a pixel
 
 
@@ -28,12 +33,7 @@ def gaussian(sigma: float) -> Light:
 
 
 def _blur(planes: Light, shot: Shot) -> Light:
-    import cv2
-
-    kernel = gaussian(shot.sensor.lens.blur_px)
-    return np.asarray(
-        cv2.sepFilter2D(planes, -1, kernel, kernel, borderType=_MIRROR), dtype=np.float32
-    )
+    return smoothed(planes, gaussian(shot.sensor.lens.blur_px))
 
 
 def _blur_change(shot: Shot) -> Change:
@@ -55,15 +55,12 @@ def _glare_samples(shot: Shot) -> tuple[tuple[int, int], Light]:
 
 
 def _glare(planes: Light, shot: Shot) -> Light:
-    import cv2
-
     lens = shot.sensor.lens
     rows, columns = planes.shape[:2]
     size, kernel = _glare_samples(shot)
-    small = cv2.resize(planes, size, interpolation=cv2.INTER_AREA)
-    small = cv2.sepFilter2D(small, -1, kernel, kernel, borderType=_MIRROR)
-    wide = cv2.resize(small, (columns, rows), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.addWeighted(planes, 1 - lens.glare, wide, lens.glare, 0.0))
+    small = smoothed(reduced_by_area(planes, size), kernel)
+    wide = enlarged_smoothly(small, (columns, rows))
+    return planes * np.float32(1 - lens.glare) + wide * np.float32(lens.glare)
 
 
 def _glare_change(shot: Shot) -> Change:
@@ -119,8 +116,7 @@ def airy_kernel(radius_px: float) -> NDArray[np.float64]:
 
 
 def _diffraction(planes: Light, shot: Shot) -> Light:
-    import cv2
-
+    cv2 = required_opencv("the simulation of diffraction")
     spread = np.empty(planes.shape, np.float32)
     lengths = _CHANNELS_UM if planes.ndim == 3 else (_GREY_UM,)
     for number, length_um in enumerate(lengths):
@@ -128,7 +124,9 @@ def _diffraction(planes: Light, shot: Shot) -> Light:
         kernel = airy_kernel(shot.sensor.airy_radius_px(length_um))
         # In double precision, since large kernels are applied by a Fourier transform, whose
         # rounding is that of the brightest light; it may leave less than nothing, too.
-        wide = cv2.filter2D(planes[here].astype(np.float64), -1, kernel, borderType=_MIRROR)
+        wide = cv2.filter2D(
+            planes[here].astype(np.float64), -1, kernel, borderType=cv2.BORDER_REFLECT
+        )
         spread[here] = np.maximum(wide, 0)
     return spread
 

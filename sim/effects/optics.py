@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from camctl.picture_operations import correlated
 from sim.effects.lens import LENS, glare_bend
 from sim.effects.record import Change, Effect, Light, Lines, RowTiming, Shot, Stage
 from sim.scenes.motion import Lamps, PwmLamps
@@ -58,13 +59,9 @@ def _rolling_change(shot: Shot) -> Change:
 
 
 def _crosstalk(light: Light, shot: Shot) -> Light:
-    import cv2
-
     share = shot.sensor.pixels.crosstalk
     kernel = np.array([[0, share, 0], [share, 1 - 4 * share, share], [0, share, 0]], np.float32)
-    return np.asarray(
-        cv2.filter2D(light, -1, kernel, borderType=cv2.BORDER_REFLECT), dtype=np.float32
-    )
+    return correlated(light, kernel, repeats_border=True)
 
 
 def _crosstalk_change(shot: Shot) -> Change:

@@ -7,11 +7,13 @@ import pytest
 from picture_parts import details, light_of
 
 from camctl.captures import contact_sheet as sheets
+from camctl.captures import drawing
 from camctl.captures.contact_sheet import contact_sheet
 from camctl.captures.drawing import LINE_HEIGHT, MARGIN, PAPER, Drawing
 from camctl.captures.picture_details import THUMBNAIL_SIDE, thumbnail
 from camctl.captures.preview import tone_map
 from camctl.controls import ExposureControls, Layout, Steps
+from camctl.picture_operations import text_width
 from camctl.response.camera import standard_response
 
 SHAPES = [(1, 1), (3, 4), (60, 80), (80, 60, 3), (300, 20), (20, 300, 3)]
@@ -22,22 +24,21 @@ class _Boxes:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.boxes: list[tuple[str, int, int, int, int]] = []
-        import cv2
+        put = drawing.draw_text
 
-        put = cv2.putText
-
-        def record_text(image, text, org, font, size, *rest):  # type: ignore[no-untyped-def]
-            (width, height), below = cv2.getTextSize(text, font, size, 1)
-            self.boxes.append((text, org[0], org[1] - height, org[0] + width, org[1] + below // 2))
-            return put(image, text, org, font, size, *rest)
+        def record_text(pixels, text, place, size, colour):  # type: ignore[no-untyped-def]
+            left, top = place[0], place[1] - round(22 * size)
+            box = (left, top, left + text_width(text, size), place[1] + round(5 * size))
+            self.boxes.append((text, *box))
+            put(pixels, text, place, size, colour)
 
         picture = Drawing.picture
 
-        def record_picture(drawing, shown, place, size):  # type: ignore[no-untyped-def]
+        def record_picture(sheet, shown, place, size):  # type: ignore[no-untyped-def]
             self.boxes.append(("picture", *place, place[0] + size[0], place[1] + size[1]))
-            return picture(drawing, shown, place, size)
+            return picture(sheet, shown, place, size)
 
-        monkeypatch.setattr(cv2, "putText", record_text)
+        monkeypatch.setattr(drawing, "draw_text", record_text)
         monkeypatch.setattr(Drawing, "picture", record_picture)
 
     def overlaps(self) -> list[tuple[str, str]]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import OpenEXR
 import pytest
@@ -93,7 +93,7 @@ def test_channels_of_radiance_exr(layout: Layout, tmp_path: Path) -> None:
 
 
 def test_preview_is_made_from_reduced_light(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cv2: Any
 ) -> None:
     monkeypatch.setattr("camctl.captures.preview.PREVIEW_SIDE", 10)
     monkeypatch.setattr(pictures, "STRIP_SAMPLES", 100)

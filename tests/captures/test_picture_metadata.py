@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import OpenEXR
 import pytest
@@ -129,7 +128,7 @@ def test_exiftool_reads_every_file(folder: Path, layout: Layout) -> None:
         assert "Warning" not in png
 
 
-def test_png_chunks_are_whole_and_pixels_stay() -> None:
+def test_png_chunks_are_whole_and_pixels_stay(cv2: Any) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (7, 9, 3), dtype=np.uint8)
     png = png_with_metadata(cv2.imencode(".png", pixels)[1].tobytes(), details())
     place, kinds = 8, []
@@ -146,7 +145,7 @@ def test_png_chunks_are_whole_and_pixels_stay() -> None:
     assert np.array_equal(decoded, pixels)
 
 
-def test_hostile_names_of_a_camera_leave_the_files_readable(tmp_path: Path) -> None:
+def test_hostile_names_of_a_camera_leave_the_files_readable(tmp_path: Path, cv2: Any) -> None:
     effective = EffectiveCamera.of(linear_response(4), [1.0])
     desired = desired_response("log", 100.0)
     tables = Tables.of(Posterior(effective, desired, [FrameNoise(50.0, 0.2)]), 2.0)

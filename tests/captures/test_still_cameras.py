@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -147,7 +147,7 @@ def test_whole_flicker_periods_are_chosen_where_the_camera_has_them() -> None:
     assert warnings == []
 
 
-def test_capture_keeps_the_cameras_own_files(tmp_path: Path) -> None:
+def test_capture_keeps_the_cameras_own_files(tmp_path: Path, cv2: Any) -> None:
     with StillCamera(ramp(20.0), response="linear", bits=10, black=64) as camera:
         report = capture(camera, METERED, tmp_path / "here")
     assert report.status == "complete"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile, Pixels
 from camctl.clock import VirtualClock
 from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout
+from camctl.picture_operations import png
 from camctl.response.camera import standard_response
 
 DOWNLOAD_S = 0.75
@@ -77,7 +77,7 @@ class StillCamera(CameraBase):
             ended = self.clock.now()
             self.clock.sleep_until(ended + DOWNLOAD_S)
             pixels = self._expose(setting.exposure)
-            data = cv2.imencode(".png", pixels)[1].tobytes()
+            data = png(pixels)
             yield Frame(
                 pixels=pixels,
                 requested=setting,

@@ -191,16 +191,23 @@ def test_capture_that_needs_more_space_than_is_free_is_refused(
         job.plan(Choice("log", 1000.0, 3), never)
 
 
-def test_menu_works_without_opencv_and_a_capture_says_that_it_needs_it(
+def test_a_capture_works_without_opencv_and_says_what_is_missing(
     camera: RecordingCamera, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
+    monkeypatch.setitem(sys.modules, "tifffile", None)
     job = job_with(camera, tmp_path)
     assert job.meter().picture is not None
     plan = job.plan(Choice("log", 1000.0, 2), never)
-    with pytest.raises(UsageError, match="cv2 is not installed; install it with: pip install"):
+    with pytest.raises(UsageError, match="tifffile is not installed; install it with: pip inst"):
         job.shoot(plan, lambda progress: None, never)
     assert camera.lists == []
+    monkeypatch.undo()
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    summary = job.shoot(plan, lambda progress: None, never)
+    assert {"sum.tiff", "preview.png", "contact.png"} <= {
+        p.name for p in Path(summary.folder).iterdir()
+    }
 
 
 def test_names_count_up_whatever_the_clock_shows(tmp_path: Path) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from panel_fakes import FakeJob
@@ -21,7 +21,7 @@ from menu.screens import screen
 from tests.menu.test_machine import FULL
 
 
-def test_each_screen_is_a_picture(tmp_path: Path) -> None:
+def test_each_screen_is_a_picture(tmp_path: Path, cv2: Any) -> None:
     panel = ImagePanel(f"{tmp_path}/shots,320x240")
     shown = screen(FULL)
     with panel:

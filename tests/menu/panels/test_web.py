@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import urllib.error
 import urllib.request
+from base64 import b64decode
 from collections.abc import Iterator
 
 import pytest
 
 from camctl.errors import UsageError
-from menu.drawing import draw, png
+from camctl.picture_operations import png
+from menu.drawing import draw
 from menu.panels.web import SIZE, WebPanel
 from menu.ports import Key, Line, Screen
 
@@ -47,10 +49,11 @@ def press(panel: WebPanel, key: str, **headers: str) -> tuple[int, bytes]:
 def test_page_and_screen_are_served(panel: WebPanel) -> None:
     status, page = ask(panel, "")
     assert (status, b"<html" in page) == (200, True)
-    status, shown = ask(panel, "screen?after=0")
-    assert json.loads(shown)["version"] == 1
-    assert json.loads(shown)["lines"][:2] == ["Ready", "one"]
-    assert ask(panel, "screen.png") == (200, png(draw(SCREEN, *SIZE).pixels))
+    status, answer = ask(panel, "screen?after=0")
+    shown = json.loads(answer)
+    assert shown["version"] == 1
+    assert shown["lines"][:2] == ["Ready", "one"]
+    assert b64decode(shown["picture"]) == png(draw(SCREEN, *SIZE).pixels)
 
 
 def test_keys_arrive_in_their_order(panel: WebPanel) -> None:

@@ -64,13 +64,22 @@ def call(tmp_path: Path) -> Iterator[Call]:
         driver.wait()
 
 
-def test_capture_is_taken_with_the_buttons_of_the_page(call: Call, tmp_path: Path) -> None:
+@pytest.fixture
+def page(call: Call) -> tuple[FakeJob, threading.Thread]:
+    """The job and the thread of a menu whose page the browser shows."""
     job, panel = FakeJob(), WebPanel("0", token="")
     menu = threading.Thread(target=run, args=(panel, lambda: job), daemon=True)
     menu.start()
     while not panel.is_open:
         time.sleep(0.01)
     call("POST", "url", url=panel.url)
+    return job, menu
+
+
+def test_capture_is_taken_with_the_buttons_of_the_page(
+    call: Call, page: tuple[FakeJob, threading.Thread]
+) -> None:
+    job, menu = page
 
     def script(text: str) -> Any:
         return call("POST", "execute/sync", script=text, args=[])
@@ -103,3 +112,42 @@ def test_capture_is_taken_with_the_buttons_of_the_page(call: Call, tmp_path: Pat
     press("enter")
     menu.join()
     assert len(job.shot) == 1
+
+
+TIME_KEYS = """
+const done = arguments[0], picture = document.getElementById("screen"), times = [];
+const text = document.getElementById("text");
+async function pressed(key) {
+  const loaded = new Promise(resolve => picture.addEventListener("load", resolve, {once: true}));
+  const began = performance.now();
+  document.querySelector(`[data-key=${key}]`).click();
+  await loaded;
+  return performance.now() - began;
+}
+async function round_trip() {
+  const began = performance.now();
+  await fetch("key/none", {method: "POST"});
+  return performance.now() - began;
+}
+const middle = values => values.sort((a, b) => a - b)[values.length >> 1];
+(async () => {
+  while (!text.textContent.includes("Ready")) { await new Promise(r => setTimeout(r, 50)); }
+  document.querySelector("[data-key=enter]").click();
+  while (!text.textContent.includes("Desired")) { await new Promise(r => setTimeout(r, 50)); }
+  await new Promise(r => setTimeout(r, 500));  // the costs of the entries have come
+  const keys = [], trips = [];
+  for (let k = 0; k < 20; k++) {
+    trips.push(await round_trip());
+    keys.push(await pressed(k % 2 ? "up" : "down"));
+  }
+  done([middle(keys), keys[keys.length - 1], middle(trips)]);
+})();
+"""
+
+
+@pytest.mark.serial
+def test_picture_follows_a_key_at_once(call: Call, page: tuple[FakeJob, threading.Thread]) -> None:
+    median, most, trip = call("POST", "execute/async", script=TIME_KEYS, args=[])
+    print(f"key to picture: median {median:.0f} ms, at most {most:.0f} ms; request {trip:.1f} ms")
+    # The key, the next screen, and its decoding: not 40 ms more for each acknowledgement.
+    assert median < 60 + 5 * trip

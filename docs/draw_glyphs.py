@@ -1,8 +1,8 @@
-"""Draw menu/glyphs.npz, the characters of the panels that draw pictures; needs Pillow, matplotlib.
+"""Draw camctl/glyphs.npz, the characters of drawn screens and sheets; needs Pillow, matplotlib.
 
 The typeface is DejaVu Sans Mono, whose licence allows it (https://dejavu-fonts.github.io).
 
-    python docs/draw_menu_glyphs.py
+    python docs/draw_glyphs.py
 """
 
 from pathlib import Path
@@ -11,10 +11,10 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-GLYPHS = Path(__file__).parents[1] / "menu" / "glyphs.npz"
+GLYPHS = Path(__file__).parents[1] / "camctl" / "glyphs.npz"
 TYPEFACE = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSansMono.ttf"
 CHARACTERS = "".join(map(chr, range(32, 127)))
-HEIGHTS = (20, 28, 40)
+HEIGHTS = (12, 14, 16, 20, 28, 40)
 """Heights of a line, pixels; a character is half as wide."""
 
 
