@@ -53,7 +53,10 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("sensors", nargs="*", default=sensor_names(), metavar="SENSOR")
     worst = 0.0
-    print("sensor                response  promised  measured  difference  promised if stated")
+    print(
+        "sensor                response  promised  measured  difference  promised if stated",
+        flush=True,
+    )
     for name in parser.parse_args().sensors:
         sensor = sensor_without_lens(name)
         with tempfile.TemporaryDirectory() as folder:
@@ -63,7 +66,7 @@ def main() -> int:
             if sensor.pixels.prnu:
                 _calibrate_noise(sensor)
                 worst = max(worst, _compare(sensor, f"{name}, flat, dark"))
-    print(f"largest difference {worst:.1%}; allowed {LIMIT:.0%}")
+    print(f"largest difference {worst:.1%}; allowed {LIMIT:.0%}", flush=True)
     return int(worst > LIMIT)
 
 
@@ -117,7 +120,7 @@ def _calibrate(sensor: Sensor) -> None:
 
     for step in calibrate(opened):
         if step.problem is not None:
-            print(f"{sensor.name:16}{step.name} not measured: {step.problem}")
+            print(f"{sensor.name:16}{step.name} not measured: {step.problem}", flush=True)
 
 
 if __name__ == "__main__":
