@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from camctl.captures.capture_plan import CapturePlan as CapturePlan
     from camctl.captures.capture_plan import Metering as Metering
     from camctl.captures.folder_store import read_report as read_report
+    from camctl.captures.frame_record import FrameRecord as FrameRecord
+    from camctl.captures.frame_record import RatioCheck as RatioCheck
     from camctl.captures.plan import plan_capture as plan_capture
     from camctl.captures.report import Achieved as Achieved
     from camctl.captures.report import CaptureReport as CaptureReport
-    from camctl.captures.report import FrameRecord as FrameRecord
     from camctl.captures.report import Irradiance as Irradiance
-    from camctl.captures.report import RatioCheck as RatioCheck
     from camctl.captures.request import CaptureRequest as CaptureRequest
     from camctl.captures.sequence import Progress as Progress
     from camctl.captures.sequencer import capture as capture

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from camctl.calibration.noise_curve import NoiseCurve
 from camctl.calibration.noise_fit import NoiseFit, combine_fits, fit_noise
 from camctl.calibration.noise_pairs import FramePair, PairPatches, channel_names, reduce_pair
+from camctl.calibration.pixel_pattern import root_of_ratio
 from camctl.controls import ExposureSetting, Layout
 from camctl.errors import DataError
 from camctl.noise_record import CurvePoint, Figure, GainNoise, NoiseRecord
 from camctl.response.camera import CameraResponse
-from camctl.response_record import Z_95
 
 #: A change of the light within a pair that is noted, and one from which a pair is not used.
 _NOTED_CHANGE, _MOST_CHANGE = 0.02, 0.2
@@ -44,9 +44,8 @@ _APART, _APART_SHARE = 4.0, 0.03
 #: spread over a level, DN: where it is not, as on a flat field with little noise, the variance
 #: depends on where in a level the light is.
 _LEAST_SPREAD = 0.65
-#: Brightness, as shares of full scale, between which the PRNU is measured, and parts of the picture
-#: that are left out in turn for its interval.
-_PRNU_RANGE, _PARTS = (0.2, 0.8), 16
+#: Brightness, as shares of full scale, between which the PRNU is measured, and the fewest patches.
+_PRNU_RANGE, _LEAST_FLAT = (0.2, 0.8), 64
 
 
 @dataclass(eq=False)
@@ -299,13 +298,7 @@ def _prnu(frames: NoiseFrames, pairs: Sequence[FramePair]) -> Figure | None:
                 [np.where(used, patches.pattern / slope**2, 0), np.where(used, light**2, 0)]
             )
         sums.append(total)
-    both = np.concatenate([np.atleast_2d(each) for each in sums], axis=1)
-    if np.count_nonzero(both[1]) < 4 * _PARTS:
+    colours = [np.atleast_2d(each).T for each in sums]
+    if sum(np.count_nonzero(each[:, 1]) for each in colours) < _LEAST_FLAT:
         return None
-    parts = np.stack([part.sum(axis=1) for part in np.array_split(both, _PARTS, axis=1)])
-    whole = parts.sum(axis=0)
-    squared = float(whole[0] / whole[1])
-    others = (whole - parts)[:, 0] / (whole - parts)[:, 1]
-    error = math.sqrt(float(np.square(others - others.mean()).sum()) * (_PARTS - 1) / _PARTS)
-    value, least, most = (math.sqrt(max(0.0, squared + turn * Z_95 * error)) for turn in (0, -1, 1))
-    return Figure(value=value, low=least, high=most)
+    return root_of_ratio(colours)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -35,9 +36,10 @@ from camctl.calibration.response_fit import (
 )
 from camctl.calibration.response_matches import Matches, match_levels
 from camctl.calibration.response_series import Series
+from camctl.calibration.spill import below_saturation, spills_over
 from camctl.camera import Camera
 from camctl.controls import ExposureSetting
-from camctl.errors import CaptureError
+from camctl.errors import CaptureError, DataError
 from camctl.response.camera import FloatArray
 from camctl.response_record import ChannelResponse, ResponseRecord
 
@@ -56,6 +58,11 @@ _UNKNOWN_EXPONENT = (
     "no exposure is known: the exponent of the curve was chosen so that it is about as steep as "
     "that of sRGB, and may be 20 % wrong for a camera that makes such pictures, and 100 % for raw "
     "ones; give --times of the frames, or put a chart into the picture"
+)
+#: Where charge spills over from highlights.
+_SPILLS = (
+    "charge spills over from saturated samples (blooming): they and those near them are left out "
+    "of the estimate"
 )
 
 
@@ -120,7 +127,9 @@ def estimate_response(
     exposures = np.array(series.exposures)
     edges = _edges(series.white - series.black)
     notes = list(series.notes)
-    channels = [_evidence(series, name, edges, chart) for name in series.channels]
+    channels, spills = _without_spill(
+        series, edges, [_evidence(series, name, edges, chart) for name in series.channels], notes
+    )
     exponent = None
     if estimate_ratios and exposures.size > 1 and not (series.exposures_are_stated and not chart):
         exponent = common_exponent(
@@ -147,6 +156,7 @@ def estimate_response(
             ),
             phase=series.phase,
             frames=len(series.exposures),
+            spills=spills,
             measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
         ),
         exposures=tuple((exposures / exposures[0]).tolist()),
@@ -218,13 +228,41 @@ class _Evidence:
 
 def _evidence(series: Series, name: str, edges: FloatArray, chart: Chart | None) -> _Evidence:
     counts = series.counts_between(name, series.black + edges)
-    matches = match_levels(counts, series.exposures, edges)
+    matches = match_levels(lambda *pair: counts[list(pair)], series.exposures, edges)
     samples = None
     if chart is not None:
         samples = chart_samples(chart.frames, series, chart.patches, name)
     check_range(series, name, matches, samples)
     saturates = bool(counts[:, -1].max() > _FEW * counts[0].sum())
     return _Evidence(name, saturates, matches, samples)
+
+
+def _without_spill(
+    series: Series, edges: FloatArray, channels: list[_Evidence], notes: list[str]
+) -> tuple[list[_Evidence], bool]:
+    """Return what is left without samples near saturated ones, and whether charge spills over.
+
+    Where none does, or where the rest does not show the response, all samples count.
+    """
+
+    def clean(each: _Evidence) -> _Evidence:
+        matches = match_levels(
+            lambda *pair: series.counts_without_spill(each.name, series.black + edges, pair),
+            series.exposures,
+            edges,
+        )
+        return dataclasses.replace(each, matches=below_saturation(matches, float(edges[-1])))
+
+    found = [clean(each) for each in channels]
+    pairs = zip(channels, found, strict=True)
+    if not any(spills_over(before.matches, after.matches) for before, after in pairs):
+        return channels, False
+    with suppress(DataError):
+        for each in found:
+            check_range(series, each.name, each.matches, each.samples)
+        notes.append(_SPILLS)
+        return found, True
+    return channels, True
 
 
 def measure_response(

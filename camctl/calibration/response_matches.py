@@ -9,9 +9,10 @@ ECCV 2002).  No pixel is compared with a pixel: small movements do not matter, a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from itertools import pairwise, permutations
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,11 @@ _LARGEST_RATIO = 100.0
 #: Brightness, share of full scale, between which unknown exposures are guessed, and the number of
 #: nodes that are needed.
 _GUESSED, _LEAST_NODES = (0.03, 0.97), 5
+
+
+PairCounts: TypeAlias = Callable[[int, int], NDArray[np.int64]]
+"""Returns (2, K + 1): the pixels of two frames below the first edge, between edges, and from the
+last edge on (saturated); of the same places in both frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,32 +59,39 @@ class Matches:
     low_variance: FloatArray
     high_variance: FloatArray
 
+    @property
+    def pairs(self) -> NDArray[np.intp]:
+        """(N,) number of the pair of frames."""
+        return np.asarray(self.short + (1 + self.long.max(initial=0)) * self.long)
 
-def match_levels(
-    counts: NDArray[np.int64], exposures: Sequence[float], edges: FloatArray
-) -> Matches:
+    def part(self, rows: NDArray[np.bool_]) -> Matches:
+        """Return some of the matches."""
+        return Matches(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+
+def match_levels(counts_of: PairCounts, exposures: Sequence[float], edges: FloatArray) -> Matches:
     """Return the brightness levels of equal irradiance in all pairs of frames.
 
     Args:
-        counts: (J, K + 1) pixels of each frame below the first edge, between edges, and from the
-            last edge on (saturated)
+        counts_of: pixels of two frames, given by their indices
         exposures: relative exposures of the frames
         edges: (K,) levels, ascending; the last is M
     """
     levels = edges[-1] + 1
     width = max(1.0, levels / NOISE_STEPS)
-    below, places = _below(counts, edges)
     lowest = max(1.0, DARKEST * edges[-1])
     nodes: FloatArray = np.unique(np.round(np.linspace(lowest + 1, edges[-1], _NODES)))
     found: list[tuple[FloatArray, ...]] = []
     for short, long in permutations(range(len(exposures)), 2):
         if not 1.0 + 1e-6 < exposures[long] / exposures[short] <= _LARGEST_RATIO:
             continue
-        number = np.interp(nodes, places, below[long])
-        low = np.interp(number, below[short], places)
-        low_pixels, low_variance = _spread(below[short], places, low, width)
-        high_pixels, high_variance = _spread(below[long], places, nodes, width)
-        used = (low > lowest) & (number > 0) & (number < counts[long].sum())
+        counts = counts_of(short, long)
+        (below_short, below_long), places = _below(counts, edges)
+        number = np.interp(nodes, places, below_long)
+        low = np.interp(number, below_short, places)
+        low_pixels, low_variance = _spread(below_short, places, low, width)
+        high_pixels, high_variance = _spread(below_long, places, nodes, width)
+        used = (low > lowest) & (number > 0) & (number < counts[1].sum())
         used &= np.minimum(low_pixels, high_pixels) >= LEAST_PIXELS
         pair = np.full((2, int(used.sum())), [[short], [long]], np.float64)
         values = (low, nodes, low_variance, high_variance)
@@ -115,7 +128,7 @@ def guess_exposures(counts: NDArray[np.int64], edges: FloatArray) -> FloatArray:
     Frames with neighbouring mean brightness are compared.
 
     Args:
-        counts: as `match_levels` takes them
+        counts: (J, K + 1) pixels of each frame, as `PairCounts` returns those of two
         edges: as `match_levels` takes them
 
     Raises:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.response_matches import guess_exposures
+from camctl.calibration.spill import SampleGrid, counts_without_spill
 from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
 from camctl.exposure.patches import Patches, sample_patches
@@ -58,6 +59,7 @@ class Series:
     patches: list[Patches] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _counts: list[dict[str, NDArray[np.int64]]] = field(default_factory=list)
+    _grids: list[SampleGrid] = field(default_factory=list)
     _shape: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -101,6 +103,7 @@ class Series:
                 part = plane[row : row + step].ravel()
                 counts[letter] += np.bincount(part, minlength=2**self.bits)
         self._counts.append(counts)
+        self._grids.append(SampleGrid.of(pixels, self.layout))
         self.patches.append(sample_patches(planes, 2**self.bits - 1))
         self.names.append(name)
         self.exposures.append(exposure)
@@ -113,6 +116,15 @@ class Series:
         """Return the pixels of each frame below, between and from edges, (frames, edges + 1)."""
         places = np.concatenate([[0], edges.astype(np.intp)])
         return np.array([np.add.reduceat(counts[channel], places) for counts in self._counts])
+
+    def counts_without_spill(
+        self, channel: str, edges: FloatArray, pair: Sequence[int]
+    ) -> NDArray[np.int64]:
+        """Return the like of two frames, (2, edges + 1), without samples near saturated ones."""
+        places = np.concatenate([[0], edges.astype(np.intp)])
+        colours = [k for k, letter in enumerate(self.colours()) if letter == channel]
+        frames = [self._grids[k] for k in pair]
+        return counts_without_spill(frames, colours, places, self.white)
 
     def channel_patches(self, position: int, channel: str) -> Patches:
         """Return the patches of one channel of a frame."""

@@ -1,6 +1,7 @@
 """All calibrations of a camera before one scene, in the order in which they need each other.
 
-Control delay, response, true exposures, noise.  A response is estimated from stated exposures; if
+Control delay, response, true exposures, noise, and, where the camera can be turned, the pattern of
+its pixels.  A response is estimated from stated exposures; if
 these turn out to be wrong, both are measured again from the results so far, until they agree.  If
 the frames agree less with the measured exposures than with the stated ones, these are kept: a
 camera of few levels without noise does not show its exposures, and rounds would lead further away.
@@ -12,22 +13,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
 from camctl.calibrated import EXPOSURES, RESPONSE
-from camctl.calibration.delay import measure_delay
-from camctl.calibration.exposures import LONGEST_S, measure_exposures
-from camctl.calibration.noise import measure_noise
+from camctl.calibration.exposures import measure_exposures
 from camctl.calibration.response import (
     ResponseEstimate,
     estimate_response,
     measure_response,
 )
 from camctl.calibration.response_series import Series
-from camctl.camera import Camera, StreamingCamera
+from camctl.calibration.single_steps import (
+    Found,
+    Measure,
+    Progress,
+    StepOptions,
+    StepResult,
+    delay_step,
+    noise_step,
+    pattern_step,
+)
+from camctl.camera import Camera
 from camctl.errors import CamctlError, CaptureError, DataError
 from camctl.exposure_record import ExposureRecord, exposure_mode
 from camctl.profile import Profile, change_profile, load_profile
@@ -51,55 +59,6 @@ _SAME_CURVE, _DARKEST = 0.02, 0.05
 
 OpenCamera: TypeAlias = Callable[[str], AbstractContextManager[Camera]]
 """Opens the camera with these parts of its profile, as the option "profile" names them."""
-
-
-def _ignore(_text: str) -> None:
-    pass
-
-
-@dataclass(frozen=True)
-class StepOptions:
-    """How the steps are done.
-
-    Attributes:
-        longest_s: longest shutter time, s
-        begin: called with the name of each step; returns what is called with the share of it that
-            is done, 0 to 1
-        warn: called with one line for each irregularity
-    """
-
-    longest_s: float = LONGEST_S
-    begin: Callable[[str], Callable[[float], None] | None] = lambda _name: None
-    warn: Callable[[str], None] = _ignore
-
-
-@dataclass(frozen=True)
-class StepResult:
-    """What one step has measured.
-
-    Attributes:
-        name: of the step
-        result: what was measured, one line; None where it could not be
-        problem: why it could not be measured; None where it was
-        hint: what to do then
-    """
-
-    name: str
-    result: str | None
-    problem: str | None = None
-    hint: str = ""
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What a step has measured: the change of the profile, and one line for people."""
-
-    keep: Callable[[Profile], None]
-    text: str
-
-
-_Progress: TypeAlias = Callable[[float], None] | None
-_Measure: TypeAlias = Callable[[Camera, StepOptions, _Progress], _Found | None]
 
 
 def calibrate(open_camera: OpenCamera, options: StepOptions | None = None) -> Iterator[StepResult]:
@@ -129,7 +88,7 @@ class _Calibration:
 
     def results(self) -> Iterator[StepResult]:
         """Do all steps; yield the result of each."""
-        yield from self._step("control delay", "none", _delay)
+        yield from self._step("control delay", "none", delay_step)
         yield from self._step("response", "none", self._measure_response)
         yield from self._step("exposures", RESPONSE, self._measure_exposures)
         for number in range(2, _MOST_ROUNDS + 1):
@@ -149,9 +108,10 @@ class _Calibration:
         yield from short
         if any(step.result for step in short):
             yield from self._step("exposures again", RESPONSE, self._measure_exposures)
-        yield from self._step("noise", f"{EXPOSURES},{RESPONSE}", _noise)
+        yield from self._step("noise", f"{EXPOSURES},{RESPONSE}", noise_step)
+        yield from self._step("pixels", f"{EXPOSURES},{RESPONSE}", pattern_step)
 
-    def _step(self, name: str, parts: str, measure: _Measure) -> Iterator[StepResult]:
+    def _step(self, name: str, parts: str, measure: Measure) -> Iterator[StepResult]:
         """Do one step with these parts of the profile; yield its result if it has one."""
         with self._open_camera(parts) as camera:
             info = camera.info
@@ -164,9 +124,7 @@ class _Calibration:
             change_profile(info, found.keep)
             yield StepResult(name, found.text)
 
-    def _measure_response(
-        self, camera: Camera, options: StepOptions, progress: _Progress
-    ) -> _Found:
+    def _measure_response(self, camera: Camera, options: StepOptions, progress: Progress) -> Found:
         series = measure_response(camera, longest_s=options.longest_s, progress=progress)
         self._unsaturated_s = _unsaturated(camera, series)
         try:
@@ -183,8 +141,8 @@ class _Calibration:
         return _response_found(camera, estimate)
 
     def _withdraw_exposures(
-        self, camera: Camera, _options: StepOptions, _progress: _Progress
-    ) -> _Found:
+        self, camera: Camera, _options: StepOptions, _progress: Progress
+    ) -> Found:
         """Return to the stated exposures and to the response that they gave."""
         mode, response = exposure_mode(camera.controls), self._first
         self._exposures = None
@@ -194,15 +152,15 @@ class _Calibration:
             if response is not None:
                 profile.responses[mode] = response
 
-        return _Found(
+        return Found(
             keep,
             "as stated, with the response of the first round: measured ones do not settle, since "
             "the camera has too few levels or too little noise, or light and charge spill over",
         )
 
     def _check_highlights(
-        self, camera: Camera, options: StepOptions, progress: _Progress
-    ) -> _Found | None:
+        self, camera: Camera, options: StepOptions, progress: Progress
+    ) -> Found | None:
         """Return the response of frames without saturation where it differs from that of all.
 
         Frames with much saturation show the dark levels best, but charge and light that spill over
@@ -223,9 +181,7 @@ class _Calibration:
                 return _response_found(camera, short)
         return None
 
-    def _measure_exposures(
-        self, camera: Camera, options: StepOptions, progress: _Progress
-    ) -> _Found:
+    def _measure_exposures(self, camera: Camera, options: StepOptions, progress: Progress) -> Found:
         try:
             record = measure_exposures(
                 camera, longest_s=options.longest_s, progress=progress, warn=options.warn
@@ -244,7 +200,7 @@ class _Calibration:
             f"{len(record.times)} times and {len(record.gains)} gains, up to {wrong:.2%} from the "
             "stated exposures"
         )
-        return _Found(lambda profile: profile.exposures.update({mode: record}), text)
+        return Found(lambda profile: profile.exposures.update({mode: record}), text)
 
 
 def _change(before: ExposureRecord | None, now: ExposureRecord) -> float:
@@ -261,18 +217,6 @@ def _change(before: ExposureRecord | None, now: ExposureRecord) -> float:
     return max(logs, default=0.0) - min(logs, default=0.0)
 
 
-def _delay(camera: Camera, options: StepOptions, progress: _Progress) -> _Found | None:
-    if not isinstance(camera, StreamingCamera):
-        return None
-    record = measure_delay(camera, progress=progress, warn=options.warn)
-    mode = camera.mode
-    if record.frames is None:
-        text = f"{record.smallest} to {record.largest} frames, not constant"
-    else:
-        text = f"{record.frames} frame{'' if record.frames == 1 else 's'}"
-    return _Found(lambda profile: profile.delays.update({mode: record}), text)
-
-
 def _unsaturated(camera: Camera, series: Series) -> float:
     """Return the longest time of a series at which hardly a sample is saturated, s; 0: none."""
     gain = camera.controls.gain.nearest(1.0)
@@ -284,7 +228,7 @@ def _unsaturated(camera: Camera, series: Series) -> float:
     return max(times, default=0.0)
 
 
-def _response_found(camera: Camera, estimate: ResponseEstimate) -> _Found:
+def _response_found(camera: Camera, estimate: ResponseEstimate) -> Found:
     record, mode = estimate.record, exposure_mode(camera.controls)
     low = max(channel.measured[0] for channel in record.channels)
     high = min(channel.measured[1] for channel in record.channels)
@@ -293,7 +237,7 @@ def _response_found(camera: Camera, estimate: ResponseEstimate) -> _Found:
         f"channels {channels} from {low:.1%} to {high:.1%} of full scale, {record.frames} frames "
         f"agree within {estimate.residual:.2%}"
     )
-    return _Found(lambda profile: profile.responses.update({mode: record}), text)
+    return Found(lambda profile: profile.responses.update({mode: record}), text)
 
 
 def _difference(one: ResponseRecord, other: ResponseRecord) -> float:
@@ -305,22 +249,3 @@ def _difference(one: ResponseRecord, other: ResponseRecord) -> float:
         curves = [np.interp(brightness, each.brightness, each.irradiance) for each in (a, b)]
         worst = max(worst, float(np.max(np.abs(curves[0] / curves[1] - 1))))
     return worst
-
-
-def _noise(camera: Camera, options: StepOptions, progress: _Progress) -> _Found:
-    record = measure_noise(camera, longest_s=options.longest_s, progress=progress)
-    for note in record.notes:
-        options.warn(note)
-    mode, measured = exposure_mode(camera.controls), record.reference
-    conversion, read_noise = measured.conversion_e_per_dn, measured.read_noise_e
-    text = (
-        f"{conversion.value:.3g} electrons a level ({conversion.low:.3g} to "
-        f"{conversion.high:.3g}), read noise {read_noise.value:.3g} electrons "
-        f"({read_noise.low:.3g} to {read_noise.high:.3g}), gains measured: {len(record.gains)}"
-    )
-
-    def keep(profile: Profile) -> None:
-        earlier = profile.noises.get(mode)
-        profile.noises[mode] = record if earlier is None else record.joined(earlier)
-
-    return _Found(keep, text)

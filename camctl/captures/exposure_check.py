@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.report import LEAST_COMPARED, RatioCheck
+from camctl.captures.frame_record import LEAST_COMPARED, RatioCheck
 from camctl.controls import Layout
 from camctl.exposure.patches import LightScale, Patches, sample_patches
 from camctl.response.camera import CameraResponse

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import PHOTOGRAPHS, Frame, Pixels
 from camctl.captures.capture_folder import CaptureFolder, staged_name
+from camctl.captures.frame_record import StoredFrame
 from camctl.captures.frame_store import KeptFiles
 from camctl.captures.picture_details import PictureDetails
 from camctl.captures.picture_files import (
@@ -33,7 +34,7 @@ from camctl.captures.picture_files import (
     write_picture_files,
 )
 from camctl.captures.pictures import Rendering
-from camctl.captures.report import CaptureReport, StoredFrame, UnfinishedCapture
+from camctl.captures.report import CaptureReport, UnfinishedCapture
 from camctl.captures.report_file import (
     LOCK,
     PICTURE_FILES,

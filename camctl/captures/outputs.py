@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import PHOTOGRAPHS
 from camctl.captures.frame_checks import FrameChecks
+from camctl.captures.frame_record import FrameRecord, StoredFrame
 from camctl.captures.frame_store import CaptureStore
 from camctl.captures.light_shares import light_shares
 from camctl.captures.measured_noise import measure_noise
@@ -18,14 +19,7 @@ from camctl.captures.movement import find_movement
 from camctl.captures.picture_details import PictureDetails, ShownFrame
 from camctl.captures.pictures import Rendering, Tables
 from camctl.captures.range_advice import outside_warnings
-from camctl.captures.report import (
-    Achieved,
-    CaptureReport,
-    FrameRecord,
-    Irradiance,
-    StoredFrame,
-    UnfinishedCapture,
-)
+from camctl.captures.report import Achieved, CaptureReport, Irradiance, UnfinishedCapture
 from camctl.captures.true_exposures import relative
 from camctl.controls import ExposureControls
 from camctl.exposure.effective import EffectiveCamera

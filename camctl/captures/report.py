@@ -2,152 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, PrivateAttr
+from pydantic import AwareDatetime, ConfigDict, Field, PrivateAttr
 
 from camctl.camera import CameraInfo, Pixels
 from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.frame_record import FrameRecord, ReportModel, StoredFrame
 from camctl.captures.movement import FoundMovement
 from camctl.captures.request import CaptureRequest
-from camctl.controls import ExposureSetting, Layout
+from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
 from camctl.noise_model import MeasuredNoise, NoiseModel
 
 FORMAT_VERSION = 2
 """Version of report.json and of the folder's files; readers accept this one only."""
 
-_Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
-
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-#: Share of the compared samples that may have changed by another ratio than most, for a wrong
-#: exposure; with more, only parts of the picture disagree.
-_MOST_MOVED = 0.5
-
-#: Share of a frame's samples that must be compared before its exposure counts as contradicted.
-LEAST_COMPARED = 0.1
-
-
-class RatioCheck(_Model):
-    """A frame's exposure compared with its neighbour's, on pixels unsaturated in both.
-
-    Attributes:
-        expected: ratio of the applied exposures
-        measured: ratio of the irradiances in the pixels; None: too few pixels to measure it
-        tolerance: relative difference up to which the two agree
-        agrees: False where they do not
-        moved: share of the compared samples that changed by another ratio than most
-        compared: share of the frame's samples that were compared
-        contradicting: share of them that contradict `expected`, all brighter or all darker
-        contradicts: whether most of many samples contradict it, by more than lamps can
-    """
-
-    expected: float
-    measured: float | None
-    tolerance: float
-    agrees: bool
-    moved: float
-    compared: float = 0.0
-    contradicting: float = 0.0
-    contradicts: bool = False
-
-    @property
-    def is_certain(self) -> bool:
-        """Whether enough samples were compared."""
-        return self.compared >= LEAST_COMPARED
-
-    @property
-    def is_of_whole_picture(self) -> bool:
-        """Whether the exposures disagree, and not things that moved or light that spread.
-
-        Then many samples were compared, and most of them changed by one ratio.
-        """
-        return not self.agrees and self.is_certain and self.moved <= _MOST_MOVED
-
-
-class ExposureRatio(_Model):
-    """A frame's exposure relative to the smallest one of the capture, and where it comes from.
-
-    Attributes:
-        exposure: with which the pictures are computed
-        used: which one that is: the camera's statement, its profile's, or the estimate
-        label: as the camera states it
-        profile: as the camera's profile corrects it; None where it has no correction
-        estimate: from the pixels; None where it was not estimated
-        low: lower end of the 95 % confidence interval of the estimate, else of the profile's
-        high: upper end
-    """
-
-    exposure: float
-    used: Literal["label", "profile", "estimate"]
-    label: float
-    profile: float | None = None
-    estimate: float | None = None
-    low: float | None = None
-    high: float | None = None
-
-
-class StoredFrame(_Model):
-    """One frame of a capture.
-
-    Attributes:
-        file: its samples in the capture's folder; None for a capture in memory
-        sha256: checksum of that file, in hexadecimal
-        original: the camera's own file there, where it made one
-        original_sha256: checksum of that file
-        requested: the setting that was asked for
-        applied: the setting read back from the camera
-        requested_s: shutter time of `requested`, s
-        applied_s: shutter time of `applied`, s
-        black: brightness without light, DN
-        white: brightness from which samples are saturated, DN
-        saturated_fraction: share of its samples at or above white
-        timestamp_s: when the exposure ended, on the camera's clock, s
-        ratio: its exposure compared with that of the frame before
-        attempts: 2 where it was shot again because its exposure did not agree
-        details: what the camera reported besides
-    """
-
-    model_config = ConfigDict(extra="ignore")  # a frame of a complete capture has more fields
-
-    file: str | None = None
-    sha256: _Sha256 | None = None
-    original: str | None = None
-    original_sha256: _Sha256 | None = None
-    requested: ExposureSetting
-    applied: ExposureSetting
-    requested_s: float
-    applied_s: float
-    black: int
-    white: int
-    saturated_fraction: float
-    timestamp_s: float
-    ratio: RatioCheck | None = None
-    attempts: int = 1
-    details: dict[str, Any] = {}
-
-
-class FrameRecord(StoredFrame):
-    """One frame of a complete capture.
-
-    Attributes:
-        exposure: that the pictures are computed with, relative to the smallest of the capture
-        exposure_ratio: where it comes from; None in reports of earlier versions
-    """
-
-    model_config = ConfigDict(extra="forbid")
-
-    exposure: float
-    exposure_ratio: ExposureRatio | None = None
-
-
-class Achieved(_Model):
+class Achieved(ReportModel):
     """The quality that the applied exposures give, and how much of the picture is out of range.
 
     Attributes:
@@ -176,7 +50,7 @@ class Achieved(_Model):
     light_shares: tuple[float, ...] = ()
 
 
-class Irradiance(_Model):
+class Irradiance(ReportModel):
     """Scale of the radiance: its values are E / `full_scale_exposure`, with E = 1 at full scale.
 
     `unit` is the scene's own unit where the camera's sensitivity is known, else full scales per
@@ -187,7 +61,7 @@ class Irradiance(_Model):
     full_scale_exposure: float
 
 
-class _CaptureData(_Model):
+class _CaptureData(ReportModel):
     """What every capture has, complete or not.
 
     Attributes:
@@ -222,16 +96,16 @@ class _CaptureData(_Model):
     pixel_format: str = ""
     request: CaptureRequest
     plan: CapturePlan
-    rejected: list[str] = []
+    rejected: list[str] = Field(default_factory=list)
     trustworthy: bool = True
     untrustworthy_because: str | None = None
     white: int
     black_total: int
-    files: dict[str, str] = {}
-    timing: dict[str, float] = {}
+    files: dict[str, str] = Field(default_factory=dict)
+    timing: dict[str, float] = Field(default_factory=dict)
     clock: Literal["real", "virtual"] = "real"
-    warnings: list[str] = []
-    versions: dict[str, str] = {}
+    warnings: list[str] = Field(default_factory=list)
+    versions: dict[str, str] = Field(default_factory=dict)
     profile: str | None = None
     taken_at: AwareDatetime | None = None
 
@@ -248,7 +122,7 @@ class UnfinishedCapture(_CaptureData):
 
     status: Literal["incomplete"] = "incomplete"
     frames: list[StoredFrame | None]
-    discarded: list[str] = []
+    discarded: list[str] = Field(default_factory=list)
 
 
 class Pictures(Protocol):

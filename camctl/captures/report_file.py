@@ -18,8 +18,9 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 from camctl.camera import Camera
 from camctl.captures.capture_plan import relative_exposures
 from camctl.captures.file_names import REPORT as REPORT
+from camctl.captures.frame_record import StoredFrame
 from camctl.captures.picture_files import CONTACT, IMAGE, PREVIEW, RADIANCE, SUM
-from camctl.captures.report import FORMAT_VERSION, CaptureReport, StoredFrame, UnfinishedCapture
+from camctl.captures.report import FORMAT_VERSION, CaptureReport, UnfinishedCapture
 from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError, DataError
 from camctl.exposure.effective import check_count

@@ -23,9 +23,10 @@ from camctl.camera import Camera, Frame, Pixels
 from camctl.captures.accumulator import Accumulator
 from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.frame_checks import FrameChecks
+from camctl.captures.frame_record import StoredFrame
 from camctl.captures.frame_store import CaptureStore
 from camctl.captures.outputs import complete
-from camctl.captures.report import CaptureReport, StoredFrame, UnfinishedCapture
+from camctl.captures.report import CaptureReport, UnfinishedCapture
 from camctl.captures.report_file import clean_details
 from camctl.captures.wall_time import predicted_wall_s, wall_time_warnings
 from camctl.controls import Layout

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camctl.captures.report import ExposureRatio, StoredFrame
+from camctl.captures.frame_record import ExposureRatio, StoredFrame
 from camctl.controls import ExposureControls
 from camctl.errors import DataError
 from camctl.exposure.patches import LightScale, Patches

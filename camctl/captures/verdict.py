@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 
 from camctl.camera import PHOTOGRAPHS
-from camctl.captures.report import RatioCheck, UnfinishedCapture
+from camctl.captures.frame_record import RatioCheck
+from camctl.captures.report import UnfinishedCapture
 from camctl.controls import ExposureSetting
 
 #: Errors of a control delay that are recognised, frames.

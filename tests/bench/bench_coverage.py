@@ -30,7 +30,7 @@ LONGER_STOPS = [0.5 + step / 16 for step in range(16)]
 def main() -> int:
     """Print the table; return 1 unless every part with enough samples is within the limit."""
     sensor, failures = load_sensor("standard"), 0
-    print(f"{'scene':14} {'part':16} {'68 %':>7} {'95 %':>7} {'samples':>9}")
+    print(f"{'scene':14} {'part':16} {'68 %':>7} {'95 %':>7} {'samples':>9}", flush=True)
     for name in ("tile-floor", "ramp", "room", "night-street", *sys.argv[1:]):
         request = CaptureRequest("log", 1000.0, 3)
         if name == "night-street":
@@ -49,7 +49,8 @@ def main() -> int:
                 remark = "  too few to judge"
             print(
                 f"{Path(name).stem:14} {part:16} {shares[0]:7.1%} {shares[1]:7.1%} {samples:9}"
-                f"{remark}"
+                f"{remark}",
+                flush=True,
             )
     return int(failures > 0)
 

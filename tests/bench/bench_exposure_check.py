@@ -46,7 +46,7 @@ def main() -> None:
     parser.add_argument("--size", default=None, help="of all scenes; default: the scene's own")
     parser.add_argument("--factors", default=",".join(map(str, FACTORS)))
     arguments = parser.parse_args()
-    print("factor  captures  compared  not trustworthy  warned")
+    print("factor  captures  compared  not trustworthy  warned", flush=True)
     for factor in map(float, arguments.factors.split(",")):
         counts: Counter[str] = Counter()
         for seed in range(arguments.seeds):

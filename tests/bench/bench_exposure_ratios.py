@@ -62,14 +62,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     seeds = range(parser.parse_args().seeds)
     print(
-        f"{'scene':14}{'sensor':16}  bias %  worst %  half 95 %  inside   medians: bias %  worst %"
+        f"{'scene':14}{'sensor':16}  bias %  worst %  half 95 %  inside   medians: bias %  worst %",
+        flush=True,
     )
     for scene in SCENES:
         for sensor in SENSORS:
             try:
                 found = [errors(scene, sensor, seed) for seed in seeds]
             except CamctlError as refusal:
-                print(f"{scene:14}{sensor:16}  {refusal.what[:66]}")
+                print(f"{scene:14}{sensor:16}  {refusal.what[:66]}", flush=True)
                 continue
             error, half, medians = (np.array(part) for part in zip(*found, strict=True))
             inside = np.mean(np.abs(error) <= half)

@@ -23,7 +23,8 @@ import numpy as np
 
 from camctl.camera import Frame
 from camctl.captures.folder_store import FolderStore
-from camctl.captures.report import StoredFrame, UnfinishedCapture
+from camctl.captures.frame_record import StoredFrame
+from camctl.captures.report import UnfinishedCapture
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.controls import ExposureSetting

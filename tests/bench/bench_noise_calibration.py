@@ -164,18 +164,21 @@ def coverage(runs: int) -> bool:
         if number % 20 == 19:
             print(f"{number + 1} runs, {time.perf_counter() - began:.0f} s", file=sys.stderr)
     good = True
-    print(f"{runs} runs\nfigure                          intervals  with the truth  +- (median)")
+    print(
+        f"{runs} runs\nfigure                          intervals  with the truth  +- (median)",
+        flush=True,
+    )
     for name, values in by_figure.items():
         share = np.mean([is_inside for is_inside, _ in values])
         # The limits are for 200 intervals; fewer scatter more.
         slack = 0.0 if len(values) >= 200 else 2 * np.sqrt(0.05 * 0.95 / len(values))
         good &= bool(LEAST - slack <= share <= MOST + slack)
         width = np.median([width for _, width in values])
-        print(f"{name:32}{len(values):8}{share:15.1%}{width:13.2%}")
+        print(f"{name:32}{len(values):8}{share:15.1%}{width:13.2%}", flush=True)
     total = [is_inside for values in by_figure.values() for is_inside, _ in values]
-    print(f"{'all':32}{len(total):8}{np.mean(total):15.1%}")
+    print(f"{'all':32}{len(total):8}{np.mean(total):15.1%}", flush=True)
     for name, inside in by_camera.items():
-        print(f"  {name:30}{len(inside):8}{np.mean(inside):15.1%}")
+        print(f"  {name:30}{len(inside):8}{np.mean(inside):15.1%}", flush=True)
     return good and LEAST <= float(np.mean(total)) <= MOST
 
 
@@ -232,7 +235,8 @@ def agreement(folder: Path, frames_folder: Path) -> bool:
             off = value / given[figure] - 1
             print(
                 f"{name:16}{figure:22} simulated {given[figure]:9.5g}, emva1288 {value:9.5g}:"
-                f" {off:+.2%}, camctl {ours[figure]:9.5g}: {difference:+.2%}"
+                f" {off:+.2%}, camctl {ours[figure]:9.5g}: {difference:+.2%}",
+                flush=True,
             )
     return good
 

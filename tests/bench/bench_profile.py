@@ -29,16 +29,21 @@ from accuracy import RAMP_COLUMNS, ramp_base_s, sensor_without_lens, shoot_ramp
 from camctl.calibrated import with_profile
 from camctl.calibration.dark import measure_dark
 from camctl.calibration.noise import measure_noise
+from camctl.calibration.single_steps import StepOptions
 from camctl.calibration.steps import calibrate
 from camctl.camera import Camera
 from camctl.exposure_record import exposure_mode
 from camctl.profile import Profile, change_profile
 from sim.camera import SimulatedCamera
+from sim.render import Renderer
 from sim.scenes.scene import Scene, load_scene
+from sim.scenes.view import View
 from sim.sensors.sensor import Sensor, sensor_names
 
 CALIBRATED_BEFORE = "tile-floor"
 ROWS = 300
+TURNED = (17, 29)
+"""Rows and columns by which the camera is turned for a second view."""
 CAPTURES = (
     ("linear", 256.0, (1.0, 1.003, 2.985)),
     ("gamma", 1000.0, (1.0, 1.003, 5.146)),
@@ -53,7 +58,10 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("sensors", nargs="*", default=sensor_names(), metavar="SENSOR")
     worst = 0.0
-    print("sensor                response  promised  measured  difference  promised if stated")
+    print(
+        "sensor                response  promised  measured  difference  promised if stated",
+        flush=True,
+    )
     for name in parser.parse_args().sensors:
         sensor = sensor_without_lens(name)
         with tempfile.TemporaryDirectory() as folder:
@@ -63,7 +71,7 @@ def main() -> int:
             if sensor.pixels.prnu:
                 _calibrate_noise(sensor)
                 worst = max(worst, _compare(sensor, f"{name}, flat, dark"))
-    print(f"largest difference {worst:.1%}; allowed {LIMIT:.0%}")
+    print(f"largest difference {worst:.1%}; allowed {LIMIT:.0%}", flush=True)
     return int(worst > LIMIT)
 
 
@@ -106,18 +114,31 @@ def _full_scale(sensor: Sensor) -> float:
 
 
 def _calibrate(sensor: Sensor) -> None:
-    light = load_scene(CALIBRATED_BEFORE, (ROWS, RAMP_COLUMNS)).irradiance
-    highlight = float(np.quantile(light, 0.99))
-    scene = Scene(CALIBRATED_BEFORE, (light / highlight * _full_scale(sensor)).astype(np.float32))
+    """Do what `camctl calibrate all` does; the camera is turned when that is asked for."""
+    rows, columns = ROWS + TURNED[0], RAMP_COLUMNS + TURNED[1]
+    light = load_scene(CALIBRATED_BEFORE, (rows, columns)).irradiance
+    light = (light / np.quantile(light, 0.99) * _full_scale(sensor)).astype(np.float32)
+    scene, turned = (
+        Scene(CALIBRATED_BEFORE, np.ascontiguousarray(light[row:, column:][:ROWS, :RAMP_COLUMNS]))
+        for row, column in ((0, 0), TURNED)
+    )
+    cameras = []
 
     def opened(parts: str) -> AbstractContextManager[Camera]:
         camera = SimulatedCamera(scene, sensor, is_unknown=True)
+        cameras.append(camera)
         used = () if parts == "none" else tuple(parts.split(","))
         return with_profile(camera, used)
 
-    for step in calibrate(opened):
+    def turn() -> bool:
+        cameras[-1]._renderer = Renderer(View.of(turned, sensor), sensor)
+        return True
+
+    for step in calibrate(opened, StepOptions(turn=turn)):
         if step.problem is not None:
-            print(f"{sensor.name:16}{step.name} not measured: {step.problem}")
+            print(f"{sensor.name:16}{step.name} not measured: {step.problem}", flush=True)
+        elif step.name == "pixels":
+            print(f"{sensor.name:16}{step.name}: {step.result}", flush=True)
 
 
 if __name__ == "__main__":

@@ -110,7 +110,9 @@ def quartiles(values: list[float]) -> str:
 
 
 def accuracy(model: ResponseModel | None, draws: int) -> None:
-    print(f"{draws} random responses, {len(STOPS)} frames; error: quartiles and maximum")
+    print(
+        f"{draws} random responses, {len(STOPS)} frames; error: quartiles and maximum", flush=True
+    )
     table: dict[str, list[float]] = {}
     inside: dict[str, list[float]] = {}
     places = np.arange(1, 256) / 256
@@ -136,19 +138,21 @@ def accuracy(model: ResponseModel | None, draws: int) -> None:
             share = share_inside(estimate.record.main_channel, curve)
             inside.setdefault(name, []).append(share)
     for name, errors in table.items():
-        print(f"  {name:18s} {quartiles(errors)}")
+        print(f"  {name:18s} {quartiles(errors)}", flush=True)
     rivals = np.fmin(table["OpenCV debevec"], table["OpenCV robertson"])
     for bits in (8, 10, 12):
         ratios = np.array(table[f"camctl {bits} bits"]) / rivals
         worse = int(np.sum(ratios > 0.5))
         print(
             f"  {bits} bits / the better of OpenCV's: median {np.median(ratios):.2f}, maximum "
-            f"{ratios.max():.2f}, above 0.5 in {worse} of {draws}"
+            f"{ratios.max():.2f}, above 0.5 in {worse} of {draws}",
+            flush=True,
         )
     for name, shares in inside.items():
         print(
             f"  levels inside their 95 % interval, {name}: {np.mean(shares):.1%} "
-            f"({len(shares)} series; in the worst tenth of them {np.quantile(shares, 0.1):.0%})"
+            f"({len(shares)} series; in the worst tenth of them {np.quantile(shares, 0.1):.0%})",
+            flush=True,
         )
 
 
@@ -175,7 +179,8 @@ def unknown_exposures(model: ResponseModel | None, draws: int) -> None:
     print(
         f"exposures that nobody states, {draws} random responses: relative error of the exponent: "
         f"mean {np.mean(errors):.3f}, standard deviation {np.std(errors):.3f}, largest "
-        f"{np.max(np.abs(errors)):.3f}, root mean square {np.sqrt(np.mean(np.square(errors))):.3f}"
+        f"{np.max(np.abs(errors)):.3f}, root mean square {np.sqrt(np.mean(np.square(errors))):.3f}",
+        flush=True,
     )
 
 
@@ -183,7 +188,8 @@ def stability(model: ResponseModel | None, scenes: int, data: Path | None) -> No
     pictures = stability_scenes(scenes, data)
     print(
         f"spread of one curve over {len(pictures)} scenes ({', '.join(pictures)}): standard "
-        "deviation of brightness; refused or NaN"
+        "deviation of brightness; refused or NaN",
+        flush=True,
     )
     curve = draw(np.random.default_rng(7), model)
     B = np.linspace(0.05, 0.95, 100)
@@ -217,13 +223,15 @@ def stability(model: ResponseModel | None, scenes: int, data: Path | None) -> No
         rival = min(spreads.get("debevec", np.inf), spreads.get("robertson", np.inf))
         print(
             f"  {count:2d} frames, {len(common)} scenes: {each}; camctl / the better "
-            f"{spreads['camctl'] / rival:.2f}"
+            f"{spreads['camctl'] / rival:.2f}",
+            flush=True,
         )
         alone += [(name, count, line - B) for name, line in found["camctl"]]
     worst = max(alone, key=lambda each: float(np.sqrt(np.mean(each[2] ** 2))))
     print(
         f"  largest rms error of camctl: {np.sqrt(np.mean(worst[2] ** 2)):.4f} in {worst[0]}, "
-        f"{worst[1]} frames"
+        f"{worst[1]} frames",
+        flush=True,
     )
 
 
@@ -280,13 +288,16 @@ def memorial(folder: Path) -> None:
     part = np.ix_(
         np.arange(good_rows[0], good_rows[-1] + 1), np.arange(good_columns[0], good_columns[-1] + 1)
     )
-    print(f"memorial: {len(frames)} frames, {valid[part].mean():.1%} of the part used is valid")
+    print(
+        f"memorial: {len(frames)} frames, {valid[part].mean():.1%} of the part used is valid",
+        flush=True,
+    )
     parts = [np.ascontiguousarray(frame[part]) for frame in frames]
     series = Series(Layout.RGB, 8)
     for (name, time_s), frame in zip(listed, parts, strict=True):
         series.add(frame, time_s, name)
     estimate = estimate_response(series)
-    print("  " + "; ".join(estimate.notes))
+    print("  " + "; ".join(estimate.notes), flush=True)
     ours_ = []
     for channel in estimate.record.channels:
         levels = channel_levels(channel)
@@ -314,12 +325,15 @@ def memorial(folder: Path) -> None:
                 weight = np.maximum(weights[samples, colour], 1e-12)
                 light = (weight * (log_E[samples] - np.log(exposures)[:, None])).sum(axis=0)
                 found.append(light / weight.sum(axis=0))
-            print(f"  {used:34s} {name:10s} {compared(found, truth[part][usable])}")
+            print(f"  {used:34s} {name:10s} {compared(found, truth[part][usable])}", flush=True)
     merged = cv2.createMergeDebevec().process(
         parts, np.array(exposures, np.float32), curves["debevec"][:, None].astype(np.float32)
     )
     found = list(np.log(np.maximum(merged[usable], 1e-12)).T)
-    print(f"  {'merged by OpenCV':34s} {'debevec':10s} {compared(found, truth[part][usable])}")
+    print(
+        f"  {'merged by OpenCV':34s} {'debevec':10s} {compared(found, truth[part][usable])}",
+        flush=True,
+    )
 
 
 def compared(found: list[FloatArray], truth: FloatArray) -> str:
@@ -363,7 +377,8 @@ def large() -> None:
     spent += time.process_time() - start
     print(
         f"24 MP RGB, 16 frames: camctl {spent:.1f} s of CPU, {peak() - memory:.0f} MB more at most "
-        "(one frame of 72 MB in it)"
+        "(one frame of 72 MB in it)",
+        flush=True,
     )
     frames = [picture(frame) for frame in small]
     memory_with_frames = peak()
@@ -371,13 +386,14 @@ def large() -> None:
     opencv_curves(frames, exposures, "debevec")
     print(
         f"  OpenCV debevec {time.process_time() - start:.1f} s of CPU, "
-        f"{peak() - memory:.0f} MB more ({memory_with_frames - memory:.0f} MB of frames)"
+        f"{peak() - memory:.0f} MB more ({memory_with_frames - memory:.0f} MB of frames)",
+        flush=True,
     )
     quarter = [frame[:1000, :1500] for frame in frames]
     start = time.process_time()
     opencv_curves(quarter, exposures, "robertson")
     spent = time.process_time() - start
-    print(f"  OpenCV robertson on a sixteenth of each frame {spent:.1f} s of CPU")
+    print(f"  OpenCV robertson on a sixteenth of each frame {spent:.1f} s of CPU", flush=True)
 
 
 def peak() -> float:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from camctl.backends import open_camera
-from camctl.calibration.steps import StepOptions, StepResult, calibrate
+from camctl.calibration.single_steps import StepOptions, StepResult
+from camctl.calibration.steps import calibrate
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.errors import CameraDisconnectedError

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from camctl.captures.exposure_check import NeighbourCheck, lamp_factor
-from camctl.captures.report import RatioCheck
+from camctl.captures.frame_record import RatioCheck
 from camctl.response.camera import CameraResponse, linear_response
 
 

@@ -9,7 +9,8 @@ import pytest
 from small_cameras import small_camera, sum_of_frames
 
 import camctl
-from camctl.captures.report import CaptureReport, RatioCheck
+from camctl.captures.frame_record import RatioCheck
+from camctl.captures.report import CaptureReport
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.captures.verdict import ShotLog, suspects

@@ -18,7 +18,7 @@ from guest_processes import Forked, clock_in_step, spawner, wait_for
 from camctl import CaptureReport, read_report
 from camctl.backends import open_camera
 from camctl.camera import Camera, StreamingCamera
-from camctl.captures.report import FrameRecord
+from camctl.captures.frame_record import FrameRecord
 from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError
 from camctl.profile import DelayRecord, change_profile, load_profile

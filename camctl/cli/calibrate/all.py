@@ -24,7 +24,7 @@ from camctl.cli.output import (
 from camctl.cli.parameter_types import Seconds
 
 if TYPE_CHECKING:
-    from camctl.calibration.steps import StepResult
+    from camctl.calibration.single_steps import StepResult
 
 _GUIDANCE = (
     "Put the camera on a tripod before a scene that does not move, with dark and bright parts and "
@@ -34,6 +34,11 @@ _GUIDANCE = (
 )
 
 
+#: How a pattern of the pixels, which stays, is told from the scene, which does not.
+_TURN = (
+    "Last step: turn the camera a little, by about a tenth of the picture, and fix it again. What "
+    "then stays in the pictures is how the pixels differ. Answer n if it cannot be turned."
+)
 #: What depends on the picture, so that no calibration can predict it.
 _NEVER = "smear, blooming and glare"
 
@@ -58,14 +63,16 @@ _NEVER = "smear, blooming and glare"
 )
 @options.as_json
 def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
-    """Measure control delay, response, true exposures and noise, one after the other.
+    """Measure control delay, response, true exposures, noise and pixels, one after the other.
 
     Point the camera at a scene that does not move, with dark and bright parts and many shades
     between, in steady light. Each result is kept in the camera's profile, which later captures use
     without being asked. What cannot be measured is named with what to do; the rest is measured all
-    the same.
+    the same. At the end, in a terminal, you are asked to turn the camera a little: one view cannot
+    show how the pixels differ, two can. Otherwise measure that with camctl calibrate noise --flat.
     """
-    from camctl.calibration.steps import StepOptions, calibrate
+    from camctl.calibration.single_steps import StepOptions
+    from camctl.calibration.steps import calibrate
     from camctl.errors import CaptureError
     from camctl.exposure_record import exposure_mode
     from camctl.profile import load_profile
@@ -74,7 +81,8 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
         info, mode = opened.info, exposure_mode(opened.controls)
     for number, line in enumerate(() if as_json else _GUIDANCE, start=1):
         print_error(f"{number}. {line}")
-    if not as_json and sys.stdin.isatty() and sys.stderr.isatty():
+    is_interactive = not as_json and sys.stdin.isatty() and sys.stderr.isatty()
+    if is_interactive:
         click.pause("Press any key when all is ready ...", err=True)
     done = []
     with ExitStack() as bars:
@@ -83,7 +91,12 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
             bars.close()
             return without_stage(bars.enter_context(progress_bar(name)))
 
-        how = StepOptions(longest_s, begin, print_warning)
+        def turn() -> bool:
+            bars.close()
+            print_error(_TURN)
+            return click.confirm("Has the camera been turned?", default=True, err=True)
+
+        how = StepOptions(longest_s, begin, print_warning, turn if is_interactive else None)
         for step in calibrate(lambda parts: camera.open(profile=parts), how):
             bars.close()
             done.append(step)
@@ -100,7 +113,8 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
             what
             for what, figure in (
                 (
-                    "differences between the pixels (camctl calibrate noise --flat)",
+                    "differences between the pixels (camctl calibrate noise --flat, or turn the "
+                    "camera when camctl calibrate all asks for it in a terminal)",
                     noise and noise.prnu,
                 ),
                 (

@@ -1,0 +1,209 @@
+"""How much the sensitivity of the pixels differs (PRNU), from two views of any scene.
+
+In one view the pattern of the pixels cannot be told from the scene: both are in proportion to the
+light.  Where the camera has been turned a little, the pattern is where it was and the scene is not,
+so that what the deviations of both views from smooth shades have in common is the pattern alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.camera import Camera
+from camctl.controls import ExposureControls, ExposureSetting, Layout
+from camctl.errors import CaptureError, DataError
+from camctl.exposure.patches import LightScale, sample_patches
+from camctl.noise_record import Figure
+from camctl.response.camera import CameraResponse, FloatArray
+
+#: Frames of a view with each time, and the number of times, a factor of 2 apart.
+_REPEATS, _TIMES = 4, 3
+#: Light, as shares of full scale, between which patches count.
+_DIM, _BRIGHT = 0.15, 0.95
+#: Smooth shades of a patch: terms of a polynomial along rows and columns, up to this degree.
+_DEGREE = 2
+#: Fewest patches that are bright in both views.
+_LEAST_PATCHES = 64
+#: Parts of the picture that are left out in turn for the interval, and half the width of a 95 %
+#: interval in standard deviations that so many parts show (Student).
+_PARTS, _T_95 = 16, 2.131
+#: Relative difference that half of the patches exceed where a camera was turned.
+_TURNED = 0.005
+
+
+@dataclass(eq=False)
+class View:
+    """Frames of one view, reduced to the deviations of samples from smooth shades.
+
+    Attributes:
+        controls: of the camera, with its response
+    """
+
+    controls: ExposureControls
+    _mean: FloatArray | float = field(default=0.0, repr=False)
+    _sum: FloatArray | None = field(default=None, repr=False)
+    _weight: FloatArray | None = field(default=None, repr=False)
+
+    def add(self, pixels: NDArray[Any]) -> None:
+        """Add a frame; its pixels are not kept."""
+        controls = self.controls
+        scales = [LightScale(each, controls.black) for each in _responses(controls)]
+        planes = controls.layout.planes(pixels)
+        patches = np.split(sample_patches(planes, controls.white), len(planes))
+        light = np.concatenate(
+            [scale.light[part] / scale.full for scale, part in zip(scales, patches, strict=True)]
+        )
+        mean = light.mean(axis=1)
+        is_used = (mean > _DIM) & (light.max(axis=1) < _BRIGHT)
+        # Photon noise, relative to the light, has a variance in inverse proportion to it.
+        weight = np.where(is_used, mean, 0.0)
+        relative = light / np.maximum(mean, _DIM)[:, None] * weight[:, None]
+        self._sum = relative if self._sum is None else self._sum + relative
+        self._weight = weight if self._weight is None else self._weight + weight
+        self._mean = self._mean + mean
+
+    @property
+    def share_used(self) -> float:
+        """Share of the patches that are well exposed in a frame."""
+        assert self._weight is not None
+        return float(np.mean(self._weight > 0))
+
+    @property
+    def mean(self) -> FloatArray:
+        """Light of the patches, (patches,), in any unit."""
+        return np.asarray(self._mean)
+
+    def deviations(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return relative deviations from smooth shades, (patches, samples), and which count."""
+        assert self._sum is not None
+        assert self._weight is not None
+        relative = self._sum / np.maximum(self._weight, _DIM)[:, None]
+        smooth = _smooth_shades(math.isqrt(relative.shape[1]))
+        return relative - (relative @ smooth) @ smooth.T, self._weight > 0
+
+
+def sensitivity_pattern(first: View, second: View) -> Figure:
+    """Return the PRNU: the standard deviation of the sensitivity of the pixels, relative.
+
+    Args:
+        first: view of a scene
+        second: view of the same camera after it was turned
+
+    Raises:
+        DataError: the views are too dark, or the camera was not turned
+    """
+    (a, in_a), (b, in_b) = first.deviations(), second.deviations()
+    both = in_a & in_b
+    if np.count_nonzero(both) < _LEAST_PATCHES:
+        raise DataError(
+            f"only {np.count_nonzero(both)} of {both.size} parts of the picture are well exposed "
+            "in both views",
+            hint="point the camera at a scene with more bright parts",
+        )
+    change = np.log(first.mean[both] / second.mean[both])
+    if np.median(np.abs(change - np.median(change))) < _TURNED:
+        raise DataError(
+            "both views show the same",
+            hint="turn the camera by a few degrees between the views, before a scene with many "
+            "shades; before an evenly lit surface use camctl calibrate noise --flat",
+        )
+    side = math.isqrt(a.shape[1])
+    # One half of the samples, as the fields of a chessboard, says how much the other half counts:
+    # with weights of their own, samples of large deviations would count too little.
+    fields = np.indices((side, side)).sum(axis=0).ravel() % 2 == 0
+    freedom = 1 - _smooth_shades(side).shape[1] / a.shape[1]
+    sums = np.zeros((a.shape[0], 2))
+    for half, other in ((fields, ~fields), (~fields, fields)):
+        weight = both / np.prod(
+            [np.square(each[:, other]).mean(axis=1) + 1e-12 for each in (a, b)], axis=0
+        )
+        sums[:, 0] += weight * (a[:, half] * b[:, half]).mean(axis=1) / freedom
+        sums[:, 1] += weight
+    return root_of_ratio(np.split(sums, len(_responses(first.controls))))
+
+
+def root_of_ratio(sums: Sequence[FloatArray]) -> Figure:
+    """Return the root of the ratio of two sums over the picture, with its interval.
+
+    Parts of the picture are left out in turn (jackknife), in all colours: they see the same scene.
+
+    Args:
+        sums: of each colour, (patches, 2), row by row
+    """
+    parts = np.zeros((_PARTS, 2))
+    for colour in sums:
+        parts += [part.sum(axis=0) for part in np.array_split(colour, _PARTS)]
+    whole = parts.sum(axis=0)
+    squared = float(whole[0] / whole[1])
+    others = (whole - parts)[:, 0] / (whole - parts)[:, 1]
+    error = math.sqrt(float(np.square(others - others.mean()).sum()) * (_PARTS - 1) / _PARTS)
+    value, low, high = (math.sqrt(max(0.0, squared + turn * _T_95 * error)) for turn in (0, -1, 1))
+    return Figure(value=value, low=low, high=high)
+
+
+def view_settings(camera: Camera, longest_s: float) -> list[ExposureSetting]:
+    """Return settings that expose as much of the picture well as one time can, and its neighbours.
+
+    Raises:
+        CaptureError: the scene is too dark or too bright
+        CameraError: as `Camera.shoot` raises
+    """
+    controls = camera.controls
+    gain = controls.gain.nearest(1.0)
+    shortest, longest = controls.time_s.minimum, min(controls.time_s.maximum, longest_s)
+    count = 1 + math.ceil(math.log2(max(longest / shortest, 2.0)))
+    times = sorted(
+        {controls.time_s.nearest(float(each)) for each in np.geomspace(shortest, longest, count)}
+    )
+    shares = []
+    for frame in camera.shoot([ExposureSetting(time_s, gain) for time_s in times]):
+        view = View(controls)
+        view.add(frame.pixels)
+        shares.append(view.share_used)
+    best = int(np.argmax(shares))
+    if not shares[best]:
+        raise CaptureError(
+            "no shutter time exposes a part of the picture well",
+            hint="point the camera at a scene with bright parts, or change the light",
+        )
+    first = max(0, min(best - 1, len(times) - _TIMES))
+    return [ExposureSetting(time_s, gain) for time_s in times[first : first + _TIMES]]
+
+
+def shoot_view(camera: Camera, settings: Sequence[ExposureSetting]) -> View:
+    """Shoot frames of one view.
+
+    Raises:
+        CameraError: as `Camera.shoot` raises
+    """
+    view = View(camera.controls)
+    for frame in camera.shoot([each for each in settings for _ in range(_REPEATS)]):
+        view.add(frame.pixels)
+    return view
+
+
+def _responses(controls: ExposureControls) -> list[CameraResponse]:
+    """Return the response of each plane of `Layout.planes`."""
+    letters = {Layout.MONO: "Y", Layout.RGB: "RGB"}.get(controls.layout, controls.layout.upper())
+    if not controls.responses:
+        return [controls.levels] * len(letters)
+    named = dict(zip("RGB", controls.responses, strict=True))
+    return [named[letter] for letter in letters]
+
+
+def _smooth_shades(side: int) -> FloatArray:
+    """Return an orthonormal basis of smooth shades over a patch."""
+    place = np.linspace(-1, 1, side)
+    terms = [
+        np.outer(place**row, place**column).ravel()
+        for row in range(_DEGREE + 1)
+        for column in range(_DEGREE + 1 - row)
+    ]
+    basis, _ = np.linalg.qr(np.stack(terms, axis=1))
+    return np.asarray(basis)

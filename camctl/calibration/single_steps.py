@@ -1,0 +1,118 @@
+"""Steps of a calibration: what each is given and returns, and those that need no other result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from camctl.calibration.delay import measure_delay
+from camctl.calibration.exposures import LONGEST_S
+from camctl.calibration.noise import measure_noise
+from camctl.calibration.pixel_pattern import sensitivity_pattern, shoot_view, view_settings
+from camctl.camera import Camera, StreamingCamera
+from camctl.exposure_record import exposure_mode
+from camctl.profile import Profile, load_profile
+
+
+def _ignore(_text: str) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class StepOptions:
+    """How the steps are done.
+
+    Attributes:
+        longest_s: longest shutter time, s
+        begin: called with the name of each step; returns what is called with the share of it that
+            is done, 0 to 1
+        warn: called with one line for each irregularity
+        turn: asks for another view of the scene, and returns whether the camera was turned; None:
+            it cannot be
+    """
+
+    longest_s: float = LONGEST_S
+    begin: Callable[[str], Callable[[float], None] | None] = lambda _name: None
+    warn: Callable[[str], None] = _ignore
+    turn: Callable[[], bool] | None = None
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What one step has measured.
+
+    Attributes:
+        name: of the step
+        result: what was measured, one line; None where it could not be
+        problem: why it could not be measured; None where it was
+        hint: what to do then
+    """
+
+    name: str
+    result: str | None
+    problem: str | None = None
+    hint: str = ""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a step has measured: the change of the profile, and one line for people."""
+
+    keep: Callable[[Profile], None]
+    text: str
+
+
+Progress: TypeAlias = Callable[[float], None] | None
+Measure: TypeAlias = Callable[[Camera, StepOptions, Progress], Found | None]
+
+
+def delay_step(camera: Camera, options: StepOptions, progress: Progress) -> Found | None:
+    """Measure the control delay of a camera that streams."""
+    if not isinstance(camera, StreamingCamera):
+        return None
+    record = measure_delay(camera, progress=progress, warn=options.warn)
+    mode = camera.mode
+    if record.frames is None:
+        text = f"{record.smallest} to {record.largest} frames, not constant"
+    else:
+        text = f"{record.frames} frame{'' if record.frames == 1 else 's'}"
+    return Found(lambda profile: profile.delays.update({mode: record}), text)
+
+
+def noise_step(camera: Camera, options: StepOptions, progress: Progress) -> Found:
+    """Measure photon and read noise."""
+    record = measure_noise(camera, longest_s=options.longest_s, progress=progress)
+    for note in record.notes:
+        options.warn(note)
+    mode, measured = exposure_mode(camera.controls), record.reference
+    conversion, read_noise = measured.conversion_e_per_dn, measured.read_noise_e
+    text = (
+        f"{conversion.value:.3g} electrons a level ({conversion.low:.3g} to "
+        f"{conversion.high:.3g}), read noise {read_noise.value:.3g} electrons "
+        f"({read_noise.low:.3g} to {read_noise.high:.3g}), gains measured: {len(record.gains)}"
+    )
+
+    def keep(profile: Profile) -> None:
+        earlier = profile.noises.get(mode)
+        profile.noises[mode] = record if earlier is None else record.joined(earlier)
+
+    return Found(keep, text)
+
+
+def pattern_step(camera: Camera, options: StepOptions, _progress: Progress) -> Found | None:
+    """Measure how the sensitivity of the pixels differs, from two views of the scene."""
+    mode = exposure_mode(camera.controls)
+    if options.turn is None or mode not in load_profile(camera.info).noises:
+        return None
+    settings = view_settings(camera, options.longest_s)
+    first = shoot_view(camera, settings)
+    if not options.turn():
+        return None
+    prnu = sensitivity_pattern(first, shoot_view(camera, settings))
+
+    def keep(profile: Profile) -> None:
+        profile.noises[mode] = profile.noises[mode].model_copy(update={"prnu": prnu})
+
+    text = f"their sensitivity differs by {prnu.value:.2%} ({prnu.low:.2%} to {prnu.high:.2%})"
+    return Found(keep, text)

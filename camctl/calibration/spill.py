@@ -1,0 +1,129 @@
+"""Samples of a frame that are saturated or near a saturated one, and what spills over from there.
+
+Charge beyond a full well flows along its column and fills the wells that it meets (blooming).  The
+samples that it reaches count as bright in that frame, and as dark in one of a shorter exposure,
+which bends a response that is estimated from both.  Where saturated samples and those near them are
+left out of both frames, what remains shows the scene alone.  Light that spreads far (glare) is not
+left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.calibration.response_matches import Matches
+from camctl.controls import Layout
+
+#: Rows and columns of the grid of samples of a colour.
+_GRID = 512
+#: Rows and columns on each side that are near a pixel: the last well of a column that charge
+#: reaches is filled in part, and neighbouring columns share a little.
+_ROWS_NEAR, _COLUMNS_NEAR = 2, 1
+#: What spills over: a pair of frames whose levels match otherwise without samples near saturation,
+#: by this much, relative, and by so many standard errors.
+_LEAST_SPILLED, _CERTAIN = 0.003, 5.0
+#: Neighbouring matches have pixels in common: as many count as one.
+_ALIKE = 5.0
+#: Matches that are compared in a pair of frames, at least, and the brightness, as a share of full
+#: scale, up to which they are: above it noise decides which samples are saturated.
+_LEAST_MATCHES, _BRIGHTEST = 10, 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class SampleGrid:
+    """A grid of samples of one frame, and the brightest sample near each of them.
+
+    Attributes:
+        planes: of each colour as `Layout.planes`, (rows, columns) each; those of a small frame have
+            all samples
+        peaks: of each of them, the same shape: the brightest sample near each one, of any colour
+    """
+
+    planes: tuple[NDArray[Any], ...]
+    peaks: tuple[NDArray[Any], ...]
+
+    @classmethod
+    def of(cls, pixels: NDArray[Any], layout: Layout) -> SampleGrid:
+        """Return the samples of a frame."""
+        planes, peaks = [], []
+        scale = 2 if layout.is_mosaic else 1
+        for place, plane in enumerate(layout.planes(pixels)):
+            rows, columns = (
+                np.linspace(0, length - 1, min(length, _GRID)).astype(np.intp)
+                for length in plane.shape
+            )
+            planes.append(plane[np.ix_(rows, columns)])
+            row, column = divmod(place, 2) if layout.is_mosaic else (0, 0)
+            peaks.append(_brightest(pixels, scale * rows + row, scale * columns + column))
+        return cls(tuple(planes), tuple(peaks))
+
+
+def _brightest(
+    pixels: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[Any]:
+    """Return the brightest sample near each pixel of a grid, (rows, columns)."""
+    brightest = np.zeros((rows.size, columns.size), pixels.dtype)
+    height, width = pixels.shape[:2]
+    for down in range(-_ROWS_NEAR, _ROWS_NEAR + 1):
+        for across in range(-_COLUMNS_NEAR, _COLUMNS_NEAR + 1):
+            near = pixels[
+                np.ix_(np.clip(rows + down, 0, height - 1), np.clip(columns + across, 0, width - 1))
+            ]
+            np.maximum(brightest, near if near.ndim == 2 else near.max(axis=2), out=brightest)
+    return brightest
+
+
+def counts_without_spill(
+    frames: Sequence[SampleGrid], colours: Sequence[int], places: NDArray[np.intp], white: int
+) -> NDArray[np.int64]:
+    """Return histograms of the samples that are near saturation in none of the frames.
+
+    Args:
+        frames: of one scene
+        colours: which planes are counted
+        places: (K,) levels, ascending from 0
+        white: level from which samples are saturated, DN
+
+    Returns:
+        (frames, K): samples from each level up to the next one
+    """
+    counts = np.zeros((len(frames), int(places[-1]) + 1), np.int64)
+    for colour in colours:
+        clean = np.max([frame.peaks[colour] for frame in frames], axis=0) < white
+        for count, frame in zip(counts, frames, strict=True):
+            count += np.bincount(frame.planes[colour][clean], minlength=count.size)
+    return np.asarray(np.add.reduceat(counts, places, axis=1))
+
+
+def below_saturation(matches: Matches, levels: float) -> Matches:
+    """Return the matches that do not depend on the noise of samples near saturation.
+
+    Args:
+        matches: of pairs of frames
+        levels: full scale above black
+    """
+    return matches.part(matches.high < _BRIGHTEST * levels)
+
+
+def spills_over(everywhere: Matches, clean: Matches) -> bool:
+    """Return whether levels match otherwise without samples near saturation.
+
+    Args:
+        everywhere: matches of all samples
+        clean: matches without samples near saturation
+    """
+    for place in np.unique(clean.pairs):
+        all_, some = (each.part(each.pairs == place) for each in (everywhere, clean))
+        _, left, right = np.intersect1d(all_.high, some.high, return_indices=True)
+        if left.size < _LEAST_MATCHES:
+            continue
+        weight = some.low[right] ** 2 / (some.low_variance[right] + all_.low_variance[left])
+        shift = float(np.average(np.log(all_.low[left] / some.low[right]), weights=weight))
+        if abs(shift) > max(_LEAST_SPILLED, _CERTAIN * float(np.sqrt(_ALIKE / weight.sum()))):
+            return True
+    return False
