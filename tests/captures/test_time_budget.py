@@ -1,4 +1,4 @@
-"""A capture chosen for a time budget is announced with a time, and takes one, within that budget."""
+"""A capture chosen for a time budget is announced with a time, and takes one, within the budget."""
 
 from __future__ import annotations
 
