@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     from camctl.exposure.evaluation import evaluate as evaluate
     from camctl.exposure.exposure_choices import AccuracyProblem as AccuracyProblem
     from camctl.exposure.exposure_choices import AvailableExposures as AvailableExposures
+    from camctl.exposure.exposure_choices import TimeCosts as TimeCosts
     from camctl.exposure.objective import Objective as Objective
     from camctl.exposure.solver import SearchOptions as SearchOptions
     from camctl.exposure.solver import Solution as Solution
@@ -117,7 +118,7 @@ _NAMES = {
     ),
     "exposure.accuracy": "AccuracySolution solve_accuracy",
     "exposure.evaluation": "Evaluation evaluate",
-    "exposure.exposure_choices": "AccuracyProblem AvailableExposures",
+    "exposure.exposure_choices": "AccuracyProblem AvailableExposures TimeCosts",
     "exposure.objective": "Objective",
     "exposure.solver": "SearchOptions Solution solve",
     "exposure.table": "ExposureTable",

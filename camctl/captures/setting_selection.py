@@ -16,7 +16,7 @@ from typing import TypeAlias
 from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.request import CaptureRequest
 from camctl.controls import Control, ExposureControls, ExposureSetting
-from camctl.errors import CaptureError
+from camctl.errors import CaptureError, UsageError
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import Objective
 from camctl.exposure.settings_grid import SettingsGrid
@@ -319,15 +319,19 @@ def search_choices(
             f"{exposures[-1]:.4g} s, the longest on this camera",
             hint=f"take fewer exposures, or shorten it with --compensation {stops:.1f}",
         )
+    total_s = math.inf if request.time_budget_s is None else request.time_budget_s
+    shortest_s = sum([each for each in exposures if each >= least_s * (1 - _SAME)][:count])
+    if shortest_s > total_s:
+        raise UsageError(
+            f"{count} exposures of this camera take {shortest_s:.4g} s at least, more than the "
+            f"{total_s:.4g} s that the time budget leaves for shutter times",
+            hint="allow more time, or take fewer exposures",
+        )
     found = solve_settings(
         controls.levels,
         desired,
         count,
-        SettingsGrid(
-            exposures,
-            base=(least_s, base_s),
-            total_limit=math.inf if request.time_budget_s is None else request.time_budget_s,
-        ),
+        SettingsGrid(exposures, base=(least_s, base_s), total_limit=total_s),
         objective=Objective(request.levels_wanted),
     )
     # The search merges settings of one exposure; each of its values is one of `available`.

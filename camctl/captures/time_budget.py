@@ -85,7 +85,7 @@ def shutter_budget(
     base_s = at_most(controls.time_s, limit_s)
     costs = time_costs(controls, before=before, shortest_s=base_s)
     left_s, least_s = request.time_budget_s - costs.fixed, costs.total([base_s] * count)
-    if least_s > left_s:
+    if least_s > left_s + _SAME * request.time_budget_s:
         raise UsageError(
             f"{count} exposures do not fit into {request.time_budget_s:.4g} s",
             hint=f"the least is {least_s + costs.fixed:.4g} s; allow more, or take fewer exposures",

@@ -62,10 +62,14 @@ def test_exposures_are_solved_for_one_range_alone(monkeypatch: pytest.MonkeyPatc
     solved: list[float] = []
 
     def counted(
-        controls: ExposureControls, request: CaptureRequest, desired: DesiredResponse, *more: Any
+        controls: ExposureControls,
+        request: CaptureRequest,
+        desired: DesiredResponse,
+        *more: Any,
+        **named: Any,
     ) -> Any:
         solved.append(desired.dynamic_range)
-        return accurate_settings(controls, request, desired, *more)
+        return accurate_settings(controls, request, desired, *more, **named)
 
     monkeypatch.setattr(planning, "accurate_settings", counted)
     plan = planned(CaptureRequest(dynamic_range="auto", time_budget_s=0.5))

@@ -1,4 +1,4 @@
-"""A capture chosen for a time budget is announced with a time, and takes one, within it."""
+"""A capture chosen for a time budget is announced with a time, and takes one, within the budget."""
 
 from __future__ import annotations
 
@@ -42,10 +42,16 @@ CAMERAS = {
 }
 
 
-@pytest.mark.parametrize("objective", ["accuracy", "xi"])
 @pytest.mark.parametrize(
-    ("sensor", "budget_s"),
-    [("webcam", 5 / 30), ("webcam", 0.3), ("standard", 0.3), ("consumer", 1.6), ("consumer", 3.0)],
+    ("sensor", "budget_s", "objective"),
+    [
+        ("webcam", 5 / 30, "accuracy"),  # the least: three frames after a control delay of two
+        ("webcam", 5 / 30, "xi"),
+        ("webcam", 0.3, "accuracy"),
+        ("standard", 0.3, "xi"),
+        ("consumer", 1.6, "xi"),
+        ("consumer", 3.0, "accuracy"),
+    ],
 )
 def test_what_is_announced_and_taken_is_within_the_budget(
     sensor: str, budget_s: float, objective: str
@@ -93,9 +99,11 @@ def test_exposures_within_a_frame_are_free() -> None:
     """As long as a frame lasts anyway, its exposure costs no time: it is used up."""
     with camctl.open_camera("sim", sensor="webcam", size="32x24") as camera:
         interval_s = camera.controls.frame_interval_s
-        request = CaptureRequest("linear", 16.0, 1, base_s=interval_s / 4, time_budget_s=1.0)
-        plan = camctl.plan_capture(camera, replace(request, count=3))
-    assert all(each.exposure >= interval_s / 4 * 0.99 for each in plan.settings)
+        request = CaptureRequest(
+            "log", 256.0, 2, base_s=interval_s / 4, time_budget_s=4.001 * interval_s
+        )
+        plan = camctl.plan_capture(camera, request)
+    assert plan.settings[-1].time_s == pytest.approx(interval_s, rel=0.01)
 
 
 def test_an_accuracy_is_reached_in_the_least_time_until_the_last_frame() -> None:
@@ -103,12 +111,9 @@ def test_an_accuracy_is_reached_in_the_least_time_until_the_last_frame() -> None
     with camctl.open_camera("sim", sensor="webcam", size="32x24") as camera:
         request = CaptureRequest("log", 256.0, accuracy=40.0)
         plan = camctl.plan_capture(camera, request)
-        longer = camctl.plan_capture(camera, replace(request, count=6))
-    assert len(plan.settings) <= 3
     assert plan.effective_levels >= 39.5
     assert plan.wall_s is not None
-    assert longer.wall_s is not None
-    assert plan.wall_s < 0.8 * longer.wall_s
+    assert plan.wall_s < 0.18  # the set of least shutter time takes 0.187 s
 
 
 def test_less_is_asked_for_until_the_settings_fit() -> None:

@@ -29,13 +29,14 @@ def study_text(study: CaptureStudy) -> str:
     if study.knee is not None:
         best, point = study.runs[study.knee], study.points[study.knee]
         words.append(
-            f"The knee of the front is {best.method} with {best.n} exposures and "
-            f"{_short(point.time_s)}: beyond it, time brings less accuracy than before it."
+            f"The knee of the front is {best.method} with {best.n} "
+            f"exposure{'s' * (best.n > 1)} and {_short(point.time_s)}: beyond it, "
+            "time brings less accuracy than before it."
         )
     if words:
         parts.append("\n".join(words))
     notes = [
-        f"{run.method}, {run.n} exposures: {point.note}"
+        f"{run.method}, {run.n} exposure{'s' * (run.n > 1)}: {point.note}"
         for run, point in zip(study.runs, study.points, strict=True)
         if point.note
     ]
@@ -113,5 +114,5 @@ def _decades_text(study: CaptureStudy) -> str:
                         headings.append(f"{decade.low:g} to {decade.high:g}")
                         rows[0].append(f"{100 * decade.share:.0f} %")
                 errors = [f"{100 * decade.relative_error:.1f} %" for decade in point.decades]
-                rows.append([f"{method}, {run.n} exposures", *errors])
+                rows.append([f"{method}, {run.n} exposure{'s' * (run.n > 1)}", *errors])
     return format_table(headings, rows, right_aligned=range(1, len(headings))) if rows else ""
