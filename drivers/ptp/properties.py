@@ -196,8 +196,9 @@ class Properties:
         if in_manual and manual:
             raise CameraError(
                 f"{self._name} does not let a computer set the shutter time",
-                hint="its mode dial is at M: choose remote control in its USB menu, and leave "
-                "playback, menus and movie mode; else its model is not supported",
+                hint="its mode dial is at M: turn its shutter speed dial, if it has one, to 1/3 "
+                "STEP, choose remote control in its USB menu, and leave playback, menus and movie "
+                "mode; else its model is not supported",
             )
         raise CameraError(f"{self._name} chooses the shutter time itself", hint=_M_DIAL)
 
