@@ -104,15 +104,20 @@ class RefusedSettingError(CameraError):
         control: name of the control, a field of `camctl.controls.ExposureSetting`
         requested: the value asked for, in SI units
         nearest: the nearest value that the camera can do, in the same units
+
+    Args:
+        remedy: what to do where the camera keeps its setting, `nearest`, whatever is set
     """
 
-    def __init__(self, control: str, requested: float, nearest: float) -> None:
+    def __init__(self, control: str, requested: float, nearest: float, remedy: str = "") -> None:
         self.control = control
         self.requested = requested
         self.nearest = nearest
         super().__init__(
             f"the camera cannot set {control} to {requested:.9g}",
-            hint=f"the nearest it can do is {nearest:.9g}",
+            hint=f"it keeps {nearest:.9g}; {remedy}"
+            if remedy
+            else f"the nearest it can do is {nearest:.9g}",
         )
 
 

@@ -148,8 +148,8 @@ FOLDER = 0x3001
 ALL_STORES = 0xFFFFFFFF
 
 _UNSUPPORTED = "its model is not supported"
-_M_DIAL = "turn the mode dial to M"
-_TO_SHOOTING = f"{_M_DIAL}, and leave playback, menus and movie mode on the camera"
+M_DIAL = "turn the mode dial to M"
+TO_SHOOTING = f"{M_DIAL}, and leave playback, menus and movie mode on the camera"
 _LENS = (
     CameraError,
     "its lens is not in working position",
@@ -173,14 +173,14 @@ _STANDARD: dict[int, tuple[type[CameraError], str, str]] = {
     0x200A: (CameraProtocolError, "it does not support this property", _UNSUPPORTED),
     0x200C: (CameraError, "its card is full", "make room on the card or put another one in"),
     0x200E: (CameraError, "its card is write-protected", "unlock the card"),
-    0x200F: (CameraError, "it denies access", _TO_SHOOTING),
+    0x200F: (CameraError, "it denies access", TO_SHOOTING),
     0x2013: (CameraError, "it has no card", "put a card in and close the lid"),
     0x2019: (CameraBusyError, "it is busy", "wait until its lamp is off, then try again"),
     0x201B: (CameraProtocolError, "the format of the value is wrong", _UNSUPPORTED),
     0x201C: (
         CameraProtocolError,
         "it does not accept this value now",
-        f"{_M_DIAL}, and check the lens",
+        f"{M_DIAL}, and check the lens",
     ),
     0x201D: (CameraProtocolError, "a parameter is wrong", _UNSUPPORTED),
     0x201E: (CameraBusyError, "its session is already open", "switch it off and on again"),
@@ -199,9 +199,9 @@ _MAKERS: dict[str, dict[int, tuple[type[CameraError], str, str]]] = {
     "nikon": {
         0xA001: (CameraError, "it reports a hardware error", "switch it off and on again"),
         0xA002: _OUT_OF_FOCUS,
-        0xA003: (CameraError, "it does not change to remote control", _TO_SHOOTING),
-        0xA004: (CameraError, "it cannot do that in its present mode", _TO_SHOOTING),
-        0xA005: (CameraError, "the property cannot be set now", _M_DIAL),
+        0xA003: (CameraError, "it does not change to remote control", TO_SHOOTING),
+        0xA004: (CameraError, "it cannot do that in its present mode", TO_SHOOTING),
+        0xA005: (CameraError, "the property cannot be set now", M_DIAL),
         0xA008: (CameraError, "its shutter is set to bulb", "set another shutter time"),
         0xA009: (CameraError, "its mirror is up", "set the release mode to single"),
         0xA00A: _LENS,
@@ -211,7 +211,7 @@ _MAKERS: dict[str, dict[int, tuple[type[CameraError], str, str]]] = {
     },
     "canon": {
         0xA001: (CameraProtocolError, "it does not support this command", _UNSUPPORTED),
-        0xA005: (CameraError, "it refuses that in its present mode", _TO_SHOOTING),
+        0xA005: (CameraError, "it refuses that in its present mode", TO_SHOOTING),
         0xA006: (CameraError, "its lens is covered", "take the lens cap off"),
         0xA101: _BATTERY,
         0xA102: (CameraBusyError, "the picture is not ready", "try again"),

@@ -13,7 +13,7 @@ from camctl.errors import (
     CameraTimeoutError,
     RefusedSettingError,
 )
-from drivers.ptp.codes import Op, Prop
+from drivers.ptp.codes import M_DIAL, TO_SHOOTING, Op, Prop
 from drivers.ptp.datasets import PropertyDescription, Reader, Value, pack_integer
 from drivers.ptp.dialects import Dialect, Source
 from drivers.ptp.dials import Dial, Scale, make_dial
@@ -38,7 +38,6 @@ _MAX_STEPS = 200
 _FIRST_READING_S, _FIRST_READING_POLL_S = 3.0, 0.1
 # Codes above are Panasonic's, of 32 bits.
 _LAST_STANDARD_CODE = 0xFFFF
-_M_DIAL = "turn the mode dial to M"
 
 
 @contextmanager
@@ -196,10 +195,11 @@ class Properties:
         if in_manual and manual:
             raise CameraError(
                 f"{self._name} does not let a computer set the shutter time",
-                hint="its mode dial is at M: choose remote control in its USB menu, and leave "
-                "playback, menus and movie mode; else its model is not supported",
+                hint="its mode dial is at M: turn a shutter speed dial to 1/3 STEP, choose remote "
+                "control in its USB menu, and leave playback, menus and movie mode; else its "
+                "model is not supported",
             )
-        raise CameraError(f"{self._name} chooses the shutter time itself", hint=_M_DIAL)
+        raise CameraError(f"{self._name} chooses the shutter time itself", hint=M_DIAL)
 
     def _can_set(self, code: int) -> bool:
         """Return whether manual exposure is set, as far as is known, and a property can be set."""
@@ -241,8 +241,7 @@ class Properties:
             CameraError: the camera does not accept the value now
         """
         number = dial.number(value)
-        before = self.number(dial.code)
-        applied = before
+        applied = before = self.number(dial.code)
         if before != number:
             self._turn(dial, number)
             applied = self._read_back(dial.code, number)
@@ -254,10 +253,10 @@ class Properties:
         actual = None if applied is None else dial.value(applied)
         if actual is None:
             raise CameraProtocolError(
-                f"{self._name} does not report the {dial.name} that it has set", hint=_M_DIAL
+                f"{self._name} does not report the {dial.name} that it has set", hint=M_DIAL
             )
         if applied != number:
-            raise RefusedSettingError(dial.name, value, actual)
+            raise RefusedSettingError(dial.name, value, actual, TO_SHOOTING * (applied == before))
         return actual
 
     def write(self, description: PropertyDescription, number: int) -> None:
@@ -293,7 +292,7 @@ class Properties:
             self.refresh()
             if not self._known[dial.code].is_writable:
                 raise CameraError(
-                    f"{self._name} does not allow {dial.name} to be set", hint=_M_DIAL
+                    f"{self._name} does not allow {dial.name} to be set", hint=M_DIAL
                 ) from error
             raise
 

@@ -194,6 +194,23 @@ class TestLastingFaults:
             device.do("ok")
             assert len(shoot(camera, settings)) == 1
 
+    @pytest.mark.parametrize("vendor", VENDORS)
+    @pytest.mark.parametrize("state", ["playback", "movie"])
+    def test_a_body_that_is_opened_in_another_mode_says_what_to_do(
+        self, vendor: str, state: str
+    ) -> None:
+        """Some makers' bodies acknowledge settings in these modes, and keep their own."""
+        pair = bench(vendor=vendor)
+        pair.device.do("body_state", state=state)
+        with (
+            pair.camera() as camera,
+            pytest.raises(
+                CameraError, match="turn the mode dial to M, and leave playback"
+            ) as error,
+        ):
+            _ = camera.controls
+        assert "\n" not in str(error.value)
+
     def test_a_camera_that_loses_each_session_is_reported(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
