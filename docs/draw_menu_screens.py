@@ -18,7 +18,7 @@ from camctl.picture_operations import png
 from menu.camera_job import CameraJob
 from menu.data import CameraEntry, Choice, Cost, Past, Progress, Settings
 from menu.drawing import Pixels, draw, text_picture
-from menu.entries import choice
+from menu.entries import CUSTOM, choice
 from menu.layout import grid
 from menu.machine import choices
 from menu.model import Goal, Model, State
@@ -38,6 +38,9 @@ def models() -> dict[State, Model]:
         found = {}
         for state in State:
             found[state] = replace(shown, state=state)
+            if state is State.CUSTOM:
+                settings = replace(shown.settings, range=CUSTOM)
+                found[state] = replace(found[state], settings=settings)
             if STATES[state].work is Work.PREDICT:
                 found[state] = replace(found[state], costs=_costs(job, found[state]))
         job.close()
@@ -81,7 +84,7 @@ def sheet(pictures: list[Pixels], columns: int) -> bytes:
     while len(tall) % columns:
         tall.append(np.full_like(tall[0], 60))
     rows = [np.concatenate(tall[i : i + columns], 1) for i in range(0, len(tall), columns)]
-    return png(np.concatenate(rows))
+    return png(np.concatenate(rows), level=9)
 
 
 def main() -> None:

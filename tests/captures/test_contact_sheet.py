@@ -13,7 +13,7 @@ from camctl.captures.drawing import LINE_HEIGHT, MARGIN, PAPER, Drawing
 from camctl.captures.picture_details import THUMBNAIL_SIDE, thumbnail
 from camctl.captures.preview import tone_map
 from camctl.controls import ExposureControls, Layout, Steps
-from camctl.picture_operations import text_width
+from camctl.picture_operations import draw_text, text_width
 from camctl.response.camera import standard_response
 
 SHAPES = [(1, 1), (3, 4), (60, 80), (80, 60, 3), (300, 20), (20, 300, 3)]
@@ -24,13 +24,12 @@ class _Boxes:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.boxes: list[tuple[str, int, int, int, int]] = []
-        put = drawing.draw_text
 
         def record_text(pixels, text, place, size, colour):  # type: ignore[no-untyped-def]
             left, top = place[0], place[1] - round(22 * size)
             box = (left, top, left + text_width(text, size), place[1] + round(5 * size))
             self.boxes.append((text, *box))
-            put(pixels, text, place, size, colour)
+            draw_text(pixels, text, place, size, colour)
 
         picture = Drawing.picture
 

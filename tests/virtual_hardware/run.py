@@ -142,8 +142,12 @@ class Guest:
         on_line: OnLine,
         out: Path | None = None,
         devices: Sequence[str] = (),
+        keep: Path | None = None,
     ) -> int:
-        """Run a command in the guest, with `out` as its /guest_out; return its exit status."""
+        """Run a command in the guest, with `out` as its /guest_out; return its exit status.
+
+        Pictures that it leaves there are copied into `keep`.
+        """
         out = out or Path(tempfile.mkdtemp(prefix=f"virtual-hardware-{self.name}-"))
         try:
             result = run_in_guest(
@@ -160,6 +164,8 @@ class Guest:
             self.is_broken = True
             self._say(f"{error}; its console and other files: {out}")
             return 1
+        for picture in out.glob("*.ppm") if keep is not None else ():
+            shutil.copy(picture, str(keep))
         self._say(f"the guest was up after {result.boot_s:.0f} s, start {result.boots}")
         if result.status in (0, NO_TESTS):
             shutil.rmtree(out, ignore_errors=True)
@@ -192,11 +198,9 @@ def _display(guest: Guest, keep: Path | None) -> int:
     def on_line(line: str) -> None:
         if not watched.obey(line):
             print(line, flush=True)
-        for name in watched.compared if keep is not None else ():
-            shutil.copy(out / f"{name}.ppm", keep)
 
     command = [sys.executable, str(HERE / "display_in_guest.py")]
-    status = guest.run(command, on_line, out, display.devices(out))
+    status = guest.run(command, on_line, out, display.devices(out), keep)
     for line in watched.wrong:
         print(line)
     passed = not status and not watched.wrong and bool(watched.compared)
