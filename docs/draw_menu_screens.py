@@ -1,67 +1,81 @@
 """Draw the pictures of docs/menu.md: every screen on each kind of panel.
 
-The screens come from one model with values of the simulated camera, so that they stay the same.
+The figures are those of the simulated camera: its plans for each entry, and one capture.
 
     python docs/draw_menu_screens.py
 """
 
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 import camctl
+from camctl.camera import Camera
 from camctl.picture_operations import png
-from menu.data import (
-    CameraEntry,
-    Cost,
-    Past,
-    Plan,
-    Progress,
-    Reading,
-    Summary,
-)
+from menu.camera_job import CameraJob
+from menu.data import CameraEntry, Choice, Cost, Past, Progress, Settings
 from menu.drawing import Pixels, draw, text_picture
+from menu.entries import CUSTOM, choice
 from menu.layout import grid
-from menu.model import Model, State
+from menu.machine import choices
+from menu.model import Goal, Model, State
 from menu.screens import screen
-from menu.thumbnails import image_picture
+from menu.tables import STATES, Work
 
 FOLDER = Path(__file__).with_name("menu")
 GAP = 6
-CAMERA = CameraEntry("sim", "Simulated phone")
+FREE_BYTES = 12_300_000_000
 
 
-def model() -> Model:
+def models() -> dict[State, Model]:
+    """Return a model for each screen, with what the simulated camera's plans and captures give."""
+    with TemporaryDirectory() as folder:
+        job = CameraJob(_opened, Path(folder), Path(folder) / "menu.json")
+        shown = _model(job)
+        found = {}
+        for state in State:
+            found[state] = replace(shown, state=state)
+            if state is State.CUSTOM:
+                settings = replace(shown.settings, range=CUSTOM)
+                found[state] = replace(found[state], settings=settings)
+            if STATES[state].work is Work.PREDICT:
+                found[state] = replace(found[state], costs=_costs(job, found[state]))
+        job.close()
+    return found
+
+
+def _opened(_: str) -> tuple[Camera, dict[str, Any]]:
+    return camctl.open_camera("sim", scene="room", sensor="phone"), {}
+
+
+def _costs(job: CameraJob, model: Model) -> tuple[Cost | None, ...]:
+    """Return the cost of each entry of a list."""
+    asked = [each for each in choices(model) if isinstance(each, Choice)]
+    costs = job.predict(asked, lambda: False)
+    return tuple(next(costs) if isinstance(each, Choice) else None for each in choices(model))
+
+
+def _model(job: CameraJob) -> Model:
     """Return a model that has something to show on every screen."""
-    with camctl.open_camera("sim", scene="room", size="240x180") as camera:
-        report = camctl.capture(camera, camctl.CaptureRequest())
-    picture = image_picture(report.image())
-    shares = report.achieved.light_shares
-    costs = tuple(
-        Cost(n, 0.02 * 9.0 ** (n - 1), 0.1 + 0.02 * 9.0 ** (n - 1), levels, True)
-        for n, levels in enumerate((9.6, 62.0, 99.6, 131.0, 148.0, 164.0), start=1)
-    )
-    frames = (("19.88 ms", 1.0), ("178.9 ms", 9.0), ("1.61 s", 81.0))
-    plan = Plan(
-        frames, 1.81, 1.9, True, 99.6, 380.0, True, 86.0, 765.0, 1000.0,
-        needed_bytes=36_200_000, free_bytes=12_300_000_000,
-    )  # fmt: skip
+    camera, settings = job.open(""), Settings()
+    reading = replace(job.meter(), free_bytes=FREE_BYTES)
+    plan = job.plan(choice(settings, Goal.COUNT), lambda: False)
+    summary = job.shoot(plan, lambda _: None, lambda: False)
     return Model(
-        costs=(*costs, *costs, *costs),
-        reading=Reading(0.0199, 0.0012, shares, picture, 12_300_000_000, CAMERA),
-        plan=plan,
+        settings=settings,
+        reading=reading,
+        plan=replace(plan, free_bytes=FREE_BYTES),
         progress=Progress(1, 3, "shooting", 0.2),
         remaining_s=7,
-        summary=Summary(
-            99.1, 380.0, True, 99.6, 0.0007, "captures/capture-0012",
-            histogram=shares, picture=picture,
-        ),
-        cameras=(CAMERA, CameraEntry("v4l2:/dev/video0", "HD Webcam C920")),
-        camera=CAMERA,
+        summary=replace(summary, folder="captures/capture-0012"),
+        cameras=(camera, CameraEntry("v4l2:/dev/video0", "HD Webcam C920")),
+        camera=camera,
         captures=(Past("capture-0012-20260412-101502", True), Past("capture-0011", False)),
         error="the camera was disconnected; connect it again",
-    )  # fmt: skip
+    )
 
 
 def sheet(pictures: list[Pixels], columns: int) -> bytes:
@@ -70,17 +84,17 @@ def sheet(pictures: list[Pixels], columns: int) -> bytes:
     while len(tall) % columns:
         tall.append(np.full_like(tall[0], 60))
     rows = [np.concatenate(tall[i : i + columns], 1) for i in range(0, len(tall), columns)]
-    return png(np.concatenate(rows))
+    return png(np.concatenate(rows), level=9)
 
 
 def main() -> None:
     """Draw all sheets."""
     FOLDER.mkdir(exist_ok=True)
-    shown = model()
+    shown = models()
     states = [state for state in State if state not in (State.SAVER, State.QUIT)]
     captures = (State.SHOOTING, State.RESUMING, State.CANCELLING)
     screens = [
-        screen(replace(shown, state=state, progress=shown.progress if state in captures else None))
+        screen(replace(shown[state], progress=shown[state].progress if state in captures else None))
         for state in states
     ]
     for columns, rows, across in ((16, 2, 5), (20, 4, 5), (60, 16, 2)):

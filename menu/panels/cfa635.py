@@ -24,6 +24,11 @@ from menu.panels.cfa635_packets import (
 )
 from menu.ports import Key, Mood, PanelDisconnectedError, Screen
 
+try:
+    from termios import error as TermiosError  # noqa: N812  an exception class
+except ImportError:  # not a POSIX system: pyserial raises its own errors alone
+    TermiosError = OSError  # type: ignore[assignment,misc]  # the same use, in except clauses
+
 COLUMNS, ROWS = 20, 4
 
 _BAUD = 115200
@@ -78,7 +83,7 @@ class Cfa635Panel:
             raise UsageError(
                 f"invalid serial port {self._url!r}", hint="use cfa635:/dev/ttyUSB0"
             ) from error
-        except (OSError, serial.SerialException) as error:
+        except (OSError, TermiosError, serial.SerialException) as error:
             raise PanelDisconnectedError(
                 f"cannot open the panel at {self._url}: {_reason(error)}",
                 hint="connect it, and allow the user to open it (group dialout)",
@@ -165,7 +170,7 @@ class Cfa635Panel:
 
     def _receive(self, timeout_s: float) -> list[Packet]:
         """Wait for bytes; return the packets but for keys, which are kept."""
-        # Each of the three may be the one that finds the port gone.
+        # This asks the port for its settings, which fails once it is gone.
         self._guarded(lambda: setattr(self._port, "timeout", timeout_s))
         data = self._guarded(lambda: self._port.read(1))
         data += self._guarded(lambda: self._port.read(self._port.in_waiting) if data else b"")
@@ -184,7 +189,7 @@ class Cfa635Panel:
 
         try:
             return act()
-        except (OSError, serial.SerialException) as error:
+        except (OSError, TermiosError, serial.SerialException) as error:
             raise PanelDisconnectedError(
                 f"the panel at {self._url} was disconnected: {_reason(error)}",
                 hint="connect it again",

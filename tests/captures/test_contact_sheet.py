@@ -24,13 +24,12 @@ class _Boxes:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.boxes: list[tuple[str, int, int, int, int]] = []
-        put = draw_text
 
         def record_text(pixels, text, place, size, colour):  # type: ignore[no-untyped-def]
             left, top = place[0], place[1] - round(22 * size)
             box = (left, top, left + text_width(text, size), place[1] + round(5 * size))
             self.boxes.append((text, *box))
-            put(pixels, text, place, size, colour)
+            draw_text(pixels, text, place, size, colour)
 
         picture = Drawing.picture
 

@@ -12,6 +12,7 @@ import random
 import select
 import threading
 import tty
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -38,6 +39,31 @@ def checksum(data: bytes) -> bytes:
     for byte in data:
         value = (value >> 8) ^ _CRC[(value ^ byte) & 0xFF]
     return (~value & 0xFFFF).to_bytes(2, "little")
+
+
+class User(threading.Thread):
+    """Somebody at the panel, who starts at once; `finish` raises what went wrong with them.
+
+    An exception that ends a thread would fail the test that happens to run then.
+    """
+
+    def __init__(self, act: Callable[[], None]) -> None:
+        super().__init__(daemon=True)
+        self._act = act
+        self._error: BaseException | None = None
+        self.start()
+
+    def run(self) -> None:
+        try:
+            self._act()
+        except BaseException as error:
+            self._error = error
+
+    def finish(self) -> None:
+        """Wait until they have done everything."""
+        self.join()
+        if self._error is not None:
+            raise self._error
 
 
 class VirtualCfa635:

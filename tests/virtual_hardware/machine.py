@@ -255,6 +255,7 @@ def run_in_guest(
     directory: Path,
     limit_s: float,
     on_line: Callable[[str], None],
+    devices: Sequence[str] = (),
 ) -> Result:
     """Run `command` as root in a new guest.
 
@@ -266,6 +267,7 @@ def run_in_guest(
         directory: to start it in
         limit_s: the guest is ended after so many seconds of the host's time
         on_line: called with every line that the command prints, as it comes
+        devices: words for QEMU that add devices
 
     Raises:
         GuestError: the guest did not come up, exceeded a limit, or ended without an exit status
@@ -279,7 +281,7 @@ def run_in_guest(
     )
     end = time.monotonic() + limit_s
     for boots in range(1, BOOTS + 1):
-        with _started(_qemu(kernel, out)) as guest:
+        with _started([*_qemu(kernel, out), *devices]) as guest:
             began = time.monotonic()
             if not _came_up(guest, out, min(end, began + BOOT_S)):
                 continue

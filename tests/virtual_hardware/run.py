@@ -1,10 +1,13 @@
 """Test all backends against the kernel's own drivers, in virtual machines.
 
     .venv/bin/python tests/virtual_hardware/run.py [-k EXPRESSION] [--backend NAME] [--bench]
+    .venv/bin/python tests/virtual_hardware/run.py --guest display [--keep FOLDER]
 
 Two guests run side by side, each with its part of the tests.  A line for each test shows the
 elapsed time, the guest, the outcome and how long the test took by the guest's own clock.  The last
-line is "virtual hardware: N passed, M failed, S s".  Where no guest can run it is "virtual hardware
+line is "virtual hardware: N passed, M failed, S s".  With --guest display the
+menu runs on the display of one guest, which is not part of a run without it.  Where no guest can
+run it is "virtual hardware
 skipped: REASON; what to install", with status 0, or with 77 after --must-run.
 """
 
@@ -24,6 +27,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import display
 from machine import CannotRunError, GuestError, Kernel, prepare, run_in_guest
 
 HERE = Path(__file__).resolve().parent
@@ -35,6 +39,7 @@ BENCHES = ("bench_discovery.py", "bench_v4l2.py", "bench_v4l2_cpu.py", "bench_pt
 # Two guests, and the files in guest/ that the first one runs: so both take about as long.
 GUESTS = ("usb", "others")
 USB_FILES = ("test_v4l2_backend.py", "test_ptp_backend.py", "test_same_picture.py")
+DISPLAY = "display"
 BACKENDS = ("v4l2", "ptp", "coolpix")
 # Limits that only catch what hangs: of a guest in the host's time, of a test in the guest's.
 LIMIT_S = 1500.0
@@ -79,6 +84,8 @@ def main() -> int:
     if arguments.command or arguments.bench:
         guest = Guest("guest", kernel, arguments.limit, began)
         return guest.run(arguments.command or _benches(), lambda text: print(text, flush=True))
+    if arguments.guest == DISPLAY:
+        return _display(Guest(DISPLAY, kernel, arguments.limit, began), arguments.keep)
     guests = [Guest(name, kernel, arguments.limit, began) for name in GUESTS]
     with ThreadPoolExecutor(len(guests)) as pool:
         list(pool.map(lambda guest: guest.test(_tests(arguments, guest.name)), guests))
@@ -129,9 +136,19 @@ class Guest:
             sys.stdout.write("\n".join(self._report) + "\n")
             sys.stdout.flush()
 
-    def run(self, command: Sequence[str], on_line: OnLine) -> int:
-        """Run a command in the guest and return its exit status."""
-        out = Path(tempfile.mkdtemp(prefix=f"virtual-hardware-{self.name}-"))
+    def run(
+        self,
+        command: Sequence[str],
+        on_line: OnLine,
+        out: Path | None = None,
+        devices: Sequence[str] = (),
+        keep: Path | None = None,
+    ) -> int:
+        """Run a command in the guest, with `out` as its /guest_out; return its exit status.
+
+        Pictures that it leaves there are copied into `keep`.
+        """
+        out = out or Path(tempfile.mkdtemp(prefix=f"virtual-hardware-{self.name}-"))
         try:
             result = run_in_guest(
                 self._kernel,
@@ -141,11 +158,14 @@ class Guest:
                 directory=REPOSITORY,
                 limit_s=self._limit_s,
                 on_line=on_line,
+                devices=devices,
             )
         except GuestError as error:
             self.is_broken = True
             self._say(f"{error}; its console and other files: {out}")
             return 1
+        for picture in out.glob("*.ppm") if keep is not None else ():
+            shutil.copy(picture, str(keep))
         self._say(f"the guest was up after {result.boot_s:.0f} s, start {result.boots}")
         if result.status in (0, NO_TESTS):
             shutil.rmtree(out, ignore_errors=True)
@@ -170,10 +190,30 @@ class Guest:
         sys.stdout.flush()
 
 
+def _display(guest: Guest, keep: Path | None) -> int:
+    """Run the menu on the display of a guest, and compare pictures of it; return the status."""
+    out = Path(tempfile.mkdtemp(prefix="virtual-hardware-display-"))
+    watched = display.Display(out)
+
+    def on_line(line: str) -> None:
+        if not watched.obey(line):
+            print(line, flush=True)
+
+    command = [sys.executable, str(HERE / "display_in_guest.py")]
+    status = guest.run(command, on_line, out, display.devices(out), keep)
+    for line in watched.wrong:
+        print(line)
+    passed = not status and not watched.wrong and bool(watched.compared)
+    print(f"display: {len(watched.compared)} pictures, {'as drawn' if passed else 'FAILED'}")
+    return 0 if passed else 1
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description="Test all backends in virtual machines.")
     parser.add_argument("-k", metavar="EXPRESSION", help="only tests that pytest's -k selects")
     parser.add_argument("--backend", choices=BACKENDS, help="only this backend's tests")
+    parser.add_argument("--guest", choices=[DISPLAY], help="only this guest, with its own test")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the display's pictures")
     parser.add_argument("--bench", action="store_true", help="run the benchmarks instead")
     parser.add_argument("--must-run", action="store_true", help=f"status {SKIPPED} when skipped")
     parser.add_argument("--limit", type=float, default=LIMIT_S, metavar="SECONDS", help="at most")

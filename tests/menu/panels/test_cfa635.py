@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 from panel_fakes import FakeJob
-from virtual_cfa635 import VirtualCfa635, checksum
+from virtual_cfa635 import User, VirtualCfa635, checksum
 
 from camctl.errors import UsageError
 from menu.app import run
@@ -40,10 +39,9 @@ def operate(device: VirtualCfa635, keys: tuple[tuple[str, str], ...]) -> None:
 def test_capture_is_taken_with_the_keys_of_the_panel(loss: float, damage: float) -> None:
     job = FakeJob()
     with VirtualCfa635(loss=loss, damage=damage, seed=3) as device:
-        user = threading.Thread(target=operate, args=(device, SHOOTING + ENDING), daemon=True)
-        user.start()
+        user = User(lambda: operate(device, SHOOTING + ENDING))
         summary = run(Cfa635Panel(device.path), lambda: job)
-        user.join()
+        user.finish()
         assert summary is not None
         assert device.lines() == [" " * 20] * 4
         assert device.lights() == (0, 0)
@@ -86,10 +84,9 @@ def test_panel_that_is_unplugged_shows_the_screen_again_when_it_is_back(tmp_path
             device.wait_for("Exposures")
             operate(device, SHOOTING[4:] + ENDING)
 
-        user = threading.Thread(target=use, daemon=True)
-        user.start()
+        user = User(use)
         assert run(Cfa635Panel(str(link)), lambda: job) is not None
-        user.join()
+        user.finish()
     assert len(job.shot) == 1
 
 

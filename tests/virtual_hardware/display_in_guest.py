@@ -1,0 +1,116 @@
+"""The menu on the guest's frame buffer, worked with the guest's keyboard; runs inside the guest.
+
+Lines for the host, which `display` obeys: "press KEY", and "picture NAME" for a picture of what the
+display shows.  What it should show is in /guest_out/NAME.npy.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+from panel_fakes import FakeJob
+
+from menu.app import run
+from menu.drawing import draw
+from menu.panels.framebuffer import FramebufferPanel
+from menu.ports import Screen
+
+OUT = Path("/guest_out")
+MODULES = ("bochs", "evdev")
+STEPS = (
+    ("", "Ready"),
+    ("ret", "Desired response"),
+    ("down", "Desired response"),
+    ("up", "Desired response"),
+    ("ret", "Dynamic range"),
+    ("ret", "Exposures"),
+    ("ret", "Review"),
+    ("ret", "Done"),
+    ("esc", "Ready"),
+    ("esc", "Quit the menu?"),
+)
+"""Keys, as QEMU names them, each with the title of the screen that it leads to."""
+PICTURES = {"Ready": 0, "Desired response": 2, "Done": 7}
+"""Titles of the screens that are compared, each after this step."""
+SETTLED_S = 1.0
+"""After this time the kernel has copied the memory of the frame buffer to the display."""
+
+
+class Watched(FramebufferPanel):
+    """Keeps the last screen, and counts the screens."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.changed = threading.Condition()
+        self.last = Screen(title=None)  # type: ignore[arg-type]  # no screen yet
+        self.shown = 0
+
+    def show(self, screen: Screen) -> int:
+        last_offset = super().show(screen)
+        with self.changed:
+            self.last, self.shown = screen, self.shown + 1
+            self.changed.notify_all()
+        return last_offset
+
+    def wait_for(self, title: str, after: int) -> None:
+        with self.changed:
+            self.changed.wait_for(lambda: self.shown > after and title in self.last.title.texts[0])
+
+
+def ask(words: str) -> None:
+    """Ask the host for a key or for a picture of the display."""
+    print(words, flush=True)
+
+
+def take_picture(name: str, panel: Watched) -> None:
+    """Let the host take a picture, and write what it should show."""
+    time.sleep(SETTLED_S)
+    with panel.changed:  # nothing is drawn meanwhile
+        np.save(OUT / f"{name}.npy", draw(panel.last, *panel.size).pixels)
+        time.sleep(SETTLED_S)
+        ask(f"picture {name}")
+        while not (OUT / f"{name}.done").exists():
+            time.sleep(0.2)
+
+
+def main() -> int:
+    """Take a capture with the keyboard; return the exit status."""
+    for module in MODULES:
+        subprocess.run(["modprobe", module], check=True)
+    while not Path("/dev/fb0").exists() or not list(Path("/dev/input").glob("event*")):
+        time.sleep(0.1)
+    # The text console draws its cursor on the same frame buffer.
+    for console in Path("/sys/class/vtconsole").glob("vtcon*"):
+        if "frame buffer" in (console / "name").read_text():
+            (console / "bind").write_text("0")
+    job, panel = FakeJob(), Watched()
+    menu = threading.Thread(target=run, args=(panel, lambda: job), daemon=True)
+    menu.start()
+    for step, (key, title) in enumerate(STEPS):
+        before = panel.shown
+        if key:
+            ask(f"press {key}")
+        panel.wait_for(title, before if key else 0)
+        for name, wanted in PICTURES.items():
+            if step == wanted:
+                take_picture(name.split()[0].lower(), panel)
+    ask("press right")
+    time.sleep(SETTLED_S)
+    ask("press ret")
+    menu.join()
+    print(f"captures {len(job.shot)} on {panel_size()}", flush=True)
+    return 0 if len(job.shot) == 1 else 1
+
+
+def panel_size() -> str:
+    """Return the size of the frame buffer, as the kernel states it."""
+    return Path("/sys/class/graphics/fb0/virtual_size").read_text().strip()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
