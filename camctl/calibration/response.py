@@ -35,6 +35,7 @@ from camctl.calibration.response_fit import (
     fit_response,
 )
 from camctl.calibration.response_matches import Matches, match_levels
+from camctl.calibration.response_noise import correct_matches
 from camctl.calibration.response_series import Series
 from camctl.calibration.spill import below_saturation, spills_over
 from camctl.camera import Camera
@@ -139,7 +140,11 @@ def estimate_response(
         if chart is None:
             notes.append(_UNKNOWN_EXPONENT)
     fits = []
-    for each in channels:
+    for k, each in enumerate(channels):
+        if exposures.size > 1:
+            first = each.fit(exposures, edges, series.phase, ROUGH if estimate_ratios else STATED)
+            matches = correct_matches(each.matches, series, each.name, edges, first)
+            channels[k] = each = dataclasses.replace(each, matches=matches)
         free = each.fit(exposures, edges, series.phase, ROUGH)
         fit = free if estimate_ratios else each.fit(exposures, edges, series.phase, STATED)
         if is_scene_checked and not estimate_ratios:

@@ -51,15 +51,6 @@ def check_frames(series: Series, *, has_chart: bool = False) -> None:
             "one before",
         )
     span = series.white - series.black
-    for first, second in combinations(range(exposures.size), 2):
-        if exposures[first] != exposures[second] and np.array_equal(
-            series.patches[first], series.patches[second]
-        ):
-            raise DataError(
-                f"{series.names[first]} and {series.names[second]} are the same picture, but their "
-                "exposures differ",
-                hint="leave one of them out, or correct its exposure",
-            )
     lit = [np.mean(each > series.black + _LIT_LEVEL * span) for each in series.patches]
     if max(lit) < _LIT_SHARE:
         raise DataError(
@@ -69,6 +60,15 @@ def check_frames(series: Series, *, has_chart: bool = False) -> None:
         raise DataError(
             "all frames are saturated everywhere", hint="expose shorter, or close the aperture"
         )
+    for first, second in combinations(range(exposures.size), 2):
+        if exposures[first] != exposures[second] and np.array_equal(
+            series.patches[first], series.patches[second]
+        ):
+            raise DataError(
+                f"{series.names[first]} and {series.names[second]} are the same picture, but their "
+                "exposures differ",
+                hint="leave one of them out, or correct its exposure",
+            )
     _check_order(series, exposures)
 
 

@@ -3,7 +3,8 @@
 With x = k / (M + 1), ln E = ln x + h(ln(x + 0.1)), where h is a cubic spline: linear cameras have a
 constant h, and E(0) = 0.  The fit is by weighted least squares, robust to outliers, under the
 condition that E ascends from level to level.  The prior knowledge is that h is smooth but for a few
-bends: small second derivatives count by their squares, large ones by their size.  It is needed
+bends: small third derivatives (second ones, where exposures are far apart or there is only a chart)
+count by their squares, large ones by their size.  It is needed
 where the exposures are powers of one factor f: h + p with any p of period ln f in ln E explains the
 frames as well.  A bend that the prior rounds off would come back as such a p.  Therefore the last
 rounds expect as much curvature of each part of the curve as was found around it: where the curve
@@ -21,10 +22,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.ascending_fit import ascending
 from camctl.calibration.response_matches import LEAST_PIXELS, NOISE_STEPS, Matches
 from camctl.errors import DataError
 from camctl.response.camera import FloatArray
@@ -32,20 +35,20 @@ from camctl.response.camera import FloatArray
 #: Coefficients of the spline are this many and two; x + `_TOE` spaces its knots.
 _KNOTS, _TOE = 60, 0.1
 _STEP = math.log((1 + _TOE) / _TOE) / (_KNOTS - 1)
-#: Weight of the integral of the squared second derivative of h, the same where only a chart says
-#: something about it, and the size of a second difference (in standard deviations of the prior)
-#: from which it counts as a bend.
-_SMOOTHNESS, _SMOOTHNESS_OF_CHART, _BEND = 12.0, 1.0, 2.0
+#: Weight of the integral of the squared third derivative of h; of the second one where only a chart
+#: says something about it; and the size of a difference (in standard deviations of the prior) from
+#: which it counts as a bend.  A ripple has a larger third derivative, beside its second one, than a
+#: bend has.
+_SMOOTHNESS, _SMOOTHNESS_OF_CHART, _BEND = 0.01, 1.0, 2.0
 #: Exposures further apart than the first number, a factor, show too little of the curvature: the
-#: prior is the same for the whole curve, and the smoothness is the second number.
+#: prior is the same for the whole curve, and the second number is the weight of the integral of the
+#: squared second derivative.
 _COARSE, _SMOOTHNESS_OF_COARSE = 5.0, 40.0
-#: In the last rounds: weight of a second difference over the mean square of those around it, the
-#: width of "around" in ln E, and the least mean square.
-_ADAPTED, _AROUND, _LEAST_CURVED = 1.5, 0.5, 0.024
-#: Relative error of a match that the histograms do not explain.
-_FLOOR = 0.003
-#: Brightness at the second differences.
-_PLACES = np.clip(_TOE * (np.exp(_STEP * np.arange(_KNOTS)) - 1), 0.0, 1.0)
+#: In the last rounds: weight of a difference over the mean square of those around it, the width of
+#: "around" in ln E, and the least mean square.
+_ADAPTED, _AROUND, _LEAST_CURVED = 1.5, 0.3, 0.024
+#: Relative error of a match that the histograms do not explain, and of exposures far apart.
+_FLOOR, _FLOOR_OF_COARSE = 0.001, 0.003
 #: Neighbouring nodes within the noise have the same pixels: as many count as one.
 _ALIKE = 3.0
 #: Errors from which matches lose weight, in standard deviations, and the number of rounds with the
@@ -56,8 +59,6 @@ _OUTLIER, _ROUNDS, _ADAPTED_ROUNDS = 2.0, 6, 2
 #: the frames do not determine is smoothed away, and real curves are rougher.  So chosen that the
 #: 95 % intervals hold at steps of 2, 4 and 8 (tests/bench/bench_response.py).
 _ROUGHER, _DEVIATION = 0.0001, 0.5
-#: Least slope of ln E against ln x.
-_LEAST_SLOPE = 0.02
 #: Brightness, share of full scale, to which standard deviations of ln E are relative.
 REFERENCE = 0.5
 #: Standard deviations of the logarithm of an exposure: as stated by a camera or a user, and roughly
@@ -149,14 +150,19 @@ def fit_response(
     system = _System(matches, logs, chart, (edges, phase))
     curve, top = system.curve(x_known), system.curve(np.ones(1))
     known = system.known_beforehand(logs, exposure_error)
-    smoothness, rounds = _prior(matches, logs)
-    second = math.sqrt(smoothness) * np.diff(np.eye(_KNOTS + 2), 2, axis=0) / _STEP**1.5
+    prior = _prior(matches, logs)
+    roughness = np.diff(np.eye(_KNOTS + 2), prior.order, axis=0)
+    roughness *= math.sqrt(prior.smoothness) / _STEP ** (prior.order - 0.5)
+    places = np.arange(len(roughness)) + prior.order / 2 - 1  # of the differences, in knots
+    places = np.clip(_TOE * (np.exp(_STEP * places) - 1), 0.0, 1.0)
     log_E = 1.5 * np.log(x_known)  # a start: most responses are steeper than a linear one
     residuals = np.zeros(system.wanted.size)
-    bends = np.zeros(_KNOTS)
-    for turn in range(rounds):
-        variance = _FLOOR**2 + sum(
-            _slope(edges, log_E, at) ** 2 * spread for at, spread in system.spreads
+    bends = np.zeros(len(roughness))
+    for turn in range(prior.rounds):
+        variance = (
+            prior.floor**2
+            + system.uncertain
+            + sum(_slope(edges, log_E, at) ** 2 * spread for at, spread in system.spreads)
         )
         deviations = np.abs(residuals) / np.sqrt(variance)
         robust = 1 / np.maximum(1.0, deviations / _OUTLIER) if turn else 1.0
@@ -165,18 +171,18 @@ def fit_response(
         if turn < _ROUNDS:
             expected = 1 / np.maximum(1.0, np.abs(bends) / _BEND)
         else:
-            around = _around(np.interp(_PLACES, x_known, log_E))
+            around = _around(np.interp(places, x_known, log_E))
             expected = _ADAPTED / (around @ bends**2 + _LEAST_CURVED)
-        smooth = second * expected[:, None]
-        square[: _KNOTS + 2, : _KNOTS + 2] += second.T @ smooth
+        smooth = roughness * expected[:, None]
+        square[: _KNOTS + 2, : _KNOTS + 2] += roughness.T @ smooth
         square += 1e3 * np.trace(square[: _KNOTS + 2, : _KNOTS + 2]) * top.T @ top
         product = system.rows.T @ (weights * system.wanted)
-        found = _ascending(square, product, curve, np.log(x_known))
+        found = ascending(square, product, curve, np.log(x_known))
         log_E = curve @ found + np.log(x_known)
         residuals = system.rows @ found - system.wanted
-        bends = second @ found[: _KNOTS + 2]
+        bends = roughness @ found[: _KNOTS + 2]
     if matches.low.size:
-        square[: _KNOTS + 2, : _KNOTS + 2] -= (1 - _ROUGHER) * second.T @ smooth
+        square[: _KNOTS + 2, : _KNOTS + 2] -= (1 - _ROUGHER) * roughness.T @ smooth
     covariance = np.linalg.inv(square)
     relative = curve - system.curve(np.array([REFERENCE]))
     misfit = max(1.0, float(np.average(np.minimum(deviations, 3.0) ** 2, weights=weights)))
@@ -200,6 +206,7 @@ class _System:
         wanted: (N,) right-hand side: rows @ unknowns = wanted
         spreads: pairs of levels (N,) and their variances (N,) from which rows have errors
         alike: (N,) number of rows that count as one
+        uncertain: (N,) variance of what noise shifts
         frames, light, patches: the places of these unknowns
     """
 
@@ -222,6 +229,9 @@ class _System:
         rows = self.curve(x_low) - self.curve(x_high)
         rows[:, self.frames] = frames[matches.long] - frames[matches.short]
         wanted = logs[matches.short] - logs[matches.long] - np.log(x_low / x_high)
+        wanted += matches.shift
+        # What noise shifts is known to about a half.
+        uncertain = np.square(matches.shift / 2)
         # Of J frames there are J (J - 1) / 2 pairs, but only J - 1 of them are independent.
         alike = np.full(wanted.size, _ALIKE * max(1.0, logs.size / 2))
         spreads = [(matches.low, matches.low_variance), (matches.high, matches.high_variance)]
@@ -236,6 +246,7 @@ class _System:
             rows = np.concatenate([rows, patches])
             wanted = np.concatenate([wanted, logs_R + logs[chart.frame] - np.log(x)])
             alike = np.concatenate([alike, np.ones(x.size)])
+            uncertain = np.concatenate([uncertain, np.zeros(x.size)])
             spreads = [
                 (np.concatenate([level, chart.level]), np.concatenate([variance, each]))
                 for (level, variance), each in zip(
@@ -243,6 +254,7 @@ class _System:
                 )
             ]
         self.rows, self.wanted, self.alike, self.spreads = rows, wanted, alike, spreads
+        self.uncertain = uncertain
         self.patch_error = np.zeros(0) if chart is None else chart.error
 
     def curve(self, x: FloatArray) -> FloatArray:
@@ -279,14 +291,27 @@ def _basis(x: FloatArray) -> FloatArray:
     return values
 
 
-def _prior(matches: Matches, logs: FloatArray) -> tuple[float, int]:
-    """Return the smoothness that is expected of h, and the number of rounds."""
+class _Prior(NamedTuple):
+    """What is expected of h: how smooth, of which derivative; and how the fit is done.
+
+    `floor` is the relative error of a match that the histograms do not explain.
+    """
+
+    smoothness: float
+    order: int
+    rounds: int
+    floor: float
+
+
+_CHART = _Prior(_SMOOTHNESS_OF_CHART, 2, _ROUNDS, _FLOOR_OF_COARSE)
+_FEW = _Prior(_SMOOTHNESS_OF_COARSE, 2, _ROUNDS, _FLOOR_OF_COARSE)
+_MANY = _Prior(_SMOOTHNESS, 3, _ROUNDS + _ADAPTED_ROUNDS, _FLOOR)
+
+
+def _prior(matches: Matches, logs: FloatArray) -> _Prior:
     if not matches.low.size:
-        return _SMOOTHNESS_OF_CHART, _ROUNDS
-    steps = np.diff(np.unique(logs))
-    if np.median(steps) > math.log(_COARSE):
-        return _SMOOTHNESS_OF_COARSE, _ROUNDS
-    return _SMOOTHNESS, _ROUNDS + _ADAPTED_ROUNDS
+        return _CHART
+    return _FEW if np.median(np.diff(np.unique(logs))) > math.log(_COARSE) else _MANY
 
 
 def _around(log_E: FloatArray) -> FloatArray:
@@ -299,37 +324,3 @@ def _slope(known: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
     width = max(1.0, known[-1] / NOISE_STEPS)
     ends = [np.interp(at + side * width / 2, known, values) for side in (-1, 1)]
     return np.asarray((ends[1] - ends[0]) / width)
-
-
-def _ascending(
-    square: FloatArray, product: FloatArray, curve: FloatArray, base: FloatArray
-) -> FloatArray:
-    """Return c of least c' square c / 2 - product' c, such that curve c + base ascends.
-
-    Steps at which the solution descends become conditions, until there are none.  Hildreth's
-    method solves the dual problem: one multiplier >= 0 for each condition.
-    """
-    inverse = np.linalg.inv(square)
-    free = found = np.asarray(inverse @ product)
-    rises = np.diff(curve, axis=0)
-    least = (_LEAST_SLOPE - 1) * np.diff(base)
-    active = np.zeros(least.size, bool)
-    for _ in range(least.size):
-        descending = rises @ found < least - 1e-9
-        if not np.any(descending & ~active):
-            break
-        active |= descending
-        conditions = rises[active]
-        effect = inverse @ conditions.T
-        gram = conditions @ effect
-        lack = least[active] - conditions @ free
-        multipliers = np.zeros(lack.size)
-        for _ in range(200):
-            for k in range(lack.size):
-                step = (lack[k] - gram[k] @ multipliers) / gram[k, k]
-                multipliers[k] = max(0.0, multipliers[k] + step)
-        found = free + effect @ multipliers
-    # What the iteration leaves is removed with certainty: h = 0 ascends with slope 1.
-    rise, most = rises @ found, (1 - _LEAST_SLOPE / 2) * np.diff(base)
-    falls = rise < -most
-    return found * float(np.min(most[falls] / -rise[falls], initial=1.0))

@@ -50,6 +50,7 @@ class Matches:
         high: (N,) brightness in the longer, levels
         low_variance: (N,) variance of `low`, levels squared
         high_variance: (N,) variance of `high`
+        shift: (N,) what noise adds to ln(irradiance at `high`) over that at `low`
     """
 
     short: NDArray[np.intp]
@@ -58,6 +59,7 @@ class Matches:
     high: FloatArray
     low_variance: FloatArray
     high_variance: FloatArray
+    shift: FloatArray
 
     @property
     def pairs(self) -> NDArray[np.intp]:
@@ -94,10 +96,10 @@ def match_levels(counts_of: PairCounts, exposures: Sequence[float], edges: Float
         used = (low > lowest) & (number > 0) & (number < counts[1].sum())
         used &= np.minimum(low_pixels, high_pixels) >= LEAST_PIXELS
         pair = np.full((2, int(used.sum())), [[short], [long]], np.float64)
-        values = (low, nodes, low_variance, high_variance)
+        values = (low, nodes, low_variance, high_variance, np.zeros(low.size))
         found.append((*pair, *(each[used] for each in values)))
     if not found:
-        return Matches(*(np.zeros(0, np.intp),) * 2, *(np.zeros(0),) * 4)
+        return Matches(*(np.zeros(0, np.intp),) * 2, *(np.zeros(0),) * 5)
     short_, long_, *rest = (np.concatenate(column) for column in zip(*found, strict=True))
     return Matches(short_.astype(np.intp), long_.astype(np.intp), *rest)
 

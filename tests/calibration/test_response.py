@@ -315,7 +315,7 @@ def test_unsuitable_frames_are_refused_with_what_to_do() -> None:
         (frames[:1], (1.0,), "1 frame with 1 different exposure: .* at least 2; give 3 or more"),
         (frames[:2], (1.0, 1.0), "2 frames with 1 different exposure"),
         ([flat(0), flat(1)], (1.0, 2.0), "all frames are black; take the lens cap off"),
-        ([flat(255)] * 2, (1.0, 1.2), "are the same picture"),
+        ([flat(255)] * 2, (1.0, 1.2), "saturated everywhere"),
         ([flat(200), flat(100)], (2.0, 1.0), "no brightness occurs in two frames"),
         ([frames[0], frames[0]], (1.0, 2.0), "frame 0 and frame 1 are the same picture"),
         (frames[::-1], STOPS, "frame . is brighter than frame ., .* check the order"),

@@ -1,0 +1,62 @@
+"""Noise shifts matched levels; the correction takes the shift away."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from camctl.calibration.response_fit import ResponseFit
+from camctl.calibration.response_matches import Matches, match_levels
+from camctl.calibration.response_noise import correct_matches
+from camctl.calibration.response_series import Series
+from camctl.controls import Layout
+from camctl.response.camera import FloatArray
+
+STOPS = (1.0, 2.0, 4.0, 8.0, 16.0)
+EDGES = np.arange(1.0, 1024.0)
+
+
+def matches_of(full_well_e: float, read_e: float, slope: float) -> tuple[Matches, Matches]:
+    """Return matches of a linear 10-bit camera before a scene, and the same corrected.
+
+    `slope` is that of the logarithm of the density of ln(light).
+    """
+    rng = np.random.default_rng(1)
+    rows, columns = 300, 400
+    share = np.add.outer(np.arange(rows) / rows, np.arange(columns)) / columns
+    low, high = 1e-3, 1.0
+    E = (low**slope + share * (high**slope - low**slope)) ** (1 / slope)
+    series = Series(Layout.MONO, 10, levels_are_stated=True)
+    for k, exposure in enumerate(STOPS):
+        charge = E * exposure * full_well_e
+        charge = rng.normal(charge, np.sqrt(charge + read_e**2))
+        dn = np.clip(charge / full_well_e * 1024, 0, 1023)
+        series.add(dn.astype(np.uint16), exposure, f"frame {k}")
+    counts = series.counts_between("Y", EDGES)
+    matches = match_levels(lambda *pair: counts[list(pair)], STOPS, EDGES)
+    irradiance: FloatArray = EDGES / 1024
+    fit = ResponseFit(irradiance, np.zeros(EDGES.size), np.array(STOPS), 0.0, np.zeros(0))
+    return matches, correct_matches(matches, series, "Y", EDGES, fit)
+
+
+def error(matches: Matches) -> float:
+    """Return the mean error of ln(irradiance) at dark levels."""
+    ratio = np.array(STOPS)[matches.short] / np.array(STOPS)[matches.long]
+    logs = np.log(matches.low / matches.high) - np.log(ratio) - matches.shift
+    dark = (matches.low > 20) & (matches.low < 60)
+    return float(np.mean(logs[dark]))
+
+
+@pytest.mark.parametrize("slope", [0.5, 1.5])
+@pytest.mark.parametrize(("full_well_e", "read_e"), [(4000.0, 5.0), (8000.0, 40.0)])
+def test_the_shift_of_dark_levels_by_noise_is_corrected(
+    full_well_e: float, read_e: float, slope: float
+) -> None:
+    raw, corrected = matches_of(full_well_e, read_e, slope)
+    assert abs(error(raw)) > 0.001
+    assert abs(error(corrected)) < abs(error(raw)) / 3
+
+
+def test_frames_without_noise_are_not_changed() -> None:
+    raw, corrected = matches_of(1e12, 0.0, 1.0)
+    assert corrected.shift == pytest.approx(raw.shift, abs=1e-4)
