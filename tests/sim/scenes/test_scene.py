@@ -25,7 +25,9 @@ from sim.scenes.scene import (
 
 
 @pytest.mark.parametrize("name", scene_names())
-@pytest.mark.parametrize("shape", [(1, 1), (3, 2), (48, 64), (61, 37), (36, 64), (40, 200), (200, 40)])
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (3, 2), (48, 64), (61, 37), (36, 64), (40, 200), (200, 40)]
+)
 def test_every_built_in_scene_is_positive_and_finite_at_any_size(
     name: str, shape: tuple[int, int]
 ) -> None:
