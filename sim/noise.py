@@ -153,7 +153,7 @@ class TileNoise:
         quantiles = self._table if table is None else table
         if self.kernels is not None:
             z.fill(0)
-            self.kernels.add_draws(_state(seed, frame, stream, tile), quantiles, z)
+            self.kernels.add_noise(_state(seed, frame, stream, tile), quantiles, z, False)
             return z
         np.copyto(index, tile_bits(seed, frame, stream, tile, count))
         # 16 bits never lie outside of the table, and wrap is the fastest mode.
@@ -172,11 +172,12 @@ class TileNoise:
         1/6 up keeps s real; 0.2 is nearest to Poisson).  With read noise of 1 e- or more added, the
         result is within 0.009 e- (Wasserstein-1) of Poisson plus Gaussian.
         """
+        if self.kernels is not None:
+            state = _state(seed, frame, Stream.PHOTON, tile)
+            self.kernels.add_noise(state, self._table, electrons, True)
+            return
         count = electrons.size
         z = self.normal(count, seed, frame, Stream.PHOTON, tile)
-        if self.kernels is not None:
-            self.kernels.add_photon_noise(electrons, z)
-            return
         a, s = self._a[:count], self._b[:count]
         np.multiply(electrons, np.float32(6), out=a)
         np.add(a, np.float32(0.2), out=a)
@@ -219,7 +220,7 @@ class TileNoise:
         """Add Gaussian noise of `sigma_e` electrons in place."""
         table = scaled_quantiles(sigma_e)
         if self.kernels is not None:
-            self.kernels.add_draws(_state(seed, frame, stream, tile), table, electrons)
+            self.kernels.add_noise(_state(seed, frame, stream, tile), table, electrons, False)
             return
         noise = self.normal(electrons.size, seed, frame, stream, tile, table)
         np.add(electrons, noise, out=electrons)

@@ -238,7 +238,7 @@ LENS = (
         "transverse chromatic aberration: red drawn larger than green by a share, and blue smaller",
         present=_has_lateral_colour,
         change=_lateral_change,
-        cost=6.0,
+        cost=8.0,
         picture=_lateral_colour,
     ),
 )

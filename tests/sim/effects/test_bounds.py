@@ -26,8 +26,8 @@ from sim.scenes.view import Light, View
 from sim.sensors.parts import Dark, Lens
 from sim.sensors.sensor import Sensor, load_sensor
 
-CASES = 1666  # 10,000 in all
-CHUNKS = 6
+CASES = 833  # 10,000 in all
+CHUNKS = 12
 
 
 def log_uniform(random: np.random.Generator, low: float, high: float) -> float:

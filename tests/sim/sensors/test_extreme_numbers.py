@@ -46,7 +46,7 @@ def take_frames(camera: SimulatedCamera) -> None:
         assert frame.pixels.shape[:2] == camera.controls.shape
 
 
-@pytest.mark.parametrize("name", ["complete", "phone", "consumer", "ccd", "ideal-6"])
+@pytest.mark.parametrize("name", ["complete", "phone", "consumer", "ccd", "ideal-6", "security"])
 def test_sensors_with_extreme_numbers(tmp_path: Path, name: str) -> None:
     data = built_in("sensors", name)
     path = tmp_path / "sensor.json"
@@ -68,7 +68,7 @@ def test_sensors_with_extreme_numbers(tmp_path: Path, name: str) -> None:
     assert problems == []
 
 
-@pytest.mark.parametrize("name", ["night-street", "moving-target", "room"])
+@pytest.mark.parametrize("name", ["night-street", "moving-target", "pwm-lamp", "room"])
 def test_scenes_with_extreme_numbers(tmp_path: Path, name: str) -> None:
     data = {"shape": [6, 8], **built_in("scenes", name)}
     path = tmp_path / "scene.json"
