@@ -19,13 +19,10 @@ from camctl.captures.drawing import (
     Drawing,
     decades,
     fitted,
-    percent_text,
-    power_text,
-    range_text,
-    time_text,
 )
 from camctl.captures.picture_details import PictureDetails, ShownFrame
 from camctl.captures.preview import ALL, Light
+from camctl.number_text import percent_text, power_texts, range_text, time_text
 
 _WIDTH = 1280
 _INNER = _WIDTH - 2 * MARGIN
@@ -223,10 +220,10 @@ def _draw_light(sheet: Drawing, top: int, light: Light, details: PictureDetails)
     low, high = x_of(details.lowest), x_of(details.highest)
     top += LINE_HEIGHT + 4
     sheet.fill((low, top), (max(1, high - low), bottom - top), _RANGE_COLOUR)
-    for exponent in range(first, last + 1):
+    for exponent, text in zip(range(first, last + 1), power_texts(first, last), strict=True):
         x = x_of(10.0**exponent)
         cv2.line(sheet.pixels, (x, top), (x, bottom), (205, 205, 205), 1)
-        sheet.text(power_text(exponent), (x - 30, bottom + 3), 60, size=SMALL_TEXT, align=0.5)
+        sheet.text(text, (x - 30, bottom + 3), 60, size=SMALL_TEXT, align=0.5)
     heights = np.sqrt(shares / max(float(shares.max()), 1e-12)) * (_HISTOGRAM_HEIGHT - 6)
     edges = left + np.linspace(0, width, shares.shape[1] + 1)
     for values, colour in zip(heights, _CHANNEL_COLOURS[len(shares)], strict=True):

@@ -64,6 +64,7 @@ class Photograph:
         gain: linear gain, 1 for ISO 100
         f_number: f-number; None where it is not stated
         taken_at: when it was taken; None where that is not stated
+        iso: ISO speed as stated; None where it is not
     """
 
     name: str
@@ -71,6 +72,7 @@ class Photograph:
     gain: float = 1.0
     f_number: float | None = None
     taken_at: datetime | None = None
+    iso: float | None = None
 
     @property
     def setting(self) -> ExposureSetting:
@@ -198,7 +200,9 @@ class PhotographCamera(CameraBase):
     def _frame(self, setting: ExposureSetting, index: int) -> Frame:
         (position,) = self.chosen([setting])
         controls, photograph = self.controls, self.photographs[position]
-        details = {"file": photograph.name}
+        details: dict[str, str | float] = {"file": photograph.name}
+        if photograph.iso is not None:
+            details["iso"] = photograph.iso
         if photograph.taken_at is not None:
             details["taken_at"] = photograph.taken_at.isoformat()
         return Frame(
