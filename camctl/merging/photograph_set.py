@@ -17,7 +17,8 @@ from camctl.number_text import percent_text, time_text
 
 if TYPE_CHECKING:
     from camctl.camera import Pixels
-    from camctl.captures.photographs import Photograph, PhotographCamera
+    from camctl.captures.photograph_camera import PhotographCamera
+    from camctl.captures.photographs import Photograph
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     """
     from camctl.calibration.response_series import Series
     from camctl.captures.exposure_check import NeighbourCheck
+    from camctl.captures.photograph_camera import PhotographCamera
     from camctl.captures.photograph_checks import (
         Sight,
         check_order,
@@ -86,7 +88,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         misaligned,
         wrong_exposures,
     )
-    from camctl.captures.photographs import PhotographCamera, corrected_exposures, darkest_light
+    from camctl.captures.photograph_choice import darkest_light
+    from camctl.captures.photographs import corrected_exposures
     from camctl.exposure.patches import LightScale
 
     files = PhotographFiles(paths, source.times)
