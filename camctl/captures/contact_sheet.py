@@ -35,6 +35,8 @@ _HISTOGRAM_HEIGHT, _BAR_HEIGHT = 170, 17
 #: Width of the labels left of the histogram.
 _LABELS = 176
 _BINS_PER_DECADE = 24
+#: Pixels a side that are counted for the histogram, at most.
+_HISTOGRAM_SIDE = 800
 #: Decades that are drawn at most, below the brightest.
 _MOST_DECADES = 12
 #: Share of the samples that the histogram does not draw, from which it says so.
@@ -251,7 +253,10 @@ def _histogram(light: Light, details: PictureDetails) -> tuple[NDArray[np.float6
 
     Pixels without any light are left out: their irradiance is not known.
     """
-    seen = light.irradiance[light.unlit < ALL].reshape(-1, light.irradiance.shape[2])
+    # Some pixels show the shares as well as all do.
+    every = -(-max(light.unlit.shape) // _HISTOGRAM_SIDE)
+    unlit = light.unlit[::every, ::every]
+    seen = light.irradiance[::every, ::every][unlit < ALL]
     logs = np.log10(np.maximum(seen, 1e-30))
     lowest = [frame.lowest for frame in details.frames if frame.lowest > 0]
     low = min([details.lowest or details.highest, *lowest])
@@ -264,4 +269,4 @@ def _histogram(light: Light, details: PictureDetails) -> tuple[NDArray[np.float6
     first = max(first, last - _MOST_DECADES)
     edges = np.linspace(first, last, (last - first) * _BINS_PER_DECADE + 1)
     counts = [np.histogram(channel, edges)[0] for channel in logs.T]
-    return np.array(counts) / max(1, light.dark.size), first, last
+    return np.array(counts) / max(1, unlit.size), first, last

@@ -34,6 +34,8 @@ _LEAST_NOISE = 1e-3
 #: Least limits, standard deviations, and by how much wider they are where the longer frame is
 #: saturated: by noise, too, and no share of false alarms is set there.
 _LEAST_LIMIT, _AT_WHITE = 0.5, 2.0
+#: Share of the deviations that are put in order: more than any share of false alarms.
+_TAIL = 0.02
 #: Patches are at rest up to this mean square of the deviations, in the prediction or the median.
 _REST = 1.8
 #: Of the patches at rest those are used first that have at most so many samples outside of the
@@ -231,7 +233,7 @@ class Pair:
 
     @cached_property
     def _scores(self) -> _Floats:
-        """Deviations of the samples of patches at rest, ascending, in standard deviations.
+        """Deviations of samples of patches at rest, in standard deviations, the largest ascending.
 
         A sample is within limits of at least so many standard deviations.
         """
@@ -242,7 +244,12 @@ class Pair:
         edges = np.append(self._edges, np.inf)
         errors = np.maximum(edges[before] - means, means - edges[before + 1]) - self._offset
         found = errors / np.maximum(deviations, _LEAST_NOISE * self.scale.level)
-        return np.sort(found[after < self.saturated])
+        found = found[after < self.saturated]
+        if found.size:
+            few = found.size - math.ceil(_TAIL * found.size)
+            found.partition(few)
+            found[few:].sort()
+        return found
 
     @property
     def compared(self) -> float:
@@ -262,10 +269,9 @@ class Pair:
         scores = self._scores
         if not scores.size:
             return self.limits(_USUAL_LIMIT), 0.0
-        place = min(scores.size - 1, math.ceil((1 - rate) * scores.size))
+        place = scores.size - max(1, math.floor(rate * scores.size))
         sigmas = max(float(scores[place]) * (1 + 1e-9), _LEAST_LIMIT)
-        outside = scores.size - np.searchsorted(scores, sigmas, side="right")
-        return self.limits(sigmas), float(outside) / scores.size
+        return self.limits(sigmas), float(np.mean(scores > sigmas))
 
 
 def outside(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
