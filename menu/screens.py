@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from camctl.number_text import range_text
 from menu import pages
 from menu.data import Cost
 from menu.diagram import KEYS
@@ -86,8 +87,8 @@ def _selection(model: Model) -> str:
         goal = f"{format_levels(wanted.accuracy)} levels at least"
     else:
         goal = ""
-    range_text = "auto range" if wanted.dynamic_range is None else f"1:{wanted.dynamic_range:,.0f}"
-    parts = (RESPONSES[model.settings.response].labels[0], range_text, goal)
+    span = "auto range" if wanted.dynamic_range is None else range_text(wanted.dynamic_range)
+    parts = (RESPONSES[model.settings.response].labels[0], span, goal)
     return ", ".join(filter(None, parts[: _AFTER_RESPONSE[model.state]]))
 
 

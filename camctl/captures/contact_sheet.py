@@ -19,13 +19,10 @@ from camctl.captures.drawing import (
     Drawing,
     decades,
     fitted,
-    percent_text,
-    power_text,
-    range_text,
-    time_text,
 )
 from camctl.captures.picture_details import PictureDetails, ShownFrame
 from camctl.captures.preview import ALL, Light
+from camctl.number_text import percent_text, power_texts, range_text, time_text
 from camctl.picture_operations import reduced_by_area
 
 _WIDTH = 1280
@@ -39,6 +36,8 @@ _HISTOGRAM_HEIGHT, _BAR_HEIGHT = 170, 17
 #: Width of the labels left of the histogram.
 _LABELS = 176
 _BINS_PER_DECADE = 24
+#: Pixels a side that are counted for the histogram, at most.
+_HISTOGRAM_SIDE = 800
 #: Decades that are drawn at most, below the brightest.
 _MOST_DECADES = 12
 #: Share of the samples that the histogram does not draw, from which it says so.
@@ -223,10 +222,10 @@ def _draw_light(sheet: Drawing, top: int, light: Light, details: PictureDetails)
     low, high = x_of(details.lowest), x_of(details.highest)
     top += LINE_HEIGHT + 4
     sheet.fill((low, top), (max(1, high - low), bottom - top), _RANGE_COLOUR)
-    for exponent in range(first, last + 1):
+    for exponent, text in zip(range(first, last + 1), power_texts(first, last), strict=True):
         x = x_of(10.0**exponent)
         sheet.fill((x, top), (1, bottom - top + 1), _GRID_COLOUR)
-        sheet.text(power_text(exponent), (x - 30, bottom + 3), 60, size=SMALL_TEXT, align=0.5)
+        sheet.text(text, (x - 30, bottom + 3), 60, size=SMALL_TEXT, align=0.5)
     heights = np.sqrt(shares / max(float(shares.max()), 1e-12)) * (_HISTOGRAM_HEIGHT - 6)
     edges = left + np.linspace(0, width, shares.shape[1] + 1)
     for values, colour in zip(heights, _CHANNEL_COLOURS[len(shares)], strict=True):
@@ -256,7 +255,10 @@ def _histogram(light: Light, details: PictureDetails) -> tuple[NDArray[np.float6
 
     Pixels without any light are left out: their irradiance is not known.
     """
-    seen = light.irradiance[light.unlit < ALL].reshape(-1, light.irradiance.shape[2])
+    # Some pixels show the shares as well as all do.
+    every = -(-max(light.unlit.shape) // _HISTOGRAM_SIDE)
+    unlit = light.unlit[::every, ::every]
+    seen = light.irradiance[::every, ::every][unlit < ALL]
     logs = np.log10(np.maximum(seen, 1e-30))
     lowest = [frame.lowest for frame in details.frames if frame.lowest > 0]
     low = min([details.lowest or details.highest, *lowest])
@@ -269,4 +271,4 @@ def _histogram(light: Light, details: PictureDetails) -> tuple[NDArray[np.float6
     first = max(first, last - _MOST_DECADES)
     edges = np.linspace(first, last, (last - first) * _BINS_PER_DECADE + 1)
     counts = [np.histogram(channel, edges)[0] for channel in logs.T]
-    return np.array(counts) / max(1, light.dark.size), first, last
+    return np.array(counts) / max(1, unlit.size), first, last

@@ -28,8 +28,6 @@ LINE_HEIGHT = 18
 
 #: Smallest size to which a text is reduced; a longer one is cut.
 _LEAST_SIZE = 0.36
-#: Times of this and longer are written in seconds, shorter ones as a fraction.
-_FRACTIONS_BELOW_S = 0.3
 
 
 class Drawing:
@@ -96,49 +94,6 @@ def fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint
         )
         shown = picture[down][:, across]
     return shown if shown.ndim == 3 else np.repeat(shown[..., np.newaxis], 3, axis=2)
-
-
-def time_text(seconds: float) -> str:
-    """Return a shutter time as photographers write it.
-
-    >>> time_text(0.004), time_text(0.5), time_text(0.15), time_text(3600.0)
-    ('1/250 s', '0.5 s', '1/6.7 s', '3600 s')
-    """
-    if seconds >= _FRACTIONS_BELOW_S:
-        return f"{seconds:.3g} s" if seconds < 100 else f"{seconds:.0f} s"
-    return f"1/{1 / seconds:.0f} s" if seconds < 1 / 10 else f"1/{1 / seconds:.2g} s"
-
-
-def range_text(dynamic_range: float) -> str:
-    """Return a dynamic range with the digits that matter.
-
-    >>> range_text(131072.0), range_text(1000.0), range_text(1.5), range_text(math.inf)
-    ('1:131,000', '1:1,000', '1:1.5', 'unlimited')
-    """
-    if math.isinf(dynamic_range):
-        return "unlimited"
-    number = float(f"{dynamic_range:.3g}")
-    return f"1:{number:,.0f}" if number >= 100 else f"1:{number:g}"
-
-
-def percent_text(share: float) -> str:
-    """Return a share in per cent; a small one is not shown as none.
-
-    >>> percent_text(0.5), percent_text(0.0), percent_text(1e-6)
-    ('50 %', '0 %', '< 0.01 %')
-    """
-    if 0 < share < 1e-4:
-        return "< 0.01 %"
-    return f"{100 * share:.3g} %"
-
-
-def power_text(exponent: int) -> str:
-    """Return a power of ten in few letters.
-
-    >>> power_text(-2), power_text(3), power_text(-6)
-    ('0.01', '1000', '1e-6')
-    """
-    return f"{10.0**exponent:g}" if -4 < exponent < 5 else f"1e{exponent}"
 
 
 def decades(low: float, high: float) -> tuple[int, int]:

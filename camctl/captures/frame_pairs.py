@@ -14,6 +14,7 @@ that a given share of their samples is outside.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -31,8 +32,11 @@ from camctl.picture_operations import opencv
 _OFFSET_LEVELS, _OFFSET_SHARE = 0.5, 1 / 4000
 #: Least noise that deviations are counted in, levels.
 _LEAST_NOISE = 1e-3
-#: Two-sided limits of a normal variable that are tried, standard deviations.
-_LEAST_LIMIT, _MOST_LIMIT, _HALVINGS = 0.5, 60.0, 14
+#: Least limits, standard deviations, and by how much wider they are where the longer frame is
+#: saturated: by noise, too, and no share of false alarms is set there.
+_LEAST_LIMIT, _AT_WHITE = 0.5, 2.0
+#: Share of the deviations that are put in order: more than any share of false alarms.
+_TAIL = 0.02
 #: Patches are at rest up to this mean square of the deviations, in the prediction or the median.
 _REST = 1.8
 #: Of the patches at rest those are used first that have at most so many samples outside of the
@@ -93,6 +97,12 @@ class Pair:
         """Whether the noise of both frames is known."""
         return self.short.noise is not None and self.long.noise is not None
 
+    @property
+    def saturated(self) -> int:
+        """Brightness from which samples of the longer frame may be saturated ones."""
+        white = self.scale.white
+        return white if self.is_known else round(_NEARLY * white)
+
     @cached_property
     def _prediction(self) -> tuple[_Floats, _Floats]:
         """Mean and standard deviation of the shorter frame's light, (colours, white + 1) each.
@@ -103,7 +113,9 @@ class Pair:
             planes_of = [np.array_split(each, self.colours) for each in self.samples]
             parts = [self._measured(*planes) for planes in zip(*planes_of, strict=True)]
             means, deviations = zip(*parts, strict=True)
-            return np.array(means), np.array(deviations)
+            table = np.array((means, deviations))
+            table[..., self.saturated :] = table[..., self.saturated, np.newaxis]
+            return table[0], table[1]
         mean, deviation = self._modelled(self.short.noise, self.long.noise)
         shape = (self.colours, mean.size)
         return np.broadcast_to(mean, shape), np.broadcast_to(deviation, shape)
@@ -152,6 +164,13 @@ class Pair:
     def _offset(self) -> float:
         return max(_OFFSET_LEVELS * self.scale.level, _OFFSET_SHARE * self.scale.full)
 
+    @property
+    def _edges(self) -> _Floats:
+        """Least light of each brightness."""
+        edges = self.scale.light - self.scale.gap / 2
+        edges[-1] = self.scale.full
+        return edges
+
     def limits(self, sigmas: float) -> Limits:
         """Return the brightness that holds the light within `sigmas` standard deviations.
 
@@ -159,14 +178,12 @@ class Pair:
         """
         means, deviations = self._prediction
         white = self.scale.white
-        edges = self.scale.light - self.scale.gap / 2
-        edges[-1] = self.scale.full
+        edges = self._edges
         reach = sigmas * deviations + self._offset
+        reach[:, self.saturated :] *= _AT_WHITE
         low = np.searchsorted(edges, means - reach, side="right") - 1
         high = np.searchsorted(edges, means + reach, side="right") - 1
-        high[:, -1] = white
-        if not self.is_known:  # what is nearly saturated can be saturated in a file
-            low[:, -1] = np.minimum(low[:, -1], low[:, round(_NEARLY * white)])
+        high[:, self.saturated :] = white
         return np.clip(low, 0, white).astype(np.uint16), np.clip(high, 0, white).astype(np.uint16)
 
     @cached_property
@@ -180,7 +197,7 @@ class Pair:
         errors = self.scale.light[before] - means
         count = np.maximum(np.count_nonzero(usable, axis=1), 1)
         if not self.is_known:
-            return self._usual(np.where(usable, errors / step, 0.0), count) & usable.all(axis=1)
+            return self._usual(np.where(usable, errors / step, 0.0), count)
         size = np.where(usable, np.maximum(np.abs(errors) - self._offset, 0.0) / step, 0.0)
         square = np.sum(np.minimum(size, 6.0) ** 2, axis=1) / count
         lit = square[usable.any(axis=1)]
@@ -215,21 +232,47 @@ class Pair:
             found.append((before < limits[0][k][after]) | (before > limits[1][k][after]))
         return np.concatenate(found)
 
-    def calibrated(self, rate: float) -> Limits:
-        """Return limits that the share `rate` of the samples of patches at rest is outside of.
+    @cached_property
+    def _scores(self) -> _Floats:
+        """Deviations of samples of patches at rest, in standard deviations, the largest ascending.
 
-        It is less where rounding hides the noise.  With unknown noise and few patches at rest
-        nothing can be said, and all is within the limits.
+        A sample is within limits of at least so many standard deviations.
+        """
+        before, after = (each[self.resting] for each in self.samples)
+        means, deviations = (
+            self._of_patches(each, self.samples[1])[self.resting] for each in self._prediction
+        )
+        edges = np.append(self._edges, np.inf)
+        errors = np.maximum(edges[before] - means, means - edges[before + 1]) - self._offset
+        found = errors / np.maximum(deviations, _LEAST_NOISE * self.scale.level)
+        found = found[after < self.saturated]
+        if found.size:
+            few = found.size - math.ceil(_TAIL * found.size)
+            found.partition(few)
+            found[few:].sort()
+        return found
+
+    @property
+    def compared(self) -> float:
+        """Share of the samples of the patches that the longer frame does not saturate."""
+        return float(np.mean(self.samples[1] < self.saturated))
+
+    def calibrated(self, rate: float) -> tuple[Limits, float]:
+        """Return limits, and the share of the samples of patches at rest that is outside of them.
+
+        Samples that are saturated in the longer frame are not counted.  The share is `rate`, or
+        less where rounding hides the noise.  With unknown noise and few patches at
+        rest nothing can be said, and all is within the limits.
         """
         if not self.is_known and np.count_nonzero(self.resting) < _FEWEST:
             shape = (self.colours, self.scale.white + 1)
-            return np.zeros(shape, np.uint16), np.full(shape, self.scale.white, np.uint16)
-        low, high = _LEAST_LIMIT, _MOST_LIMIT
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            found = self._outside(self.limits(middle), self.resting)
-            low, high = (middle, high) if found.mean() > rate else (low, middle)
-        return self.limits(high)
+            return (np.zeros(shape, np.uint16), np.full(shape, self.scale.white, np.uint16)), 0.0
+        scores = self._scores
+        if not scores.size:
+            return self.limits(_USUAL_LIMIT), 0.0
+        place = scores.size - max(1, math.floor(rate * scores.size))
+        sigmas = max(float(scores[place]) * (1 + 1e-9), _LEAST_LIMIT)
+        return self.limits(sigmas), float(np.mean(scores > sigmas))
 
 
 def outside(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:

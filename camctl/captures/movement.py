@@ -4,22 +4,20 @@ Frames neighbouring in exposure are compared sample by sample, see `camctl.captu
 Change of the whole picture, as by lamps that flicker, is taken out of the comparison first: it is
 the ratio of most patches.
 
-Light also spreads from saturated pixels into others that are near: charge flows along the columns
-(blooming), and programs that make JPEG files mix the colours of neighbouring pixels.  How far is
-measured in each pair: where nearly all pixels beside saturated ones contradict and those farther
-away do not, it is no movement.
+What light does that spreads from saturated pixels is left out, see `camctl.captures.light_spread`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.frame_pairs import Limits, Pair, outside
+from camctl.captures.frame_pairs import Limits, Pair
+from camctl.captures.light_spread import ACROSS, LightSpread
 from camctl.picture_operations import AREA, connected_parts, dilated
 
 FALSE_ALARMS = 0.002
@@ -38,24 +36,13 @@ _CONNECTED = 2
 #: With unknown noise, contours that are not quite in the same place contradict, too: a cell must
 #: have this share of marks, and more of them must be connected.
 _DENSE, _CONNECTED_UNKNOWN = 0.15, 4
-#: False alarms over `FALSE_ALARMS` from which the limits are set again, and how often at most.
-_TOO_MANY, _TRIES = 1.3, 3
+#: The limits are set again where false alarms differ by this share, how often at most, and for
+#: how many times as many at most.
+_NEAR_RATE, _TRIES, _MOST_RATE = 0.05, 4, 2.0
 #: Places that are named at most, the largest first.
 _MOST_PLACES = 5
 #: Samples that are compared at a time.
 _STRIP_SAMPLES = 1 << 20
-#: Distances from saturated pixels at which contradictions are counted, pixels along the columns.
-_DISTANCES = (2, 4, 8, 16, 32, 64, 128)
-#: Columns that are looked at, at most; pixels at a distance that make a share of them meaningful;
-#: and pixels across the columns that light spreads.
-_MOST_COLUMNS, _RING_SAMPLES, _ACROSS = 512, 200, 2
-#: Light spreads if this share of the pixels beside saturated ones contradict.  It ends where the
-#: share is less than `_ENDS` of the largest, at a distance of up to `_NEAR` pixels.
-_SPREADS, _ENDS, _NEAR = 0.02, 0.1, 8
-#: With the first share of all pixels beside saturated ones it spreads farther, as blooming does,
-#: and ends where the share is less than the second one of the largest.  With the third one it
-#: spreads even where no pixels are left in which it could end.
-_SPREADS_FAR, _ENDS_FAR, _SPREADS_SURELY = 0.25, 0.01, 0.5
 
 _Floats = NDArray[np.float64]
 
@@ -76,7 +63,8 @@ class FoundMovement:
 
     Attributes:
         share: of the samples that contradict
-        false_alarms: share that does by noise, measured where the map shows no movement
+        false_alarms: share that does by noise, predicted from patches that do not move; with
+            unknown noise, and where light spreads, measured where the map shows no movement
         places: the largest places where more contradict than by noise, those with most first
         area: share of the picture in which more contradict than by noise
     """
@@ -123,98 +111,89 @@ def find_movement(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> Move
     """
     if not pairs:
         return None
-    alarms = FALSE_ALARMS
-    found = _marked(frame, pairs, alarms)
+    total = FALSE_ALARMS
+    found = best = _marked(frame, pairs, total)
+    if all(pair.is_known for pair in pairs):
+        return found
+    # Unknown noise is larger at contours and beside saturated pixels, of which patches have few.
     for _ in range(_TRIES):
-        stated = found.found.false_alarms
-        if stated <= _TOO_MANY * FALSE_ALARMS or all(pair.is_known for pair in pairs):
+        if not found.found.false_alarms or _misses(best) < _NEAR_RATE:
             break
-        # Unknown noise can be larger outside of the patches, as beside saturated pixels.
-        alarms *= (FALSE_ALARMS / stated) ** 2
-        found = _marked(frame, pairs, alarms)
+        total = min(total * FALSE_ALARMS / found.found.false_alarms, _MOST_RATE * FALSE_ALARMS)
+        found = _marked(frame, pairs, total)
+        best = min(best, found, key=_misses)
+    return best
+
+
+def _misses(movement: Movement) -> float:
+    """Return by which share the false alarms differ from those that the limits are set for."""
+    return abs(movement.found.false_alarms / FALSE_ALARMS - 1)
+
+
+def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float) -> Movement:
+    """Return what contradicts by limits that are set for this share of false alarms."""
+    short = frame(pairs[0].short.position)
+    shape, (rows, columns) = short.shape, short.shape[:2]
+    channels = short.size // (rows * columns)
+    marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
+    # Charge flows along columns, so that a strip has whole ones, and the marks of one whole bytes.
+    step = max(8, _STRIP_SAMPLES // (rows * channels) & ~7)
+    alarms, does_spread = 0.0, False
+    for pair, (limits, rate) in zip(pairs, _calibrated(pairs, total), strict=True):
+        long = frame(pair.long.position)
+        spread = LightSpread.of(limits, pair.saturated, short, long)
+        does_spread |= spread.is_any
+        compared = 0
+        for start in range(0, columns, step):
+            part = slice(max(0, start - ACROSS), start + step + ACROSS)
+            inner = slice(start - part.start, start - part.start + step)
+            found, comparable = (
+                each[:, inner] for each in spread.outside(limits, short[:, part], long[:, part])
+            )
+            compared += int(np.count_nonzero(comparable))
+            packed = np.packbits(found.reshape(rows, -1), axis=1)
+            first = start * channels // 8
+            marks[:, first : first + packed.shape[1]] |= packed
+        alarms += rate * compared / short.size
+        short = long
+    is_known = all(pair.is_known for pair in pairs)
+    movement, at_rest = _mapped(shape, marks, alarms, is_known=is_known)
+    if is_known and not (does_spread and at_rest < alarms):
+        return movement
+    # Light that spread is in the patches, too, and has been taken out of the picture.
+    return replace(movement, found=replace(movement.found, false_alarms=at_rest))
+
+
+def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float]]:
+    """Return limits of each pair, and its share of false alarms among the samples compared.
+
+    They are set for a share of `total` of all samples.  Where one pair has fewer, as where its
+    longer frame is saturated, the others have more, up to `total` of the samples compared.
+    """
+    rate, found = total / len(pairs), []
+    for _ in range(_TRIES):
+        found = [pair.calibrated(rate) for pair in pairs]
+        reached = sum(share * pair.compared for (_, share), pair in zip(found, pairs, strict=True))
+        if reached > (1 - _NEAR_RATE) * total or rate >= total or not reached:
+            break
+        rate = min(rate * total / reached, total)
     return found
 
 
-def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], alarms: float) -> Movement:
-    """Return what contradicts by limits with these false alarms in the patches at rest."""
-    rate = alarms / len(pairs)
-    short = frame(pairs[0].short.position)
-    shape, rows = short.shape, short.shape[0]
-    marks = np.zeros((rows, -(-(short.size // rows) // 8)), np.uint8)
-    step = max(1, _STRIP_SAMPLES * rows // short.size)
-    for pair in pairs:
-        long = frame(pair.long.position)
-        limits, white = pair.calibrated(rate), pair.scale.white
-        reach = _reach(limits, white, short, long)
-        for start in range(0, rows, step):
-            stop = min(start + step, rows)
-            # Saturated pixels above and below spread light into these rows, too.
-            first, last = max(0, start - reach), min(rows, stop + reach)
-            found = outside(limits, short[first:last], long[first:last])
-            if reach:
-                found &= ~_near_saturated(long[first:last], found, white, reach)
-            inner = found[start - first : stop - first]
-            marks[start:stop] |= np.packbits(inner.reshape(stop - start, -1), axis=1)
-        short = long
-    is_known = all(pair.is_known for pair in pairs)
-    return _mapped(shape, marks, step, is_known=is_known)
-
-
-def _reach(limits: Limits, white: int, short: Pixels, long: Pixels) -> int:
-    """Return how far light spreads from saturated pixels, pixels along the columns.
-
-    It is 0 where as many pixels contradict far from saturated ones, as with things that moved.
-    """
-    every = -(-short.shape[1] // _MOST_COLUMNS)
-    dim, bright = short[:, ::every].copy(), long[:, ::every].copy()
-    found = outside(limits, dim, bright)
-    if not found.any():
-        return 0
-    sources = (bright >= white) & ~found
-    sources, found = _any_colour(sources), _any_colour(found)
-    within, rates = sources, []
-    for distance in _DISTANCES:
-        reached = dilated(sources.astype(np.uint8), (2 * distance + 1, 1)) > 0
-        ring = reached & ~within
-        size = np.count_nonzero(ring)
-        rates.append(np.count_nonzero(found & ring) / size if size >= _RING_SAMPLES else np.nan)
-        within = reached
-    most = max(rates[:2])
-    if not most >= _SPREADS:
-        return 0
-    is_far = rates[1] >= _SPREADS_FAR
-    for nearer, rate in zip(_DISTANCES[:-1], rates[1:], strict=True):
-        if rate <= (_ENDS_FAR if is_far else _ENDS) * most:
-            return nearer
-        if not is_far and nearer >= _NEAR:
-            break
-    return _DISTANCES[-2] if rates[1] >= _SPREADS_SURELY else 0
-
-
-def _any_colour(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which pixels are marked in any of their colours."""
-    return np.asarray(marks.any(axis=2)) if marks.ndim == 3 else marks
-
-
-def _near_saturated(
-    bright: Pixels, found: NDArray[np.bool_], white: int, reach: int
-) -> NDArray[np.bool_]:
-    """Return which samples are up to `reach` from saturated ones that do not contradict."""
-    source = _any_colour((bright >= white) & ~found)
-    box = (2 * reach + 1, 2 * min(reach, _ACROSS) + 1)
-    near = dilated(source.astype(np.uint8), box) > 0
-    return np.asarray(near if bright.ndim == 2 else near[..., np.newaxis])
-
-
 def _mapped(
-    shape: tuple[int, ...], marks: NDArray[np.uint8], step: int, *, is_known: bool
-) -> Movement:
-    """Return a `Movement` with share, map and places, from its marks; `step` rows at a time."""
+    shape: tuple[int, ...],
+    marks: NDArray[np.uint8],
+    false_alarms: float,
+    *,
+    is_known: bool,
+) -> tuple[Movement, float]:
+    """Return a `Movement` with share, map and places, and the share of the marks at rest."""
     rows, columns = shape[:2]
     channels = shape[2] if len(shape) == 3 else 1
     cell = max(_LEAST_CELL, -(-max(rows, columns) // MAP_SIDE))
     edges = np.arange(0, columns, cell)
     counts = np.zeros((-(-rows // cell), edges.size))
+    step = max(cell, _STRIP_SAMPLES // (columns * channels))
     for start in range(0, rows, step):
         packed = marks[start : start + step]
         if not packed.any():
@@ -231,11 +210,17 @@ def _mapped(
     else:
         moves = _connected(moves & (counts > _DENSE * size), _CONNECTED_UNKNOWN)
     share = float(counts.sum() / size.sum())
-    false_alarms = float(counts[~moves].sum() / max(size[~moves].sum(), 1))
+    rests = ~_widened(moves)
+    at_rest = float(counts[rests].sum() / max(size[rests].sum(), 1))
     places = _places(moves, counts, (rows, columns), cell)
     area = float(moves.mean())
     found = FoundMovement(share, false_alarms, places, area)
-    return Movement(shape, marks, found, cell, moves)
+    return Movement(shape, marks, found, cell, moves), at_rest
+
+
+def _widened(moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the cells that move, and those beside them."""
+    return dilated(moves.astype(np.uint8), (3, 3)) > 0
 
 
 def _sizes(length: int, cell: int) -> _Floats:

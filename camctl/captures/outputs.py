@@ -179,6 +179,7 @@ def _shown(
             frame.saturated_fraction,
             first / exposure / full_scale_exposure,
             last / exposure / full_scale_exposure,
+            frame.details.get("iso"),
         )
         for place, (frame, exposure) in enumerate(zip(frames, exposures, strict=True))
     ]

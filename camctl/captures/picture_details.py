@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import CameraInfo, Pixels
-from camctl.captures.drawing import range_text, time_text
 from camctl.captures.pictures import colour_of
 from camctl.captures.preview import srgb_codes
 from camctl.controls import ExposureControls, ExposureSetting, Layout
+from camctl.number_text import range_text, time_text
 from camctl.picture_operations import reduced_by_area
 
 THUMBNAIL_SIDE = 400
@@ -30,6 +30,7 @@ class ShownFrame:
         saturated: share of its samples that are saturated
         lowest: irradiance of its first level, in the unit of the pictures
         highest: irradiance from which it is saturated
+        iso: ISO speed that it states; None where it does not
     """
 
     thumbnail: NDArray[np.uint8]
@@ -37,6 +38,7 @@ class ShownFrame:
     saturated: float
     lowest: float
     highest: float
+    iso: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,12 @@ class PictureDetails:
         """The gain of all frames; None where it is not the same."""
         gains = {frame.applied.gain for frame in self.frames}
         return gains.pop() if len(gains) == 1 else None
+
+    @property
+    def iso(self) -> float | None:
+        """The ISO speed of all frames; None where it is not stated, or not the same."""
+        speeds = {frame.iso for frame in self.frames}
+        return speeds.pop() if len(speeds) == 1 else None
 
     @property
     def summary(self) -> str:

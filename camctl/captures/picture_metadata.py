@@ -31,6 +31,8 @@ _BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 _MAKE, _MODEL, _SERIAL = 271, 272, 50735
 #: The same of shutter time and f-number (TIFF/EP), and of their type, a ratio of two integers.
 _EXPOSURE_TIME, _F_NUMBER, _RATIONAL = 33434, 33437, 5
+#: The same of the ISO speed, an integer of 16 bits.
+_ISO_SPEED, _SHORT, _LARGEST_SHORT = 34855, 3, 65535
 #: Largest of these integers: they have 32 bits.
 _LARGEST_INTEGER = 10**9
 #: Rendering intent of a PNG file in sRGB: perceptual.
@@ -58,6 +60,8 @@ def exr_attributes(details: PictureDetails, channels: str) -> dict[str, Attribut
     }
     if details.f_number is not None:
         found["aperture"] = details.f_number
+    if details.iso is not None:
+        found["isoSpeed"] = details.iso
     if details.gain is not None:
         found["gain"] = details.gain
     if details.taken_at is not None:
@@ -91,6 +95,7 @@ def tiff_tags(details: PictureDetails) -> dict[str, Any]:
     camera = details.camera
     texts = {_MAKE: camera.make, _MODEL: camera.model, _SERIAL: camera.serial}
     numbers = {_EXPOSURE_TIME: details.total_time_s, _F_NUMBER: details.f_number}
+    iso = round(details.iso or 0)
     tags: dict[str, Any] = {
         "software": details.software,
         "description": details.summary,
@@ -102,6 +107,7 @@ def tiff_tags(details: PictureDetails) -> dict[str, Any]:
                 for number, value in numbers.items()
                 if value is not None
             ),
+            *([(_ISO_SPEED, _SHORT, 1, iso, True)] if 0 < iso <= _LARGEST_SHORT else []),
         ],
     }
     if details.taken_at is not None:

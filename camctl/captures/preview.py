@@ -123,9 +123,7 @@ class LightReducer:
         if saturated.any():
             deviation = np.where(saturated, np.float32(0), deviation)
             # The mask of a mosaic does not say which of its channels is saturated.
-            # Ten times as fast as the minimum along the last axis.
-            least = reduce(np.minimum, (light[..., k] for k in range(light.shape[2])))
-            white = least >= self._full
+            white = reduce(np.minimum, _channels(light)) >= self._full
         white = white[..., np.newaxis]
         flags = (saturated, (mask & DARK) != 0, light <= self._unlit, white)
         parts = (light, deviation, *(flag.view(np.uint8) * np.uint8(ALL) for flag in flags))
@@ -158,9 +156,9 @@ class LightReducer:
         error = self._mean(parts[1], rows) / np.float32(self._step)
         error /= np.maximum(light.irradiance[place], _NO_LIGHT)
         np.minimum(error, _LARGEST_NOISE, out=light.noise[place])
-        light.saturated[place] = self._mean(parts[2], rows).max(axis=2)
-        light.dark[place] = self._mean(parts[3], rows).mean(axis=2)
-        light.unlit[place] = self._mean(parts[4], rows).mean(axis=2)
+        light.saturated[place] = _largest(self._mean(parts[2], rows))
+        light.dark[place] = _channel_mean(self._mean(parts[3], rows))
+        light.unlit[place] = _channel_mean(self._mean(parts[4], rows))
         light.white[place] = self._mean(parts[5], rows)[..., 0]
 
     def _mean(self, part: NDArray[Any], rows: int) -> NDArray[Any]:
@@ -272,12 +270,19 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
     return irradiance, noise, np.clip(unlit, 0, 1)
 
 
-def _largest(values: Floats) -> Floats:
+def _largest(values: NDArray[Any]) -> NDArray[Any]:
     """Return the largest channel; numpy's maximum over a short last axis is far slower."""
-    largest = values[..., 0]
-    for channel in range(1, values.shape[2]):
-        largest = np.maximum(largest, values[..., channel])
-    return largest
+    return reduce(np.maximum, _channels(values))
+
+
+def _channel_mean(values: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Return the mean of the channels; numpy's mean over a short last axis is far slower."""
+    total = sum(channel.astype(np.uint16) for channel in _channels(values))
+    return np.asarray(total // np.uint16(values.shape[2]), np.uint16)
+
+
+def _channels(values: NDArray[Any]) -> list[NDArray[Any]]:
+    return [values[..., channel] for channel in range(values.shape[2])]
 
 
 def _without_noise(logs: Floats, noise: Floats) -> Floats:

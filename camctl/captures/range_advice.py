@@ -7,6 +7,7 @@ import math
 from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.request import AUTO, CURVE, DEFAULT_COUNT, XI, CaptureRequest
 from camctl.captures.scene_range import LAMP_SHARE
+from camctl.number_text import range_text
 
 MUCH = 0.05
 """Share of the samples outside the range from which a capture gets a warning."""
@@ -41,7 +42,8 @@ def outside_warnings(
         found.append(f"{saturated:.1%} of the picture is brighter than its range: {advice}")
     if dark > MUCH:
         found.append(
-            f"{dark:.1%} of the picture is darker than its range of 1:{plan.dynamic_range:,.0f}: "
+            f"{dark:.1%} of the picture is darker than its range of "
+            f"{range_text(plan.dynamic_range)}: "
             f"{_wider(request, plan, is_taken)}"
         )
     return found

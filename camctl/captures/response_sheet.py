@@ -16,11 +16,9 @@ from camctl.captures.drawing import (
     SMALL_TEXT,
     TITLE,
     Drawing,
-    percent_text,
-    range_text,
-    time_text,
 )
 from camctl.controls import ExposureSetting
+from camctl.number_text import percent_text, range_text, time_text
 
 PANEL_WIDTH = 520
 """Width of the picture of one response, pixels."""

@@ -15,11 +15,11 @@ from camctl.cli.output import (
     format_fields,
     format_number,
     format_percent,
-    format_range,
     format_request,
     format_table,
     progress_bar,
 )
+from camctl.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.captures.capture_plan import CapturePlan
@@ -112,7 +112,7 @@ def light_text(light: PlannedLight) -> str:
     """Return one line on the light that was metered, and what of it the picture will not hold."""
 
     def spans(ratio: float) -> str:
-        return ("more than " if light.is_open else "") + format_range(float(f"{ratio:.2g}"))
+        return ("more than " if light.is_open else "") + range_text(float(f"{ratio:.2g}"))
 
     text = f"the scene spans {spans(light.span)}"
     if light.clips >= _NOTABLE_SHARE:
@@ -167,7 +167,8 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
         (
             "outside the range",
             f"{format_percent(achieved.saturated_fraction)} saturated in every frame, "
-            f"{format_percent(achieved.dark_fraction)} darker than {_range_text(report)}",
+            f"{format_percent(achieved.dark_fraction)} darker than "
+            f"{range_text(report.plan.dynamic_range)}",
         ),
         *_movement_rows(report.movement),
         ("time", _timing_text(report)),
@@ -201,10 +202,6 @@ def light_bars(report: CaptureReport) -> str:
     lower = f"1/{report.plan.dynamic_range:,.0f}"
     scale = f"{lower}{'full scale':>{max(len(bars) - len(lower), 11)}}"
     return f"{dark:>8} darker |{bars}| brighter {bright}\n{'':15} {scale}"
-
-
-def _range_text(report: CaptureReport) -> str:
-    return format_range(report.plan.dynamic_range)
 
 
 def _timing_text(report: CaptureReport) -> str:

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, cast
 
 from camctl.errors import StorageError
+from camctl.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.profile import DelayRecord
@@ -219,12 +220,6 @@ def format_duration(seconds: float) -> str:
     return f"{format_number(seconds * 1e6, 4)} us"
 
 
-def format_range(dynamic_range: float) -> str:
-    """Return a dynamic range such as 1:1,000."""
-    is_whole = float(dynamic_range).is_integer()
-    return f"1:{dynamic_range:,.0f}" if is_whole else f"1:{dynamic_range:,g}"
-
-
 def format_percent(fraction: float) -> str:
     """Return a fraction as a percentage; a small positive one is never shown as zero."""
     if 0 < fraction < 0.0001:
@@ -235,7 +230,7 @@ def format_percent(fraction: float) -> str:
 def format_request(response: str, dynamic_range: float, count: int) -> str:
     """Return a desired response such as: log, 1:1,000, in 3 exposures."""
     plural = "s" if count != 1 else ""
-    return f"{response}, {format_range(dynamic_range)}, in {count} exposure{plural}"
+    return f"{response}, {range_text(dynamic_range)}, in {count} exposure{plural}"
 
 
 def format_objective(xi: float, levels_wanted: float, *, counts_levels: bool) -> tuple[str, str]:

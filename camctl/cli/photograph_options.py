@@ -10,7 +10,7 @@ TIMES_OPTION = click.option(
     "--times",
     type=ListOf(Seconds()),
     metavar="SECONDS,...",
-    help="Exposure of each of FILES, such as 1/30,1/15,1/8.  [default: from their EXIF data]",
+    help="Shutter time of each of FILES, such as 1/30,1/15,1/8.  [default: from their EXIF data]",
 )
 BLACK_OPTION = click.option(
     "--black",

@@ -11,13 +11,13 @@ from camctl.cli.output import (
     format_fields,
     format_number,
     format_percent,
-    format_range,
     format_table,
     print_json,
     print_text,
     print_warning,
 )
 from camctl.errors import StorageError, UsageError
+from camctl.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.captures.request import CaptureRequest
@@ -84,7 +84,7 @@ def show_responses(
     rows = [
         (
             each.name,
-            format_range(each.plan.dynamic_range),
+            range_text(each.plan.dynamic_range),
             format_number(each.plan.effective_levels, 3),
             format_duration(each.plan.shutter_s),
             format_percent(each.dark),

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from camctl.cli.output import format_number, format_range, format_table
+from camctl.cli.output import format_number, format_table
+from camctl.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.exposure.robustness import Robustness, Spread
@@ -155,7 +156,7 @@ def sensitivity_table(entries: Sequence[TableEntry], found: Sequence[Robustness]
         rows = [
             (
                 entry.response,
-                format_range(entry.dynamic_range),
+                range_text(entry.dynamic_range),
                 str(entry.n),
                 *(
                     format_levels(levels)

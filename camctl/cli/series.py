@@ -34,8 +34,8 @@ from camctl.errors import CaptureError, DataError
 if TYPE_CHECKING:
     from camctl.camera import Camera
     from camctl.captures.request import CaptureRequest
-    from camctl.captures.series import SeriesProgress
     from camctl.captures.series_journal import SeriesJournal, SeriesOptions, SetRecord
+    from camctl.captures.series_tools import SeriesProgress
     from camctl.cli.options import CameraOptions
 
 #: Characters of what a failed hook has printed that are shown, at its end.
@@ -105,8 +105,9 @@ def _run(
     *,
     as_json: bool,
 ) -> None:
-    from camctl.captures.series import Series, SeriesTools
+    from camctl.captures.series import Series
     from camctl.captures.series_sets import CameraSets
+    from camctl.captures.series_tools import SeriesTools
 
     hook = None if series.hook is None else Hook(series.hook, series.hook_limit_s, directory)
     with terminal_keys() as keys, _progress(camera) as progress:

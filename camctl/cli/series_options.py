@@ -18,8 +18,8 @@ from camctl.errors import UsageError
 from camctl.interrupts import uninterrupted
 
 if TYPE_CHECKING:
-    from camctl.captures.series import Keys
     from camctl.captures.series_journal import SeriesOptions
+    from camctl.captures.series_tools import Keys
 
 _MOST_SETS = 100_000  # `series_journal.MOST_SETS`, which imports numpy
 _HOOK_LIMIT_S = 60.0

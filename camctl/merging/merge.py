@@ -10,7 +10,7 @@ from typing import Any
 
 from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.folder_store import FolderStore
-from camctl.captures.photographs import plan_photographs, why_unused
+from camctl.captures.photograph_choice import plan_photographs, why_unused
 from camctl.captures.report import CaptureReport
 from camctl.captures.request import AUTO, CaptureRequest
 from camctl.captures.sequencer import capture

@@ -61,16 +61,14 @@ def unknown_time(path: Path) -> UsageError:
 
 
 def _exposure(path: Path, stated: StatedExposure, time_s: float | None) -> Photograph:
-    """Return the exposure of a file; a given time is the whole exposure, at ISO 100."""
+    """Return the exposure of a file; a given time replaces the stated one."""
     from camctl.captures.photographs import Photograph
 
-    if time_s is not None:
-        return Photograph(path.name, time_s, taken_at=stated.taken_at)
-    if stated.time_s is None:
+    time_s = stated.time_s if time_s is None else time_s
+    if time_s is None:
         raise unknown_time(path)
-    return Photograph(
-        path.name, stated.time_s, stated.gain or 1.0, stated.f_number, stated.taken_at
-    )
+    gain, iso = stated.gain or 1.0, None if stated.gain is None else round(100 * stated.gain, 6)
+    return Photograph(path.name, time_s, gain, stated.f_number, stated.taken_at, iso)
 
 
 @dataclass(frozen=True)

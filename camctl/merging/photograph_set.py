@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.drawing import percent_text, time_text
 from camctl.errors import CameraProtocolError, DataError, UsageError
 from camctl.merging.photograph_files import PhotographFiles
 from camctl.merging.photograph_response import known_controls
+from camctl.number_text import percent_text, time_text
 
 if TYPE_CHECKING:
     from camctl.camera import Pixels
-    from camctl.captures.photographs import Photograph, PhotographCamera
+    from camctl.captures.photograph_camera import PhotographCamera
+    from camctl.captures.photographs import Photograph
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class PhotographOptions:
     """What is known of photographs beside their files.
 
     Attributes:
-        times: exposures of the files, s, in their order; None: as their EXIF data state them
+        times: shutter times of the files, s, in their order; None: as their EXIF data state them,
+            from which ISO and f-number are in any case
         labels: "dial": the times are labels of a dial, whose 1/60 is 1/64 s; "exact": they are
             not, and are not corrected from the pixels, either; "auto": they are labels where all
             of them are usual ones
@@ -78,6 +80,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     """
     from camctl.calibration.response_series import Series
     from camctl.captures.exposure_check import NeighbourCheck
+    from camctl.captures.photograph_camera import PhotographCamera
     from camctl.captures.photograph_checks import (
         Sight,
         check_order,
@@ -85,7 +88,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         misaligned,
         wrong_exposures,
     )
-    from camctl.captures.photographs import PhotographCamera, corrected_exposures, darkest_light
+    from camctl.captures.photograph_choice import darkest_light
+    from camctl.captures.photographs import corrected_exposures
     from camctl.exposure.patches import LightScale
 
     files = PhotographFiles(paths, source.times)

@@ -46,7 +46,7 @@ def test_false_alarms_are_as_many_as_stated(sensor: str, scene: str) -> None:
     shares = [found(shot(sensor, scene, seed=seed, size="640x480")) for seed in range(3)]
     share, stated = np.mean(shares, axis=0)
     assert share == pytest.approx(stated, rel=0.1)
-    assert FALSE_ALARMS / 2 * 0.9 < share < FALSE_ALARMS * 1.1
+    assert share < FALSE_ALARMS * 1.1
 
 
 @pytest.mark.parametrize("colours", [1, 3])
@@ -120,7 +120,8 @@ def test_folder_and_memory_have_the_same_marks(sensor: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("sensor", "scene"), [("ccd", "room"), ("complete", "colour-chart"), ("complete", "room")]
+    ("sensor", "scene"),
+    [("ccd", "night-street"), ("ccd", "ball"), ("complete", "colour-chart"), ("complete", "room")],
 )
 def test_light_that_spreads_from_saturated_pixels_is_no_movement(sensor: str, scene: str) -> None:
     report = shot(sensor, scene, seed=1, size="320x240")
@@ -181,7 +182,7 @@ def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: 
     movement = find_movement(frames.__getitem__, pairs)
     assert movement is not None
     share, stated = movement.found.share, movement.found.false_alarms
-    assert FALSE_ALARMS / 4 < stated < 1.5 * FALSE_ALARMS
+    assert 0.6 * FALSE_ALARMS < stated < 1.1 * FALSE_ALARMS  # files have whole codes
     if not moves:
         assert movement.found.places == ()
         assert share == pytest.approx(stated, rel=0.1)

@@ -28,6 +28,7 @@ from camctl.exposure.inverse import Posterior
 from camctl.noise_model import FrameNoise
 from camctl.response.camera import linear_response
 from camctl.response.desired import desired_response
+from sim.devices.still_files import RawImage, encode
 
 SUMMARY = "sum of the exposures 1/4 s, 1 s at gain 2; desired response log, range 1:1,000"
 HOSTILE = CameraInfo("x", "a\0b\n" + "ä" * 900, "m" * 900, "1\r\n" + "€" * 900, "x")
@@ -66,6 +67,7 @@ def test_openexr_reads_the_attributes(folder: Path, layout: Layout) -> None:
     assert header["expTime"] == pytest.approx(1.25)
     assert header["aperture"] == pytest.approx(2.8)
     assert header["gain"] == 2.0
+    assert header["isoSpeed"] == 200
     assert header["comments"].strip() == f"irradiance; {SUMMARY}"
     assert ("chromaticities" in header) == (layout is not Layout.MONO)
     if layout is not Layout.MONO:
@@ -85,6 +87,7 @@ def test_tifffile_reads_the_tags(folder: Path, name: str) -> None:
     assert tags["ImageDescription"] == SUMMARY
     assert tags["ExposureTime"] == (5, 4)
     assert tags["FNumber"] == (14, 5)
+    assert tags["ISOSpeedRatings"] == 200
 
 
 def exiftool(*files: Path) -> list[dict[str, Any]]:
@@ -110,6 +113,7 @@ def test_exiftool_reads_every_file(folder: Path, layout: Layout) -> None:
     assert exr["CameraSerialNumber"] == "S/N 7"
     assert exr["ExposureTime"] == pytest.approx(1.25)
     assert exr["Aperture"] == pytest.approx(2.8)
+    assert exr["ISO"] == 200
     assert exr["DateTimeOriginal"] == "2026:05:17 21:04:09"
     if layout is not Layout.MONO:
         assert [float(x) for x in exr["Chromaticities"].split()][:2] == pytest.approx([0.64, 0.33])
@@ -118,6 +122,7 @@ def test_exiftool_reads_every_file(folder: Path, layout: Layout) -> None:
         assert (tiff["Software"], tiff["ModifyDate"]) == ("camctl 1.2.3", "2026:05:17 21:04:09")
         assert tiff["ExposureTime"] == pytest.approx(1.25)
         assert tiff["FNumber"] == pytest.approx(2.8)
+        assert tiff["ISO"] == 200
         assert tiff["ImageDescription"] == SUMMARY
         assert "SRGBRendering" not in tiff
     for png in (preview, contact):
@@ -126,6 +131,25 @@ def test_exiftool_reads_every_file(folder: Path, layout: Layout) -> None:
         assert png["Source"] == "B?nch Camera 1"
         assert png["CreationTime"] == f"{TAKEN_AT:%Y:%m:%d %H:%M:%S}+02:00"
         assert "Warning" not in png
+
+
+def test_exiftool_reads_what_merged_photographs_stated(tmp_path: Path) -> None:
+    names = []
+    for k, time_s in enumerate((1 / 250, 1 / 60, 1 / 15)):
+        light = np.geomspace(0.01, 4, 64) * 0.3 * 4**k
+        pixels = np.minimum(np.sqrt(light) * 255, 255).astype(np.uint8)
+        rows = np.repeat(np.repeat(pixels[None, :, None], 48, axis=0), 3, axis=2)
+        image = RawImage(rows, Layout.RGB, 8, 0, 255, time_s, 400, 8.0, "D1")
+        (tmp_path / f"{k}.jpg").write_bytes(encode("jpeg", image, grey=False))
+        names.append(tmp_path / f"{k}.jpg")
+    options = camctl.PhotographOptions(times=(1 / 256, 1 / 64, 1 / 16), curve="power:2")
+    camctl.merge(names, path=tmp_path / "out", options=options)
+    exr, image_tiff = exiftool(
+        *(tmp_path / "out" / name for name in ("radiance.exr", "image.tiff"))
+    )
+    assert exr["ISO"] == image_tiff["ISO"] == 400
+    assert exr["Aperture"] == image_tiff["FNumber"] == 8
+    assert exr["CameraModel"] == image_tiff["Model"] == "D1"
 
 
 def test_png_chunks_are_whole_and_pixels_stay(cv2: Any) -> None:

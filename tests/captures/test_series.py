@@ -24,7 +24,7 @@ from camctl.camera import CameraInfo
 from camctl.captures.gallery import write_gallery
 from camctl.captures.report import CaptureReport
 from camctl.captures.request import CaptureRequest
-from camctl.captures.series import Series, SeriesProgress, SeriesTools
+from camctl.captures.series import Series
 from camctl.captures.series_journal import (
     SeriesJournal,
     SeriesOptions,
@@ -35,6 +35,7 @@ from camctl.captures.series_journal import (
     set_name,
 )
 from camctl.captures.series_sets import CameraSets
+from camctl.captures.series_tools import SeriesProgress, SeriesTools
 from camctl.clock import VirtualClock
 from camctl.errors import (
     CameraDisconnectedError,

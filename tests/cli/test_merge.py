@@ -429,6 +429,32 @@ def test_the_result_says_when_and_with_which_camera_photographs_were_taken(run: 
     assert "metered" not in ran.out
 
 
+def test_times_that_are_given_replace_nothing_but_the_times(run: Run) -> None:
+    names = []
+    for k, (time_s, iso) in enumerate(((1 / 256, 100), (1 / 256, 400), (1 / 64, 400))):
+        shown = photograph(time_s * iso / 100)
+        image = RawImage(shown, Layout.RGB, 8, 0, 255, 1.0, iso, 8.0, "D1")
+        names.append(f"p{k}.jpg")
+        Path(names[-1]).write_bytes(encode("jpeg", image, grey=False))
+    line = (*names, "--times", "1/256,1/256,1/64", "--ratios", "1,4,16", "-o", "hall")
+    found = run("merge", *line, "--labels", "exact", "--json").json
+    assert [each["gain"] for each in found["photographs"]] == [1.0, 4.0, 4.0]
+    assert {each["f_number"] for each in found["photographs"]} == {8.0}
+    assert [each["time_s"] for each in found["photographs"]] == [1 / 256, 1 / 256, 1 / 64]
+
+
+def test_errors_are_json_where_that_is_asked_for(run: Run, series: Series) -> None:
+    names = series(TIMES[4:6])
+    refused = run("merge", "p00.png", "p01.png", "-o", "hall", "--json")
+    assert refused.status == 2
+    assert "does not say its exposure time" in refused.json["error"]["message"]
+    Path("hall").mkdir()
+    Path("hall/report.json").write_text("{}")
+    occupied = run("merge", *names, "-o", "hall", "--json")
+    assert occupied.status != 0
+    assert occupied.json["error"]["type"]
+
+
 def test_photographs_of_one_colour_are_left_out(run: Run, series: Series) -> None:
     def white(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         return np.full_like(pixels, 255) if k >= 5 else pixels

@@ -27,6 +27,7 @@ def details(
             0.01 * place,
             0.004 / 4.0**place,
             1 / 4.0**place,
+            iso=200,
         )
         for place in range(count)
     )

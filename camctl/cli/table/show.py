@@ -14,7 +14,6 @@ from camctl.cli.noise_options import KnownCamera, NoiseOptions, noise_options
 from camctl.cli.output import (
     NOISE_UNKNOWN,
     format_number,
-    format_range,
     format_table,
     print_json,
     print_text,
@@ -24,6 +23,7 @@ from camctl.cli.parameter_types import PATH, DynamicRange
 from camctl.cli.response_options import RESPONSE, RealCameraOptions, real_camera_options
 from camctl.cli.sensitivity import sensitivity_json, sensitivity_table
 from camctl.errors import DataError, UsageError
+from camctl.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.exposure.robustness import Robustness
@@ -253,7 +253,7 @@ def _rows_text(entries: list[TableEntry], levels: list[float], *, noise_known: b
         rows = [
             (
                 entry.response,
-                format_range(entry.dynamic_range),
+                range_text(entry.dynamic_range),
                 str(entry.n),
                 _chosen_by(entry),
                 format_number(with_noise, 4),

@@ -14,7 +14,6 @@ from camctl.cli.output import (
     format_duration,
     format_number,
     format_percent,
-    format_range,
     format_table,
     print_json,
     print_text,
@@ -24,6 +23,7 @@ from camctl.cli.output import (
 from camctl.cli.parameter_types import DynamicRange, ListOf, Name, Number, WholeNumber
 from camctl.cli.response_options import RESPONSE, RESPONSES
 from camctl.cli.tradeoff.study_options import StudyOptions, study_options
+from camctl.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.studies.solver_study import SolverStudy
@@ -200,7 +200,7 @@ def _to_text(study: SolverStudy) -> str:
     rows = []
     for case in study.cases:
         response, dynamic_range, n, _ = case
-        name = f"{response}, {format_range(dynamic_range)}, n = {n}"
+        name = f"{response}, {range_text(dynamic_range)}, n = {n}"
         for method in dict.fromkeys(run.method for run in study.runs if run.case == case):
             regrets = [study.regret_at(case, method, time_s) for time_s in times]
             reached = study.time_to(case, method, 0.005)

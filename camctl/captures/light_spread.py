@@ -1,0 +1,152 @@
+"""Light that spreads from saturated pixels of the longer of two frames into others: no movement.
+
+Two effects are told from things that moved, each by what one pair of frames shows:
+
+- Charge flows along the columns (blooming).  Contradicting pixels are then connected to saturated
+  ones along the columns far more than along the rows, or none of them lost light.
+- Lenses and programs that make JPEG files mix neighbouring pixels.  Those beside saturated ones
+  then contradict, and those a little farther away do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.camera import Pixels
+from camctl.captures.frame_pairs import Limits, outside
+from camctl.picture_operations import dilated
+
+ACROSS = 2
+"""Pixels across the columns that light spreads."""
+
+#: Distances from saturated pixels at which contradictions are counted, pixels along the columns.
+_DISTANCES = (2, 4, 8, 16)
+#: Columns and rows that are looked at, at most, and pixels at a distance that make a share of them
+#: meaningful.
+_MOST_LINES, _RING_SAMPLES = 512, 200
+#: Charge flows along columns if so many times as many contradicting pixels are connected to
+#: saturated ones along the columns as along the rows, and so many more.
+_STREAKS, _LEAST_STREAKS = 2.0, 20
+#: Or if fewer than this share of those connected are darker in the longer frame than expected.
+_LOST = 0.05
+#: Light spreads if this share of the pixels beside saturated ones contradict.  It ends where the
+#: share is less than the second one of the largest.
+_SPREADS, _ENDS = 0.02, 0.1
+
+
+@dataclass(frozen=True)
+class LightSpread:
+    """How light of a pair spreads from saturated samples of the longer frame.
+
+    Attributes:
+        white: brightness from which samples are saturated
+        reach: how far light spreads to all sides, pixels
+        streaks: whether charge flows along the columns
+    """
+
+    white: int
+    reach: int
+    streaks: bool
+
+    @property
+    def is_any(self) -> bool:
+        """Whether light spreads at all."""
+        return self.streaks or self.reach > 0
+
+    @classmethod
+    def of(cls, limits: Limits, white: int, short: Pixels, long: Pixels) -> LightSpread:
+        """Measure it on some of the columns and rows."""
+        rows, columns = short.shape[:2]
+        every = -(-columns // _MOST_LINES), -(-rows // _MOST_LINES)
+        found, source = _on_lines(limits, white, short[:, :: every[0]], long[:, :: every[0]])
+        if not (found.any() and source.any()):
+            return cls(white, 0, False)
+        along = np.count_nonzero(_connected_runs(found, source)) * every[0]
+        on_rows = _on_lines(limits, white, short[:: every[1]], long[:: every[1]])
+        beside = np.count_nonzero(_connected_runs(*(each.T for each in on_rows))) * every[1]
+        streaks = along > _STREAKS * beside + _LEAST_STREAKS
+        if not streaks:
+            # Charge only adds light; things that move take it away elsewhere.
+            darker = _darker(limits, short[:, :: every[0]], long[:, :: every[0]])
+            lost = np.count_nonzero(_connected_runs(darker, source)) * every[0]
+            streaks = along > _LEAST_STREAKS and lost < _LOST * along
+        if streaks:
+            found &= ~_connected_runs(found, source)
+        return cls(white, _reach(found, source), streaks)
+
+    def outside(
+        self, limits: Limits, short: Pixels, long: Pixels
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which samples contradict, and which can: light did not spread to them."""
+        found, comparable = outside(limits, short, long), long < self.white
+        if not self.is_any:
+            return found, comparable
+        source = _any_colour(~comparable & ~found)
+        spread = np.zeros_like(source)
+        if self.streaks:
+            spread |= _connected_runs(_any_colour(found), source)
+        if self.reach:
+            box = (2 * self.reach + 1, 2 * min(self.reach, ACROSS) + 1)
+            spread |= dilated(source.view(np.uint8), box) > 0
+        free = ~spread if found.ndim == 2 else ~spread[..., np.newaxis]
+        return found & free, comparable & free
+
+
+def _on_lines(
+    limits: Limits, white: int, short: Pixels, long: Pixels
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which pixels contradict in any colour, and which are saturated and do not."""
+    found = outside(limits, short.copy(), long.copy())
+    return _any_colour(found), _any_colour((long >= white) & ~found)
+
+
+def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
+    """Return which pixels are darker in the longer frame than expected, in any colour."""
+    low, high = limits
+    return _any_colour(outside((np.zeros_like(low), high), short.copy(), long.copy()))
+
+
+def _connected_runs(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which pixels found are connected to a source along their column."""
+    rows, columns = found.shape
+    line = np.zeros((columns, rows + 1), np.bool_)
+    line[:, :-1] = (found | source).T
+    line = line.ravel()
+    begins = line.copy()
+    begins[1:] &= ~line[:-1]
+    runs = np.cumsum(begins, dtype=np.int32)
+    has_source = np.zeros(int(runs[-1]) + 1, np.bool_)
+    sources = np.zeros((columns, rows + 1), np.bool_)
+    sources[:, :-1] = source.T
+    has_source[runs[sources.ravel()]] = True
+    connected = (line & has_source[runs]).reshape(columns, rows + 1)[:, :-1].T
+    return np.asarray(connected & found)
+
+
+def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> int:
+    """Return how far light spreads from saturated pixels, pixels along the columns.
+
+    It is 0 where as many pixels contradict far from saturated ones, as with things that moved.
+    """
+    within, rates = source, []
+    for distance in _DISTANCES:
+        reached = dilated(source.astype(np.uint8), (2 * distance + 1, 1)) > 0
+        ring = reached & ~within
+        size = np.count_nonzero(ring)
+        rates.append(np.count_nonzero(found & ring) / size if size >= _RING_SAMPLES else np.nan)
+        within = reached
+    most = max(rates[:2])
+    if not most >= _SPREADS:
+        return 0
+    for nearer, rate in zip(_DISTANCES[:-1], rates[1:], strict=True):
+        if rate <= _ENDS * most:
+            return nearer
+    return 0
+
+
+def _any_colour(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which pixels are marked in any of their colours."""
+    return np.asarray(marks.any(axis=2)) if marks.ndim == 3 else marks

@@ -1,0 +1,79 @@
+"""What a series needs of its caller: keys, what takes the sets, and where it reports."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol
+
+from camctl.captures.report import CaptureReport
+from camctl.captures.series_journal import SeriesJournal, SetRecord
+from camctl.clock import Clock
+
+
+class Keys(Protocol):
+    """Keys that the user presses."""
+
+    def read(self, timeout_s: float) -> str | None:
+        """Return the next key; None where none was pressed within `timeout_s`."""
+        ...
+
+
+class SetTaker(Protocol):
+    """Takes one set of a series."""
+
+    def prepare(self, journal: SeriesJournal) -> None:
+        """Do what must not delay the first set: meter, and keep the plan where it is for all."""
+        ...
+
+    def take(self, directory: Path) -> CaptureReport:
+        """Take a set into a folder, or complete one that is there."""
+        ...
+
+    def reconnect(self) -> None:
+        """Open the camera again after it has failed."""
+        ...
+
+
+@dataclass(frozen=True)
+class SeriesProgress:
+    """How far a series is.
+
+    Attributes:
+        done: sets that were taken or have failed
+        total: of the series; None where the user ends it
+        state: "waiting", "waiting for enter, q ends", "shooting" or "paused"
+        ends_in_s: until the last set is complete, by the camera's clock, s; None: not known
+    """
+
+    done: int
+    total: int | None
+    state: str
+    ends_in_s: float | None = None
+
+
+@dataclass(frozen=True)
+class SeriesTools:
+    """What a series uses beside the camera.
+
+    Attributes:
+        clock: of the camera
+        keys: of the user; None: there is no terminal
+        hook: called with a set's folder and record when it is complete; raises `CamctlError` where
+            it fails
+        warn: called with one line on what goes wrong
+        progress: called before each set, and while the series waits
+        date: returns date and time
+        free_bytes: returns the free space of the disk that holds a folder
+    """
+
+    clock: Clock
+    keys: Keys | None = None
+    hook: Callable[[Path, SetRecord], None] | None = None
+    warn: Callable[[str], None] = lambda _: None
+    progress: Callable[[SeriesProgress], None] = lambda _: None
+    date: Callable[[], datetime] = datetime.now
+    free_bytes: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free
