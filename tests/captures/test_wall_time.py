@@ -161,6 +161,7 @@ def test_v4l2_takes_the_predicted_time_on_average(delay: int | None, count: int)
     ],
     ids=str,
 )
+@pytest.mark.usefixtures("cv2")  # the virtual camera makes JPEG files
 def test_ptp_is_timed_by_its_first_capture(config: dict[str, Any]) -> None:
     with ptp_bench.camera_on(**config) as (camera, _):
         first = captured(camera, RATIOS[:3], base_s=1 / 500)
@@ -172,6 +173,7 @@ def test_ptp_is_timed_by_its_first_capture(config: dict[str, Any]) -> None:
             assert abs(error(report)) < 0.05  # its events are polled
 
 
+@pytest.mark.usefixtures("cv2")  # the virtual camera makes JPEG files
 def test_the_times_of_a_still_camera_are_in_its_profile() -> None:
     pair = ptp_bench.bench(delay_s=0.4)
     with pair.camera() as camera:
@@ -182,6 +184,7 @@ def test_the_times_of_a_still_camera_are_in_its_profile() -> None:
     assert abs(error(report)) < 0.01
 
 
+@pytest.mark.usefixtures("cv2")  # the virtual camera makes JPEG files
 def test_coolpix_knows_its_line_and_is_timed_by_its_first_capture() -> None:
     with (
         coolpix_bench.virtual_coolpix(delay_s=0.4) as device,
