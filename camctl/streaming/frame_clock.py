@@ -95,10 +95,9 @@ class FrameClock:
     def add(self, time_s: float, sequence: int | None = None) -> FrameStamp:
         """Return the number of the frame with this timestamp, and sequence number if it has one.
 
-        It is certain where the timestamp is late by less than a slot and the sequence numbers
-        agree, or the timestamp alone is clear and shows more slots than the sequence numbers:
-        frames that the camera did not send.  A timestamp that shows that those before it were
-        late is uncertain too: settings were perhaps written in another slot than it seemed.
+        It is certain where timestamp and sequence numbers agree, or where there are none and the
+        timestamp is clear.  A timestamp that shows that those before it were late is uncertain:
+        settings were perhaps written in another slot than it seemed.
         """
         counted = self._counted(sequence)
         if self.number is None:
@@ -111,7 +110,9 @@ class FrameClock:
         if passed == counted:
             is_certain = -_EARLIEST <= late <= _LATEST_COUNTED
         else:
-            is_certain = -_EARLIEST <= late <= _LATEST and abs(gap - passed) <= _LATEST
+            # A frame that is late by a whole slot looks like one after a frame that was not sent.
+            is_clear = -_EARLIEST <= late <= _LATEST and abs(gap - passed) <= _LATEST
+            is_certain = is_clear and not counted
         self.number += passed
         self.time_s = time_s
         self._uncertain = 0 if is_certain else self._uncertain + 1

@@ -186,7 +186,9 @@ def test_a_frame_that_cannot_be_used_costs_one_slot(fault: str, delay: int, plac
 
     Its setting is written again, so near the end of the list the delay passes once more; the last
     setting stays in force, so that the next frame has it.  That a frame did not arrive is seen when
-    the next one does, which costs a second slot.
+    the next one does, which costs a second slot.  After a frame that the camera did not send, the
+    next one looks like one that is late by a whole slot: all settings on their way are written
+    again.
     """
     save_delay(delay)
     model = Model(delay=delay)
@@ -201,6 +203,8 @@ def test_a_frame_that_cannot_be_used_costs_one_slot(fault: str, delay: int, plac
     remaining = len(TICKS) - 1 - place
     # A frame arrives in the slot after its own, so a write then is in force delay + 2 slots later.
     expected = max(seen, delay + 1 + seen - remaining) if remaining else 1
+    if fault == "skip":
+        expected = delay + 3
     assert slots - len(TICKS) - delay == expected
 
 

@@ -166,7 +166,7 @@ class TestDelay:
         """Within 10 % on average: one capture begins at any time within a frame."""
         with rig.control_delay(hub, rig.WEB, delay), rig.open_device(rig.WEB) as camera:
             request = CaptureRequest(ratios=(1.0, 2.0, 3.0, 4.0, 6.0, 8.0), base_s=0.002)
-            timings = [capture(camera, request).timing for _ in range(5)]
+            timings = [capture(camera, request).timing for _ in range(3)]
         errors = [each["planned_wall_s"] / each["actual_wall_s"] - 1 for each in timings]
         print(f"d = {delay}: planned / actual - 1 =", *(f"{error:+.3f}" for error in errors))
         assert abs(fmean(errors)) <= 0.1
