@@ -50,7 +50,8 @@ class SampleGrid:
     @classmethod
     def of(cls, pixels: NDArray[Any], layout: Layout) -> SampleGrid:
         """Return the samples of a frame."""
-        planes, peaks = [], []
+        planes: list[NDArray[Any]] = []
+        peaks: list[NDArray[Any]] = []
         scale = 2 if layout.is_mosaic else 1
         for place, plane in enumerate(layout.planes(pixels)):
             rows, columns = (
