@@ -87,7 +87,6 @@ class ResponseRecord(BaseModel):
         channels: in the order R, G, B; one on a monochrome camera
         phase: phase of the quantiser to which the brightness belongs
         frames: number of frames used
-        spills: whether charge spills over along the columns of saturated samples
         measured_at: date and time, ISO 8601
     """
 
@@ -97,7 +96,6 @@ class ResponseRecord(BaseModel):
     channels: tuple[ChannelResponse, ...] = Field(min_length=1, max_length=3)
     phase: float = Field(ge=0, lt=1)
     frames: int = Field(ge=1)
-    spills: bool = False
     measured_at: str
 
     @property

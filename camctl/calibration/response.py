@@ -128,7 +128,7 @@ def estimate_response(
     exposures = np.array(series.exposures)
     edges = _edges(series.white - series.black)
     notes = list(series.notes)
-    channels, spills = _without_spill(
+    channels = _without_spill(
         series, edges, [_evidence(series, name, edges, chart) for name in series.channels], notes
     )
     exponent = None
@@ -161,7 +161,6 @@ def estimate_response(
             ),
             phase=series.phase,
             frames=len(series.exposures),
-            spills=spills,
             measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
         ),
         exposures=tuple((exposures / exposures[0]).tolist()),
@@ -244,8 +243,8 @@ def _evidence(series: Series, name: str, edges: FloatArray, chart: Chart | None)
 
 def _without_spill(
     series: Series, edges: FloatArray, channels: list[_Evidence], notes: list[str]
-) -> tuple[list[_Evidence], bool]:
-    """Return what is left without samples near saturated ones, and whether charge spills over.
+) -> list[_Evidence]:
+    """Return what is left without samples near saturated ones, where charge spills over.
 
     Where none does, or where the rest does not show the response, all samples count.
     """
@@ -261,13 +260,13 @@ def _without_spill(
     found = [clean(each) for each in channels]
     pairs = zip(channels, found, strict=True)
     if not any(spills_over(before.matches, after.matches) for before, after in pairs):
-        return channels, False
+        return channels
     with suppress(DataError):
         for each in found:
             check_range(series, each.name, each.matches, each.samples)
         notes.append(_SPILLS)
-        return found, True
-    return channels, True
+        return found
+    return channels
 
 
 def measure_response(

@@ -50,7 +50,8 @@ class SampleGrid:
     @classmethod
     def of(cls, pixels: NDArray[Any], layout: Layout) -> SampleGrid:
         """Return the samples of a frame."""
-        planes, peaks = [], []
+        planes: list[NDArray[Any]] = []
+        peaks: list[NDArray[Any]] = []
         scale = 2 if layout.is_mosaic else 1
         for place, plane in enumerate(layout.planes(pixels)):
             rows, columns = (
@@ -59,6 +60,9 @@ class SampleGrid:
             )
             planes.append(plane[np.ix_(rows, columns)])
             row, column = divmod(place, 2) if layout.is_mosaic else (0, 0)
+            if layout is Layout.RGB and peaks:  # one for all colours
+                peaks.append(peaks[0])
+                continue
             peaks.append(_brightest(pixels, scale * rows + row, scale * columns + column))
         return cls(tuple(planes), tuple(peaks))
 
@@ -67,14 +71,16 @@ def _brightest(
     pixels: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> NDArray[Any]:
     """Return the brightest sample near each pixel of a grid, (rows, columns)."""
-    brightest = np.zeros((rows.size, columns.size), pixels.dtype)
     height, width = pixels.shape[:2]
+    # Whole rows first: they lie in a piece in memory.
+    tall = pixels[rows]
     for down in range(-_ROWS_NEAR, _ROWS_NEAR + 1):
-        for across in range(-_COLUMNS_NEAR, _COLUMNS_NEAR + 1):
-            near = pixels[
-                np.ix_(np.clip(rows + down, 0, height - 1), np.clip(columns + across, 0, width - 1))
-            ]
-            np.maximum(brightest, near if near.ndim == 2 else near.max(axis=2), out=brightest)
+        np.maximum(tall, pixels[np.clip(rows + down, 0, height - 1)], out=tall)
+    if tall.ndim == 3:
+        tall = tall.max(axis=2)
+    brightest = tall[:, columns]
+    for across in range(-_COLUMNS_NEAR, _COLUMNS_NEAR + 1):
+        np.maximum(brightest, tall[:, np.clip(columns + across, 0, width - 1)], out=brightest)
     return brightest
 
 
