@@ -32,9 +32,12 @@ from camctl.picture_operations import opencv
 _OFFSET_LEVELS, _OFFSET_SHARE = 0.5, 1 / 4000
 #: Least noise that deviations are counted in, levels.
 _LEAST_NOISE = 1e-3
-#: Least limits, standard deviations, and by how much wider they are where the longer frame is
-#: saturated: by noise, too, and no share of false alarms is set there.
-_LEAST_LIMIT, _AT_WHITE = 0.5, 2.0
+#: Least limits, standard deviations beside the other errors; and with them: else the few samples
+#: whose noise rounding does not hide would have all false alarms, and look as if they moved.
+_LEAST_LIMIT, _LEAST_REACH = 0.5, 3.0
+#: By how much wider they are where the longer frame is saturated: by noise, too, and no share of
+#: false alarms is set there.
+_AT_WHITE = 2.0
 #: Share of the deviations that are put in order: more than any share of false alarms.
 _TAIL = 0.02
 #: Patches are at rest up to this mean square of the deviations, in the prediction or the median.
@@ -179,7 +182,7 @@ class Pair:
         means, deviations = self._prediction
         white = self.scale.white
         edges = self._edges
-        reach = sigmas * deviations + self._offset
+        reach = np.maximum(sigmas * deviations + self._offset, _LEAST_REACH * deviations)
         reach[:, self.saturated :] *= _AT_WHITE
         low = np.searchsorted(edges, means - reach, side="right") - 1
         high = np.searchsorted(edges, means + reach, side="right") - 1
@@ -243,8 +246,10 @@ class Pair:
             self._of_patches(each, self.samples[1])[self.resting] for each in self._prediction
         )
         edges = np.append(self._edges, np.inf)
-        errors = np.maximum(edges[before] - means, means - edges[before + 1]) - self._offset
-        found = errors / np.maximum(deviations, _LEAST_NOISE * self.scale.level)
+        errors = np.maximum(edges[before] - means, means - edges[before + 1])
+        noise = np.maximum(deviations, _LEAST_NOISE * self.scale.level)
+        found = (errors - self._offset) / noise
+        found[errors <= _LEAST_REACH * noise] = 0.0
         found = found[after < self.saturated]
         if found.size:
             few = found.size - math.ceil(_TAIL * found.size)
