@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from camctl.errors import DataError, UsageError
 from camctl.exposure.accuracy import NEAR_TIE, AccuracySolution, solve_accuracy
 from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
+from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.noise_model import NoiseModel
 from camctl.response.camera import CameraResponse, linear_response, standard_response
@@ -71,7 +72,7 @@ def every_set(problem: AccuracyProblem, n: int) -> list[tuple[float, float]]:
         # An exposure that shows the darkest light above the first sixteen levels is of no use.
         if max(exposures) <= problem.reach * (1 + 1e-9):
             levels = exact_levels(problem, exposures, [gain for _, gain in chosen])
-            found.append((sum(time for time, _ in chosen), levels))
+            found.append((problem.available.costs.total([time for time, _ in chosen]), levels))
     return found
 
 
@@ -94,6 +95,19 @@ def misses(seeds: range) -> list[int]:
 
 def test_no_set_of_a_short_list_is_missed() -> None:
     assert misses(range(6)) == []
+
+
+@pytest.mark.parametrize("seed", range(6, 10))
+def test_a_limit_counts_what_exposures_take_beside_their_shutter_times(seed: int) -> None:
+    costs = TimeCosts(least=0.1, extra=0.02, fixed=0.3)
+    problem, n = random_list_problem(np.random.default_rng(seed))
+    problem = replace(problem, available=replace(problem.available, costs=costs))
+    sets = every_set(problem, n)
+    limit = float(np.median([time for time, _ in sets]))
+    best = max(levels for time, levels in sets if time <= limit)
+    found = solve_accuracy(problem, [n], total_limit=(limit + costs.fixed) * (1 + 1e-9))
+    assert costs.total(found.times) <= limit * (1 + 1e-8)
+    assert found.effective_levels >= (1 - NEAR_TIE) * best * (1 - 1e-9)
 
 
 @pytest.mark.slow
