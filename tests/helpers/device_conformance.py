@@ -40,12 +40,16 @@ class DeviceConformance(CameraConformance):
         """The camera that stays open."""
         kind = type(self)
         if kind._shared is None:
-            kind._shared = rig.open_device(self.device)
+            kind._shared = self.open_device()
         return kind._shared
 
     def open_camera(self) -> Camera:
         """Return a camera opened anew; only one can be open, so that the other is closed."""
         self._close()
+        return self.open_device()
+
+    def open_device(self) -> Camera:
+        """Return the camera of the device, opened by the backend that is tested."""
         return rig.open_device(self.device)
 
     def middle_s(self, camera: Camera) -> float:

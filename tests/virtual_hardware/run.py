@@ -40,7 +40,7 @@ BENCHES = ("bench_discovery.py", "bench_v4l2.py", "bench_v4l2_cpu.py", "bench_pt
 GUESTS = ("webcams", "others")
 WEBCAM_FILES = ("test_v4l2_backend.py",)
 DISPLAY = "display"
-BACKENDS = ("v4l2", "ptp", "coolpix")
+BACKENDS = ("v4l2", "ptp", "coolpix", "gphoto2")
 # Limits that only catch what hangs: of a guest in the host's time, of a test in the guest's.
 LIMIT_S = 1500.0
 TEST_LIMIT_S = 1200
