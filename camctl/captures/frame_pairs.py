@@ -254,7 +254,7 @@ class Pair:
             few = found.size - math.ceil(_TAIL * found.size)
             found.partition(few)
             found[few:].sort()
-        return found
+        return np.asarray(found)
 
     @property
     def compared(self) -> float:
