@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.frame_pairs import Limits, outside
+from camctl.captures.frame_pairs import Limits, Pair, outside
 from camctl.picture_operations import dilated
 
 ACROSS = 2
@@ -31,6 +31,7 @@ _MOST_LINES, _RING_SAMPLES = 512, 200
 #: saturated ones along the columns as along the rows, and so many more.
 _STREAKS, _LEAST_STREAKS = 2.0, 20
 #: Or if fewer than this share of those connected are darker in the longer frame than expected.
+#: With unknown noise that proves nothing: what became darker may not be found in the pair before.
 _LOST = 0.05
 #: Light spreads if this share of the pixels beside saturated ones contradict.  It ends where the
 #: share is less than the second one of the largest.
@@ -57,8 +58,9 @@ class LightSpread:
         return self.streaks or self.reach > 0
 
     @classmethod
-    def of(cls, limits: Limits, white: int, short: Pixels, long: Pixels) -> LightSpread:
+    def of(cls, limits: Limits, pair: Pair, short: Pixels, long: Pixels) -> LightSpread:
         """Measure it on some of the columns and rows."""
+        white = pair.saturated
         rows, columns = short.shape[:2]
         every = -(-columns // _MOST_LINES), -(-rows // _MOST_LINES)
         found, source = _on_lines(limits, white, short[:, :: every[0]], long[:, :: every[0]])
@@ -68,7 +70,7 @@ class LightSpread:
         on_rows = _on_lines(limits, white, short[:: every[1]], long[:: every[1]])
         beside = np.count_nonzero(_connected_runs(*(each.T for each in on_rows))) * every[1]
         streaks = along > _STREAKS * beside + _LEAST_STREAKS
-        if not streaks:
+        if not streaks and pair.is_known:
             # Charge only adds light; things that move take it away elsewhere.
             darker = _darker(limits, short[:, :: every[0]], long[:, :: every[0]])
             lost = np.count_nonzero(_connected_runs(darker, source)) * every[0]

@@ -141,7 +141,7 @@ def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float)
     alarms, does_spread = 0.0, False
     for pair, (limits, rate) in zip(pairs, _calibrated(pairs, total), strict=True):
         long = frame(pair.long.position)
-        spread = LightSpread.of(limits, pair.saturated, short, long)
+        spread = LightSpread.of(limits, pair, short, long)
         does_spread |= spread.is_any
         compared = 0
         for start in range(0, columns, step):
