@@ -43,7 +43,7 @@ from camctl.response_record import ResponseRecord
 
 #: Response and exposures are measured in turn until the exposures change by less than this: each
 #: round about halves the errors that wrong labels leave in both.
-_NOTABLE_CHANGE, _MOST_ROUNDS = 0.01, 5
+_NOTABLE_CHANGE, _MOST_ROUNDS = 0.005, 5
 #: Factor of the disagreement of the frames from which measured exposures are worse than stated, and
 #: the factor up to which a change may be that of the round before: else the response is wrong.
 _WORSE, _SHRINKS = 1.25, 1.0
