@@ -186,7 +186,7 @@ def test_hostile_names_of_a_camera_leave_the_files_readable(tmp_path: Path, cv2:
 
 def test_what_is_unknown_is_left_out() -> None:
     unknown = replace(
-        details(f_number=None), taken_at=None, camera=CameraInfo("x", "", "m", "", "x")
+        details(f_number=None, iso=None), taken_at=None, camera=CameraInfo("x", "", "m", "", "x")
     )
     names = exr_attributes(unknown, "Y").keys()
     assert names == {"cameraModel", "software", "expTime", "irradianceUnit", "gain"}

@@ -16,7 +16,10 @@ TAKEN_AT = datetime(2026, 5, 17, 21, 4, 9, tzinfo=timezone(timedelta(hours=2)))
 
 
 def details(
-    count: int = 2, thumbnail: NDArray[np.uint8] | None = None, f_number: float | None = 2.8
+    count: int = 2,
+    thumbnail: NDArray[np.uint8] | None = None,
+    f_number: float | None = 2.8,
+    iso: float | None = 200,
 ) -> PictureDetails:
     """Return those of a capture of `count` frames, each four times as long as the one before."""
     picture = np.full((30, 40, 3), 120, np.uint8) if thumbnail is None else thumbnail
@@ -27,7 +30,7 @@ def details(
             0.01 * place,
             0.004 / 4.0**place,
             1 / 4.0**place,
-            iso=200,
+            iso,
         )
         for place in range(count)
     )
