@@ -136,6 +136,7 @@ def test_linear_openexr_files_are_merged(run: Run) -> None:
         OpenEXR.File(header, channels).write(f"p{k}.exr")
         names.append(f"p{k}.exr")
     ran = run("merge", *names, "-o", "hall", "--json")
+    assert ran.status == 0, ran.out
     assert ran.json["response_from"] == "linear, as raw files are"
     assert error_of("hall") < 0.01
 
