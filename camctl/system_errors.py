@@ -25,8 +25,9 @@ _MEMORY_HINT = "choose a smaller picture, close other programs, or raise the lim
 #: Messages of the dynamic linker where memory does not suffice to load a library.
 _LOADING = ("failed to map segment", "annot allocate memory", "annot create shared object")
 
-#: cv2.error.code of OpenCV for memory that it cannot allocate (StsNoMem).
-_OPENCV_NO_MEMORY = -4
+#: cv2.error.code of OpenCV for memory that it cannot allocate (StsNoMem), and the message where the
+#: C++ library cannot.
+_OPENCV_NO_MEMORY, _NO_MEMORY = -4, "std::bad_alloc"
 
 
 def resource_error(error: BaseException) -> ResourceError | None:
@@ -39,7 +40,9 @@ def resource_error(error: BaseException) -> ResourceError | None:
         return error
     if isinstance(error, MemoryError):
         return OutOfMemoryError(f"not enough memory{_array_text(error)}", hint=_MEMORY_HINT)
-    if type(error).__module__ == "cv2" and getattr(error, "code", 0) == _OPENCV_NO_MEMORY:
+    if type(error).__module__ == "cv2" and (
+        getattr(error, "code", 0) == _OPENCV_NO_MEMORY or _NO_MEMORY in str(error)
+    ):
         return OutOfMemoryError("not enough memory for a picture", hint=_MEMORY_HINT)
     if isinstance(error, ImportError) and any(text in str(error) for text in _LOADING):
         return OutOfMemoryError("not enough memory to load a library", hint=_MEMORY_HINT)

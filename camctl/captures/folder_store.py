@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import PHOTOGRAPHS, Frame, Pixels
 from camctl.captures.capture_folder import CaptureFolder, staged_name
+from camctl.captures.file_names import resume_command
 from camctl.captures.frame_record import StoredFrame
 from camctl.captures.frame_store import KeptFiles
 from camctl.captures.picture_details import PictureDetails
@@ -226,7 +227,7 @@ class FolderStore:
             return "the photographs are as they were", "merge them again, with --force"
         return (
             f"{done} of {count} frames are kept",
-            f"go on with: camctl shoot --resume {self.directory}",
+            f"go on with: {resume_command(self.directory)}",
         )
 
     def frame(self, position: int) -> Pixels:
@@ -324,6 +325,6 @@ def read_report(directory: str | os.PathLike[str]) -> CaptureReport:
     if isinstance(report, UnfinishedCapture):
         raise DataError(
             f"{directory} holds an incomplete capture",
-            hint=f"complete it with: camctl shoot --resume {directory}",
+            hint=f"complete it with: {resume_command(directory)}",
         )
     return report

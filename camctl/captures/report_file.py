@@ -24,6 +24,7 @@ from camctl.captures.report import FORMAT_VERSION, CaptureReport, UnfinishedCapt
 from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError, DataError
 from camctl.exposure.effective import check_count
+from camctl.exposure.objective import MAX_LEVELS_WANTED
 from camctl.input_files import read_own_file
 
 FRAMES, LOCK = "frames", ".camctl.lock"
@@ -48,6 +49,8 @@ _LONGEST_DETAILS = 64 << 10
 _LONGEST_SUFFIX = 8
 #: Relative exposures of one capture differ by less than this factor.
 _WIDEST_RATIO = 1e12
+#: More stops than any light is above a range.
+_MOST_STOPS = 200
 
 #: A frame's file, with its position from 1, the number of a rejected one, and its suffix.
 _FRAME = rf"frame-(\d\d)(?:-rejected-([1-9]\d?))?(\.[a-z0-9]{{1,{_LONGEST_SUFFIX}}})"
@@ -237,8 +240,11 @@ def _problems(report: CaptureReport | UnfinishedCapture) -> Iterator[str]:
         yield "plan.exposures are not those of plan.settings"
     elif max(one.exposure for one in used) > _WIDEST_RATIO * min(one.exposure for one in used):
         yield f"the exposures differ by more than a factor of {_WIDEST_RATIO:g}"
-    if not 0 < report.plan.levels_wanted < math.inf:
-        yield "plan.levels_wanted is not positive and finite"
+    if not 0 < report.plan.levels_wanted <= MAX_LEVELS_WANTED:
+        yield f"plan.levels_wanted is not from 0 to {MAX_LEVELS_WANTED:g}"
+    light = report.plan.light
+    if light is not None and not 0 <= light.clips_stops <= _MOST_STOPS:
+        yield f"plan.light.clips_stops is not from 0 to {_MOST_STOPS}"
     _ = report.plan.desired  # raises where there is no such response
     for position, frame in enumerate(frames):
         if frame is not None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from camctl.captures.capture_folder import CaptureFolder
+from camctl.captures.file_names import resume_command
 from camctl.captures.gallery import make_thumbnail, write_gallery
 from camctl.captures.report import CaptureReport
 from camctl.captures.report_file import LOCK
@@ -295,7 +296,7 @@ class Series:
         return f"{self.journal.completed}{of} sets are complete"
 
     def _hint(self) -> str:
-        return f"go on with: camctl shoot --resume {self.directory}"
+        return f"go on with: {resume_command(self.directory)}"
 
 
 def _folder_bytes(directory: Path) -> int:

@@ -172,10 +172,12 @@ def _report(error: BaseException, *, as_json: bool) -> int:
     else:
         status, kind, message, hint = _describe(error)
     # What became of a capture.
-    message = "; ".join([message, *map(one_line, getattr(error, "__notes__", ()))])
+    notes = [one_line(note) for note in getattr(error, "__notes__", ())]
     if interrupt is not None:
         status = 128 + interrupt.number
-    print_error(_shortened(f"{message}; {hint}" if hint else message))
+    # Notes and hints hold commands to be pasted: they stay whole.
+    print_error("; ".join(filter(None, [_shortened(message), *notes, hint])))
+    message = "; ".join([message, *notes])
     if as_json:
         with suppress(ClosedOutputError, StorageError):
             print_json({"error": {"type": kind, "message": message, "hint": hint or None}})

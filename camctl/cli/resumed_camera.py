@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from camctl.captures.file_names import resume_command
 from camctl.cli import options
 from camctl.cli.options import CameraOptions
 from camctl.errors import DataError
@@ -54,12 +55,12 @@ def resumed_camera(
     if not isinstance(camera_id, str) or not isinstance(values, dict):
         raise DataError(
             f"{directory}/{file} does not name the camera to open",
-            hint=f"name it: camctl shoot --resume {directory} --camera ID",
+            hint=f"name it: {resume_command(directory)} --camera ID",
         )
     if not is_local(camera_id, values):
         raise DataError(
             f"{directory}/{file} names the camera {camera_id[:80]!r}, which is not opened "
             "unless you name it: it may lead to another machine",
-            hint=f"if you trust it: camctl shoot --resume {directory} --camera ID",
+            hint=f"if you trust it: {resume_command(directory)} --camera ID",
         )
     return open_camera(camera_id, values)

@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from camctl.controls import (
     Choices,
@@ -91,7 +91,7 @@ class Sensor(FileModel):
         lens, dark, pixels, read_out: see `sim.sensors.parts`; left out, their effects are absent
     """
 
-    name: str
+    name: Annotated[str, StringConstraints(max_length=200)]
     bits: int = Field(ge=1, le=16)
     layout: Layout | None = None
     shape: PictureShape = (480, 640)

@@ -335,6 +335,11 @@ def no_memory_in_opencv() -> cv2.error:
     return error
 
 
+def no_memory_in_the_c_library() -> cv2.error:
+    """Return what OpenCV raises, as seen with ulimit -v 600000, while it measures text."""
+    return cv2.error("std::bad_alloc")
+
+
 FRAME = "sim.camera:SimulatedCamera._counted_frame"
 SUM = "camctl.captures.sequence:Accumulator.accumulate"
 PREVIEW = "camctl.captures.picture_files:png"
@@ -369,6 +374,7 @@ def call_first(monkeypatch: pytest.MonkeyPatch, point: str, action: Callable[[],
         (SUM, MemoryError(), 2, "not enough memory; choose a smaller picture"),
         (SUM, array_too_large(), 2, "not enough memory for an array of 2.68e+08 GiB"),
         (PREVIEW, no_memory_in_opencv(), 2, "not enough memory for a picture"),
+        (PREVIEW, no_memory_in_the_c_library(), 2, "not enough memory for a picture"),
         (PREVIEW, RuntimeError("can't start new thread"), 2, "the system starts no more threads"),
         ("tifffile:imwrite", DISK_FULL, 2, "cannot write out/sum.tiff: the disk is full"),
         ("camctl.captures.sequence:complete", KeyboardInterrupt(), 2, "interrupted"),

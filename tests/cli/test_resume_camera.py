@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from command_line import Ran, Run
 
 from camctl.backends import is_local
 
+LIGHT = {"span": 2.0, "is_open": False, "clips": 0.5, "dark": 0.1, "needed": 1.0}
 SMALL = ("--size", "64x48", "--ratios", "1,4", "--base", "0.01")
 
 
@@ -108,3 +111,39 @@ def test_only_devices_of_this_machine_are_local(
     camera_id: str, options: dict[str, Any], expected: bool
 ) -> None:
     assert is_local(camera_id, options) is expected
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["red hall", "$(touch pwn);x", "it's", "caf\udce9", "two\nlines", "a" * 200 + "/" + "b" * 200],
+)
+def test_the_command_that_goes_on_can_be_pasted(run: Run, name: str) -> None:
+    Path(name).parent.mkdir(exist_ok=True)
+    try:
+        Path(name).mkdir()
+        Path(name).rmdir()
+    except OSError:
+        pytest.skip("this file system has no such names")
+    error = run("shoot", *SMALL, "-o", name, "--fault", "unplug@1").error
+    command = error[error.index("camctl shoot --resume ") :]
+    shell = ["bash", "-c", f"camctl() {{ printf '%s\\0' \"$@\"; }}; {command}"]
+    printed = subprocess.run(shell, check=True, capture_output=True).stdout
+    folder = os.fsdecode(printed.split(b"\0")[2])
+    assert Path(folder).absolute() == Path(name).absolute()
+    assert not Path("pwn").exists()
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("levels_wanted", 1e308),
+        ("light", {**LIGHT, "clips_stops": 9e99}),
+        ("light", {**LIGHT, "clips_stops": -1}),
+    ],
+)
+def test_numbers_of_a_plan_have_limits(run: Run, begun: Path, field: str, value: object) -> None:
+    plan = json.loads((begun / "report.json").read_text())["plan"]
+    edit(begun, plan={**plan, field: value})
+    ran = resume(run)
+    assert ran.status != 0
+    assert f"here/report.json is damaged: plan.{field}" in ran.error

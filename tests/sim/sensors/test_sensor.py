@@ -104,6 +104,7 @@ def test_the_error_for_an_unknown_name_suggests_a_similar_one() -> None:
             "full_well_e 10000 contradicts electrons_per_dn 1 x 256 levels",
         ),
         ({"electrons_per_dn": 1000.0}, "full_well_e 10000 contradicts electrons_per_dn 1000 x 256"),
+        ({"name": "n" * 201}, "name: string should have at most 200 characters"),
         ({"bits": 0}, "bits: input should be greater than or equal to 1"),
         ({"bits": 17}, "bits: input should be less than or equal to 16"),
         ({"bits": 10**9}, "bits: input should be less than or equal to 16"),
