@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import os
 import shlex
-from pathlib import Path
 
 REPORT = "report.json"
 
 
-def resume_command(directory: Path) -> str:
+def resume_command(directory: str | os.PathLike[str]) -> str:
     r"""Return the command that goes on with a capture or a series, to be pasted into a shell.
 
-    >>> resume_command(Path("hall")), resume_command(Path("red hall"))
+    >>> resume_command("hall"), resume_command("red hall")
     ('camctl shoot --resume hall', "camctl shoot --resume 'red hall'")
-    >>> print(resume_command(Path("caf\udce9")))  # a name that is not UTF-8, in bash
+    >>> print(resume_command("caf\udce9"))  # a name that is not UTF-8, in bash
     camctl shoot --resume $'caf\xe9'
     """
     name = os.fspath(directory)
