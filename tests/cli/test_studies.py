@@ -91,8 +91,11 @@ def test_differences_of_the_simulation_stay_within_their_bounds(run: Run) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "on_cluster"),
-    [(QUICK_SOLVER, True), (QUICK_SIMULATION, False)],
-    ids=["solver over Dask", "simulation over processes"],
+    [
+        # A cluster that has not started in 10 s of real time fails.
+        pytest.param(QUICK_SOLVER, True, id="solver over Dask", marks=pytest.mark.serial),
+        pytest.param(QUICK_SIMULATION, False, id="simulation over processes"),
+    ],
 )
 def test_a_study_is_the_same_over_several_processes(
     line: tuple[str, ...], on_cluster: bool, run: Run, request: pytest.FixtureRequest

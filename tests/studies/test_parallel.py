@@ -19,7 +19,13 @@ def test_results_are_in_the_order_of_the_items_in_this_process() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("on_cluster", [True, False], ids=["dask", "processes"])
+@pytest.mark.parametrize(
+    "on_cluster",
+    [
+        pytest.param(True, id="dask", marks=pytest.mark.serial),  # it must start within 10 s
+        pytest.param(False, id="processes"),
+    ],
+)
 def test_results_are_the_same_on_dask_and_on_processes(
     on_cluster: bool, request: pytest.FixtureRequest
 ) -> None:
