@@ -244,7 +244,7 @@ def _evidence(series: Series, name: str, edges: FloatArray, chart: Chart | None)
 def _without_spill(
     series: Series, edges: FloatArray, channels: list[_Evidence], notes: list[str]
 ) -> list[_Evidence]:
-    """Return what is left without samples near saturated ones, where charge spills over.
+    """Return the evidence without samples near saturated ones, where charge spills over.
 
     Where none does, or where the rest does not show the response, all samples count.
     """

@@ -1,6 +1,6 @@
 """Light that spreads from saturated pixels of the longer of two frames into others: no movement.
 
-Two effects are told from things that moved, each by what one pair of frames shows:
+Two effects are distinguished from movement, each by what one pair of frames shows:
 
 - Charge flows along the columns (blooming).  Contradicting pixels are then connected to saturated
   ones along the columns far more than along the rows, or none of them lost light.

@@ -68,7 +68,7 @@ def shutter_budget(
     limit_s: float,
     before: ExposureSetting | None,
 ) -> CaptureRequest:
-    """Return the request with its time budget reduced to what is left for shutter times.
+    """Return the request with its time budget reduced to what remains for shutter times.
 
     Args:
         controls: of the camera
