@@ -9,7 +9,8 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import CameraOptions, LightOptions
+from camctl.cli.light_options import LightOptions, light_options
+from camctl.cli.options import CameraOptions
 from camctl.cli.output import print_text, print_warning, visible
 from camctl.cli.parameter_types import PANEL, PATH
 from camctl.errors import UsageError, unknown_name
@@ -40,7 +41,7 @@ CAMERAS, PANELS = "camctl.cameras", "camctl.panels"  # as in `camctl.backends`, 
     help="Panel that shows the menu: terminal (this one, with the arrow keys), "
     "cfa635:/dev/ttyUSB0, framebuffer:/dev/fb0, web[:PORT], image:DIR.",
 )
-@options.light_options()
+@light_options()
 @click.option(
     "-o",
     "--output",

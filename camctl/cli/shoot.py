@@ -20,7 +20,8 @@ from camctl.cli.capture_output import (
     simulation_text,
 )
 from camctl.cli.commands import command
-from camctl.cli.options import CameraOptions, LightOptions
+from camctl.cli.light_options import LightOptions, light_options
+from camctl.cli.options import CameraOptions
 from camctl.cli.output import print_json, print_text, print_warning
 from camctl.cli.parameter_types import PATH, Number, Ratios, Seconds
 from camctl.cli.response_options import DesiredOptions, desired_options, levels_wanted
@@ -179,7 +180,7 @@ exposure_options = options.option_group(
 @options.camera_options
 @desired_options(auto=True, auto_range=True)
 @exposure_options
-@options.light_options(series=True)
+@light_options(series=True)
 @click.option(
     "--simulation-tolerance",
     type=Number("a number of DN of at least 0", least=0),
