@@ -22,7 +22,7 @@ from camctl.noise_model import FrameNoise
 from camctl.response.camera import FloatArray
 from camctl.response.desired import DesiredResponse
 
-LEAST_CHUNK, MOST_CHUNK, CHUNKS = 32, 512, 32
+LEAST_CHUNK, MOST_CHUNK, CHUNKS = 64, 512, 32
 """Nodes computed at once: a `CHUNKS`-th of all, within these limits.  Neighbouring nodes have
 nearly the same sums, distant ones do not, so that few are computed at once where there are few."""
 
