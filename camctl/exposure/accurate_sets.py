@@ -19,18 +19,15 @@ from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.enumerated_sets import MAX_ENUMERATED, EnumeratedSets, number_of_sets
 from camctl.exposure.exchange_search import ExchangeSearch, Set
 from camctl.exposure.exposure_choices import (
-    SAME,
     AccuracyProblem,
     Rated,
-    Shot,
     ShotChoices,
     Shots,
     shot_choices,
 )
+from camctl.exposure.least_quantisation import LeastQuantisation
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.exposure.objective import Objective
 from camctl.exposure.set_moves import INTERLEAVES, SetMoves
-from camctl.exposure.solver import SearchOptions, solve
 
 EXACT_RATINGS = 70
 """Exact predictions while a set is improved, for 8 bits; fewer for finer cameras, which take longer
@@ -60,14 +57,9 @@ BINDING = 0.95
 SHORTER = 0.8
 """Factor by which the time is reduced step by step where the estimate does not apply."""
 
-MARGIN = 0.96
-"""Share of the effective levels that an estimate must reach for the set to be rated exactly."""
-
-SHORTENINGS = 3
-"""Attempts to fit exposures into a time in which short ones take as long as a frame."""
-
-QUICK_EFFORT = 0.15
-"""Effort of the search for the least quantisation error."""
+MARGIN, ROUGH = 0.96, 0.93
+"""Share of the effective levels that an estimate must reach for the set to be rated exactly, and
+the same where noise does not dither the quantiser."""
 
 
 Better: TypeAlias = Callable[[Rated, Rated], bool]
@@ -93,7 +85,7 @@ class AccurateSets:
         self._best: dict[tuple[int, float], Rated] = {}
         self._enumerated: dict[int, EnumeratedSets | None] = {}
         self._rated: dict[Shots, Rated] = {}
-        self._extra_evaluations = 0
+        self._quantisation = LeastQuantisation(problem)
         self.moves = SetMoves(problem)
         M = problem.response.M
         self._ratings = max(2, int(effort * EXACT_RATINGS * 255) // max(M, 255))
@@ -103,7 +95,7 @@ class AccurateSets:
         """Sets estimated or rated so far."""
         searches = [each for found in self._searches.values() for each in found]
         estimated = sum(search.evaluations for search in searches)
-        return estimated + self._extra_evaluations + len(self._rated)
+        return estimated + self._quantisation.evaluations + len(self._rated)
 
     def enumerates(self, n: int) -> bool:
         """Return whether all sets of n exposures are considered."""
@@ -115,16 +107,23 @@ class AccurateSets:
 
     def may_reach(self, n: int, levels: float, limit: float) -> bool:
         """Return whether the estimate leaves it possible that n exposures reach `levels`."""
-        best = self._best_estimated(n, limit)
-        return bool(best) and (not self._dithered or _levels(best[0][0]) >= MARGIN * levels)
+        if not self._best_estimated(n, limit):
+            return False
+        estimate = self.estimated(n, limit)
+        return estimate is None or estimate >= (MARGIN if self._dithered else ROUGH) * levels
 
     def estimated(self, n: int, limit: float) -> float | None:
         """Return about the most effective levels of n exposures, within a few per cent.
 
-        None where the quantiser is not dithered, so that the estimate says little.
+        None where the quantiser is not dithered and no set without noise was found, so that the
+        estimate says little.
         """
         best = self._best_estimated(n, limit)
-        return _levels(best[0][0]) if best and self._dithered else None
+        estimate = _levels(best[0][0]) if best else None
+        if estimate is None or self._dithered:
+            return estimate
+        noise_free = self._quantisation.estimated(n, limit)
+        return None if noise_free is None else max(estimate, noise_free)
 
     def most_accurate(self, n: int, limit: float, *, least: float = 0.0) -> Rated:
         """Return the set of n exposures of most effective levels within `limit` (>= least time).
@@ -172,7 +171,7 @@ class AccurateSets:
         if not self._dithered:
             while reached := [
                 each
-                for each in self._least_quantisation(n, SHORTER * start.time)
+                for each in self._least_quantisation(n, SHORTER * start.time, levels)
                 if each.levels >= levels
             ]:
                 start = reached[0]
@@ -251,35 +250,15 @@ class AccurateSets:
             self._estimated[n, limit] = sorted(found, key=lambda each: each[0])[:MOST_STARTS]
         return self._estimated[n, limit]
 
-    def _least_quantisation(self, n: int, limit: float) -> list[Rated]:
-        """Return the set of least quantisation error, for a camera whose noise does not dither.
+    def _least_quantisation(self, n: int, limit: float, least: float = 0.0) -> list[Rated]:
+        """Return the set of least quantisation error, if it may have `least` levels.
 
-        It is searched for at the smallest gain, and where any time can be set.
+        It is of use for a camera whose noise does not dither.
         """
-        available, gain = self.problem.available, min(self.problem.available.gains)
-        costs = available.costs
-        total = costs.shutter(limit, n) - max(0.0, costs.least - 1)
-        for _ in range(SHORTENINGS):
-            if self._dithered or available.times is not None or not total >= n:
-                return []
-            found = solve(
-                self.problem.response,
-                self.problem.desired,
-                n,
-                objective=Objective(kind="levels"),
-                total_limit=total,
-                search=SearchOptions(effort=QUICK_EFFORT),
-            )
-            self._extra_evaluations += found.evaluations
-            if found.exposures[-1] > available.longest:
-                return []
-            rated = self.rate(tuple(Shot(e, e, gain) for e in found.exposures))
-            # Exposures shorter than a frame take more time than their shutter times.
-            over = rated.time - limit
-            if over <= SAME * limit:
-                return [rated]
-            total = min(total, found.total_exposure) - over / costs.factor
-        return []
+        if self._dithered or (self._quantisation.estimated(n, limit) or 0.0) < ROUGH * least:
+            return []
+        found = self._quantisation.best(n, limit)
+        return [] if found is None else [self.rate(found)]
 
     def _interleaved_best(self, choices: ShotChoices, shots: Shots) -> Rated:
         """Return the set, or the best one with its nearly equal exposures spread."""
