@@ -8,6 +8,7 @@ their neighbours too.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import TypeAlias
@@ -28,13 +29,18 @@ from camctl.exposure.exposure_choices import (
 from camctl.exposure.least_quantisation import LeastQuantisation
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.set_moves import INTERLEAVES, SetMoves
+from camctl.response.camera import FloatArray
 
 EXACT_RATINGS = 70
 """Exact predictions while a set is improved, for 8 bits; fewer for finer cameras, which take longer
 and whose noise dithers the quantiser."""
 
-DITHERING = 0.3
-"""Noise in levels from which the quantiser counts as dithered."""
+DITHERING, HIDING = 0.3, 0.5
+"""Noise in levels from which the quantiser counts as dithered, and from which distances of less
+than a level between equal exposures change nothing (the levels by less than 0.1 %)."""
+
+DARK_TO_BRIGHT = np.geomspace(1e-6, 1.0, 25)
+"""Irradiances at which the noise is compared with `HIDING`."""
 
 CORRECTIONS = 8
 """Attempts to reach a number of levels exactly by asking the estimate for more or fewer."""
@@ -54,8 +60,9 @@ CORRECTION = 1.001
 BINDING = 0.95
 """Share of the time limit from which the limit is what keeps a set from being better."""
 
-SHORTER = 0.8
-"""Factor by which the time is reduced step by step where the estimate does not apply."""
+SHORTER, SHORTEST = 0.8, 0.94
+"""Factor by which the time is reduced step by step where the estimate does not apply; it rises to
+the second one as this fails."""
 
 MARGIN, ROUGH = 0.96, 0.93
 """Share of the effective levels that an estimate must reach for the set to be rated exactly, and
@@ -161,6 +168,8 @@ class AccurateSets:
         """
         if (every := self._all(n)) is not None:
             return every.quickest(levels, limit)
+        if not self._dithered and not self.may_reach(n, levels, limit):
+            return None
         found = self._quickest_estimated(n, levels)
         found = [each for each in found if each.time <= limit]
         if not found or not self._dithered:
@@ -168,13 +177,13 @@ class AccurateSets:
         if not found:
             return None
         start = min(found, key=lambda each: each.time)
-        if not self._dithered:
-            while reached := [
-                each
-                for each in self._least_quantisation(n, SHORTER * start.time, levels)
-                if each.levels >= levels
-            ]:
+        share = SHORTER
+        while share < SHORTEST and not self._dithered:
+            reached = self._least_quantisation(n, share * start.time, levels)
+            if reached and reached[0].levels >= levels:
                 start = reached[0]
+            else:
+                share = math.sqrt(share)
         return start
 
     def shortened(self, rated: Rated, levels: float) -> Rated:
@@ -220,8 +229,17 @@ class AccurateSets:
     @cached_property
     def _dithered(self) -> bool:
         """Whether noise dithers the quantiser: in a frame that is exposed to 1/16 of full scale."""
+        return self._least_noise(np.array([1 / 16])) >= DITHERING
+
+    @cached_property
+    def _hides_levels(self) -> bool:
+        """Whether noise hides how the levels of nearly equal exposures interleave."""
+        return self._least_noise(DARK_TO_BRIGHT) >= HIDING
+
+    def _least_noise(self, E: FloatArray) -> float:
+        """Return the least noise of a frame at these irradiances, in levels."""
         noise = self.problem.noise.frame(gain=min(self.problem.available.gains), time_s=0.0)
-        return bool(deviation(self.problem.response, np.array([1 / 16]), noise)[0] >= DITHERING)
+        return float(deviation(self.problem.response, E, noise).min())
 
     def _all(self, n: int) -> EnumeratedSets | None:
         """Return all sets of a list of settings; None where they are too many, or not a list."""
@@ -255,7 +273,10 @@ class AccurateSets:
 
         It is of use for a camera whose noise does not dither.
         """
-        if self._dithered or (self._quantisation.estimated(n, limit) or 0.0) < ROUGH * least:
+        if self._dithered:
+            return []
+        estimate = self._quantisation.estimated(n, limit)
+        if estimate is None or estimate < ROUGH * least:
             return []
         found = self._quantisation.best(n, limit)
         return [] if found is None else [self.rate(found)]
@@ -263,7 +284,7 @@ class AccurateSets:
     def _interleaved_best(self, choices: ShotChoices, shots: Shots) -> Rated:
         """Return the set, or the best one with its nearly equal exposures spread."""
         tried = [shots]
-        if not choices.is_list:
+        if not (choices.is_list or self._hides_levels):
             tried += [self.moves.interleaved(distance, shots) for distance in INTERLEAVES]
         return max((self.rate(each) for each in tried), key=lambda rated: rated.levels)
 

@@ -12,13 +12,16 @@ from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Shot, Shots
 from camctl.exposure.objective import Objective
 from camctl.exposure.solver import SearchOptions, Solution, coarse_camera, solve
 
-SEARCH = SearchOptions(effort=0.15, refinement=0.1)
-"""The search for a set; neighbours of what it finds are rated exactly afterwards."""
+SEARCH, SEARCH_OF_FEW = (SearchOptions(effort=effort, refinement=0.1) for effort in (0.05, 0.15))
+"""The search for a set, and that for a camera of at most `FEW_LEVELS`, which takes less time;
+neighbours of what it finds are rated exactly afterwards."""
 
-QUICK_SEARCH = SearchOptions(effort=0.02, refinement=0.0)
+FEW_LEVELS = 63
+
+QUICK_SEARCH = SearchOptions(effort=0.01, refinement=0.0)
 """The search for an estimate: its levels are within about 5 % of those of `SEARCH`."""
 
-SHORTENINGS = 3
+SHORTENINGS = 6
 """Attempts to fit exposures into a time in which short ones take as long as a frame."""
 
 
@@ -33,6 +36,8 @@ class LeastQuantisation:
         self.problem = problem
         self.evaluations = 0
         self._estimates: dict[tuple[int, float], float | None] = {}
+        self._totals: dict[tuple[int, float], float] = {}
+        self._search = SEARCH if problem.response.M > FEW_LEVELS else SEARCH_OF_FEW
         self._coarse, self._finer = coarse_camera(problem.response)
 
     def estimated(self, n: int, limit: float) -> float | None:
@@ -45,13 +50,16 @@ class LeastQuantisation:
 
     def best(self, n: int, limit: float) -> Shots | None:
         """Return the set of least quantisation error of a time up to `limit`, or None."""
-        found = self._within(n, limit, SEARCH)
+        if self.estimated(n, limit) is None:
+            return None
+        found = self._within(n, limit, self._search)
         return None if found is None else self._shots(found)
 
     def _within(self, n: int, limit: float, search: SearchOptions) -> Solution | None:
         available = self.problem.available
         costs = available.costs
         total = costs.shutter(limit, n) - max(0.0, costs.least - 1)
+        total = self._totals.get((n, limit), total)
         for _ in range(SHORTENINGS):
             if available.times is not None or not total >= n:
                 return None
@@ -69,6 +77,7 @@ class LeastQuantisation:
             # Exposures shorter than a frame take more time than their shutter times.
             over = costs.total([shot.time for shot in self._shots(found)]) - limit
             if over <= SAME * limit:
+                self._totals[n, limit] = total
                 return found
             total = min(total, found.total_exposure) - over / costs.factor
         return None
