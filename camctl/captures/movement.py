@@ -9,6 +9,7 @@ What light does that spreads from saturated pixels is left out, see `camctl.capt
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -124,13 +125,18 @@ def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> f
 
     Unknown noise is larger at contours and beside saturated pixels, of which patches have few.
     """
-    total, tries = FALSE_ALARMS, []
+    most = _MOST_RATE * FALSE_ALARMS
+    total, low, high, tries = FALSE_ALARMS, 0.0, math.inf, []
     for _ in range(1 + _TRIES):
         alarms = _marked(frame, pairs, total).found.false_alarms
         tries.append((abs(alarms / FALSE_ALARMS - 1), total))
-        if not alarms or min(tries)[0] < _NEAR_RATE:
+        too_few = alarms < FALSE_ALARMS
+        if not alarms or min(tries)[0] < _NEAR_RATE or (too_few and total == most):
             break
-        total = min(total * FALSE_ALARMS / alarms, _MOST_RATE * FALSE_ALARMS)
+        low, high = (total, high) if too_few else (low, total)
+        total = min(total * FALSE_ALARMS / alarms, most)
+        if not low < total < high:
+            total = math.sqrt(low * min(high, most))
     return min(tries)[1]
 
 
