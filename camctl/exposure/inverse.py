@@ -22,9 +22,10 @@ from camctl.noise_model import FrameNoise
 from camctl.response.camera import FloatArray
 from camctl.response.desired import DesiredResponse
 
-CHUNK, FINE_LEVELS, FINE_CHUNK = 128, 1023, 32
+CHUNK, FINE_LEVELS, FINE_CHUNK, EXACT_CHUNK = 128, 1023, 32, 256
 """Nodes computed at once, and fewer for cameras of more than `FINE_LEVELS` levels, whose noise
-spreads over many sums: neighbouring nodes have nearly the same sums, distant ones do not."""
+spreads over many sums: neighbouring nodes have nearly the same sums, distant ones do not.  Without
+noise each node has one sum."""
 
 _CELL = 2.0
 """Width of a cell of the integration, in standard deviations of the noise: with half of that, the
@@ -170,6 +171,8 @@ class Posterior:
         """Yield probabilities (nodes, sums) of some nodes and sums, and where these are."""
         E = self._response.inverse(v)
         chunk = CHUNK if self.sum.camera.response.M <= FINE_LEVELS else FINE_CHUNK
+        if not any(frame.deviation(np.ones(1)).any() for frame in self.sum.frames):
+            chunk = EXACT_CHUNK
         for first in range(0, v.size, chunk):
             part = slice(first, first + chunk)
             for z, weight in self._offsets:
