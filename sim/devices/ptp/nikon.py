@@ -21,7 +21,6 @@ from sim.devices.ptp.protocol import (
     pack_list,
 )
 from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.store import stored
 from sim.devices.still_body import ImageFile
 
 BULB = 0xFFFF_FFFF
@@ -202,7 +201,9 @@ class NikonResponder(Responder):
         return self.release(is_bulb=self.exposure_time_s() is None, store=store)
 
     def _keep_in_memory(self, files: Sequence[ImageFile]) -> None:
-        self.card.memory = {IN_MEMORY + i: stored(file, 0) for i, file in enumerate(files)}
+        self.card.memory = {
+            IN_MEMORY + i: self.card.stored(file, 0) for i, file in enumerate(files)
+        }
         for handle in self.card.memory:
             self.announce(Event.NIKON_OBJECT_IN_MEMORY, handle)
         self.announce(Event.CAPTURE_COMPLETE, 0)

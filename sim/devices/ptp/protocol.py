@@ -164,6 +164,7 @@ class Format(IntEnum):
     JPEG = 0x3801
     TIFF = 0x380D
     DNG = 0x3811
+    CANON_RAW = 0xB103
 
 
 class Property(IntEnum):
