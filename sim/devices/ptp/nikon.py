@@ -67,7 +67,18 @@ class NikonResponder(Responder):
             is_writable=standard.is_writable,
         )
         automatic = DeviceProperty(Property.NIKON_AUTO_ISO, Type.UINT8, 1, (0, 1))
-        return [*items, exact, *([automatic] if self.config.auto_iso else [])]
+        warning = DeviceProperty(
+            Property.NIKON_RETRACTABLE_LENS, Type.UINT8, 0, limits=(0, 1, 1), is_writable=False
+        )
+        return [*items, exact, warning, *([automatic] if self.config.auto_iso else [])]
+
+    def execute(
+        self, code: int, transaction: int, parameters: Sequence[int], data: bytes
+    ) -> Reply | None:
+        """Execute an operation; a property tells that a retractable lens is not extended."""
+        if (warning := self.properties.get(Property.NIKON_RETRACTABLE_LENS)) is not None:
+            warning.value = int(self.body.faults.state == "retracted lens")
+        return super().execute(code, transaction, parameters, data)
 
     def _pair(self, fractions: Sequence[tuple[int, int]]) -> None:
         """Note which fraction stands for which value of 500D.
@@ -143,7 +154,11 @@ class NikonResponder(Responder):
     def _vendor_properties(self) -> list[int]:
         if self.facts is not None:
             return [code for code in self.facts.hidden if code in self.properties]
-        hidden = (Property.NIKON_AUTO_ISO, Property.NIKON_EXPOSURE_TIME)
+        hidden = (
+            Property.NIKON_AUTO_ISO,
+            Property.NIKON_EXPOSURE_TIME,
+            Property.NIKON_RETRACTABLE_LENS,
+        )
         return [code for code in hidden if code in self.properties]
 
     def after_set(self, code: int) -> tuple[int, ...]:

@@ -59,6 +59,7 @@ class Responder(ExposureProperties, PictureFormats):
         "playback": Response.ACCESS_DENIED,
         "movie": Response.ACCESS_DENIED,
         "lens": Response.GENERAL_ERROR,
+        "retracted lens": Response.GENERAL_ERROR,
         "no card": Response.NO_CARD,
     }
     events: ClassVar[tuple[int, ...]] = (
