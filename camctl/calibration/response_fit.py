@@ -1,12 +1,13 @@
 """The response of a camera from matched brightness levels of its frames, and from a chart.
 
-With x = k / (M + 1), ln E = ln x + h(ln(x + 0.1)), where h is a cubic spline: linear cameras have a
-constant h, and E(0) = 0.  The fit is by weighted least squares, robust to outliers, under the
-condition that E ascends from level to level.  The prior knowledge is that h is smooth but for a few
-bends: small third derivatives (second ones, where exposures are far apart or there is only a chart)
-count by their squares, large ones by their size.  It is needed
-where the exposures are powers of one factor f: h + p with any p of period ln f in ln E explains the
-frames as well.  A bend that the prior rounds off would come back as such a p.  Therefore the last
+With x = k / (M + 1), ln E = ln x + h(u), where h is a cubic spline and u = ln(x + 0.1) -
+ln(1.1 - x) / 2, so that the knots are close where curves bend most: at the toe and the shoulder.
+Linear cameras have a constant h, and E(0) = 0.  The fit is by weighted least squares, robust to
+outliers, under the condition that E ascends from level to level.  The prior knowledge is that h is
+smooth but for a few bends: small third derivatives (second ones, where exposures are far apart or
+there is only a chart) count by their squares, large ones by their size.  It is needed where the
+exposures are powers of one factor f: h + p with any p of period ln f in ln E explains the frames as
+well.  A bend that the prior rounds off would come back as such a p.  Therefore the last
 rounds expect as much curvature of each part of the curve as was found around it: where the curve
 has a bend it may bend, and where it is straight it shows p, which is the same everywhere.
 
@@ -32,14 +33,17 @@ from camctl.calibration.response_matches import LEAST_PIXELS, NOISE_STEPS, Match
 from camctl.errors import DataError
 from camctl.response.camera import FloatArray
 
-#: Coefficients of the spline are this many and two; x + `_TOE` spaces its knots.
-_KNOTS, _TOE = 60, 0.1
-_STEP = math.log((1 + _TOE) / _TOE) / (_KNOTS - 1)
+#: Coefficients of the spline are this many and two; the logarithms of x + `_END` and, with this
+#: weight, of 1 - x + `_END` space its knots.
+_KNOTS, _END, _SHOULDER = 90, 0.1, 0.5
+_STEP = (1 + _SHOULDER) * math.log((1 + _END) / _END) / (_KNOTS - 1)
 #: Weight of the integral of the squared third derivative of h; of the second one where only a chart
 #: says something about it; and the size of a difference (in standard deviations of the prior) from
 #: which it counts as a bend.  A ripple has a larger third derivative, beside its second one, than a
 #: bend has.
-_SMOOTHNESS, _SMOOTHNESS_OF_CHART, _BEND = 0.01, 1.0, 2.0
+_SMOOTHNESS, _SMOOTHNESS_OF_CHART, _BEND = 0.1, 1.0, 2.0
+#: Brightness at which the places of knots are looked up.
+_FINE = 4001
 #: Exposures further apart than the first number, a factor, show too little of the curvature: the
 #: prior is the same for the whole curve, and the second number is the weight of the integral of the
 #: squared second derivative.
@@ -148,13 +152,16 @@ def fit_response(
     logs = np.log(exposures)
     x_known = (edges - phase) / (edges[-1] + 1)
     system = _System(matches, logs, chart, (edges, phase))
-    curve, top = system.curve(x_known), system.curve(np.ones(1))
+    with_top = np.append(x_known, 1.0)
+    whole = system.curve(with_top)
+    curve, top = whole[:-1], whole[-1:]
     known = system.known_beforehand(logs, exposure_error)
     prior = _prior(matches, logs)
     roughness = np.diff(np.eye(_KNOTS + 2), prior.order, axis=0)
     roughness *= math.sqrt(prior.smoothness) / _STEP ** (prior.order - 0.5)
     places = np.arange(len(roughness)) + prior.order / 2 - 1  # of the differences, in knots
-    places = np.clip(_TOE * (np.exp(_STEP * places) - 1), 0.0, 1.0)
+    fine = np.linspace(0, 1, _FINE)
+    places = np.interp(places, _knots_before(fine), fine)
     log_E = 1.5 * np.log(x_known)  # a start: most responses are steeper than a linear one
     residuals = np.zeros(system.wanted.size)
     bends = np.zeros(len(roughness))
@@ -177,8 +184,8 @@ def fit_response(
         square[: _KNOTS + 2, : _KNOTS + 2] += roughness.T @ smooth
         square += 1e3 * np.trace(square[: _KNOTS + 2, : _KNOTS + 2]) * top.T @ top
         product = system.rows.T @ (weights * system.wanted)
-        found = ascending(square, product, curve, np.log(x_known))
-        log_E = curve @ found + np.log(x_known)
+        found = ascending(square, product, whole, np.log(with_top))
+        log_E = (curve - top) @ found + np.log(x_known)
         residuals = system.rows @ found - system.wanted
         bends = roughness @ found[: _KNOTS + 2]
     if matches.low.size:
@@ -279,9 +286,15 @@ class _System:
         return precision
 
 
+def _knots_before(x: FloatArray) -> FloatArray:
+    """Return the place of brightness x among the knots, 0 to `_KNOTS` - 1."""
+    place = np.log((x + _END) / _END) - _SHOULDER * np.log((1 - x + _END) / (1 + _END))
+    return np.asarray(place / _STEP)
+
+
 def _basis(x: FloatArray) -> FloatArray:
     """Return the cubic B-splines of h at brightness x, (N, `_KNOTS` + 2)."""
-    place = np.log((x + _TOE) / _TOE) / _STEP
+    place = _knots_before(x)
     cell = np.clip(place, 0, _KNOTS - 1 - 1e-9).astype(np.intp)
     u = place - cell
     parts = ((1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3)

@@ -1,10 +1,11 @@
 """All calibrations of a camera before one scene, in the order in which they need each other.
 
 Control delay, response, true exposures, noise; where the camera can be turned, the pattern of its
-pixels; and where its lens can be covered, the dark signal.  A response is estimated from stated exposures; if
-these turn out to be wrong, both are measured again from the results so far, until they agree.  If
-the frames agree less with the measured exposures than with the stated ones, these are kept: a
-camera of few levels without noise does not show its exposures, and rounds would lead further away.
+pixels; and where its lens can be covered, the dark signal.  A response is estimated from stated
+exposures; if these turn out to be wrong, both are measured again from the results so far, until
+they agree.  If the frames agree less with the measured exposures than with the stated ones, these
+are kept: a camera of few levels without noise does not show its exposures, and rounds would lead
+further away.
 The result of each step is kept in the camera's profile before the next one, which uses it.
 """
 
