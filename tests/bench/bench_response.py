@@ -39,11 +39,11 @@ from camctl.response_record import Z_95, ChannelResponse
 STOPS = tuple(2.0 ** np.arange(-1, 6))
 COARSE = {"steps of 4": (0.5, 2.0, 8.0, 32.0), "steps of 8": (0.5, 4.0, 32.0)}
 Curve = tuple[FloatArray, FloatArray]
-#: Rows and columns of which one pixel is used (Debevec's method is given all), and the number of
-#: pixels that Debevec's method takes of them.
+#: Of so many rows and columns one is used (by all but Debevec's method), and the number of pixels
+#: that Debevec's method takes.
 Sampling = tuple[int, int]
-ALL_SAMPLES: tuple[Sampling, ...] = ((1, 70),)
-FEWER_SAMPLES: tuple[Sampling, ...] = ((2, 50), (3, 70), (4, 140))
+ONE_COUNT: tuple[Sampling, ...] = ((1, 70),)
+THREE_COUNTS: tuple[Sampling, ...] = ((1, 50), (2, 70), (3, 140))
 SIGMAS = np.array([1.0, 0.55, 0.35, 0.25, 0.2])  # of the first components, about as in its data
 
 
@@ -214,18 +214,21 @@ def unknown_exposures(model: ResponseModel | None, draws: int) -> None:
 
 
 def stability(model: ResponseModel | None, scenes: int, data: Path | None) -> None:
-    pictures = stability_scenes(scenes, data)
+    pictures = stability_scenes(scenes, data, (240, 320))
     print(
         f"spread of one curve over {len(pictures)} scenes ({', '.join(pictures)}): standard "
         "deviation of brightness; refused or NaN",
         flush=True,
     )
     curve = draw(np.random.default_rng(7), model)
-    for samplings in (ALL_SAMPLES, FEWER_SAMPLES):
-        if samplings is FEWER_SAMPLES:
-            print("over these scenes and three sample counts each:", flush=True)
-        for count in (3, 4, 5, 8, 12):
-            spread(curve, pictures, tuple(np.geomspace(0.5, 32, count)), samplings)
+    for count in (3, 4, 5, 8, 12):
+        exposures = tuple(np.geomspace(0.5, 32, count))
+        spread(curve, pictures, exposures, ONE_COUNT, ("debevec", "robertson"))
+    pictures = stability_scenes(scenes, data, (480, 640))
+    print("over scenes of 640 x 480 pixels and three numbers of samples of each", flush=True)
+    for count in (3, 5, 12):
+        exposures = tuple(np.geomspace(0.5, 32, count))
+        spread(curve, pictures, exposures, THREE_COUNTS, ("debevec",))
 
 
 def spread(
@@ -233,6 +236,7 @@ def spread(
     pictures: dict[str, FloatArray],
     exposures: tuple[float, ...],
     samplings: tuple[Sampling, ...],
+    rivals: tuple[str, ...],
 ) -> None:
     """Print the standard deviation of one curve over scenes and samplings, by method."""
     B = np.linspace(0.05, 0.95, 100)
@@ -240,7 +244,7 @@ def spread(
     found: dict[str, dict[str, list[FloatArray]]] = {}
     for seed, (scene_name, picture) in enumerate(pictures.items()):
         frames = shoot(picture, exposures, curve, 8, np.random.default_rng(seed))
-        for name in ("camctl", "debevec", "robertson"):
+        for name in ("camctl", *rivals):
             lines = []
             for sampling in samplings:
                 levels, brightness = points(name, frames, exposures, sampling)
@@ -250,24 +254,22 @@ def spread(
                     lines.append(np.interp(E, levels * scale, brightness))
             if len(lines) == len(samplings):
                 found.setdefault(name, {})[scene_name] = lines
-    # Only scenes that the methods accept are compared: all three, and the better pair.
-    for rivals in (("debevec", "robertson"), ("debevec",)):
-        names = ("camctl", *rivals)
-        common = set.intersection(*(set(found[name]) for name in names))
+    # Only scenes that the methods accept are compared: all of them, and the first two.
+    for compared in dict.fromkeys((rivals, rivals[:1])):
+        common = set.intersection(*(set(found[name]) for name in ("camctl", *compared)))
         spreads = {
             name: float(
                 np.sqrt(np.mean(np.var([c for n in common for c in found[name][n]], axis=0)))
             )
-            for name in names
+            for name in ("camctl", *compared)
         }
         each = ", ".join(
             f"{name} {value:.4f} ({len(pictures) - len(found[name])} refused)"
             for name, value in spreads.items()
         )
-        ratio = spreads["camctl"] / min(spreads[name] for name in rivals)
         print(
             f"  {len(exposures):2d} frames, {len(common)} scenes: {each}; camctl / the better "
-            f"{ratio:.2f}",
+            f"{spreads['camctl'] / min(spreads[name] for name in compared):.2f}",
             flush=True,
         )
     worst = max(
@@ -278,12 +280,14 @@ def spread(
     print(f"     largest rms error of camctl: {worst[0]:.4f} in {worst[1]}", flush=True)
 
 
-def stability_scenes(count: int, data: Path | None) -> dict[str, FloatArray]:
+def stability_scenes(
+    count: int, data: Path | None, shape: tuple[int, int]
+) -> dict[str, FloatArray]:
     """Return built-in scenes, the map of the memorial church, and drawn scenes, (rows, columns)."""
     from sim.scenes.drawings import DRAWINGS
     from sim.scenes.radiance_map import read_map
 
-    rows, columns = 240, 320
+    rows, columns = shape
     pictures = {name: np.asarray(draw_(rows, columns)) for name, draw_ in DRAWINGS.items()}
     if data is not None:
         pictures["memorial"] = np.asarray(read_map(data / "memorial" / "memorial.hdr")[0])
