@@ -23,9 +23,9 @@ from camctl.noise_model import FrameNoise
 from camctl.response.camera import FloatArray
 from camctl.response.desired import DesiredResponse
 
-CHUNK, FINE_LEVELS, FINE_CHUNK = 128, 1023, 32
-"""Nodes computed at once, and fewer for cameras of more than `FINE_LEVELS` levels, whose noise
-spreads over many sums: neighbouring nodes have nearly the same sums, distant ones do not."""
+LEAST_CHUNK, MOST_CHUNK, CHUNKS = 64, 512, 32
+"""Nodes computed at once: a `CHUNKS`-th of all, within these limits.  Neighbouring nodes have
+nearly the same sums, distant ones do not, so that few are computed at once where there are few."""
 
 _CELL = 2.0
 """Width of a cell of the integration, in standard deviations of the noise: with half of that, the
@@ -173,7 +173,7 @@ class Posterior:
     def _joint(self, v: FloatArray) -> Iterator[tuple[slice, NDArray[np.intp], FloatArray]]:
         """Yield some nodes, sums (nodes, W) that each may have, and their probabilities."""
         E = self._response.inverse(v)
-        chunk = CHUNK if self.sum.camera.response.M <= FINE_LEVELS else FINE_CHUNK
+        chunk = int(np.clip(v.size // CHUNKS, LEAST_CHUNK, MOST_CHUNK))
         for first in range(0, v.size, chunk):
             part = slice(first, first + chunk)
             for z, weight in self._offsets:
