@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -108,19 +109,26 @@ def wall_time_warnings(
     planned_s: float,
     actual_s: float,
 ) -> list[str]:
-    """Return a warning where a capture took another time than planned.
+    """Return a warning where a capture took another time than planned, more or less.
 
     A difference is one of more than `NOTABLE` of the planned time and of the time that no plan can
-    know: a request comes at any time within a frame, and a varying control delay is known on
-    average.
+    know: a request comes at any time within a frame, and where the control delay varies, frames
+    before an exposure has settled may be as long as the one before or as this one.  What the plan
+    adds for long frames before the first exposure is unknown in the same way.
     """
     timing = controls.timing or CaptureTiming()
     usual = controls.frame_interval_s
+    slots = [usual, *(max(each.time_s, usual) for each in settings)]
     unknown_s = usual * (timing.lead_frames > 0)
-    unknown_s += timing.unsettled_frames * sum(max(each.time_s, usual) for each in settings)
+    unknown_s += timing.unsettled_frames * sum(abs(a - b) for a, b in itertools.pairwise(slots))
+    if timing.unsettled_frames:
+        unknown_s += abs(planned_s - predicted_wall_s(controls, settings))
     if abs(actual_s - planned_s) <= NOTABLE * planned_s + unknown_s:
         return []
+    cause = "the computer was busy, or frames were lost"
+    if actual_s < planned_s:
+        cause = "the camera was faster than its stated figures"
     return [
         f"the last frame arrived after {actual_s:.3g} s instead of the {planned_s:.3g} s planned: "
-        "the computer was busy, or frames were lost"
+        f"{cause}"
     ]

@@ -168,11 +168,13 @@ class AccurateSets:
         """
         if (every := self._all(n)) is not None:
             return every.quickest(levels, limit)
+        if self.least_time(n) > limit:
+            return None
         if not self._dithered and not self.may_reach(n, levels, limit):
             return None
-        found = self._quickest_estimated(n, levels)
-        found = [each for each in found if each.time <= limit]
-        if not found or not self._dithered:
+        estimated = self._quickest_estimated(n, levels)
+        found = [each for each in estimated if each.time <= limit]
+        if not estimated or not self._dithered:
             found += [each for each in [self.most_accurate(n, limit)] if each.levels >= levels]
         if not found:
             return None

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_cameras import small_camera
 
+import camctl
 from camctl.captures.accurate_settings import accurate_settings, gain_choices, objective_of
 from camctl.captures.plan import plan_capture
 from camctl.captures.request import CaptureRequest
@@ -217,3 +218,12 @@ def test_rows_of_a_table_are_jobs_for_every_count() -> None:
     assert jobs[0].matches(entry)
     assert not jobs[1].matches(entry)
     assert entry.effective_levels < (entry.effective_levels_noise_free or 0)
+
+
+@pytest.mark.parametrize("sensor", ["security", "complete", "consumer"])
+def test_the_settings_reach_the_accuracy_and_not_only_the_times_before_rounding(
+    sensor: str,
+) -> None:
+    with camctl.open_camera("sim", scene="room", sensor=sensor) as camera:
+        plan = plan_capture(camera, CaptureRequest("log", 1000.0, accuracy=60.0))
+    assert 60.0 <= plan.effective_levels < 60.5

@@ -18,10 +18,11 @@ from hypothesis import strategies as st
 import camctl
 from camctl.camera import Camera
 from camctl.captures.report import CaptureReport
-from camctl.captures.wall_time import predicted_wall_s
+from camctl.captures.wall_time import predicted_wall_s, wall_time_warnings
 from camctl.clock import CaptureTiming
 from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
 from camctl.profile import DelayRecord, change_profile
+from camctl.streaming.control_delay import ControlDelay, DelayOrigin
 from drivers.v4l2.camera import V4l2Camera
 
 TIMES = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
@@ -89,6 +90,32 @@ def test_a_capture_that_takes_another_time_than_planned_warns(late: int, is_warn
     assert len(found) <= 1
 
 
+@pytest.mark.parametrize(
+    ("actual_s", "cause"),
+    [
+        (0.36, "the camera was faster than its stated figures"),
+        (0.75, None),
+        (0.85, None),
+        (1.2, "the computer was busy, or frames were lost"),
+    ],
+)
+def test_a_stream_of_unknown_delay_warns_in_both_directions(
+    actual_s: float, cause: str | None
+) -> None:
+    """Exposures within a frame take one frame each, whenever they settle: no time is unknown."""
+    timing = ControlDelay(0, 6, DelayOrigin.ASSUMED).timing(0.0)
+    times = Steps(1e-4, 1 / 30, 1e-4)
+    controls = ExposureControls(
+        times, (4, 4), Layout.MONO, 8, white=255, frame_interval_s=1 / 30, timing=timing
+    )
+    settings = [ExposureSetting(time_s) for time_s in (0.001, 0.004, 0.02)]
+    planned_s = predicted_wall_s(controls, settings)
+    assert planned_s == pytest.approx(0.8)
+    found = wall_time_warnings(controls, settings, planned_s=planned_s, actual_s=actual_s)
+    expected = f"the last frame arrived after {actual_s} s instead of the 0.8 s planned: {cause}"
+    assert found == ([] if cause is None else [expected])
+
+
 def test_a_varying_delay_is_predicted_on_average() -> None:
     """The consumer sensor needs 1 or 2 frames: which of them have the old exposure is random."""
     reports = []
@@ -96,6 +123,7 @@ def test_a_varying_delay_is_predicted_on_average() -> None:
         with camctl.open_camera("sim", sensor="consumer", size="32x24", seed=seed) as camera:
             reports.append(captured(camera, RATIOS[:3]))
     assert abs(fmean(error(report) for report in reports)) < 0.05
+    assert not any("planned" in warning for report in reports for warning in report.warnings)
     with camctl.open_camera("sim", sensor="consumer", size="32x24") as camera:
         # With exposures below the frame interval, each takes three frames whatever the delay is.
         # A base is given, since metering may end with a longer exposure that the first frames have.
