@@ -45,12 +45,12 @@ def percent_text(share: float) -> str:
 
 
 def power_texts(first: int, last: int) -> list[str]:
-    """Return the powers of ten of an axis, all written alike.
+    """Return the powers of ten of an axis, all written alike but for 1.
 
-    >>> power_texts(-2, 1), power_texts(4, 6)
-    (['0.01', '0.1', '1', '10'], ['1e4', '1e5', '1e6'])
+    >>> power_texts(-2, 1), power_texts(-1, 5)[:3], power_texts(4, 6)
+    (['0.01', '0.1', '1', '10'], ['1e-1', '1', '1e1'], ['1e4', '1e5', '1e6'])
     """
     exponents = range(first, last + 1)
     if first in _FULL_POWERS and last in _FULL_POWERS:
         return [f"{10.0**exponent:g}" for exponent in exponents]
-    return [f"1e{exponent}" for exponent in exponents]
+    return [f"1e{exponent}" if exponent else "1" for exponent in exponents]

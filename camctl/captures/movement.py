@@ -148,8 +148,7 @@ def _bands(frame: Callable[[int], Pixels]) -> Callable[[int], Pixels]:
         pixels = frame(position)
         rows, columns = pixels.shape[:2]
         step = _BAND * -(-rows * columns // _BANDS_PIXELS)
-        parts = [pixels[:, start : start + _BAND] for start in range(0, columns, step)]
-        return np.concatenate(parts, axis=1)
+        return pixels[:, np.arange(columns) % step < _BAND]
 
     return bands
 

@@ -93,6 +93,22 @@ def duplicates(sights: Sequence[Sight]) -> dict[int, int]:
     return found
 
 
+def unstated(photographs: Sequence[Photograph]) -> list[str]:
+    """Return a line for what some photographs do not state of their exposures, and others do."""
+    found = []
+    for what, taken_for, stated in (
+        ("ISO speed", "ISO 100", [each.iso for each in photographs]),
+        ("f-number", "f/1", [each.f_number for each in photographs]),
+    ):
+        silent = [each.name for each, value in zip(photographs, stated, strict=True) if not value]
+        if 0 < len(silent) < len(photographs):
+            more = f" (and {len(silent) - 1} more)" if len(silent) > 1 else ""
+            found.append(
+                f"{silent[0]}{more} states no {what}, and others do: {taken_for} is assumed"
+            )
+    return found
+
+
 def check_order(photographs: Sequence[Photograph], patches: Sequence[Patches], white: int) -> None:
     """Check that a longer exposure is brighter.
 
@@ -172,7 +188,12 @@ def _shift(before: NDArray[np.float32], after: NDArray[np.float32]) -> tuple[flo
         return None
     if len(shifts) < max(_LEAST_TILES, _SHIFTED_SHARE * sure):
         return _ALIGNED
-    return sorted(shifts, key=lambda each: float(np.hypot(*each)))[len(shifts) // 2]
+    # A tile may have contours of one direction only; a picture that is turned has no common shift.
+    whole = _tile_shift(before, after)
+    if whole is not None and np.hypot(*whole) >= _SHIFTED:
+        return whole
+    columns, rows = np.median(shifts, axis=0).tolist()
+    return columns, rows
 
 
 def _tiles(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:

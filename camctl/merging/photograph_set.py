@@ -86,6 +86,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         check_order,
         duplicates,
         misaligned,
+        unstated,
         wrong_exposures,
     )
     from camctl.captures.photograph_choice import darkest_light
@@ -114,6 +115,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     ]
     empty = [k for k, each in enumerate(sights) if each.is_even]
     notes += [f"{photographs[k].name} is one colour everywhere, and left out" for k in empty]
+    notes += unstated(photographs)
     kept = [k for k in range(len(photographs)) if k not in same and k not in empty]
     photographs = [photographs[k] for k in kept]
     if len(photographs) < 2:
