@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from camctl.characters import coverage
 from menu.data import Picture
-from menu.layout import arranged, best, binned, button_texts
+from menu.layout import arranged, best, binned, button_texts, hidden_buttons_mark
 from menu.ports import Mood, Screen
 from menu.text import fit, wrap
 
@@ -148,13 +148,18 @@ def _draw_bottom(canvas: _Canvas, screen: Screen, accent: _Colour) -> int:
         top -= canvas.line + canvas.margin
         left = canvas.margin
         # A button takes the brackets of the text panels as its left and right end.
-        for index, text in button_texts(screen, canvas.columns):
+        shown = button_texts(screen, canvas.columns)
+        for index, text in shown:
             is_selected = index == screen.action
             paper, ink = (accent, _WHITE) if is_selected else (_BAND, _INK)
             width = len(text) * canvas.cell
             canvas.fill(left, top, width - 2, canvas.line, paper)
             canvas.text(text[1:-1], left + canvas.cell, top, ink, paper)
             left += width
+        mark = hidden_buttons_mark(screen, shown)
+        right = canvas.width - canvas.margin - len(mark) * canvas.cell
+        if mark and right >= left:
+            canvas.text(mark, right, top, _FAINT, _PAPER)
     if screen.detail is not None:
         top -= canvas.line
         canvas.band(top, best(screen.detail.texts, canvas.columns), _INK, _BAND)

@@ -77,6 +77,12 @@ def button_texts(screen: Screen, columns: int) -> list[tuple[int, str]]:
     return texts
 
 
+def hidden_buttons_mark(screen: Screen, shown: Sequence[tuple[int, str]]) -> str:
+    """Return "<" and ">" for the sides on which `button_texts` has left out buttons."""
+    has_left, has_right = shown[0][0] > 0, shown[-1][0] < len(screen.actions) - 1
+    return "<" * has_left + ">" * has_right
+
+
 def grid(screen: Screen, columns: int, rows: int) -> Grid:
     """Return a screen as exactly `rows` lines of exactly `columns` characters."""
     if screen.is_dark:
@@ -119,7 +125,9 @@ def _bottom(screen: Screen, columns: int, rows: int) -> list[str]:
     if screen.detail is not None:
         lines.append(best(screen.detail.texts, columns))
     if screen.actions:
-        lines.append("".join(text for _, text in button_texts(screen, columns)))
+        shown = button_texts(screen, columns)
+        line, mark = "".join(text for _, text in shown), hidden_buttons_mark(screen, shown)
+        lines.append(line + f"{mark:>{max(0, columns - len(line))}}")
     if rows >= _ROWS_WITH_KEYS:
         lines.append(keys_text(screen.keys, columns))
     return lines

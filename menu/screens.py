@@ -221,4 +221,5 @@ _BODIES: dict[State, Callable[[Model], Screen]] = {
     State.PAST: pages.result,
     State.ABOUT: pages.about,
     State.STOPPING: pages.stopping,
+    State.CONFIRM: pages.confirm,
 }

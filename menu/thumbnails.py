@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import Frame
 from camctl.controls import Layout
+from camctl.errors import DataError
 from camctl.input_files import read_own_file
 from camctl.picture_operations import png_pixels
 from menu.data import Picture
@@ -65,7 +66,11 @@ def preview_picture(path: Path) -> Picture:
     Raises:
         DataError: the file is missing or damaged
     """
-    preview = png_pixels(read_own_file(path, _LARGEST_PREVIEW))
+    data = read_own_file(path, _LARGEST_PREVIEW)
+    try:
+        preview = png_pixels(data)
+    except DataError as error:
+        raise DataError(f"cannot read {path}: {error}") from error
     step = _step(preview.shape)
     rows, columns = preview.shape[0] // step, preview.shape[1] // step
     blocks = preview[: rows * step, : columns * step].reshape(rows, step, columns, step, -1)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from camctl.errors import StorageError
-from camctl.files import atomic_file, write_array, write_bytes
+from camctl.files import atomic_file, remove_leftovers, write_array, write_bytes
 
 
 def test_failed_write_keeps_the_earlier_file(tmp_path: Path) -> None:
@@ -119,3 +119,18 @@ def test_a_file_never_replaces_a_pipe_or_a_folder(tmp_path: Path) -> None:
 def test_a_name_that_no_file_can_have_is_an_error_of_one_line(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match=r"cannot write .*: its name is too long"):
         write_bytes(tmp_path / ("x" * 300), b"x")
+
+
+def test_only_what_an_ended_process_left_is_removed(tmp_path: Path) -> None:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    numbers = {ended.pid: True, os.getppid(): False, os.getpid(): True, 9_999_999_999: True}
+    for number in numbers:
+        (tmp_path / f".a.json.{number}.part").write_text("{")
+    others = {".b.json.1.part", ".a.json.1.part.x", "a.json"}
+    for name in others:
+        (tmp_path / name).touch()
+    remove_leftovers(tmp_path / "a.json")
+    kept = {f".a.json.{number}.part" for number, is_removed in numbers.items() if not is_removed}
+    assert {path.name for path in tmp_path.iterdir()} == others | kept
+    remove_leftovers(tmp_path / "missing" / "a.json")

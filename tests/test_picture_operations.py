@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from camctl import picture_operations as operations
 from camctl.captures.drawing import PAPER, Drawing
-from camctl.errors import UsageError
+from camctl.errors import DataError, UsageError
 
 pytestmark = pytest.mark.usefixtures("cv2")
 
@@ -109,6 +109,20 @@ def test_png_files_are_read_by_opencv(shape: tuple[int, ...], kind: Any) -> None
     data = np.frombuffer(operations.png(picture), np.uint8)
     read = np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
     np.testing.assert_array_equal(read if read.ndim == 2 else read[..., ::-1], picture)
+
+
+@given(SHAPES.filter(lambda shape: shape[2:] != (1,)), st.binary(max_size=4))
+def test_own_png_files_are_read_back_and_others_refused(
+    shape: tuple[int, ...], noise: bytes
+) -> None:
+    picture = random(shape, np.uint8)
+    data = operations.png(picture)
+    assert np.array_equal(operations.png_pixels(data), picture)
+    for damaged in (data[: -1 - len(noise) - 12], data[:40] + noise + b"x" + data[40:], noise):
+        with pytest.raises(DataError, match="PNG"):
+            operations.png_pixels(damaged)
+    with pytest.raises(DataError, match="PNG"):
+        operations.png_pixels(operations.png(picture.astype(np.uint16)))
 
 
 @pytest.mark.parametrize("size", [0.36, 0.42, 0.48, 0.66])

@@ -6,7 +6,7 @@ import os
 import re
 import subprocess
 import sys
-from importlib.metadata import requires
+from importlib.metadata import distribution, requires
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -36,13 +36,27 @@ def test_device_requirements_are_the_dependencies_without_opencv() -> None:
     assert listed == _needed("camctl", set()) - {"camctl"}
 
 
-def _needed(package: str, known: set[str]) -> set[str]:
-    """Return a package and what it needs on Linux, without extras and without OpenCV."""
+def test_page_states_the_aarch64_wheels_of_all_compiled_dependencies() -> None:
+    """Every dependency that is installed here with compiled code has its row."""
+    needed = _needed("camctl", set(), without="") - {"camctl"}
+    compiled = {name for name in needed if "Root-Is-Purelib: false" in _wheel_file(name)}
+    page = (ROOT / "docs" / "menu.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([\w-]+) \| [\d.]+, `manylinux\w+_aarch64` \|", page, re.MULTILINE)
+    assert {_name(row) for row in rows} == compiled
+
+
+def _wheel_file(package: str) -> str:
+    return distribution(package).read_text("WHEEL") or ""
+
+
+def _needed(package: str, known: set[str], without: str = "opencv") -> set[str]:
+    """Return a package and what it needs on Linux, without extras and packages named `without`."""
     known.add(package)
     for line in requires(package) or []:
         name = _name(line)
-        if ";" not in line and name not in known and not name.startswith("opencv"):
-            _needed(name, known)
+        is_left_out = bool(without) and name.startswith(without)
+        if ";" not in line and name not in known and not is_left_out:
+            _needed(name, known, without)
     return known
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from types import TracebackType
 from typing import Any, Self
@@ -202,5 +203,9 @@ class Cfa635Panel:
 
 
 def _reason(error: Exception) -> str:
-    text = getattr(error, "strerror", None) or str(error)
-    return str(text).splitlines()[0]
+    """Return the reason in the words of the system; pyserial wraps it in its own."""
+    if isinstance(number := getattr(error, "errno", None), int):
+        return os.strerror(number)
+    if isinstance(error.__context__, TermiosError):
+        return "it is no serial port"
+    return str(error).splitlines()[0]

@@ -18,7 +18,7 @@ from camctl.errors import CamctlError, UsageError
 from camctl.interrupts import uninterrupted
 from menu.drawing import SMALLEST, Pixels, draw
 from menu.panels.input_keys import InputKeys
-from menu.ports import Key, PanelDisconnectedError, Screen
+from menu.ports import Key, Line, Mood, PanelDisconnectedError, Screen
 
 _VARIABLE, _FIXED = 0x4600, 0x4602
 """FBIOGET_VSCREENINFO and FBIOGET_FSCREENINFO of linux/fb.h."""
@@ -96,6 +96,7 @@ class FramebufferPanel:
         self._memory: mmap.mmap | None = None
         self._before = b""
         self._format: FrameBufferFormat | None = None
+        self._shown: Screen | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -177,8 +178,15 @@ class FramebufferPanel:
         return self._memory, self._format
 
     def show(self, screen: Screen) -> int:
-        """Draw `screen`; return the last offset."""
+        """Draw `screen`; return the last offset.
+
+        Where no input device can be opened, that is shown in its place: no key could leave it.
+        """
         memory, found = self._opened
+        self._shown = screen
+        if self._keys.problem and not self._keys.is_open:
+            text = (self._keys.problem,)
+            screen = Screen(Line(("No keys",)), paragraphs=text, mood=Mood.ERROR)
         drawing = draw(screen, found.columns, found.rows)
         encoded = found.encoded(drawing.pixels)
         lines = np.frombuffer(memory, np.uint8, found.rows * found.line_bytes, found.first_byte)
@@ -187,4 +195,8 @@ class FramebufferPanel:
 
     def key(self, timeout_s: float) -> Key | None:
         """Return the next key; None after `timeout_s`."""
-        return self._keys.key(timeout_s, self._clock.now())
+        before = self._keys.problem, self._keys.is_open
+        key = self._keys.key(timeout_s, self._clock.now())
+        if self._shown is not None and before != (self._keys.problem, self._keys.is_open):
+            self.show(self._shown)
+        return key

@@ -54,6 +54,11 @@ class InputKeys:
         self._next_look_s = float("-inf")
         self.problem = ""
 
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a device that keys can come from."""
+        return bool(self._open)
+
     def close(self) -> None:
         """Close all devices."""
         for descriptor in self._open.values():
@@ -85,7 +90,10 @@ class InputKeys:
                 try:
                     self._open[path] = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
                 except OSError as error:
-                    self.problem = f"cannot read {path}: {error.strerror}"
+                    hint = "check the device"
+                    if isinstance(error, PermissionError):
+                        hint = "add the user to the group input, or run as root"
+                    self.problem = f"cannot read {path}: {error.strerror}; {hint}"
 
     def _read(self, descriptor: int) -> None:
         """Add what a device has sent; forget a device that is gone."""

@@ -32,14 +32,15 @@ def save(path: Path, settings: Settings) -> int:
 
 
 def checked(path: Path) -> dict[str, Any]:
-    """Return which settings are found, and what is wrong with them or with saving again."""
+    """Return which settings are found, and what is wrong with them, the folder, or saving again."""
     found, remark = load_settings(path)
+    left = [entry.name for entry in path.parent.glob("*") if entry != path]
     names = {repr(Settings()): "defaults", repr(OLD): "old", repr(NEW): "new"}
     save_settings(path, LATER)
     is_saved = load_settings(path) == (LATER, "")
     return {
         "found": names.get(repr(found), repr(found)),
-        "wrong": [remark] * bool(remark) + ["not saved again"] * (not is_saved),
+        "wrong": [remark] * bool(remark) + left + ["not saved again"] * (not is_saved),
     }
 
 

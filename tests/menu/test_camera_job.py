@@ -7,6 +7,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 from panel_fakes import TO_REVIEW, Script, ScriptedPanel, quit_from
 
@@ -14,7 +15,7 @@ from camctl import read_report
 from camctl.camera import Frame
 from camctl.captures.request import CaptureRequest
 from camctl.controls import ExposureSetting
-from camctl.errors import CaptureError, StorageError, UsageError
+from camctl.errors import CaptureError, DataError, StorageError, UsageError
 from menu.app import run
 from menu.camera_job import CameraJob
 from menu.capture_list import list_captures, next_folder
@@ -225,3 +226,24 @@ def test_names_count_up_whatever_the_clock_shows(tmp_path: Path) -> None:
         "capture-0004-20300506-070809",
     ]
     assert list_captures(tmp_path) == tuple(Past(name, True) for name in reversed(names))
+
+
+def test_result_shows_what_is_darker_than_the_range(tmp_path: Path) -> None:
+    """The small picture is the preview: in the image most of the room is black."""
+    camera = SimulatedCamera(load_scene("room", (96, 128)), load_sensor("phone"))
+    job = job_with(camera, tmp_path)
+    job.open("")
+    plan = job.plan(Choice("log", 1000.0, count=3), never)
+    shot = job.shoot(plan, lambda _: None, never)
+    (past,) = job.captures()
+    report = read_report(shot.folder)
+    assert np.mean(report.image() == 0) > 0.5
+    for summary in (shot, job.look(past)):
+        assert summary.picture is not None
+        shown = np.frombuffer(summary.picture.rgb, np.uint8)
+        assert shown.size == 96 * 128 * 3
+        assert np.mean(shown < 16) < 0.1
+    (Path(shot.folder) / "preview.png").write_bytes(b"")
+    with pytest.raises(DataError, match="PNG"):
+        job.look(past)
+    job.close()

@@ -1,12 +1,16 @@
 """A model of the menu against the implementation: random keys, faults, reconnects and time.
 
-The implementation is the real loop, worker and screens on a text panel; the job is a fake that
-counts what is done to its camera.  The model knows the tables only through what the user sees.
+The implementation is the real loop with its screens, on a panel that may be unplugged at any call.
+Work ends when a run says so, and is that of a fake job; `test_app` has the real worker and its
+thread, `test_camera_job` a camera.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import Self
 
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -22,7 +26,7 @@ from menu.app import Session
 from menu.data import Settings
 from menu.layout import grid
 from menu.model import State
-from menu.ports import Key, Screen
+from menu.ports import Key, PanelDisconnectedError, Screen
 from menu.screens import screen
 from menu.tables import STATES, Cancel, Effect, Event, Outcome, Start, Work
 
@@ -61,6 +65,54 @@ class HandWorker:
 
     def stop(self) -> None:
         """Do nothing."""
+
+
+class _ScriptEndedError(Exception):
+    """The panel has no more keys for now."""
+
+
+class FlakyPanel:
+    """A panel that returns the keys of a script, and is unplugged at each None in it."""
+
+    def __init__(self, script: list[Key | None]) -> None:
+        self.script = script
+        self.shown: Screen | None = None
+        self.on_key: Callable[[], None] = lambda: None
+
+    def __enter__(self) -> Self:
+        """Open the panel, dark, where it is plugged in again."""
+        self._unplug_if_next()
+        self.shown = None
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the panel."""
+
+    def show(self, screen: Screen) -> int:
+        """Keep the screen."""
+        self._unplug_if_next()
+        self.shown = screen
+        return grid(screen, *SIZE).last_offset
+
+    def key(self, timeout_s: float) -> Key | None:
+        """Return the next key; without a timeout no key has been pressed before."""
+        if timeout_s == 0:
+            return None
+        self.on_key()
+        self._unplug_if_next()
+        if not self.script:
+            raise _ScriptEndedError
+        return self.script.pop(0)
+
+    def _unplug_if_next(self) -> None:
+        if self.script and self.script[0] is None:
+            self.script.pop(0)
+            raise PanelDisconnectedError("unplugged")
 
 
 class MenuMachine(RuleBasedStateMachine):
@@ -110,6 +162,23 @@ class MenuMachine(RuleBasedStateMachine):
     def wait(self, by_s: float) -> None:
         self.now_s += by_s
         self.session.pump()
+
+    @precondition(lambda self: self.state is not State.QUIT)
+    @rule(script=st.lists(st.sampled_from([None, *Key]), max_size=12))
+    def use_a_panel_that_is_unplugged(self, script: list[Key | None]) -> None:
+        """At each key the panel shows the screen of the menu's state, also after it was away."""
+        panel = FlakyPanel([Key.DOWN, *script])  # what was open once is waited for
+
+        def check() -> None:
+            assert panel.shown is not None
+            assert grid(panel.shown, *SIZE) == grid(self.shown(), *SIZE)
+
+        def wait(seconds: float) -> None:
+            self.now_s += seconds
+
+        panel.on_key = check
+        with suppress(_ScriptEndedError):
+            self.session.use(panel, wait)
 
     @rule()
     def unplug_or_plug_in_the_camera(self) -> None:
@@ -217,4 +286,4 @@ class MenuMachine(RuleBasedStateMachine):
 
 
 TestMenu = MenuMachine.TestCase
-TestMenu.settings = settings(max_examples=60, stateful_step_count=60)
+TestMenu.settings = settings(stateful_step_count=60)

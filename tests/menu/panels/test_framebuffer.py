@@ -11,7 +11,7 @@ import pytest
 
 from camctl.clock import VirtualClock
 from camctl.errors import CamctlError, UsageError
-from menu.drawing import draw
+from menu.drawing import Drawing, draw
 from menu.panels.framebuffer import FramebufferPanel
 from menu.panels.input_keys import InputKeys
 from menu.ports import Key, Line, Screen
@@ -45,14 +45,16 @@ def device(tmp_path: Path) -> Path:
     return path
 
 
-def panel_on(device: Path, variable: bytes, fixed: bytes) -> FramebufferPanel:
+def panel_on(
+    device: Path, variable: bytes, fixed: bytes, clock: VirtualClock | None = None
+) -> FramebufferPanel:
     """Return a panel that finds these structures where the kernel would give them."""
 
     class OnFile(FramebufferPanel):
         def _infos(self, descriptor: int) -> tuple[bytes, bytes]:
             return variable, fixed
 
-    return OnFile(f"{device},{device.parent}/event*", clock=VirtualClock())
+    return OnFile(f"{device},{device.parent}/event*", clock=clock or VirtualClock())
 
 
 @pytest.mark.parametrize(
@@ -120,6 +122,40 @@ def test_device_without_permission_says_which_group(
     monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(CamctlError, match="Permission denied; add the user to the group video"):
         FramebufferPanel(str(tmp_path / "fb0")).__enter__()
+
+
+def test_input_devices_without_permission_are_shown_until_one_can_be_read(
+    device: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    input_device = device.parent / "event0"
+    os.mkfifo(input_device)
+    is_denied, open_device = True, os.open
+
+    def refuse(path: str, flags: int) -> int:
+        if is_denied and path == str(input_device):
+            raise PermissionError(13, "Permission denied")
+        return open_device(path, flags)
+
+    monkeypatch.setattr(os, "open", refuse)
+    clock = VirtualClock()
+    panel = panel_on(device, variable_info(240, 240, 32, RGB888), fixed_info(960), clock)
+    texts: list[tuple[str, ...]] = []
+
+    def drawn(screen: Screen, columns: int, rows: int) -> Drawing:
+        texts.append((*screen.title.texts, *screen.paragraphs))
+        return draw(screen, columns, rows)
+
+    monkeypatch.setattr("menu.panels.framebuffer.draw", drawn)
+    with panel:
+        panel.show(SCREEN)
+        assert panel.key(0) is None
+        problem = f"cannot read {input_device}: Permission denied; "
+        hint = "add the user to the group input, or run as root"
+        assert texts == [("Ready",), ("No keys", problem + hint)]
+        is_denied = False
+        clock.sleep_until(10.0)
+        assert panel.key(0) is None
+        assert texts[2:] == [("Ready",)]
 
 
 def event(kind: int, code: int, value: int) -> bytes:
