@@ -245,12 +245,12 @@ class Gphoto2Camera(CameraBase):
         It takes libgphoto2 0.3 s a file, so it is done when the memory is full, and at the end.
         """
         fetched, self._fetched = self._fetched, []
-        if not (self._options.delete or self._body.target == "ram"):
+        if not fetched or not (self._options.delete or self._body.target == "ram"):
             return False
         for picture in fetched:
             with suppress(CameraProtocolError):  # many cameras delete what is fetched themselves
                 self._process.ask("delete", folder=picture.folder, name=picture.name)
-        return bool(fetched)
+        return True
 
     # ---- controls
 

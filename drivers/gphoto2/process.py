@@ -8,10 +8,11 @@ import re
 import select
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from camctl.clock import Clock
 from camctl.errors import (
@@ -31,6 +32,7 @@ SILENCE_S = 60.0
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.05, 2.0
 _END_S = 5.0
 _CHUNK = 1 << 20
+_TO_SHOOTING = "turn the mode dial to M, and leave playback, menus and movie mode on the camera"
 _AGAIN = "switch the camera off and on again, then resume"
 _RELEASE_IT = (
     "desktops mount cameras by themselves: unmount it there, or end gvfs-gphoto2-volume-monitor, "
@@ -38,14 +40,51 @@ _RELEASE_IT = (
 )
 
 
+_LOOK = (
+    "look at its display: mode dial at M and no playback or movie mode, lens on manual focus and "
+    "without cap, card in, battery charged; then try again"
+)
+
+
 class FullError(CameraError):
     """The camera has no room for another picture."""
 
 
+#: Error class, what happened, what to do.
+_Meaning: TypeAlias = tuple[type[CameraError], str, str]
+
+
+#: Words in the reason that libgphoto2 gives for an error whose number says nothing: error class,
+#: what happened, what to do on the body.
+_REASONS: Mapping[str, _Meaning] = {
+    r"\blens\b|fnumber": (
+        CameraError,
+        "has its lens covered or not in working position",
+        "take the lens cap off, extend a retractable lens, turn an aperture ring to its highest "
+        "number, mount the lens firmly",
+    ),
+    r"focus": (
+        CameraError,
+        "cannot focus",
+        "set the lens to manual focus (MF), and take the lens cap off",
+    ),
+    r"store not available": (CameraError, "has no card", "put a card in and close the lid"),
+    r"store read only": (CameraError, "has a write-protected card", "unlock the card"),
+    r"store full": (
+        FullError,
+        "has no memory left for a picture",
+        "delete pictures, or change its card",
+    ),
+    r"invalid status|access denied|refused": (
+        CameraError,
+        "cannot do that in its present mode",
+        _TO_SHOOTING,
+    ),
+}
 #: libgphoto2's error numbers (gphoto2-port-result.h, gphoto2-result.h): error class, what
 #: happened, what to do.
 _BUSY = -110
-_MEANINGS: dict[int, tuple[type[CameraError], str, str]] = {
+_MEANINGS: Mapping[int, _Meaning] = {
     -3: (FullError, "has no memory left for a picture", "delete pictures, or change its card"),
     -5: (CameraNotFoundError, "has no such port", "camctl cameras lists what is connected"),
     -7: (CameraDisconnectedError, "failed a transfer", "plug it in again and resume"),
@@ -212,18 +251,19 @@ class CameraProcess:
         )
 
     def _camera_error(self, error: LibraryError, do: str) -> CameraError:
+        text = " ".join(error.text.split())
         # libgphoto2 reports a port without a camera as a missing file
-        kind, what, hint = _MEANINGS.get(
-            -5 if do == "open" and error.code == -108 else error.code,
-            (
-                CameraError,
-                f"failed to {do}",
-                "look at its display: mode dial at M, card in, battery charged; then try again",
-            ),
+        code = -5 if do == "open" and error.code == -108 else error.code
+        reasons = (
+            meaning for word, meaning in _REASONS.items() if re.search(word, text, re.IGNORECASE)
         )
+        if do == "apply":
+            general: _Meaning = CameraError, "does not accept a setting", _TO_SHOOTING
+        else:
+            general = CameraError, f"failed to {do}", _LOOK
+        kind, what, hint = _MEANINGS.get(code) or next(reasons, general)
         users = self._users() if kind is CameraBusyError else ""
         by = f": {users}" if users else ""
-        text = " ".join(error.text.split())
         return kind(f"{self.name} {what}{by} (libgphoto2: {text}, {error.code})", hint=hint)
 
     def _users(self) -> str:

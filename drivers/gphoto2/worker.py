@@ -29,6 +29,13 @@ class Worker:
 
     def __init__(self) -> None:
         self._camera: Any = None
+        self.reasons: list[str] = []
+        self._context = gp.Context()
+        self._noting = self._context.set_error_func(self._note, None)
+
+    def _note(self, _context: Any, text: Any, _data: Any = None) -> None:
+        """Keep the reason that libgphoto2 gives beside the number of its error."""
+        self.reasons.append(text.decode(errors="replace") if isinstance(text, bytes) else text)
 
     def cameras(self) -> list[dict[str, Any]]:
         """Return model, port and USB vendor of each camera, and whether it can be controlled."""
@@ -100,12 +107,12 @@ class Worker:
                 return values
             for name in others:
                 widgets[name].set_value(values[name])
-                self._camera.set_single_config(name, widgets[name])
+                self._camera.set_single_config(name, widgets[name], self._context)
         return {name: self._camera.get_single_config(name).get_value() for name in values}
 
     def capture(self) -> list[str]:
         """Take a picture; return folder and name of the first file."""
-        path = self._camera.capture(gp.GP_CAPTURE_IMAGE)
+        path = self._camera.capture(gp.GP_CAPTURE_IMAGE, self._context)
         return [path.folder, path.name]
 
     def added(self, timeout_ms: int) -> list[list[str]]:
@@ -145,6 +152,7 @@ def main() -> None:
         arguments: dict[str, Any] = json.loads(line)
         method: Callable[..., Any] = getattr(worker, arguments.pop("do"))
         data = b""
+        worker.reasons.clear()
         answer: dict[str, Any]
         try:
             result = method(**arguments)
@@ -152,7 +160,8 @@ def main() -> None:
                 data, result = result, None
             answer = {"result": result, "bytes": len(data)}
         except gp.GPhoto2Error as error:
-            answer = {"code": error.code, "text": str(error.string)}
+            reasons = dict.fromkeys([*worker.reasons[-1:], str(error.string)])
+            answer = {"code": error.code, "text": ": ".join(reasons)}
         responses.write(json.dumps(answer).encode() + b"\n")
         responses.write(data)
         responses.flush()

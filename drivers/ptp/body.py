@@ -239,10 +239,7 @@ class Body:
             warning, meaning = self.dialect.lens_warning
             with suppress(CameraError):
                 code = meaning if self.session.description(warning).current == 1 else code
-        error = response_error(code, "take a picture", self._name, self.dialect.name)
-        if isinstance(error, CameraProtocolError):  # it has refused: no picture may still come
-            return CameraError(error.what, hint=error.hint)
-        return error
+        return response_error(code, "take a picture", self._name, self.dialect.name)
 
     def _do(self, step: Step, task: str) -> None:
         if step.is_optional:

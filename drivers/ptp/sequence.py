@@ -54,6 +54,7 @@ class ExposureSequence:
         self._name, self._delete = name, delete
         self._clock = body.session.clock
         self._pending: PendingExposure | None = None
+        self._is_released = False  # the camera has confirmed the release of the pending exposure
         self._waiting: Shot | None = None  # its file is in the camera, its frame not yet yielded
         self._fetched: list[Shot] = []
         self._overlaps = True
@@ -141,7 +142,7 @@ class ExposureSequence:
         """Release; None if the camera needs its last picture to be fetched first."""
         # An exposure is pending until the camera has clearly refused it: after a time-out it may
         # have been taken, and must not be mistaken for the next one.
-        self._pending = self._shooter.pending(request)
+        self._pending, self._is_released = self._shooter.pending(request), False
         try:
             if self._is_bulb(request.setting):
                 self._pending = self._hold(request)
@@ -152,6 +153,7 @@ class ExposureSequence:
         except CameraError:
             self._pending = None
             raise
+        self._is_released = True
         return self._pending
 
     def _hold(self, request: ExposureRequest) -> PendingExposure:
@@ -250,7 +252,9 @@ class ExposureSequence:
         """Add to an error which pictures were taken and are still in the camera."""
         unfetched = [] if self._waiting is None else [self._waiting.name]
         if self._pending is not None:
-            unfetched.append(f"an exposure of {self._pending.request.setting.time_s:.6g} s")
+            perhaps = "" if self._is_released else "perhaps "
+            time_s = self._pending.request.setting.time_s
+            unfetched.append(f"{perhaps}an exposure of {time_s:.6g} s")
         if unfetched:
             error.what = f"{error.what}; taken and not fetched: {' and '.join(unfetched)}"
             error.args = (f"{error.what}; {error.hint}" if error.hint else error.what,)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -9,22 +11,38 @@ import pytest
 from network_bench import camera_on_tcp
 
 import camctl
+from camctl.camera import Camera
 from camctl.controls import ExposureSetting
+from camctl.errors import CameraError
+from drivers.gphoto2.process import FullError
+from sim.devices.ptp.network import NetworkCamera as VirtualCamera
 
 #: From one end of the dial to the other, which libgphoto2 does in steps on a Sony.
 TIMES_S = (1 / 8000, 1 / 8, 1 / 1000)
 
 
-@pytest.mark.parametrize("vendor", ["nikon", "canon", "sony"])
-def test_frames_are_those_of_ptpip_bit_for_bit(
-    vendor: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture(autouse=True)
+def _without_the_virtual_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("VCAMERADIR", raising=False)
     monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path))
-    with camera_on_tcp(vendor=vendor, files="dng", repeat_noise=True) as (_, port):
-        address = f"ptpip:127.0.0.1:{port}"
-        port_of_gphoto2 = f"gphoto2:{address}:{port}"  # of the commands, and of the events
-        with camctl.open_camera(port_of_gphoto2, format="raw") as camera:
+
+
+@contextmanager
+def virtual_camera(vendor: str) -> Iterator[tuple[VirtualCamera, str]]:
+    """Yield a virtual camera in the network, and its id with the backend `ptpip`."""
+    with camera_on_tcp(vendor=vendor, files="dng", repeat_noise=True) as (device, port):
+        yield device, f"ptpip:127.0.0.1:{port}"
+
+
+def opened(address: str) -> Camera:
+    """Return the camera through libgphoto2, which needs the port of the events, too."""
+    return camctl.open_camera(f"gphoto2:{address}:{address.rpartition(':')[2]}", format="raw")
+
+
+@pytest.mark.parametrize("vendor", ["nikon", "canon", "sony"])
+def test_frames_are_those_of_ptpip_bit_for_bit(vendor: str) -> None:
+    with virtual_camera(vendor) as (_, address):
+        with opened(address) as camera:
             dial = camera.controls.time_s
             settings = [ExposureSetting(dial.nearest(time_s)) for time_s in TIMES_S]
             frames = list(camera.shoot(settings))
@@ -35,3 +53,46 @@ def test_frames_are_those_of_ptpip_bit_for_bit(
         np.array_equal(frame.pixels, other.pixels)
         for frame, other in zip(frames, others, strict=True)
     )
+
+
+@pytest.mark.parametrize("vendor", ["nikon", "canon", "sony"])
+def test_a_mode_dial_that_forbids_manual_exposure(vendor: str) -> None:
+    with virtual_camera(vendor) as (device, address):
+        device.do("mode", dial="auto")
+        with pytest.raises(CameraError) as error:
+            opened(address)
+    assert "turn the mode dial to M" in error.value.hint
+
+
+@pytest.mark.parametrize(
+    ("vendor", "state", "message"),
+    [
+        ("nikon", "playback", "does not accept a setting .*leave playback, menus and"),
+        ("nikon", "no card", "has no card .*put a card in"),
+        ("nikon", "lens", "has its lens covered or not in working position"),
+        ("canon", "movie", "cannot do that in its present mode .*movie mode on the camera"),
+        ("canon", "lens", "has its lens covered or not in working position .*lens cap off"),
+        ("canon", "no card", "has no card .*put a card in"),
+        ("canon", "retracted lens", "general error.*lens on manual focus"),
+    ],
+)
+def test_the_reason_that_libgphoto2_gives_says_what_to_do(
+    vendor: str, state: str, message: str
+) -> None:
+    with virtual_camera(vendor) as (device, address), opened(address) as camera:
+        settings = [ExposureSetting(camera.controls.time_s.nearest(1 / 125))]
+        device.do("body_state", state=state)
+        with pytest.raises(CameraError, match=f"(?i){message}") as error:
+            list(camera.shoot(settings))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("vendor", ["nikon", "canon"])
+def test_a_full_card(vendor: str) -> None:
+    with virtual_camera(vendor) as (device, address), opened(address) as camera:
+        settings = [ExposureSetting(camera.controls.time_s.nearest(1 / 125))]
+        device.do("card_full")
+        with pytest.raises(
+            FullError, match=r"no memory left .*delete pictures, or change its card"
+        ):
+            list(camera.shoot(settings))

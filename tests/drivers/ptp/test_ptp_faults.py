@@ -192,7 +192,7 @@ class TestLastingFaults:
                     shoot(camera, wanted)
                 assert remedy in error.value.hint
                 assert "\n" not in str(error.value)
-                assert "taken" not in str(error.value)
+                assert "taken and not fetched: an" not in str(error.value)
             device.do("ok")
             assert len(shoot(camera, settings)) == 1
 
