@@ -124,7 +124,7 @@ def estimate_response(
     if not series.exposures_are_stated:
         series.guess_exposures()
         estimate_ratios = True
-    check_frames(series, has_chart=chart is not None)
+    check_frames(series, has_chart=chart is not None, is_scene_checked=is_scene_checked)
     exposures = np.array(series.exposures)
     edges = _edges(series.white - series.black)
     notes = list(series.notes)

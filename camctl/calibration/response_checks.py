@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -28,15 +29,19 @@ _NOTED, _REFUSED = 0.02, 0.35
 _JUDGED_SHARE = 0.02
 #: Patches that deviate by this much have moved, and the share of moved ones that is tolerated.
 _MOVED, _MOST_MOVED = 0.12, 0.25
+#: Whatever the response, patches keep their order of brightness from frame to frame.  Difference of
+#: two patches that is beyond noise, as a share of full scale; share of such pairs of patches in
+#: reversed order from which something moved; fewest pairs; and most patches that are compared.
+_DIFFERENT, _MOST_REVERSED, _LEAST_PAIRS, _MOST_PATCHES = 0.08, 0.05, 100, 600
 #: Brightness of patches that are compared, as a share of full scale.
 _COMPARED = (0.1, 0.9)
 _HELD = "put the camera on a tripod before a scene that does not move"
 
 
-def check_frames(series: Series, *, has_chart: bool = False) -> None:
+def check_frames(series: Series, *, has_chart: bool = False, is_scene_checked: bool = True) -> None:
     """Check that there are different frames with different exposures and something to see.
 
-    With a chart a single frame is enough.
+    With a chart a single frame is enough.  With `is_scene_checked` they must show the same scene.
 
     Raises:
         DataError: there are not
@@ -70,6 +75,8 @@ def check_frames(series: Series, *, has_chart: bool = False) -> None:
                 hint="leave one of them out, or correct its exposure",
             )
     _check_order(series, exposures)
+    if is_scene_checked:
+        _check_order_of_patches(series)
 
 
 def _check_order(series: Series, exposures: FloatArray) -> None:
@@ -168,18 +175,18 @@ def check_scene(
         errors = errors - np.polyval(np.polyfit(logs, errors, 1), logs)
         judged = [_well_exposed(series, k, channel) >= _JUDGED_SHARE for k in range(len(logs))]
         worst = int(np.argmax(np.abs(errors) * judged))
-        size = float(np.expm1(abs(errors[worst]))) * judged[worst]
+        error = float(errors[worst] * judged[worst])
         text = (
-            f"{series.names[worst]} is {size:.0%} {'brighter' if errors[worst] > 0 else 'darker'} "
-            "than its exposure says"
+            f"{series.names[worst]} is {abs(math.expm1(error)):.0%} "
+            f"{'brighter' if error > 0 else 'darker'} than its exposure says"
         )
-        if size > _REFUSED:
+        if abs(error) > math.log1p(_REFUSED):
             raise DataError(
                 text,
                 hint="check the exposures and that the light does not flicker, or use "
                 "--estimate-ratios",
             )
-        if size > _NOTED:
+        if abs(error) > math.log1p(_NOTED):
             notes.append(text)
     _check_patches(series, channel, edges, fit)
     return notes
@@ -191,6 +198,41 @@ def _well_exposed(series: Series, position: int, channel: str) -> float:
     low, high = (series.black + share * span for share in _COMPARED)
     samples = series.channel_patches(position, channel)
     return float(np.mean((samples > low) & (samples < high)))
+
+
+def _check_order_of_patches(series: Series) -> None:
+    """Check that the scene stood still, whatever the response and the exposures are.
+
+    Raises:
+        DataError: bright patches of one frame are dark in the next one
+    """
+    order = np.argsort(series.exposures).tolist()
+    for short, long in pairwise(order):
+        for channel in series.channels:
+            means = _common_patches(series, channel, short, long)
+            apart = means[:, :, None] - means[:, None, :]
+            is_certain = np.all(np.abs(apart) > _DIFFERENT, axis=0)
+            pairs = max(int(np.count_nonzero(is_certain)), 2 * _LEAST_PAIRS)  # each counts twice
+            turned = np.count_nonzero(is_certain & (apart[0] * apart[1] < 0))
+            if turned > _MOST_REVERSED * pairs:
+                raise DataError(
+                    f"{series.names[short]} and {series.names[long]} do not show the same: the "
+                    "camera or the scene moved",
+                    hint=_HELD,
+                )
+
+
+def _common_patches(series: Series, channel: str, short: int, long: int) -> FloatArray:
+    """Return the brightness of patches that two frames expose well, (2, patches), of full scale.
+
+    Of many patches some are taken.
+    """
+    span = series.white - series.black
+    patches = [series.channel_patches(k, channel) for k in (short, long)]
+    means = np.array([each.mean(axis=1) - series.black for each in patches]) / span
+    used = np.all((means > _COMPARED[0]) & (means < _COMPARED[1]), axis=0)
+    used &= np.all([each.max(axis=1) < series.white for each in patches], axis=0)
+    return np.asarray(means[:, used][:, :: 1 + np.count_nonzero(used) // _MOST_PATCHES])
 
 
 def _check_patches(series: Series, channel: str, edges: FloatArray, fit: ResponseFit) -> None:

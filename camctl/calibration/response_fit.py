@@ -1,14 +1,16 @@
 """The response of a camera from matched brightness levels of its frames, and from a chart.
 
-With x = k / (M + 1), ln E = ln x + h(ln(x + 0.1)), where h is a cubic spline: linear cameras have a
-constant h, and E(0) = 0.  The fit is by weighted least squares, robust to outliers, under the
-condition that E ascends from level to level.  The prior knowledge is that h is smooth but for a few
-bends: small third derivatives (second ones, where exposures are far apart or there is only a chart)
-count by their squares, large ones by their size.  It is needed
-where the exposures are powers of one factor f: h + p with any p of period ln f in ln E explains the
-frames as well.  A bend that the prior rounds off would come back as such a p.  Therefore the last
-rounds expect as much curvature of each part of the curve as was found around it: where the curve
-has a bend it may bend, and where it is straight it shows p, which is the same everywhere.
+With x = k / (M + 1), ln E = ln x + h(u), where h is a cubic spline and u = ln(x + 0.1) -
+ln(1.1 - x) / 2, so that the knots are close where curves bend most: at the toe and the shoulder.
+(With exposures far apart, few levels, or a chart alone, u is the first term alone.)  Linear
+cameras have a constant h, and E(0) = 0.  The fit is by weighted least squares, robust to outliers,
+under the condition that E ascends from level to level.  The prior knowledge is that h is smooth but
+for a few bends: small third derivatives (second ones, where exposures are far apart or there is
+only a chart) count by their squares, large ones by their size.  It is needed where the exposures
+are powers of one factor f: h + p with any p of period ln f in ln E explains the frames as well.  A
+bend that the prior rounds off would come back as such a p.  Therefore the last rounds expect as
+much curvature of each part of the curve as was found around it: where the curve has a bend it may
+bend, and where it is straight it shows p, which is the same everywhere.
 
 The exposures may be a little wrong, or hardly known.  Then there is an ambiguity (Mitsunaga and
 Nayar, "Radiometric Self Calibration", CVPR 1999): E^g fits exposures t^g as well, for every g.  The
@@ -28,18 +30,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.ascending_fit import ascending
+from camctl.calibration.response_knots import COEFFICIENTS, Knots
 from camctl.calibration.response_matches import LEAST_PIXELS, NOISE_STEPS, Matches
 from camctl.errors import DataError
 from camctl.response.camera import FloatArray
 
-#: Coefficients of the spline are this many and two; x + `_TOE` spaces its knots.
-_KNOTS, _TOE = 60, 0.1
-_STEP = math.log((1 + _TOE) / _TOE) / (_KNOTS - 1)
+#: Weight of what makes knots close at the shoulder.
+_SHOULDER = 0.5
+#: Fewer levels show no shoulder.
+_LEAST_LEVELS = 60
 #: Weight of the integral of the squared third derivative of h; of the second one where only a chart
 #: says something about it; and the size of a difference (in standard deviations of the prior) from
 #: which it counts as a bend.  A ripple has a larger third derivative, beside its second one, than a
 #: bend has.
-_SMOOTHNESS, _SMOOTHNESS_OF_CHART, _BEND = 0.01, 1.0, 2.0
+_SMOOTHNESS, _SMOOTHNESS_OF_CHART, _BEND = 0.1, 1.0, 2.0
 #: Exposures further apart than the first number, a factor, show too little of the curvature: the
 #: prior is the same for the whole curve, and the second number is the weight of the integral of the
 #: squared second derivative.
@@ -147,14 +151,17 @@ def fit_response(
         )
     logs = np.log(exposures)
     x_known = (edges - phase) / (edges[-1] + 1)
-    system = _System(matches, logs, chart, (edges, phase))
-    curve, top = system.curve(x_known), system.curve(np.ones(1))
+    prior = _prior(matches, logs, edges)
+    system = _System(matches, logs, chart, (edges, phase), prior.knots)
+    with_top = np.append(x_known, 1.0)
+    whole = system.curve(with_top)
+    curve, top = whole[:-1], whole[-1:]
     known = system.known_beforehand(logs, exposure_error)
-    prior = _prior(matches, logs)
-    roughness = np.diff(np.eye(_KNOTS + 2), prior.order, axis=0)
-    roughness *= math.sqrt(prior.smoothness) / _STEP ** (prior.order - 0.5)
+    roughness = np.diff(np.eye(COEFFICIENTS), prior.order, axis=0)
+    roughness *= math.sqrt(prior.smoothness) / prior.knots.step ** (prior.order - 0.5)
     places = np.arange(len(roughness)) + prior.order / 2 - 1  # of the differences, in knots
-    places = np.clip(_TOE * (np.exp(_STEP * places) - 1), 0.0, 1.0)
+    fine = np.linspace(0, 1, 4001)  # at which the places of knots are looked up
+    places = np.interp(places, prior.knots.before(fine), fine)
     log_E = 1.5 * np.log(x_known)  # a start: most responses are steeper than a linear one
     residuals = np.zeros(system.wanted.size)
     bends = np.zeros(len(roughness))
@@ -174,15 +181,15 @@ def fit_response(
             around = _around(np.interp(places, x_known, log_E))
             expected = _ADAPTED / (around @ bends**2 + _LEAST_CURVED)
         smooth = roughness * expected[:, None]
-        square[: _KNOTS + 2, : _KNOTS + 2] += roughness.T @ smooth
-        square += 1e3 * np.trace(square[: _KNOTS + 2, : _KNOTS + 2]) * top.T @ top
+        square[:COEFFICIENTS, :COEFFICIENTS] += roughness.T @ smooth
+        square += 1e3 * np.trace(square[:COEFFICIENTS, :COEFFICIENTS]) * top.T @ top
         product = system.rows.T @ (weights * system.wanted)
-        found = ascending(square, product, curve, np.log(x_known))
-        log_E = curve @ found + np.log(x_known)
+        found = ascending(square, product, whole, np.log(with_top))
+        log_E = (curve - top) @ found + np.log(x_known)
         residuals = system.rows @ found - system.wanted
-        bends = roughness @ found[: _KNOTS + 2]
+        bends = roughness @ found[:COEFFICIENTS]
     if matches.low.size:
-        square[: _KNOTS + 2, : _KNOTS + 2] -= (1 - _ROUGHER) * roughness.T @ smooth
+        square[:COEFFICIENTS, :COEFFICIENTS] -= (1 - _ROUGHER) * roughness.T @ smooth
     covariance = np.linalg.inv(square)
     relative = curve - system.curve(np.array([REFERENCE]))
     misfit = max(1.0, float(np.average(np.minimum(deviations, 3.0) ** 2, weights=weights)))
@@ -216,10 +223,12 @@ class _System:
         logs: FloatArray,
         chart: ChartSamples | None,
         scale: tuple[FloatArray, float],
+        knots: Knots,
     ) -> None:
+        self.knots = knots
         edges, phase = scale
         count = 0 if chart is None else chart.reflectance.size
-        ends = np.cumsum([_KNOTS + 2, logs.size, len(CHART_LIGHT) if count else 0, count])
+        ends = np.cumsum([COEFFICIENTS, logs.size, len(CHART_LIGHT) if count else 0, count])
         self.frames, self.light, self.patches = (
             slice(int(start), int(end)) for start, end in pairwise(ends)
         )
@@ -260,7 +269,7 @@ class _System:
     def curve(self, x: FloatArray) -> FloatArray:
         """Return the rows that give h at brightness x, (N, unknowns)."""
         rows = np.zeros((x.size, self.size))
-        rows[:, : _KNOTS + 2] = _basis(x)
+        rows[:, :COEFFICIENTS] = self.knots.basis(x)
         return rows
 
     def known_beforehand(self, logs: FloatArray, exposure_error: float) -> FloatArray:
@@ -271,24 +280,12 @@ class _System:
         light = np.array(CHART_LIGHT)[: self.light.stop - self.light.start]
         errors = np.concatenate([np.full(logs.size, exposure_error), light, self.patch_error])
         precision = np.zeros((self.size, self.size))
-        precision[_KNOTS + 2 :, _KNOTS + 2 :] = np.diag(errors**-2.0)
+        precision[COEFFICIENTS:, COEFFICIENTS:] = np.diag(errors**-2.0)
         power = logs - logs.mean()
         if power.any():
             block = np.outer(power, power) / (power @ power) / _TREND**2
             precision[self.frames, self.frames] += block
         return precision
-
-
-def _basis(x: FloatArray) -> FloatArray:
-    """Return the cubic B-splines of h at brightness x, (N, `_KNOTS` + 2)."""
-    place = np.log((x + _TOE) / _TOE) / _STEP
-    cell = np.clip(place, 0, _KNOTS - 1 - 1e-9).astype(np.intp)
-    u = place - cell
-    parts = ((1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3)
-    values = np.zeros((x.size, _KNOTS + 2))
-    for offset, part in enumerate(parts):
-        values[np.arange(x.size), cell + offset] = part / 6
-    return values
 
 
 class _Prior(NamedTuple):
@@ -301,16 +298,20 @@ class _Prior(NamedTuple):
     order: int
     rounds: int
     floor: float
+    knots: Knots
 
 
-_CHART = _Prior(_SMOOTHNESS_OF_CHART, 2, _ROUNDS, _FLOOR_OF_COARSE)
-_FEW = _Prior(_SMOOTHNESS_OF_COARSE, 2, _ROUNDS, _FLOOR_OF_COARSE)
-_MANY = _Prior(_SMOOTHNESS, 3, _ROUNDS + _ADAPTED_ROUNDS, _FLOOR)
+_CHART = _Prior(_SMOOTHNESS_OF_CHART, 2, _ROUNDS, _FLOOR_OF_COARSE, Knots(0.0))
+_FEW = _Prior(_SMOOTHNESS_OF_COARSE, 2, _ROUNDS, _FLOOR_OF_COARSE, Knots(0.0))
+_FEW_LEVELS = _Prior(_SMOOTHNESS / 10, 3, _ROUNDS + _ADAPTED_ROUNDS, _FLOOR, Knots(0.0))
+_MANY = _Prior(_SMOOTHNESS, 3, _ROUNDS + _ADAPTED_ROUNDS, _FLOOR, Knots(_SHOULDER))
 
 
-def _prior(matches: Matches, logs: FloatArray) -> _Prior:
+def _prior(matches: Matches, logs: FloatArray, edges: FloatArray) -> _Prior:
     if not matches.low.size:
         return _CHART
+    if edges[-1] < _LEAST_LEVELS:
+        return _FEW_LEVELS
     return _FEW if np.median(np.diff(np.unique(logs))) > math.log(_COARSE) else _MANY
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from camctl.calibration.dark import measure_dark
 from camctl.calibration.delay import measure_delay
 from camctl.calibration.exposures import LONGEST_S
 from camctl.calibration.noise import measure_noise
@@ -30,12 +31,14 @@ class StepOptions:
         warn: called with one line for each irregularity
         turn: asks for another view of the scene, and returns whether the camera was turned; None:
             it cannot be
+        cover: asks for the lens to be covered, and returns whether it was; None: it cannot be
     """
 
     longest_s: float = LONGEST_S
     begin: Callable[[str], Callable[[float], None] | None] = lambda _name: None
     warn: Callable[[str], None] = _ignore
     turn: Callable[[], bool] | None = None
+    cover: Callable[[], bool] | None = None
 
 
 @dataclass(frozen=True)
@@ -115,4 +118,22 @@ def pattern_step(camera: Camera, options: StepOptions, _progress: Progress) -> F
         profile.noises[mode] = profile.noises[mode].model_copy(update={"prnu": prnu})
 
     text = f"their sensitivity differs by {prnu.value:.2%} ({prnu.low:.2%} to {prnu.high:.2%})"
+    return Found(keep, text)
+
+
+def dark_step(camera: Camera, options: StepOptions, progress: Progress) -> Found | None:
+    """Measure dark current, the pixels' offsets and hot pixels with the lens covered."""
+    mode = exposure_mode(camera.controls)
+    known = load_profile(camera.info).noises.get(mode)
+    if options.cover is None or known is None or not options.cover():
+        return None
+    dark = measure_dark(camera, known, longest_s=options.longest_s, progress=progress)
+
+    def keep(profile: Profile) -> None:
+        profile.noises[mode] = profile.noises[mode].model_copy(update={"dark": dark})
+
+    text = (
+        f"dark current {dark.dark_current_e_s.value:.3g} electrons/s, offsets of the pixels differ "
+        f"by {dark.dsnu_e.value:.3g} electrons, hot pixels: {len(dark.hot_pixels)}"
+    )
     return Found(keep, text)

@@ -1,10 +1,11 @@
 """All calibrations of a camera before one scene, in the order in which they need each other.
 
-Control delay, response, true exposures, noise, and, where the camera can be turned, the pattern of
-its pixels.  A response is estimated from stated exposures; if
-these turn out to be wrong, both are measured again from the results so far, until they agree.  If
-the frames agree less with the measured exposures than with the stated ones, these are kept: a
-camera of few levels without noise does not show its exposures, and rounds would lead further away.
+Control delay, response, true exposures, noise; where the camera can be turned, the pattern of its
+pixels; and where its lens can be covered, the dark signal.  A response is estimated from stated
+exposures; if these turn out to be wrong, both are measured again from the results so far, until
+they agree.  If the frames agree less with the measured exposures than with the stated ones, these
+are kept: a camera of few levels without noise does not show its exposures, and rounds would lead
+further away.
 The result of each step is kept in the camera's profile before the next one, which uses it.
 """
 
@@ -31,6 +32,7 @@ from camctl.calibration.single_steps import (
     Progress,
     StepOptions,
     StepResult,
+    dark_step,
     delay_step,
     noise_step,
     pattern_step,
@@ -110,6 +112,7 @@ class _Calibration:
             yield from self._step("exposures again", RESPONSE, self._measure_exposures)
         yield from self._step("noise", f"{EXPOSURES},{RESPONSE}", noise_step)
         yield from self._step("pixels", f"{EXPOSURES},{RESPONSE}", pattern_step)
+        yield from self._step("dark signal", "none", dark_step)
 
     def _step(self, name: str, parts: str, measure: Measure) -> Iterator[StepResult]:
         """Do one step with these parts of the profile; yield its result if it has one."""

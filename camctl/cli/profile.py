@@ -71,19 +71,30 @@ def list_(as_json: bool) -> None:
     if not found:
         print_text(f"no profiles in {visible(profile_directory())}; camctl calibrate creates them")
         return
-    headings = ("name", "make", "model", "serial", "delays", "formats")
+    headings = ("name", "make", "model", "serial", "measured", "formats")
     rows = [
         (
             each.name,
             each.make,
             each.model,
             each.serial,
-            str(len(each.delays) or "none"),
+            _measured(each),
             ", ".join(each.stills) or "none",
         )
         for each in found
     ]
     print_text(format_table(headings, rows))
+
+
+def _measured(found: Profile) -> str:
+    """Return what was measured of a camera, in any mode."""
+    records = {
+        "control delay": found.delays,
+        "response": found.responses,
+        "exposures": found.exposures,
+        "noise": found.noises,
+    }
+    return ", ".join(name for name, modes in records.items() if modes) or "nothing"
 
 
 @command(

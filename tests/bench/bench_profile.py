@@ -57,16 +57,18 @@ def main() -> int:
     """Print one line for each preset and desired response; return 1 if one is above the limit."""
     parser = argparse.ArgumentParser()
     parser.add_argument("sensors", nargs="*", default=sensor_names(), metavar="SENSOR")
+    parser.add_argument("--asked", default="turn,cover", help="what is done when it is asked for")
+    arguments = parser.parse_args()
     worst = 0.0
     print(
         "sensor                response  promised  measured  difference  promised if stated",
         flush=True,
     )
-    for name in parser.parse_args().sensors:
+    for name in arguments.sensors:
         sensor = sensor_without_lens(name)
         with tempfile.TemporaryDirectory() as folder:
             os.environ["CAMCTL_PROFILES"] = folder
-            _calibrate(sensor)
+            _calibrate(sensor, set(arguments.asked.split(",")))
             worst = max(worst, _compare(sensor, name))
             if sensor.pixels.prnu:
                 _calibrate_noise(sensor)
@@ -113,8 +115,8 @@ def _full_scale(sensor: Sensor) -> float:
     return sensor.full_scale_e / sensor.quantum_efficiency / ramp_base_s(sensor)
 
 
-def _calibrate(sensor: Sensor) -> None:
-    """Do what `camctl calibrate all` does; the camera is turned when that is asked for."""
+def _calibrate(sensor: Sensor, asked: set[str]) -> None:
+    """Do what `camctl calibrate all` does; the camera is turned and covered as `asked` says."""
     rows, columns = ROWS + TURNED[0], RAMP_COLUMNS + TURNED[1]
     light = load_scene(CALIBRATED_BEFORE, (rows, columns)).irradiance
     light = (light / np.quantile(light, 0.99) * _full_scale(sensor)).astype(np.float32)
@@ -130,14 +132,20 @@ def _calibrate(sensor: Sensor) -> None:
         used = () if parts == "none" else tuple(parts.split(","))
         return with_profile(camera, used)
 
-    def turn() -> bool:
-        cameras[-1]._renderer = Renderer(View.of(turned, sensor), sensor)
+    capped = Scene("cap", np.full_like(scene.irradiance, 1e-9))
+
+    def shown(view: Scene) -> bool:
+        cameras[-1]._renderer = Renderer(View.of(view, sensor), sensor)
         return True
 
-    for step in calibrate(opened, StepOptions(turn=turn)):
+    options = StepOptions(
+        turn=(lambda: shown(turned)) if "turn" in asked else None,
+        cover=(lambda: shown(capped)) if "cover" in asked else None,
+    )
+    for step in calibrate(opened, options):
         if step.problem is not None:
             print(f"{sensor.name:16}{step.name} not measured: {step.problem}", flush=True)
-        elif step.name == "pixels":
+        elif step.name in ("pixels", "dark signal"):
             print(f"{sensor.name:16}{step.name}: {step.result}", flush=True)
 
 

@@ -36,8 +36,13 @@ _GUIDANCE = (
 
 #: How a pattern of the pixels, which stays, is separated from the scene, which does not.
 _TURN = (
-    "Last step: turn the camera a little, by about a tenth of the picture, and fix it again. What "
-    "then stays in the pictures is how the pixels differ. Answer n if it cannot be turned."
+    "Turn the camera a little, by about a tenth of the picture, and fix it again. What then stays "
+    "in the pictures is how the pixels differ. Answer n if it cannot be turned."
+)
+#: What the pixels collect without light.
+_COVER = (
+    "Last step: cover the lens, with its cap or a dark cloth. What the pictures then show is the "
+    "dark signal and hot pixels. Answer n if it cannot be covered."
 )
 #: What depends on the picture, so that no calibration can predict it.
 _NEVER = "smear, blooming and glare"
@@ -68,8 +73,9 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
     Point the camera at a scene that does not move, with dark and bright parts and many shades
     between, in steady light. Each result is kept in the camera's profile, which later captures use
     without being asked. What cannot be measured is named with what to do; the rest is measured all
-    the same. At the end, in a terminal, you are asked to turn the camera a little: one view cannot
-    show how the pixels differ, two can. Otherwise measure that with camctl calibrate noise --flat.
+    the same. At the end, in a terminal, you are asked to turn the camera a little (one view cannot
+    show how the pixels differ, two can), and then to cover the lens, for the dark signal. Otherwise
+    measure these with camctl calibrate noise --flat and --dark.
     """
     from camctl.calibration.single_steps import StepOptions
     from camctl.calibration.steps import calibrate
@@ -91,12 +97,17 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
             bars.close()
             return without_stage(bars.enter_context(progress_bar(name)))
 
-        def turn() -> bool:
-            bars.close()
-            print_error(_TURN)
-            return click.confirm("Has the camera been turned?", default=True, err=True)
+        def asked(what: str, question: str) -> Callable[[], bool] | None:
+            def ask() -> bool:
+                bars.close()
+                print_error(what)
+                return click.confirm(question, default=True, err=True)
 
-        how = StepOptions(longest_s, begin, print_warning, turn if is_interactive else None)
+            return ask if is_interactive else None
+
+        turn = asked(_TURN, "Has the camera been turned?")
+        cover = asked(_COVER, "Is the lens covered?")
+        how = StepOptions(longest_s, begin, print_warning, turn, cover)
         for step in calibrate(lambda parts: camera.open(profile=parts), how):
             bars.close()
             done.append(step)
@@ -118,7 +129,8 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
                     noise and noise.prnu,
                 ),
                 (
-                    "dark signal and hot pixels (camctl calibrate noise --dark)",
+                    "dark signal and hot pixels (camctl calibrate noise --dark, or cover the lens "
+                    "when camctl calibrate all asks for it in a terminal)",
                     noise and noise.dark,
                 ),
             )
