@@ -220,9 +220,7 @@ def _to_json(
     effects = []
     for decisions in zip(*(frame.plan.effects for frame in frames), strict=True):
         worst = max(decisions, key=lambda one: (one.ran, one.bound_dn))
-        bound = worst.bound_dn if math.isfinite(worst.bound_dn) else None
-        effect = {"name": worst.name, "bound_dn": bound, "ran": worst.ran, "why": worst.why}
-        effects.append(effect | {"milliseconds": worst.milliseconds})
+        effects.append(worst.as_data())
     joint = sum(frame.plan.joint_bound_dn for frame in frames)
     return whole | {"joint_bound_dn": joint, "effects": effects, "frames": parts}
 
@@ -260,7 +258,9 @@ def _to_text(frame: _SimulatedFrame, *, explain: bool) -> str:
     return "\n\n".join((format_fields(rows[:4] + rows[6:]), table, _TABLE_NOTE))
 
 
-_TABLE_NOTE = """The bound is the largest change of any sample if this effect alone is left out.
+_TABLE_NOTE = """\
+DN: brightness levels of the sensor. The bound is the largest change of any sample if this effect
+alone is left out; where wells overflow, the end of a streak of charge can change more.
 Times are those of a first frame, from the cost of each effect measured on one core."""
 
 
@@ -279,7 +279,7 @@ def _comparison_rows(comparison: Comparison, plan: FramePlan) -> list[tuple[str,
         (
             "time saved",
             f"{format_number(saved, 3)} of {format_number(whole, 3)} ms{share} in a first frame; "
-            f"rendered again: {format_duration(comparison.seconds)}, with every effect "
+            f"a later one takes {format_duration(comparison.seconds)} here, with every effect "
             f"{format_duration(comparison.everything_s)}",
         ),
     ]
@@ -287,7 +287,7 @@ def _comparison_rows(comparison: Comparison, plan: FramePlan) -> list[tuple[str,
 
 def _effect_line(effect: Decision, plan: FramePlan) -> tuple[str, ...]:
     """Return a line of the table of effects."""
-    bound = format_number(effect.bound_dn, 3) if math.isfinite(effect.bound_dn) else "unlimited"
+    bound = format_number(effect.own_dn, 3) if math.isfinite(effect.own_dn) else "unlimited"
     took = format_number(effect.milliseconds, 2)
     if effect.ran:
         return effect.name, "yes", bound, took, "", effect.why

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -188,11 +188,16 @@ class Bounds:
         count = _TILE_OPERATIONS + rounding_count(self.shot)
         return count * _ULP * largest + _TRANSFORM_ROUNDING * self.peak_e
 
-    def joint(self, left_out: Collection[str]) -> float:
-        """Return the bound of leaving out these effects together, in DN before the ADC."""
+    def joint(self, left_out: Collection[str], *, moves_streaks: bool = True) -> float:
+        """Return the bound of leaving out these effects together, in DN before the ADC.
+
+        Without `moves_streaks` it is the bound where no charge overflows: blooming adds nothing.
+        """
         sensor, changes = self.shot.sensor, self.changes
         gone = [changes[name] for name in left_out if name in changes]
         stay = [change for name, change in changes.items() if name not in left_out]
+        if not moves_streaks:
+            stay = [replace(change, spreads=0.0) for change in stay]
         if any(change.never for change in gone):
             return math.inf
         is_below_well = self.peak_e <= sensor.full_well_e

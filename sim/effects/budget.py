@@ -21,6 +21,7 @@ class Decision:
         name: of the effect
         bound_dn: bound of the change of any sample before the ADC if this effect alone is left
             out, DN; infinite if it is never left out, 0 if it is absent
+        own_dn: the same but for streaks of charge from full wells, which it can end earlier
         ran: whether the frame has it
         why: the reason, for users
         is_present: whether scene and sensor have it at all
@@ -29,10 +30,22 @@ class Decision:
 
     name: str
     bound_dn: float
+    own_dn: float
     ran: bool
     why: str
     is_present: bool = True
     milliseconds: float = 0.0
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the decision for JSON; an infinite bound is None."""
+        return {
+            "name": self.name,
+            "bound_dn": self.bound_dn if math.isfinite(self.bound_dn) else None,
+            "own_dn": self.own_dn if math.isfinite(self.own_dn) else None,
+            "ran": self.ran,
+            "why": self.why,
+            "milliseconds": self.milliseconds,
+        }
 
 
 @dataclass(frozen=True)
@@ -66,16 +79,7 @@ class FramePlan:
 
     def as_data(self) -> dict[str, Any]:
         """Return the plan for JSON; an infinite bound is None."""
-        effects = [
-            {
-                "name": one.name,
-                "bound_dn": one.bound_dn if math.isfinite(one.bound_dn) else None,
-                "ran": one.ran,
-                "why": one.why,
-                "milliseconds": one.milliseconds,
-            }
-            for one in self.effects
-        ]
+        effects = [one.as_data() for one in self.effects]
         return {
             "tolerance_dn": self.tolerance_dn,
             "joint_bound_dn": self.joint_bound_dn,
@@ -166,30 +170,34 @@ def _decision(
 ) -> Decision:
     name, shot = effect.name, bounds.shot
     if name not in bounds.changes:
-        return Decision(name, 0.0, False, "neither scene nor sensor has it", is_present=False)
+        return Decision(name, 0.0, 0.0, False, "neither scene nor sensor has it", is_present=False)
     alone = bounds.single[name]
+    own = bounds.joint((name,), moves_streaks=False) if bounds.overflows else alone
     change = bounds.changes[name]
-    milliseconds = effect.cost * shot.view.light.size * 1e-6
+    milliseconds = effect.cost * effect.samples(shot) * 1e-6
     if name in chosen:
         together = f" alone, {joint:.2g} DN with all others left out" if len(chosen) > 1 else ""
         why = f"changes at most {alone:.2g} DN{together}"
         if alone == 0:
             why = change.nothing or "changes nothing in this frame"
-        return Decision(name, alone, False, why, milliseconds=milliseconds)
+        return Decision(name, alone, own, False, why, milliseconds=milliseconds)
     range_dn = 2.0**shot.sensor.bits
     if change.never:
         why = change.never
     elif change.only_below_well and math.isinf(alone):
         well = shot.sensor.full_well_e
         why = f"charge can reach {bounds.peak_e:.3g} e-, above the full well of {well:.3g} e-"
-    elif alone >= range_dn and bounds.overflows:
-        why = "wells overflow: less charge can end a streak a row earlier, and that sample is dark"
-    elif alone >= range_dn:
+    elif own >= range_dn:
         why = "can change a sample by the whole range of the ADC"
+    elif alone > 1.01 * own and alone > tolerance_dn:
+        why = (
+            f"can change {own:.3g} DN, and {min(alone, range_dn):.0f} DN where full wells overflow"
+            " and a streak of charge ends a row earlier"
+        )
     elif tolerance_dn == 0:
         why = "simulated, because the tolerance is 0 and it changes the frame"
     elif alone > tolerance_dn:
         why = f"can change {alone:.3g} DN, more than the tolerance of {tolerance_dn:g} DN"
     else:
         why = f"can change {alone:.2g} DN, too much together with the effects left out"
-    return Decision(name, alone, True, why, milliseconds=milliseconds)
+    return Decision(name, alone, own, True, why, milliseconds=milliseconds)

@@ -193,7 +193,7 @@ PIXELS = (
         "EMVA 1288: sensitivity differs from pixel to pixel, normal, relative",
         present=lambda shot: shot.sensor.pixels.prnu > 0,
         change=_prnu_change,
-        cost=1.6,
+        cost=3.0,
         apply=_prnu,
     ),
     Effect(
@@ -202,7 +202,7 @@ PIXELS = (
         "a share of the charge of the frame before, at most of a full well, stays in the pixel",
         present=lambda shot: shot.sensor.pixels.lag > 0,
         change=_lag_change,
-        cost=0.4,
+        cost=0.6,
         apply=_lag,
     ),
     Effect(
@@ -211,7 +211,7 @@ PIXELS = (
         "while charge moves, each pixel sees the mean of its column for smear_s seconds",
         present=lambda shot: shot.sensor.pixels.smear_s > 0,
         change=_smear_change,
-        cost=0.6,
+        cost=0.4,
         lines=_smear_lines,
     ),
 )
@@ -223,7 +223,7 @@ CHARGE = (
         "Poisson, electrons: whole numbers if read noise is below 2.5 e-, else continuous ones",
         present=lambda shot: shot.sensor.photon_noise,
         change=lambda _: Change(is_noise=True),
-        cost=2.5,
+        cost=3.8,
         apply=_photon_noise,
     ),
     Effect(
@@ -232,7 +232,7 @@ CHARGE = (
         "hits on a million pixels a second, each a short track of exponential charge",
         present=lambda shot: shot.sensor.read_out.cosmic_rate_s > 0,
         change=_cosmic_change,
-        cost=0.1,
+        cost=0.4,
         apply=_cosmic,
     ),
     Effect(
@@ -241,7 +241,7 @@ CHARGE = (
         "a share of the charge beyond the well flows along the column and fills the wells it meets",
         present=lambda shot: shot.sensor.pixels.blooming > 0,
         change=_blooming_change,
-        cost=4.5,
+        cost=3.8,
         picture=_bloom,
     ),
     Effect(
@@ -250,7 +250,7 @@ CHARGE = (
         "EMVA 1288: saturation capacity, electrons; the charge is clipped there",
         present=lambda _: True,
         change=lambda _: Change(only_below_well=True),
-        cost=0.1,
+        cost=0.3,
         apply=_well,
     ),
 )

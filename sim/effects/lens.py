@@ -210,7 +210,7 @@ LENS = (
         "ISO 9358: a share of all light is scattered widely; a Gaussian of glare_width",
         present=lambda shot: shot.sensor.lens.glare > 0,
         change=_glare_change,
-        cost=1.5,
+        cost=3.2,
         picture=_glare,
     ),
     Effect(
@@ -219,7 +219,7 @@ LENS = (
         "a Gaussian of blur_px for the point spread of the lens, as blur in ISO 12233; pixels",
         present=lambda shot: shot.sensor.lens.blur_px > 0,
         change=_blur_change,
-        cost=1.2,
+        cost=1.4,
         picture=_blur,
     ),
     Effect(
@@ -229,7 +229,7 @@ LENS = (
         " pixel; first dark ring 1.22 x wavelength x f-number",
         present=lambda shot: shot.sensor.lens.diffraction,
         change=_diffraction_change,
-        cost=10.0,
+        cost=5.0,
         picture=_diffraction,
     ),
     Effect(
@@ -238,7 +238,7 @@ LENS = (
         "transverse chromatic aberration: red drawn larger than green by a share, and blue smaller",
         present=_has_lateral_colour,
         change=_lateral_change,
-        cost=8.0,
+        cost=4.5,
         picture=_lateral_colour,
     ),
 )

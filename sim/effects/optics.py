@@ -151,7 +151,7 @@ OPTICS = (
         "1 - v r^2, r from 0 in the middle to 1 in the corners: the first term of cos^4",
         present=lambda shot: shot.sensor.lens.vignetting > 0,
         change=lambda shot: Change(less=shot.sensor.lens.vignetting),
-        cost=0.4,
+        cost=1.5,
         picture=_vignetting,
     ),
     Effect(
@@ -160,7 +160,7 @@ OPTICS = (
         "a share of a pixel's light goes to each of its four neighbours (diffusion)",
         present=lambda shot: shot.sensor.pixels.crosstalk > 0,
         change=_crosstalk_change,
-        cost=0.6,
+        cost=1.0,
         picture=_crosstalk,
     ),
     Effect(
@@ -169,7 +169,7 @@ OPTICS = (
         "lamps on 50 or 60 Hz mains peak at 100 or 120 Hz: 1 + a cos, averaged over the exposure",
         present=lambda shot: isinstance(shot.view.lamps, Lamps),
         change=_flicker_change,
-        cost=0.3,
+        cost=0.4,
         lines=_flicker_lines,
     ),
     Effect(
@@ -179,7 +179,7 @@ OPTICS = (
         " exposure exactly; with a rolling shutter each row begins elsewhere in the period",
         present=lambda shot: isinstance(shot.view.lamps, PwmLamps),
         change=_flicker_change,
-        cost=0.3,
+        cost=0.5,
         lines=_flicker_lines,
     ),
 )

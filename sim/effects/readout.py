@@ -98,7 +98,7 @@ READ_OUT = (
         " charge of that time, at most a full well, which is subtracted",
         present=lambda shot: shot.sensor.read_out.reset_s > 0,
         change=_black_sun_change,
-        cost=0.5,
+        cost=0.9,
         apply=_black_sun,
     ),
     Effect(
@@ -107,7 +107,7 @@ READ_OUT = (
         "EMVA 1288: offsets differ from pixel to pixel, normal, electrons",
         present=lambda shot: shot.sensor.pixels.dsnu_e > 0,
         change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.pixels.dsnu_e),
-        cost=1.7,
+        cost=2.9,
         apply=_dsnu,
     ),
     Effect(
@@ -116,7 +116,7 @@ READ_OUT = (
         "EMVA 1288: temporal dark noise, normal, electrons",
         present=lambda shot: shot.sensor.read_noise_e > 0,
         change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.read_noise_e),
-        cost=1.6,
+        cost=2.4,
         apply=_read_noise,
     ),
     Effect(
@@ -126,7 +126,7 @@ READ_OUT = (
         " with gain as sqrt(a^2 + (b / gain)^2)",
         present=lambda shot: shot.sensor.read_out.adc_noise_e > 0,
         change=lambda shot: Change(read_e=LARGEST_NOISE * _adc_noise_e(shot)),
-        cost=1.6,
+        cost=2.7,
         apply=_adc_noise,
     ),
     Effect(
@@ -136,7 +136,7 @@ READ_OUT = (
         " two samples of a reading, which adds -A, 0, 0 or A electrons, A from 0 to rts_e",
         present=lambda s: s.sensor.read_out.rts_share > 0 and s.sensor.read_out.rts_e > 0,
         change=lambda shot: Change(read_e=shot.sensor.read_out.rts_e),
-        cost=0.2,
+        cost=0.8,
         apply=_rts,
     ),
     Effect(
@@ -146,7 +146,7 @@ READ_OUT = (
         " share pink_share of its variance is 1/f",
         present=lambda shot: shot.sensor.read_out.row_noise_e > 0,
         change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.read_out.row_noise_e),
-        cost=0.3,
+        cost=0.7,
         lines=_row_noise_lines,
     ),
     Effect(
@@ -156,7 +156,7 @@ READ_OUT = (
         " share pink_share of its variance is 1/f",
         present=lambda shot: shot.sensor.read_out.column_noise_e > 0,
         change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.read_out.column_noise_e),
-        cost=0.3,
+        cost=0.4,
         lines=_column_noise_lines,
     ),
     Effect(
@@ -165,7 +165,7 @@ READ_OUT = (
         "EMVA 1288 linearity error: a bow of nonlinearity_dn in the middle of the range, DN",
         present=lambda shot: shot.sensor.read_out.nonlinearity_dn > 0,
         change=_bow_change,
-        cost=0.8,
+        cost=1.1,
         apply=_bow_adc,
     ),
     Effect(

@@ -297,7 +297,7 @@ class Effect:
         model: the model, where it comes from, and its units
         present: returns whether sensor and scene have it at all
         change: returns what leaving it out changes
-        cost: nanoseconds a sample, measured on one core
+        cost: nanoseconds for each of `samples`, measured on one core (bench_sensor_costs.py)
         timing: for `Stage.SCENE`, returns the timing as the effect changes it
         picture: returns the whole picture as the effect changes it, (rows, columns[, 3]): light for
             `Stage.LENS` and `Stage.SAMPLES`, charge for `Stage.WELL` (in place)
@@ -315,3 +315,8 @@ class Effect:
     picture: Callable[[Light, Shot], Light] | None = None
     lines: Callable[[Shot, RowTiming], Lines] | None = None
     apply: Callable[[Tile], None] | None = None
+
+    def samples(self, shot: Shot) -> int:
+        """Return on how many numbers it works: before a colour mosaic three for each pixel."""
+        in_colour = shot.view.has_colours_before_mosaic and self.stage is Stage.LENS
+        return shot.view.light.size * (3 if in_colour else 1)

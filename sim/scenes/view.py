@@ -119,9 +119,14 @@ class View:
         """The scene's lamps, if they are not steady."""
         return self.source[0].lamps if self.source else None
 
+    @property
+    def has_colours_before_mosaic(self) -> bool:
+        """Whether `planes` has three colours a pixel, and `light` one."""
+        return self.source is not None and self.layout.is_mosaic and self.source[0].is_coloured
+
     def planes(self) -> Light:
         """Return the light in front of the colour mosaic, (rows, columns[, 3]); do not write."""
-        if self.source and self.layout.is_mosaic and self.source[0].is_coloured:
+        if self.source is not None and self.has_colours_before_mosaic:
             scene, sensor = self.source
             light = _sensor_colours(scene.irradiance, self.layout, sensor)
             return _photons_s(light, photons_per_unit(scene, sensor))

@@ -28,7 +28,7 @@ def test_json_output_describes_frame_and_effects(run: Run) -> None:
     output = run("simulate", *SMALL, "--json").json
     assert {"tolerance_dn", "joint_bound_dn", "effects", "seconds"} <= set(output)
     for effect in output["effects"]:
-        assert set(effect) == {"name", "bound_dn", "ran", "why", "milliseconds"}
+        assert set(effect) == {"name", "bound_dn", "own_dn", "ran", "why", "milliseconds"}
     assert decisions(output)["photon noise"]
     assert not decisions(output)["colour mosaic"]
     assert (output["width"], output["height"]) == (64, 48)

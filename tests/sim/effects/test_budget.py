@@ -138,7 +138,7 @@ def test_a_plan_can_be_written_as_json() -> None:
     assert 0 < data["joint_bound_dn"] <= 0.5
     assert [effect["name"] for effect in data["effects"]] == list(effect_names())
     for effect in data["effects"]:
-        assert set(effect) == {"name", "bound_dn", "ran", "why", "milliseconds"}
+        assert set(effect) == {"name", "bound_dn", "own_dn", "ran", "why", "milliseconds"}
         assert effect["why"]
     never = next(effect for effect in data["effects"] if effect["name"] == "quantisation")
     assert never["bound_dn"] is None
@@ -180,7 +180,7 @@ def test_the_reason_of_an_overflow_is_a_sentence() -> None:
     plan = {
         one.name: one for one in plan_frame(a_shot("night-street", "complete", 4.0), 0.5).effects
     }
-    assert plan["PRNU"].why.startswith("wells overflow: ")
+    assert "where full wells overflow" in plan["PRNU"].why
     assert plan["mains flicker"].why == "over this exposure the light of the lamps averages out"
     assert not plan["mains flicker"].ran
 
@@ -246,3 +246,19 @@ def test_planning_reads_no_pixels_once_the_statistics_are_known() -> None:
     plan = plan_frame(Renderer(unreadable, sensor, seed=1).shot(0.01, 1.0, 0), 0.5)
     assert plan == plan_frame(shot, 0.5)
     assert plan.left_out
+
+
+def test_the_own_bound_is_without_streaks_of_overflowing_wells() -> None:
+    sensor = load_sensor("complete")
+    for time_s, overflows in ((4.0, True), (1e-8, False)):
+        shot = a_shot("night-street", "complete", time_s)
+        prnu = next(one for one in plan_frame(shot, 0.5).effects if one.name == "PRNU")
+        assert Bounds(shot).overflows is overflows
+        if overflows:
+            assert prnu.bound_dn > 256
+            # 4.325 standard deviations of a full well, and the photon noise of that charge.
+            charge = 4.325 * 0.006 * sensor.full_well_e / sensor.electrons_per_dn
+            assert charge < prnu.own_dn < 1.5 * charge
+            assert "DN where full wells overflow" in prnu.why
+        else:
+            assert prnu.own_dn == prnu.bound_dn
