@@ -24,7 +24,6 @@ A message says what went wrong and where, and then what to do: ``error.what`` an
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 
 
@@ -127,6 +126,8 @@ class CameraProtocolError(CameraError):
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
     """Return the error for an unknown `name`; its hint has similar names, else all known ones."""
+    import difflib  # takes memory that only an error needs
+
     choices = sorted(known)
     by_word = {choice.lstrip("-."): choice for choice in choices}  # all have these in common
     words = difflib.get_close_matches(name.lower().lstrip("-."), by_word, n=3, cutoff=0.5)

@@ -9,6 +9,7 @@ import errno
 import hashlib
 import io
 import os
+import re
 import stat
 import warnings
 from collections.abc import Iterable, Iterator
@@ -107,6 +108,39 @@ def atomic_file(path: Path) -> Iterator[Path]:
             part.unlink(missing_ok=True)
     except OSError as error:
         raise storage_error(path, error) from error
+
+
+def leftovers(names: Iterable[str]) -> re.Pattern[str]:
+    """Return the pattern of the files that a killed process leaves of `atomic_file`s so named.
+
+    Its group is the process.
+
+    >>> leftovers(["a.tiff", "b.png"]).fullmatch(".b.png.412.part")[1]
+    '412'
+    """
+    return re.compile(rf"\.(?:{'|'.join(map(re.escape, names))})\.(\d{{1,10}})\.part", re.ASCII)
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what killed processes have left of `atomic_file(path)`, where that can be removed."""
+    pattern = leftovers([path.name])
+    with suppress(OSError):
+        for entry in path.parent.iterdir():
+            found = pattern.fullmatch(entry.name)
+            if found is not None and not _is_another_process(int(found[1])):
+                entry.unlink()
+
+
+def _is_another_process(number: int) -> bool:
+    if number == os.getpid() or os.name != "posix":  # elsewhere no file in use can be removed
+        return False
+    try:
+        os.kill(number, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def write_bytes(path: Path, data: bytes) -> None:

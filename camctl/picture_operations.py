@@ -7,6 +7,7 @@ replacement: `required_opencv` raises an error that says so.
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections import deque
@@ -17,12 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.characters import HEIGHTS, coverage
-from camctl.errors import UsageError
+from camctl.errors import DataError, UsageError
 
 #: Width of a character as a multiple of the size of text; OpenCV's own letters are as wide.
 _CHARACTER_WIDTH = 18
 #: Height of capital letters above the base line, as a share of the height of a line.
 _ABOVE_BASE_LINE = 0.76
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+#: The filter of PNG that predicts each row from the one above.
+_UP = 2
+#: Bytes of the samples of a PNG file that is read, at most.
+_LARGEST_PNG = 1 << 25
 #: Columns of `connected_parts`.
 LEFT, TOP, WIDTH, HEIGHT, AREA = range(5)
 
@@ -62,16 +68,47 @@ def png(picture: NDArray[Any], level: int = 1) -> bytes:
     lines = np.ascontiguousarray(picture, picture.dtype.newbyteorder(">")).view(np.uint8)
     lines = lines.reshape(rows, -1)
     filtered = np.empty((rows, 1 + lines.shape[1]), np.uint8)
-    filtered[:, 0] = 2  # the filter "up"
+    filtered[:, 0] = _UP
     filtered[0, 1:] = lines[0]
     np.subtract(lines[1:], lines[:-1], out=filtered[1:, 1:])
     data = zlib.compress(filtered.data, level)
     colour = 2 if picture.ndim == 3 else 0
     header = struct.pack(">IIBBBBB", columns, rows, 8 * picture.itemsize, colour, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
+    return _PNG_SIGNATURE + b"".join(
         struct.pack(">I", len(part)) + name + part + struct.pack(">I", zlib.crc32(name + part))
         for name, part in ((b"IHDR", header), (b"IDAT", data), (b"IEND", b""))
     )
+
+
+def png_pixels(data: bytes | bytearray) -> NDArray[np.uint8]:
+    """Return the samples of a PNG file that `png` has made of 8 bits; other chunks are left out.
+
+    Raises:
+        DataError: it is damaged, or another kind of file
+    """
+    chunks: dict[bytes, bytes] = {}
+    place = len(_PNG_SIGNATURE)
+    try:
+        while b"IEND" not in chunks:
+            (length,) = struct.unpack_from(">I", data, place)
+            name, part = data[place + 4 : place + 8], data[place + 8 : place + 8 + length]
+            (checksum,) = struct.unpack_from(">I", data, place + 8 + length)
+            if zlib.crc32(name + part) != checksum:
+                raise ValueError("checksum")
+            chunks[bytes(name)] = bytes(part)
+            place += length + 12
+        columns, rows, bits, colour, *_ = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
+        shape = (rows, columns, 3) if colour == 2 else (rows, columns)
+        size = rows + math.prod(shape)
+        if bits != 8 or not 0 < size <= _LARGEST_PNG:
+            raise ValueError("size")
+        lines = zlib.decompressobj().decompress(chunks[b"IDAT"], size)
+        filtered = np.frombuffer(lines, np.uint8).reshape(rows, -1)
+        if len(lines) != size or (filtered[:, 0] != _UP).any():
+            raise ValueError("filter")
+    except (ValueError, KeyError, struct.error, zlib.error) as error:
+        raise DataError("this is no PNG file of camctl, or a damaged one") from error
+    return np.add.accumulate(filtered[:, 1:], axis=0, dtype=np.uint8).reshape(shape)
 
 
 def reduced_by_area(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:

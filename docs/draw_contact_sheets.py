@@ -20,10 +20,11 @@ from camctl.captures.drawing import MARGIN, SMALL_TEXT, Drawing
 from camctl.captures.response_preview import preview_responses
 from sim.scenes.scene import scene_names
 
-SENSORS = {"stars": "ccd"}
+SENSORS = {"outdoor-sun": "security", "pwm-lamp": "security", "stars": "ccd"}
 COUNT = 4
-#: Bytes of a file at most, and the widths and steps of a colour that are tried for it.
-MOST_BYTES = 145_000
+#: Bytes of a file at most, those of previews.png, and the widths and steps of a colour that are
+#: tried for it.
+MOST_BYTES, PREVIEWS_BYTES = 145_000, 200_000
 REDUCTIONS = ((860, 2), (860, 4), (760, 4), (680, 4), (600, 4), (520, 4), (440, 4))
 #: Size of a picture in previews.png.
 SMALL = (150, 112)
@@ -49,7 +50,7 @@ def main() -> None:
         shown = preview_responses(camera, camctl.CaptureRequest(dynamic_range="auto")).picture
         write(folder / "room-responses.png", shown)
     titles = ["image.tiff (log)", "Drago", "Reinhard", "Mantiuk", "preview.png"]
-    write(folder / "previews.png", table(titles, rows))
+    write(folder / "previews.png", table(titles, rows), PREVIEWS_BYTES)
 
 
 def rivals(radiance: NDArray[np.float32]) -> list[NDArray[np.uint8]]:
@@ -86,14 +87,14 @@ def read(path: Path) -> NDArray[np.uint8]:
     return np.asarray(found[..., ::-1], np.uint8)
 
 
-def write(path: Path, picture: NDArray[np.uint8]) -> None:
+def write(path: Path, picture: NDArray[np.uint8], most_bytes: int = MOST_BYTES) -> None:
     """Write a picture, reduced in size and in colours, so that its file is small."""
     for width, step in REDUCTIONS:
         size = (width, round(picture.shape[0] * width / picture.shape[1]))
         small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         shown = np.clip(np.rint(small / step) * step, 0, 255).astype(np.uint8)[..., ::-1]
         file = cv2.imencode(".png", shown, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
-        if len(file) <= MOST_BYTES:
+        if len(file) <= most_bytes:
             break
     path.write_bytes(file)
 

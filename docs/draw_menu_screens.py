@@ -1,20 +1,28 @@
 """Draw the pictures of docs/menu.md: every screen on each kind of panel.
 
-The figures are those of the simulated camera: its plans for each entry, and one capture.
+The figures are those of the simulated camera: its plans for each entry, and one capture.  The
+errors are those of real failures, one for each screen of an error.
 
     python docs/draw_menu_screens.py
 """
 
+import os
+from collections.abc import Callable
+from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 import camctl
 from camctl.camera import Camera
+from camctl.captures.file_names import REPORT
+from camctl.errors import CamctlError
 from camctl.picture_operations import png
+from menu import camera_job
 from menu.camera_job import CameraJob
 from menu.data import CameraEntry, Choice, Cost, Past, Progress, Settings
 from menu.drawing import Pixels, draw, text_picture
@@ -24,31 +32,40 @@ from menu.machine import choices
 from menu.model import Goal, Model, State
 from menu.screens import screen
 from menu.tables import STATES, Work
+from menu.worker import failure_text
 
-FOLDER = Path(__file__).with_name("menu")
+FOLDER = Path(__file__).parent.absolute() / "menu"
 GAP = 6
 FREE_BYTES = 12_300_000_000
+CAPTURES = Path("captures")
+WEBCAM = CameraEntry("v4l2:/dev/video9", "HD Webcam C920")
 
 
 def models() -> dict[State, Model]:
     """Return a model for each screen, with what the simulated camera's plans and captures give."""
-    with TemporaryDirectory() as folder:
-        job = CameraJob(_opened, Path(folder), Path(folder) / "menu.json")
+    with TemporaryDirectory() as folder, chdir(folder):
+        job = _job()
         shown = _model(job)
+        errors = _errors(job)
         found = {}
         for state in State:
-            found[state] = replace(shown, state=state)
+            found[state] = replace(shown, state=state, error=errors.get(state, ""))
             if state is State.CUSTOM:
                 settings = replace(shown.settings, range=CUSTOM)
                 found[state] = replace(found[state], settings=settings)
             if STATES[state].work is Work.PREDICT:
                 found[state] = replace(found[state], costs=_costs(job, found[state]))
+        found[State.CAMERA_FAILED] = replace(found[State.CAMERA_FAILED], camera=None)
         job.close()
     return found
 
 
-def _opened(_: str) -> tuple[Camera, dict[str, Any]]:
-    return camctl.open_camera("sim", scene="room", sensor="phone"), {}
+def _job(**options: Any) -> CameraJob:
+    def opened(camera_id: str) -> tuple[Camera, dict[str, Any]]:
+        given = {"scene": "room", "sensor": "phone", **options} if not camera_id else {}
+        return camctl.open_camera(camera_id or "sim", **given), {}
+
+    return CameraJob(opened, CAPTURES, Path("menu.json"))
 
 
 def _costs(job: CameraJob, model: Model) -> tuple[Cost | None, ...]:
@@ -71,11 +88,58 @@ def _model(job: CameraJob) -> Model:
         progress=Progress(1, 3, "shooting", 0.2),
         remaining_s=7,
         summary=replace(summary, folder="captures/capture-0012"),
-        cameras=(camera, CameraEntry("v4l2:/dev/video0", "HD Webcam C920")),
+        cameras=(camera, WEBCAM),
         camera=camera,
         captures=(Past("capture-0012-20260412-101502", True), Past("capture-0011", False)),
-        error="the camera was disconnected; connect it again",
     )
+
+
+def _errors(job: CameraJob) -> dict[State, str]:
+    """Return the error of a failure for each screen that shows one."""
+    plan = job.plan(choice(Settings(), Goal.COUNT), lambda: False)
+    unplugged = _job(faults="unplug@1")
+    stored: list[Progress] = []
+    cancelled = _error(
+        lambda: job.shoot(plan, stored.append, lambda: any(each.done for each in stored))
+    )
+    unfinished = next(past for past in job.captures() if not past.is_complete)
+    damaged = next(past for past in job.captures() if past.is_complete)
+    (CAPTURES / damaged.name / REPORT).write_text("{")
+    other = _job(sensor="ideal-8")
+    denied = PermissionError(13, os.strerror(13))
+    broken = OSError(5, os.strerror(5))
+    with patch.object(camera_job, "list_captures", side_effect=denied):
+        not_listed = _error(job.captures)
+    with patch.object(camera_job, "list_cameras", side_effect=broken):
+        not_found = _error(job.find_cameras)
+    with patch.object(CameraJob, "_free_bytes", return_value=12_000_000):
+        too_large = _error(lambda: job.plan(choice(Settings(), Goal.COUNT), lambda: False))
+    found = {
+        State.CAMERA_FAILED: _error(lambda: _job().open(WEBCAM.id)),
+        State.PLAN_FAILED: too_large,
+        State.CANCELLED: cancelled,
+        State.CAPTURE_FAILED: _error(
+            lambda: unplugged.shoot(plan, lambda _: None, lambda: False),
+        ),
+        State.SEARCH_FAILED: not_found,
+        State.BROWSE_FAILED: not_listed,
+        State.LOOK_FAILED: _error(lambda: job.look(damaged)),
+        State.RESUME_FAILED: _error(
+            lambda: other.resume(unfinished, lambda _: None, lambda: False)
+        ),
+    }
+    unplugged.close()
+    other.close()
+    return found
+
+
+def _error(act: Callable[[], object]) -> str:
+    """Return what the menu shows of the error that `act` raises."""
+    try:
+        act()
+    except (CamctlError, OSError) as error:
+        return failure_text(error)
+    raise AssertionError("there was no error")
 
 
 def sheet(pictures: list[Pixels], columns: int) -> bytes:

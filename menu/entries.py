@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from camctl.number_text import range_text
 from menu.data import Choice, Settings
 from menu.model import Action, Goal, Model, State
 
@@ -42,7 +43,7 @@ RANGES = (
 )
 CUSTOM = len(RANGES) - 1
 STOPS = tuple(
-    Entry((f"{stops} stops 1:{2**stops:,}", f"{stops} stops"), float(2**stops))
+    Entry((f"{stops} stops {range_text(2**stops)}", f"{stops} stops"), float(2**stops))
     for stops in range(4, 21)
 )
 COUNTS = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import camctl
+from camctl.number_text import range_text
 from menu.data import Plan, Summary
 from menu.entries import RESPONSES, choice
 from menu.model import Model
@@ -43,11 +44,10 @@ def idle(model: Model) -> Screen:
         )
     wanted = choice(model.settings, model.goal)
     name = RESPONSES[model.settings.response].labels[-1]
-    range_text = "auto" if wanted.dynamic_range is None else f"1:{wanted.dynamic_range:.0f}"
+    wide = "auto" if wanted.dynamic_range is None else range_text(wanted.dynamic_range)
+    narrow = wide.replace(",", "")
     count = "" if wanted.count is None else f" x{wanted.count}"
-    lines.append(
-        Line((f"{name}, {range_text},{count or ' auto'}", f"{name[:6]} {range_text}{count}"[:14]))
-    )
+    lines.append(Line((f"{name}, {wide},{count or ' auto'}", f"{name[:6]} {narrow}{count}"[:14])))
     if reading is not None:
         free = format_bytes(reading.free_bytes)
         lines.append(Line((f"Free space {free}", f"Free {free}")))

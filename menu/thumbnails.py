@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ from numpy.typing import NDArray
 
 from camctl.camera import Frame
 from camctl.controls import Layout
+from camctl.input_files import read_own_file
+from camctl.picture_operations import png_pixels
 from menu.data import Picture
 
 COLUMNS, ROWS = 240, 180
@@ -18,6 +21,7 @@ BINS = 64
 """Bins of a histogram of a frame."""
 
 _DISPLAY_GAMMA = 1 / 2.2
+_LARGEST_PREVIEW = 32 << 20
 
 
 def frame_histogram(frame: Frame, layout: Layout) -> tuple[float, ...]:
@@ -55,11 +59,18 @@ def frame_picture(frame: Frame, layout: Layout) -> Picture:
     return _picture((255 * shown + 0.5).astype(np.uint8))
 
 
-def image_picture(image: NDArray[np.uint16]) -> Picture:
-    """Return an image of 16 bits, (rows, columns) or (rows, columns, 3), as a small picture."""
-    step = _step(image.shape)
-    small = (image[::step, ::step] >> 8).astype(np.uint8)
-    return _picture(small if small.ndim == 3 else np.repeat(small[..., None], 3, axis=2))
+def preview_picture(path: Path) -> Picture:
+    """Return the preview of a capture, which is tone-mapped for a display, as a small picture.
+
+    Raises:
+        DataError: the file is missing or damaged
+    """
+    preview = png_pixels(read_own_file(path, _LARGEST_PREVIEW))
+    step = _step(preview.shape)
+    rows, columns = preview.shape[0] // step, preview.shape[1] // step
+    blocks = preview[: rows * step, : columns * step].reshape(rows, step, columns, step, -1)
+    small = np.rint(blocks.mean(axis=(1, 3))).astype(np.uint8)
+    return _picture(np.broadcast_to(small, (rows, columns, 3)))
 
 
 def _step(shape: tuple[int, ...]) -> int:

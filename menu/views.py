@@ -9,7 +9,7 @@ from camctl.camera import CameraInfo
 from camctl.controls import ExposureControls, ExposureSetting, Layout
 from menu.data import CameraEntry, Plan, Progress, Summary
 from menu.text import format_exact_time
-from menu.thumbnails import image_picture
+from menu.thumbnails import preview_picture
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
     from camctl.captures.capture_plan import CapturePlan
@@ -70,6 +70,8 @@ def progress_view(progress: CaptureProgress) -> Progress:
 
 def summary_view(report: CaptureReport, folder: Path) -> Summary:
     """Return what the menu shows of a complete capture."""
+    from camctl.captures.picture_files import PREVIEW  # loaded since there is a report
+
     return Summary(
         effective_levels=report.achieved.effective_levels,
         effective_levels_noise_free=report.achieved.effective_levels_noise_free,
@@ -80,5 +82,5 @@ def summary_view(report: CaptureReport, folder: Path) -> Summary:
         notes=tuple(report.warnings),
         untrustworthy_because=report.untrustworthy_because or "",
         histogram=tuple(report.achieved.light_shares),
-        picture=image_picture(report.image()),
+        picture=preview_picture(folder / PREVIEW),
     )

@@ -18,6 +18,13 @@ _STOP_WAIT_S = 10.0
 _CAPTURES = (Work.SHOOT, Work.RESUME)
 
 
+def failure_text(error: Exception) -> str:
+    """Return what the menu shows of an error."""
+    if isinstance(error, CamctlError):
+        return str(error)
+    return f"internal error: {type(error).__name__}: {error}"
+
+
 class Worker:
     """Does the work of a job on a thread; `make_job` is called there, too.
 
@@ -99,11 +106,10 @@ class Worker:
             cancelled = task.work in _CAPTURES and self._is_cancelled(task)
             is_cancelled = cancelled and isinstance(error, InterruptedCaptureError)
             outcome = Outcome.CANCELLED if is_cancelled else Outcome.FAILED
-            return Event(outcome, task.request_id, str(error))
+            return Event(outcome, task.request_id, failure_text(error))
         except Exception as error:
             self.internal_error = error
-            message = f"internal error: {type(error).__name__}: {error}"
-            return Event(Outcome.FAILED, task.request_id, message)
+            return Event(Outcome.FAILED, task.request_id, failure_text(error))
         if self.internal_error is not None:
             self.recovered_errors.append(self.internal_error)
             self.internal_error = None

@@ -17,6 +17,10 @@ settings.register_profile("default", _ALWAYS, derandomize=True)
 settings.register_profile("explore", _ALWAYS, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
+# Tests run beside each other, and OpenBLAS's threads wait for one another in busy loops: on a busy
+# machine that costs up to four times the processor time.  It is read when numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # A device may do without OpenCV: with this variable the tests run as if it was not installed, and
 # those skip that cannot.  Programs that tests start see it all the same.
 if os.environ.get("CAMCTL_TEST_WITHOUT_OPENCV"):

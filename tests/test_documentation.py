@@ -141,9 +141,13 @@ _FILES = {
 _NEEDS_A_DEVICE = ("v4l2:", "ptp", "coolpix:", "menu", "calibrate", "--resume")
 
 
+#: The page that each command is run for: a study that two pages name takes long enough once.
+_FIRST_PAGES = {tuple(words): name for name, words in reversed([*commands()])}
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1800)  # whole studies, which take long on a busy machine
-@pytest.mark.parametrize("page", sorted({name for name, _ in commands()}))
+@pytest.mark.parametrize("page", sorted({*_FIRST_PAGES.values()}))
 def test_the_commands_of_a_page_work(page: str, tmp_path: Path) -> None:
     for name, columns in _FILES.items():
         np.savetxt(tmp_path / name, np.column_stack(columns))
@@ -154,7 +158,9 @@ def test_the_commands_of_a_page_work(page: str, tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.minimum(256 * light**0.45, 255).astype("u1"))
     for number, (name, words) in enumerate(commands()):
         # A command that installs is run by .ci/run.
-        if name != page or not words or any(w.startswith(_NEEDS_A_DEVICE) for w in words):
+        if name != page or _FIRST_PAGES[tuple(words)] != page:
+            continue
+        if not words or any(w.startswith(_NEEDS_A_DEVICE) for w in words):
             continue
         if words == ["shoot"]:  # two captures in one second would have one name
             words = [*words, "-o", f"capture-{number}"]

@@ -14,11 +14,15 @@ from camctl.controls import Choices, Control, ExposureControls, ExposureSetting
 from camctl.errors import UsageError
 from camctl.exposure.accuracy import COUNTS, estimate_levels
 from camctl.exposure.accuracy_lookup import look_up_accurate, without_idle_limits
+from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
+from camctl.exposure.noise import noisy_effective_levels
 from camctl.response.desired import DesiredResponse
 
 #: Whole flicker periods that are tried as shutter times, at most.
 _PERIODS = 200
+#: Factors tried on all but the shortest exposure until an accuracy is reached.
+_LENGTHENINGS = (1.0, 1.003, 1.01, 1.03)
 #: Relative difference up to which two times are the same, in float64.
 _SAME = 1e-9
 
@@ -111,18 +115,48 @@ def accurate_settings(
     found = look_up_accurate(
         problem, counts, total_limit=total_limit, accuracy=request.accuracy, progress=progress
     )
-    settings = [
-        ExposureSetting(controls.nearest_time(each * unit_s, each_gain), each_gain)
-        for each, gain in zip(found.times, found.gains, strict=True)
-        for each_gain in [controls.gain.nearest(gain)]
-    ]
+    chosen = list(zip(found.times, found.gains, strict=True))
+    settings = _nearest(controls, chosen, unit_s)
+    if request.accuracy is not None:
+        settings = _lengthened(controls, desired, chosen, unit_s, request.accuracy)
     settings.sort(key=lambda setting: setting.exposure)
     if predicted_wall_s(controls, settings, before=before) > (request.time_budget_s or math.inf):
         settings = [
             ExposureSetting(at_most(time, each * unit_s), controls.gain.nearest(gain))
-            for each, gain in zip(found.times, found.gains, strict=True)
+            for each, gain in chosen
         ]
     return tuple(sorted(settings, key=lambda setting: setting.exposure)), found.exposures
+
+
+def _nearest(
+    controls: ExposureControls, chosen: list[tuple[float, float]], unit_s: float
+) -> list[ExposureSetting]:
+    """Return the settings nearest to shutter times in `unit_s` and gains."""
+    found = [(each * unit_s, controls.gain.nearest(gain)) for each, gain in chosen]
+    return [ExposureSetting(controls.nearest_time(time_s, gain), gain) for time_s, gain in found]
+
+
+def _lengthened(
+    controls: ExposureControls,
+    desired: DesiredResponse,
+    chosen: list[tuple[float, float]],
+    unit_s: float,
+    accuracy: float,
+) -> list[ExposureSetting]:
+    """Return the nearest settings; if they miss the accuracy, slightly longer ones that have it.
+
+    They miss it by the camera's steps, and by what `look_up_accurate` leaves out.
+    """
+    best: tuple[float, list[ExposureSetting]] = (0.0, [])
+    for factor in _LENGTHENINGS:
+        longer = [(each if each <= 1 else each * factor, gain) for each, gain in chosen]
+        settings = sorted(_nearest(controls, longer, unit_s), key=lambda each: each.exposure)
+        camera = EffectiveCamera.of(controls.levels, controls.relative_exposures(settings))
+        levels = noisy_effective_levels(camera, desired, controls.frame_noise(settings))
+        best = max(best, (levels, settings), key=lambda each: each[0])
+        if levels >= accuracy:
+            break
+    return best[1]
 
 
 def estimated_levels(

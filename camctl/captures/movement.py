@@ -9,8 +9,10 @@ What light does that spreads from saturated pixels is left out, see `camctl.capt
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +41,8 @@ _DENSE, _CONNECTED_UNKNOWN = 0.15, 4
 #: The limits are set again where false alarms differ by this share, how often at most, and for
 #: how many times as many at most.
 _NEAR_RATE, _TRIES, _MOST_RATE = 0.05, 4, 2.0
+#: Width of the bands in which they are set again, and pixels of all bands of a frame, about.
+_BAND, _BANDS_PIXELS = 64, 1_000_000
 #: Places that are named at most, the largest first.
 _MOST_PLACES = 5
 #: Samples that are compared at a time.
@@ -111,23 +115,43 @@ def find_movement(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> Move
     """
     if not pairs:
         return None
-    total = FALSE_ALARMS
-    found = best = _marked(frame, pairs, total)
     if all(pair.is_known for pair in pairs):
-        return found
-    # Unknown noise is larger at contours and beside saturated pixels, of which patches have few.
-    for _ in range(_TRIES):
-        if not found.found.false_alarms or _misses(best) < _NEAR_RATE:
+        return _marked(frame, pairs, FALSE_ALARMS)
+    return _marked(frame, pairs, _corrected_total(_bands(frame), pairs))
+
+
+def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> float:
+    """Return the share of false alarms to set limits for, so that the share in frames is right.
+
+    Unknown noise is larger at contours and beside saturated pixels, of which patches have few.
+    """
+    most = _MOST_RATE * FALSE_ALARMS
+    total, low, high, tries = FALSE_ALARMS, 0.0, math.inf, []
+    for _ in range(1 + _TRIES):
+        alarms = _marked(frame, pairs, total).found.false_alarms
+        tries.append((abs(alarms / FALSE_ALARMS - 1), total))
+        too_few = alarms < FALSE_ALARMS
+        if not alarms or min(tries)[0] < _NEAR_RATE or (too_few and total == most):
             break
-        total = min(total * FALSE_ALARMS / found.found.false_alarms, _MOST_RATE * FALSE_ALARMS)
-        found = _marked(frame, pairs, total)
-        best = min(best, found, key=_misses)
-    return best
+        low, high = (total, high) if too_few else (low, total)
+        total = min(total * FALSE_ALARMS / alarms, most)
+        if not low < total < high:
+            total = math.sqrt(low * min(high, most))
+    return min(tries)[1]
 
 
-def _misses(movement: Movement) -> float:
-    """Return by which share the false alarms differ from those that the limits are set for."""
-    return abs(movement.found.false_alarms / FALSE_ALARMS - 1)
+def _bands(frame: Callable[[int], Pixels]) -> Callable[[int], Pixels]:
+    """Return a function that returns bands of columns of each frame, which are kept in memory."""
+
+    @cache
+    def bands(position: int) -> Pixels:
+        pixels = frame(position)
+        rows, columns = pixels.shape[:2]
+        step = _BAND * -(-rows * columns // _BANDS_PIXELS)
+        parts = [pixels[:, start : start + _BAND] for start in range(0, columns, step)]
+        return np.concatenate(parts, axis=1)
+
+    return bands
 
 
 def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float) -> Movement:

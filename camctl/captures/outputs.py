@@ -20,6 +20,7 @@ from camctl.captures.picture_details import PictureDetails, ShownFrame
 from camctl.captures.pictures import Rendering, Tables
 from camctl.captures.range_advice import outside_warnings
 from camctl.captures.report import Achieved, CaptureReport, Irradiance, UnfinishedCapture
+from camctl.captures.simulation_summary import simulation_summary, without_plan
 from camctl.captures.true_exposures import relative
 from camctl.controls import ExposureControls
 from camctl.exposure.effective import EffectiveCamera
@@ -103,6 +104,7 @@ def complete(
         moved=None if movement is None else movement.found.share,
     )
     files = store.keep_pictures(total, rendering, details)
+    simulation = simulation_summary(frames)
     shared = type(unfinished).model_fields.keys() & CaptureReport.model_fields.keys()
     begun = {name: getattr(unfinished, name) for name in shared}
     report = CaptureReport.model_validate(
@@ -111,7 +113,8 @@ def complete(
             "status": "complete",
             "frames": [
                 FrameRecord.model_validate(
-                    {**dict(frame), "exposure": ratio.exposure, "exposure_ratio": ratio}
+                    (without_plan(frame) if simulation else dict(frame))
+                    | {"exposure": ratio.exposure, "exposure_ratio": ratio}
                 )
                 for frame, ratio in zip(frames, ratios, strict=True)
             ],
@@ -128,6 +131,7 @@ def complete(
                 light_shares=outside.histogram,
             ),
             "taken_at": taken_at,
+            "simulation": simulation,
             "movement": None if movement is None else movement.found,
             "irradiance": Irradiance(
                 unit=unit,

@@ -35,6 +35,7 @@ from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import Objective, xi
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.exposure.table import ExposureTable
+from camctl.number_text import range_text
 from camctl.response.camera import CameraResponse
 from camctl.response.desired import DesiredResponse
 
@@ -233,7 +234,7 @@ def _lookup_row(
     if found is None:
         raise DataError(
             f"the given table has no row for {real.name}, {desired.name}, "
-            f"1:{desired.dynamic_range:g}, n = {count}",
+            f"{range_text(desired.dynamic_range)}, n = {count}",
             hint="add it with 'camctl table build', or leave --table out",
         )
     return tuple(found.exposures), found.xi

@@ -17,6 +17,7 @@ from camctl.captures.scene_range import (
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.evaluation import evaluate
+from camctl.number_text import range_text
 from camctl.response.auto import auto_response
 from camctl.response.desired import RANGES, DesiredResponse
 
@@ -186,6 +187,6 @@ def choose_range(
         if request.accuracy is None:
             raise
         raise UsageError(
-            f"{error.what}, over any range up to 1:{ladder[top]:,.0f}",
-            hint=f"over 1:{ladder[best]:,.0f} {error.hint}",
+            f"{error.what}, over any range up to {range_text(ladder[top])}",
+            hint=f"over {range_text(ladder[best])} {error.hint}",
         ) from None

@@ -13,6 +13,7 @@ from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.frame_record import FrameRecord, ReportModel, StoredFrame
 from camctl.captures.movement import FoundMovement
 from camctl.captures.request import CaptureRequest
+from camctl.captures.simulation_summary import SimulationSummary
 from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
 from camctl.noise_model import MeasuredNoise, NoiseModel
@@ -155,6 +156,7 @@ class CaptureReport(_CaptureData):
         achieved: the quality that the applied exposures give
         irradiance: scale of the radiance
         movement: where the frames contradict each other; None for a single frame
+        simulation: what the frames of a simulated camera lack; None of any other camera
     """
 
     status: Literal["complete"] = "complete"
@@ -162,6 +164,7 @@ class CaptureReport(_CaptureData):
     achieved: Achieved
     irradiance: Irradiance
     movement: FoundMovement | None = None
+    simulation: SimulationSummary | None = None
     _pictures: Pictures | None = PrivateAttr(default=None)
 
     def with_pictures(self, pictures: Pictures) -> Self:

@@ -25,6 +25,7 @@ from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError, DataError
 from camctl.exposure.effective import check_count
 from camctl.exposure.objective import MAX_LEVELS_WANTED
+from camctl.files import leftovers
 from camctl.input_files import read_own_file
 
 FRAMES, LOCK = "frames", ".camctl.lock"
@@ -56,9 +57,7 @@ _MOST_STOPS = 200
 _FRAME = rf"frame-(\d\d)(?:-rejected-([1-9]\d?))?(\.[a-z0-9]{{1,{_LONGEST_SUFFIX}}})"
 FRAME_FILE = re.compile(rf"{_FRAME}", re.ASCII)
 #: What a killed process may leave in the folder, and in frames/.
-LEFTOVER = re.compile(
-    rf"\.(?:{'|'.join(map(re.escape, (REPORT, *PICTURE_FILES.values())))})\.\d+\.part", re.ASCII
-)
+LEFTOVER = leftovers((REPORT, *PICTURE_FILES.values()))
 STAGED_FILE = re.compile(rf"\.{_FRAME}\.staged", re.ASCII)
 
 _ANY_CAPTURE: TypeAdapter[CaptureReport | UnfinishedCapture] = TypeAdapter(

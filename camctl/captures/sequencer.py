@@ -26,6 +26,7 @@ from camctl.captures.request import CaptureRequest
 from camctl.captures.sequence import Cancelled, OnProgress, Progress, Sequence
 from camctl.clock import VirtualClock
 from camctl.errors import DataError, UsageError
+from camctl.number_text import range_text
 
 
 def capture(
@@ -112,9 +113,10 @@ def _check_plan(plan: CapturePlan, request: CaptureRequest) -> None:
         planned = plan.desired
         matches = (planned.key, planned.dynamic_range) == (requested.key, requested.dynamic_range)
     if not matches:
+        asked = "auto" if requested is None else range_text(requested.dynamic_range)
         raise UsageError(
-            f"the plan ({plan.response}, range 1:{plan.dynamic_range:g}) is not of this request "
-            f"({request.response}, range 1:{request.dynamic_range:g})",
+            f"the plan ({plan.response}, range {range_text(plan.dynamic_range)}) is not of this "
+            f"request ({request.response}, range {asked})",
             hint="make it with plan_capture from the same request",
         )
 

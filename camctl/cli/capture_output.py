@@ -285,25 +285,18 @@ def _metering_text(report: CaptureReport) -> str:
 
 def simulation_text(report: CaptureReport) -> str:
     """Return which effects of a simulated sensor the frames lack, and what that can change."""
-    plans = [frame.details.get("simulation") for frame in report.frames]
-    if not all(plans):
+    summary = report.simulation
+    if summary is None:
         return "--explain: the camera is not simulated, so that no effect was left out."
-    lacking: dict[str, list[str]] = {}
-    bounds: dict[str, float] = {}
-    for number, plan in enumerate(plans, 1):
-        assert plan is not None
-        for name, bound_dn in plan["left_out"].items():
-            lacking.setdefault(name, []).append(str(number))
-            bounds[name] = max(bounds.get(name, 0.0), bound_dn)
     lines = [
-        (name, ", ".join(frames), format_number(bounds[name], 3))
-        for name, frames in lacking.items()
+        (name, ", ".join(map(str, one.frames)), format_number(one.bound_dn, 3))
+        for name, one in summary.left_out.items()
     ]
     header = ("effect left out", "in frames", "can change alone, DN")
-    joint_dn = sum(plan["joint_bound_dn"] for plan in plans if plan is not None)
     total = (
         f"All that was left out can change a sample of the sum by at most"
-        f" {format_number(joint_dn, 3)} DN; 0 DN means that no bit differs."
+        f" {format_number(summary.joint_bound_dn, 3)} DN (tolerance"
+        f" {format_number(summary.tolerance_dn, 3)} DN); 0 DN means that no bit differs."
     )
     return "\n\n".join((format_table(header, lines, right_aligned=(2,)), total))
 

@@ -168,9 +168,13 @@ def _most_accurate(
 
 def _quickest(search: AccurateSets, counts: list[int], levels: float, limit: float) -> list[Rated]:
     """Return the quickest sets of `levels` with those numbers of exposures that need least time."""
-    found = [search.quickest(n, levels, limit) for n in counts]
-    reached = [each for each in found if each is not None]
-    least = min((each.time for each in reached), default=0.0)
+    reached: list[Rated] = []
+    least = limit / NEAR_TIME
+    for n in counts:
+        found = search.quickest(n, levels, min(limit, NEAR_TIME * least))
+        if found is not None:
+            reached.append(found)
+            least = min(least, found.time)
     return [search.shortened(each, levels) for each in reached if each.time <= NEAR_TIME * least]
 
 

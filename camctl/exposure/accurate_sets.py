@@ -8,6 +8,7 @@ their neighbours too.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import TypeAlias
@@ -19,25 +20,27 @@ from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.enumerated_sets import MAX_ENUMERATED, EnumeratedSets, number_of_sets
 from camctl.exposure.exchange_search import ExchangeSearch, Set
 from camctl.exposure.exposure_choices import (
-    SAME,
     AccuracyProblem,
     Rated,
-    Shot,
     ShotChoices,
     Shots,
     shot_choices,
 )
+from camctl.exposure.least_quantisation import LeastQuantisation
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.exposure.objective import Objective
 from camctl.exposure.set_moves import INTERLEAVES, SetMoves
-from camctl.exposure.solver import SearchOptions, solve
+from camctl.response.camera import FloatArray
 
 EXACT_RATINGS = 70
 """Exact predictions while a set is improved, for 8 bits; fewer for finer cameras, which take longer
 and whose noise dithers the quantiser."""
 
-DITHERING = 0.3
-"""Noise in levels from which the quantiser counts as dithered."""
+DITHERING, HIDING = 0.3, 0.5
+"""Noise in levels from which the quantiser counts as dithered, and from which distances of less
+than a level between equal exposures change nothing (the levels by less than 0.1 %)."""
+
+DARK_TO_BRIGHT = np.geomspace(1e-6, 1.0, 25)
+"""Irradiances at which the noise is compared with `HIDING`."""
 
 CORRECTIONS = 8
 """Attempts to reach a number of levels exactly by asking the estimate for more or fewer."""
@@ -57,17 +60,13 @@ CORRECTION = 1.001
 BINDING = 0.95
 """Share of the time limit from which the limit is what keeps a set from being better."""
 
-SHORTER = 0.8
-"""Factor by which the time is reduced step by step where the estimate does not apply."""
+SHORTER, SHORTEST = 0.8, 0.94
+"""Factor by which the time is reduced step by step where the estimate does not apply; it rises to
+the second one as this fails."""
 
-MARGIN = 0.96
-"""Share of the effective levels that an estimate must reach for the set to be rated exactly."""
-
-SHORTENINGS = 3
-"""Attempts to fit exposures into a time in which short ones take as long as a frame."""
-
-QUICK_EFFORT = 0.15
-"""Effort of the search for the least quantisation error."""
+MARGIN, ROUGH = 0.96, 0.93
+"""Share of the effective levels that an estimate must reach for the set to be rated exactly, and
+the same where noise does not dither the quantiser."""
 
 
 Better: TypeAlias = Callable[[Rated, Rated], bool]
@@ -93,7 +92,7 @@ class AccurateSets:
         self._best: dict[tuple[int, float], Rated] = {}
         self._enumerated: dict[int, EnumeratedSets | None] = {}
         self._rated: dict[Shots, Rated] = {}
-        self._extra_evaluations = 0
+        self._quantisation = LeastQuantisation(problem)
         self.moves = SetMoves(problem)
         M = problem.response.M
         self._ratings = max(2, int(effort * EXACT_RATINGS * 255) // max(M, 255))
@@ -103,7 +102,7 @@ class AccurateSets:
         """Sets estimated or rated so far."""
         searches = [each for found in self._searches.values() for each in found]
         estimated = sum(search.evaluations for search in searches)
-        return estimated + self._extra_evaluations + len(self._rated)
+        return estimated + self._quantisation.evaluations + len(self._rated)
 
     def enumerates(self, n: int) -> bool:
         """Return whether all sets of n exposures are considered."""
@@ -115,16 +114,23 @@ class AccurateSets:
 
     def may_reach(self, n: int, levels: float, limit: float) -> bool:
         """Return whether the estimate leaves it possible that n exposures reach `levels`."""
-        best = self._best_estimated(n, limit)
-        return bool(best) and (not self._dithered or _levels(best[0][0]) >= MARGIN * levels)
+        if not self._best_estimated(n, limit):
+            return False
+        estimate = self.estimated(n, limit)
+        return estimate is None or estimate >= (MARGIN if self._dithered else ROUGH) * levels
 
     def estimated(self, n: int, limit: float) -> float | None:
         """Return about the most effective levels of n exposures, within a few per cent.
 
-        None where the quantiser is not dithered, so that the estimate says little.
+        None where the quantiser is not dithered and no set without noise was found, so that the
+        estimate says little.
         """
         best = self._best_estimated(n, limit)
-        return _levels(best[0][0]) if best and self._dithered else None
+        estimate = _levels(best[0][0]) if best else None
+        if estimate is None or self._dithered:
+            return estimate
+        noise_free = self._quantisation.estimated(n, limit)
+        return None if noise_free is None else max(estimate, noise_free)
 
     def most_accurate(self, n: int, limit: float, *, least: float = 0.0) -> Rated:
         """Return the set of n exposures of most effective levels within `limit` (>= least time).
@@ -162,6 +168,8 @@ class AccurateSets:
         """
         if (every := self._all(n)) is not None:
             return every.quickest(levels, limit)
+        if not self._dithered and not self.may_reach(n, levels, limit):
+            return None
         found = self._quickest_estimated(n, levels)
         found = [each for each in found if each.time <= limit]
         if not found or not self._dithered:
@@ -169,13 +177,13 @@ class AccurateSets:
         if not found:
             return None
         start = min(found, key=lambda each: each.time)
-        if not self._dithered:
-            while reached := [
-                each
-                for each in self._least_quantisation(n, SHORTER * start.time)
-                if each.levels >= levels
-            ]:
+        share = SHORTER
+        while share < SHORTEST and not self._dithered:
+            reached = self._least_quantisation(n, share * start.time, levels)
+            if reached and reached[0].levels >= levels:
                 start = reached[0]
+            else:
+                share = math.sqrt(share)
         return start
 
     def shortened(self, rated: Rated, levels: float) -> Rated:
@@ -221,8 +229,17 @@ class AccurateSets:
     @cached_property
     def _dithered(self) -> bool:
         """Whether noise dithers the quantiser: in a frame that is exposed to 1/16 of full scale."""
+        return self._least_noise(np.array([1 / 16])) >= DITHERING
+
+    @cached_property
+    def _hides_levels(self) -> bool:
+        """Whether noise hides how the levels of nearly equal exposures interleave."""
+        return self._least_noise(DARK_TO_BRIGHT) >= HIDING
+
+    def _least_noise(self, E: FloatArray) -> float:
+        """Return the least noise of a frame at these irradiances, in levels."""
         noise = self.problem.noise.frame(gain=min(self.problem.available.gains), time_s=0.0)
-        return bool(deviation(self.problem.response, np.array([1 / 16]), noise)[0] >= DITHERING)
+        return float(deviation(self.problem.response, E, noise).min())
 
     def _all(self, n: int) -> EnumeratedSets | None:
         """Return all sets of a list of settings; None where they are too many, or not a list."""
@@ -251,40 +268,23 @@ class AccurateSets:
             self._estimated[n, limit] = sorted(found, key=lambda each: each[0])[:MOST_STARTS]
         return self._estimated[n, limit]
 
-    def _least_quantisation(self, n: int, limit: float) -> list[Rated]:
-        """Return the set of least quantisation error, for a camera whose noise does not dither.
+    def _least_quantisation(self, n: int, limit: float, least: float = 0.0) -> list[Rated]:
+        """Return the set of least quantisation error, if it may have `least` levels.
 
-        It is searched for at the smallest gain, and where any time can be set.
+        It is of use for a camera whose noise does not dither.
         """
-        available, gain = self.problem.available, min(self.problem.available.gains)
-        costs = available.costs
-        total = costs.shutter(limit, n) - max(0.0, costs.least - 1)
-        for _ in range(SHORTENINGS):
-            if self._dithered or available.times is not None or not total >= n:
-                return []
-            found = solve(
-                self.problem.response,
-                self.problem.desired,
-                n,
-                objective=Objective(kind="levels"),
-                total_limit=total,
-                search=SearchOptions(effort=QUICK_EFFORT),
-            )
-            self._extra_evaluations += found.evaluations
-            if found.exposures[-1] > available.longest:
-                return []
-            rated = self.rate(tuple(Shot(e, e, gain) for e in found.exposures))
-            # Exposures shorter than a frame take more time than their shutter times.
-            over = rated.time - limit
-            if over <= SAME * limit:
-                return [rated]
-            total = min(total, found.total_exposure) - over / costs.factor
-        return []
+        if self._dithered:
+            return []
+        estimate = self._quantisation.estimated(n, limit)
+        if estimate is None or estimate < ROUGH * least:
+            return []
+        found = self._quantisation.best(n, limit)
+        return [] if found is None else [self.rate(found)]
 
     def _interleaved_best(self, choices: ShotChoices, shots: Shots) -> Rated:
         """Return the set, or the best one with its nearly equal exposures spread."""
         tried = [shots]
-        if not choices.is_list:
+        if not (choices.is_list or self._hides_levels):
             tried += [self.moves.interleaved(distance, shots) for distance in INTERLEAVES]
         return max((self.rate(each) for each in tried), key=lambda rated: rated.levels)
 

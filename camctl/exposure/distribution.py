@@ -210,7 +210,8 @@ def _convolve(a: FloatArray, b: FloatArray) -> FloatArray:
         return a * b
     if b.shape[1] > _LEAST_FOURIER:
         size = a.shape[1] + b.shape[1] - 1
-        product = np.fft.rfft(a, 1 << size.bit_length()) * np.fft.rfft(b, 1 << size.bit_length())
+        length = 1 << (size - 1).bit_length()
+        product = np.fft.rfft(a, length) * np.fft.rfft(b, length)
         return np.maximum(np.fft.irfft(product)[:, :size], 0.0)
     total = np.zeros((a.shape[0], a.shape[1] + b.shape[1] - 1))
     for shift in range(b.shape[1]):

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.exposure.distribution import NORMAL_REACH, NoisyFrame, NoisySum
 from camctl.exposure.effective import EffectiveCamera
@@ -22,9 +23,9 @@ from camctl.noise_model import FrameNoise
 from camctl.response.camera import FloatArray
 from camctl.response.desired import DesiredResponse
 
-CHUNK, FINE_LEVELS, FINE_CHUNK = 128, 1023, 32
-"""Nodes computed at once, and fewer for cameras of more than `FINE_LEVELS` levels, whose noise
-spreads over many sums: neighbouring nodes have nearly the same sums, distant ones do not."""
+LEAST_CHUNK, MOST_CHUNK, CHUNKS = 64, 512, 32
+"""Nodes computed at once: a `CHUNKS`-th of all, within these limits.  Neighbouring nodes have
+nearly the same sums, distant ones do not, so that few are computed at once where there are few."""
 
 _CELL = 2.0
 """Width of a cell of the integration, in standard deviations of the noise: with half of that, the
@@ -51,6 +52,9 @@ _LEAST_SLOPE = 1e-6
 _GAUSS_LEGENDRE = np.array([-1.0, 1.0]) / np.sqrt(3.0)
 #: Nodes and weights for a normal variable; exact up to its fifth power.
 _GAUSS_HERMITE = ((-np.sqrt(3.0), 1 / 6), (0.0, 2 / 3), (np.sqrt(3.0), 1 / 6))
+
+_LEAST_KNOWN = 1e-12
+"""Probability of a sum from which its posterior mean is computed."""
 
 _NOTABLE_DSNU = 0.01
 """Share of the variance in the dark from which the offsets of the pixels are integrated over."""
@@ -166,56 +170,70 @@ class Posterior:
         v = nodes.ravel()
         return v, np.repeat(half, 2) * np.where(v > 1, _ABOVE_RANGE, 1.0)
 
-    def _joint(self, v: FloatArray) -> Iterator[tuple[slice, slice, FloatArray]]:
-        """Yield probabilities (nodes, sums) of some nodes and sums, and where these are."""
+    def _joint(self, v: FloatArray) -> Iterator[tuple[slice, NDArray[np.intp], FloatArray]]:
+        """Yield some nodes, sums (nodes, W) that each may have, and their probabilities."""
         E = self._response.inverse(v)
-        chunk = CHUNK if self.sum.camera.response.M <= FINE_LEVELS else FINE_CHUNK
+        chunk = int(np.clip(v.size // CHUNKS, LEAST_CHUNK, MOST_CHUNK))
         for first in range(0, v.size, chunk):
             part = slice(first, first + chunk)
             for z, weight in self._offsets:
                 start, probability = self.sum.probabilities(E[part], z)
-                low, width = int(start.min()), probability.shape[1]
-                dense = np.zeros((start.size, int(start.max()) - low + width))
-                columns = (start - low)[:, np.newaxis] + np.arange(width)
-                np.put_along_axis(dense, columns, weight * probability, axis=1)
-                stop = min(dense.shape[1], self.sum.top + 1 - low)
-                yield part, slice(low, low + stop), dense[:, :stop]
+                columns = start[:, np.newaxis] + np.arange(probability.shape[1])
+                yield part, np.minimum(columns, self.sum.top), weight * probability
+
+    def _totals(self, weights: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the sums of (m, nodes) weights x probability for each sum, (m, top + 1)."""
+        found = np.zeros((len(weights), self.sum.top + 1))
+        # Not as a product of dense matrices: they are nearly empty, and their product, which runs
+        # on several cores, takes several times as much processor time.
+        for part, columns, probability in self._joint(v):
+            low = int(columns[:, 0].min())
+            places = (columns - low).ravel()
+            for weight, total in zip(weights[:, part], found[:, low:], strict=True):
+                added = np.bincount(places, (weight[:, np.newaxis] * probability).ravel())
+                total[: added.size] += added
+        return found
+
+    @cached_property
+    def _spread(self) -> FloatArray:
+        """Mean square of v at each node that the sensitivities of the pixels add."""
+        v, _ = self._nodes
+        E = self._response.inverse(v)
+        return np.asarray((self._prnu * E * np.gradient(v, E)) ** 2)
+
+    @cached_property
+    def mse(self) -> float:
+        """Mean square error of `Inverse.u` over the range, without the rest of the inverse."""
+        v, weight = self._nodes
+        inside = (v > 0) & (v < 1)
+        v, weight = v[inside], weight[inside]
+        known, mean = self._totals(np.stack([weight, weight * v]), v)
+        square = float(np.sum(weight * (v**2 + self._spread[inside])))
+        within = known > _LEAST_KNOWN
+        return square - float(np.sum(mean[within] ** 2 / known[within]))
 
     @cached_property
     def inverse(self) -> Inverse:
         """The inverse of the sum."""
         v, weight = self._nodes
         E = self._response.inverse(v)
-        spread = (self._prnu * E) ** 2
-        slope = np.gradient(v, E)
         inside = np.where((v > 0) & (v < 1), weight, 0.0)
-        moments = np.stack(
-            [
-                inside,
-                inside * v,
-                inside * (v**2 + spread * slope**2),
-                weight,
-                weight * v,
-                weight * E,
-                weight * (E**2 + spread),
-            ]
-        )
-        found = np.zeros((7, self.sum.top + 1))
-        for part, columns, probability in self._joint(v):
-            found[:, columns] += moments[:, part] @ probability
-        known = found[3] > 1e-12
-        mean_v, mean_E, square_E = found[4:, known] / found[3, known]
+        square = weight * (1 + self._prnu**2) * E**2
+        parts = [inside, inside * v, weight, weight * v, weight * E, square]
+        found = self._totals(np.stack(parts), v)
+        known = found[2] > _LEAST_KNOWN
+        mean_v, mean_E, square_E = found[3:, known] / found[2, known]
         sums = np.arange(self.sum.top + 1)
         best = self._response.inverse(mean_v)
         variance = square_E - 2 * best * mean_E + best**2
         u = np.interp(sums, sums[known], np.clip(mean_v, 0.0, 1.0))
-        within = found[0] > 1e-12
+        within = found[0] > _LEAST_KNOWN
         u[within] = found[1, within] / found[0, within]
         return Inverse(
             u=u,
             E=np.interp(sums, sums[known], best),
             deviation=np.sqrt(np.maximum(np.interp(sums, sums[known], variance), 0.0)),
-            mse=float(np.sum(found[2] - u * (2 * found[1] - u * found[0]))),
+            mse=float(np.sum(inside * (v**2 + self._spread)) - np.sum(u * found[1])),
         )
 
     def errors(self, u: FloatArray) -> FloatArray:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camctl.errors import UsageError, unknown_name
-from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.distribution import check_noise
+from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.inverse import Posterior
 from camctl.noise_model import FrameNoise
 from camctl.response.camera import FloatArray
@@ -18,6 +20,8 @@ NOISE_KINDS: tuple[str, ...] = ("paper", "time", "aperture", "gain")
 
 MAX_SIGMA, MAX_WEIGHT = 1e3, 1e15
 """Largest sigma and weight of a noise term: far beyond use, and their product stays finite."""
+
+_NOISELESS = FrameNoise(math.inf, 0.0)
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ def predicted_mse(
     Raises:
         UsageError: there is not one noise for each exposure, or one is out of range
     """
-    return Posterior(camera, desired, noise).inverse.mse
+    return Posterior(camera, desired, noise).mse
 
 
 def noisy_effective_levels(
@@ -87,4 +91,7 @@ def noisy_effective_levels(
 
     Without noise it is `effective_levels`.  Arguments and errors are those of `predicted_mse`.
     """
-    return Posterior(camera, desired, noise).inverse.effective_levels
+    check_noise(noise, len(camera.exposures))
+    if all(replace(frame, black=0) == _NOISELESS for frame in noise):
+        return effective_levels(camera, desired)
+    return float((12 * predicted_mse(camera, desired, noise)) ** -0.5)

@@ -81,6 +81,7 @@ class SearchOptions:
             unless `time_limit_s` ends the search
         effort: factor on the number of sets evaluated, > 0
         time_limit_s: wall time after which the best set so far is returned, s; None: no limit
+        refinement: factor on the number of sets tried at the end in steps of 1e-4 and less, >= 0
 
     Raises:
         UsageError: a value is out of range
@@ -89,6 +90,7 @@ class SearchOptions:
     seed: int = 0
     effort: float = 1.0
     time_limit_s: float | None = None
+    refinement: float = 1.0
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -96,6 +98,8 @@ class SearchOptions:
         for name, value in (("search effort", self.effort), ("time limit", self.time_limit_s)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise UsageError(f"invalid {name} {value:g}: expected a positive number")
+        if not 0 <= self.refinement < math.inf:
+            raise UsageError(f"invalid refinement {self.refinement:g}: expected a number >= 0")
 
 
 @dataclass(frozen=True)
@@ -207,10 +211,8 @@ def _coarse_starts(
     One start is that solution; in the other the small ratios, which interleave levels, are reduced
     as the gaps are.  The coarse search may take half of the time limit.
     """
-    response = problem.response
-    kept = np.arange(1, COARSE_LEVELS + 1) * (response.M + 1) // (COARSE_LEVELS + 1) - 1
-    coarse = CameraResponse(response.levels[kept], f"{response.name}, {COARSE_LEVELS} levels of it")
-    levels_wanted = max(1.0, problem.levels_wanted * COARSE_LEVELS / response.M)
+    coarse, finer = coarse_camera(problem.response)
+    levels_wanted = max(1.0, problem.levels_wanted / finer)
     limit_s = None if search.time_limit_s is None else search.time_limit_s / 2
     found = solve(
         coarse,
@@ -222,8 +224,17 @@ def _coarse_starts(
     )
     logs = np.log(found.exposures)
     steps = np.diff(logs, prepend=0.0)
-    reduced = np.where(steps < 4 / COARSE_LEVELS, steps * COARSE_LEVELS / response.M, steps)
+    reduced = np.where(steps < 4 / COARSE_LEVELS, steps / finer, steps)
     return np.array([logs, np.cumsum(reduced)])
+
+
+def coarse_camera(response: CameraResponse) -> tuple[CameraResponse, float]:
+    """Return a camera with `COARSE_LEVELS` of many levels, and how many times more there were."""
+    if response.M <= MAX_DIRECT_LEVELS:
+        return response, 1.0
+    kept = np.arange(1, COARSE_LEVELS + 1) * (response.M + 1) // (COARSE_LEVELS + 1) - 1
+    name = f"{response.name}, {COARSE_LEVELS} levels of it"
+    return CameraResponse(response.levels[kept], name), response.M / COARSE_LEVELS
 
 
 class _Search:
@@ -254,9 +265,8 @@ class _Search:
         self.budget = max(budget, 20.0 * STARTS)
         p = problem.objective.p
         passes = FINAL_PASSES if p == round(p) else FINAL_PASSES // 4
-        self.final_evaluations = int(
-            min(2 * n * passes, max(20.0, MAX_FINAL_LEVELS / sorted_at_once))
-        )
+        final = min(2 * n * passes, max(20.0, MAX_FINAL_LEVELS / sorted_at_once))
+        self.final_evaluations = int(search.refinement * final)
 
     def run(self, known: FloatArray | None = None) -> tuple[float, ...]:
         """Return the best exposures found; `known` (K, n) replaces some of the random starts."""

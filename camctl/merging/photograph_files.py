@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -213,24 +214,26 @@ def _read_exr(path: Path, time_s: float | None, full: float) -> tuple[Pixels, Ph
     """Return the linear values of an OpenEXR file in 16 bits, and its exposure."""
     import numpy as np
 
-    from camctl.captures.photographs import Photograph
-
     values = _exr_values(path)
     scaled = np.nan_to_num(values, nan=0.0, posinf=full, neginf=0.0) / full * _FULL_EXR
     pixels: Pixels = np.rint(np.clip(scaled, 0, _FULL_EXR)).astype(np.uint16)
-    if time_s is None:
-        time_s = _exr_time_s(path)
-    return pixels, Photograph(path.name, time_s)
+    return pixels, _exr_exposure(path, time_s)
 
 
-def _exr_time_s(path: Path) -> float:
+def _exr_exposure(path: Path, time_s: float | None) -> Photograph:
+    """Return the exposure in the standard attributes of a file; a given time replaces its own."""
     import OpenEXR
 
+    from camctl.captures.photographs import Photograph
     from camctl.library_output import exr_source, quiet_libraries
 
     with quiet_libraries(), exr_source(path) as source:
         header = OpenEXR.File(source, header_only=True).header()
-    value = header.get("expTime")
-    if not isinstance(value, int | float) or not 0 < value < float("inf"):
+    stated_s, iso, f_number = (
+        float(value) if isinstance(value, int | float) and 0 < value < math.inf else None
+        for value in map(header.get, ("expTime", "isoSpeed", "aperture"))
+    )
+    time_s = stated_s if time_s is None else time_s
+    if time_s is None:
         raise unknown_time(path)
-    return float(value)
+    return Photograph(path.name, time_s, 1.0 if iso is None else iso / 100, f_number, None, iso)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camctl.errors import UsageError, unknown_name
+from camctl.number_text import range_text
 from camctl.response.camera import FloatArray
 
 RANGES: dict[str, float] = {"low": 256.0, "medium": 1000.0, "high": 16000.0}
@@ -103,7 +104,7 @@ class LinearDesired(DesiredResponse):
     @property
     def description(self) -> str:
         """Name and range in one line, for messages."""
-        return f"linear, range 1:{self.dynamic_range:g}"
+        return f"linear, range {range_text(self.dynamic_range)}"
 
     def u(self, E: ArrayLike) -> FloatArray:
         """Return u at E, clamped."""
@@ -142,7 +143,7 @@ class GammaDesired(DesiredResponse):
     @property
     def description(self) -> str:
         """Name and range in one line, for messages."""
-        return f"gamma {self.gamma:g}, range 1:{self.dynamic_range:g}"
+        return f"gamma {self.gamma:g}, range {range_text(self.dynamic_range)}"
 
     def u(self, E: ArrayLike) -> FloatArray:
         """Return u at E, clamped."""
@@ -201,7 +202,7 @@ class LogDesired(DesiredResponse):
     @property
     def description(self) -> str:
         """Name and range in one line, for messages."""
-        return f"constant contrast, range 1:{self.dynamic_range:g}"
+        return f"constant contrast, range {range_text(self.dynamic_range)}"
 
     def u(self, E: ArrayLike) -> FloatArray:
         """Return u at E, clamped."""

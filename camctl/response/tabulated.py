@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camctl.errors import DataError
+from camctl.number_text import range_text
 from camctl.response.camera import FloatArray
 from camctl.response.desired import DesiredResponse
 
@@ -50,7 +51,7 @@ class TabulatedDesired(DesiredResponse):
     @property
     def description(self) -> str:
         """Name and range in one line, for messages."""
-        return f"{self.name}, {self._E.size} points, range 1:{self.dynamic_range:g}"
+        return f"{self.name}, {self._E.size} points, range {range_text(self.dynamic_range)}"
 
     def u(self, E: ArrayLike) -> FloatArray:
         """Return u at E, clamped."""

@@ -46,8 +46,9 @@ _GAP_TOLERANCE = 0.04
 _RECENT_SLOTS = 32
 #: The interval is measured from at least so many frames.
 _FEWEST_FRAMES = 12
-#: It is changed where it differs by so many times what chance would make of late timestamps.
-_CHANCE = 6
+#: It is changed where it differs by so many times what chance would make of late timestamps, and
+#: where no frame would be earlier than by this share of a slot.
+_CHANCE, _JITTER = 6, 0.02
 
 #: When settings are written, in slots after the timestamp of a frame.  Up to the middle of the
 #: slot, so that the write ends before the next slot begins.  Some cameras deliver a frame long
@@ -150,14 +151,16 @@ class FrameClock:
         """Measure the interval from the earliest frame of each half of the recent ones.
 
         It is changed where that moves them by more than chance: the earliest of m timestamps, of
-        which half are late by more than u, is late by about 2 u / m.
+        which half are late by more than u, is late by about 2 u / m.  No timestamp is early, so an
+        interval by which one would be is chance, too.
         """
         half = len(frames) // 2
         (first, first_s), (last, last_s) = map(self._earliest, (frames[:half], frames[half:]))
         passed = last - first
         interval_s = (last_s - first_s) / passed
-        late_s = median(time_s - first_s - (k - first) * interval_s for k, time_s in frames)
-        if abs(interval_s - self.interval_s) * passed >= _CHANCE * 2 * late_s / half:
+        late_s = sorted(time_s - first_s - (k - first) * interval_s for k, time_s in frames)
+        is_chance = abs(interval_s - self.interval_s) * passed < _CHANCE * 2 * median(late_s) / half
+        if not is_chance and late_s[0] >= -_JITTER * interval_s:
             self.interval_s = interval_s
 
     def _earliest(self, frames: list[tuple[int, float]]) -> tuple[int, float]:

@@ -103,7 +103,7 @@ def draw_figure_10(figure: Figure, measured: ResponseRecord | None = None) -> No
         found = solve(response, desired_response("linear", 256.0), 3).exposures
     upper, lower = figure.subfigures(2, 1, squeeze=False)[:, 0]
     with tempfile.TemporaryDirectory() as folder:
-        scene = changed_file("scenes", "ball", Path(folder), photons_s=2e4)
+        scene = changed_file("scenes", "ball", Path(folder), luminance_cd_m2=9.3)
         camera = changed_file(
             "sensors", "consumer", Path(folder), photon_noise=False, read_noise_e=0.0
         )

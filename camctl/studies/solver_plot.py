@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from camctl.number_text import range_text
 from camctl.studies.plots import COLOURS, plot
 from camctl.studies.solver_study import METHODS, Case, SolverStudy
 
@@ -43,7 +44,7 @@ def draw_study(study: SolverStudy, paths: tuple[Path, ...]) -> None:
 
 def _panel(axes: Axes, study: SolverStudy, case: Case) -> None:
     response, dynamic_range, n, bits = case
-    axes.set_title(f"{response}, 1:{dynamic_range:,.0f}, {n} exposures, {bits} bits")
+    axes.set_title(f"{response}, {range_text(dynamic_range)}, {n} exposures, {bits} bits")
     axes.set(xscale="log", yscale="log", xlabel="CPU time, s")
     axes.axhline(0.005, color="#888888", linewidth=0.8, linestyle=":")
     for method, colour, marker in zip(METHODS, COLOURS, _MARKERS, strict=False):

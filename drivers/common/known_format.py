@@ -121,10 +121,14 @@ def matched_pixels(still: Still, known: KnownFormat, name: str) -> tuple[Pixels,
     }
 
 
-def check_exposure(name: str, data: bytes, applied: ExposureSetting, *, has_gain: bool) -> None:
-    """Raise `CameraProtocolError` if the file states another exposure than the one that was set.
+def checked_exposure(
+    name: str, data: bytes, applied: ExposureSetting, *, has_gain: bool
+) -> dict[str, float]:
+    """Return the ISO speed as `Frame.details` has it: of the file, or as it was set; {} if unknown.
 
-    A stop of the lens is compared as light, and so are the others: by their ratio.
+    Raises:
+        CameraProtocolError: the file states another exposure than the one that was set; a stop of
+            the lens is compared as light, and so are the others: by their ratio
 
     Args:
         name: of the file
@@ -147,3 +151,5 @@ def check_exposure(name: str, data: bytes, applied: ExposureSetting, *, has_gain
                 f"{name} states {what} of {unit.format(found)}, but {unit.format(was_set)} was set",
                 hint="shoot it again, and do not use the camera's own buttons during the capture",
             )
+    gain = stated.gain or (applied.gain if has_gain else None)
+    return {} if gain is None else {"iso": round(100 * gain, 6)}

@@ -19,7 +19,7 @@ from drivers.common.known_format import (
     FormatChangedError,
     KnownFormat,
     WrongFormatError,
-    check_exposure,
+    checked_exposure,
     format_of_name,
     matched_pixels,
     saved_format,
@@ -202,7 +202,8 @@ class Gphoto2Camera(CameraBase):
     ) -> Frame:
         data = self._file(picture)
         try:
-            check_exposure(picture.name, data, applied, has_gain=self._body.gain is not None)
+            has_gain = self._body.gain is not None
+            speed = checked_exposure(picture.name, data, applied, has_gain=has_gain)
             still = read_still(data, picture.name)
             pixels, changes = matched_pixels(still, known, picture.name)
         except FormatChangedError as error:
@@ -214,6 +215,7 @@ class Gphoto2Camera(CameraBase):
             "bytes": len(data),
             "released_s": picture.released_s,
             **({"other_files": list(picture.others)} if picture.others else {}),
+            **speed,
             **changes,
         }
         return Frame(

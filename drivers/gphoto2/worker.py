@@ -19,6 +19,8 @@ from typing import Any
 import gphoto2 as gp
 
 _MOST_EVENTS = 1000
+_ATTEMPTS = 3
+_NETWORK_MODEL = "PTP/IP Camera"
 _KINDS = {gp.GP_WIDGET_RADIO: "choice", gp.GP_WIDGET_MENU: "choice", gp.GP_WIDGET_TEXT: "text"}
 
 
@@ -52,6 +54,10 @@ class Worker:
         ports = gp.PortInfoList()
         ports.load()
         camera = gp.Camera()
+        if port.startswith("ptpip:"):  # libgphoto2 finds out the model on USB only
+            models = gp.CameraAbilitiesList()
+            models.load()
+            camera.set_abilities(models.get_abilities(models.lookup_model(_NETWORK_MODEL)))
         camera.set_port_info(ports.get_info(ports.lookup_path(port)))
         camera.init()
         self._camera = camera
@@ -80,12 +86,21 @@ class Worker:
         return found
 
     def apply(self, values: dict[str, str]) -> dict[str, str]:
-        """Set settings that have other values; return all of them as the camera has them then."""
-        for name, value in values.items():
-            widget = self._camera.get_single_config(name)
-            if widget.get_value() != value:
-                widget.set_value(value)
-                self._camera.set_single_config(name, widget)
+        """Set settings that have other values; return all of them as the camera has them then.
+
+        libgphoto2 steps the dials of some Sony bodies and stops where it has counted wrong, from
+        where a second attempt arrives.
+        """
+        for _ in range(_ATTEMPTS):
+            widgets = {name: self._camera.get_single_config(name) for name in values}
+            others = [
+                name for name, widget in widgets.items() if widget.get_value() != values[name]
+            ]
+            if not others:
+                return values
+            for name in others:
+                widgets[name].set_value(values[name])
+                self._camera.set_single_config(name, widgets[name])
         return {name: self._camera.get_single_config(name).get_value() for name in values}
 
     def capture(self) -> list[str]:

@@ -235,7 +235,14 @@ class Body:
                 f"{self._name} did not take a picture: its battery has {charge} % of its charge",
                 hint="charge it or use a mains adapter",
             )
-        return response_error(code, "take a picture", self._name, self.dialect.name)
+        if self.dialect.lens_warning is not None:
+            warning, meaning = self.dialect.lens_warning
+            with suppress(CameraError):
+                code = meaning if self.session.description(warning).current == 1 else code
+        error = response_error(code, "take a picture", self._name, self.dialect.name)
+        if isinstance(error, CameraProtocolError):  # it has refused: no picture may still come
+            return CameraError(error.what, hint=error.hint)
+        return error
 
     def _do(self, step: Step, task: str) -> None:
         if step.is_optional:

@@ -105,6 +105,7 @@ class Prop(IntEnum):
     STILL_CAPTURE_MODE = 0x5013
 
     NIKON_ISO_AUTO = 0xD054
+    NIKON_RETRACTABLE_LENS = 0xD09C
     NIKON_EXPOSURE_TIME = 0xD100
 
     EOS_APERTURE = 0xD101
@@ -150,6 +151,8 @@ ALL_STORES = 0xFFFFFFFF
 _UNSUPPORTED = "its model is not supported"
 M_DIAL = "turn the mode dial to M"
 TO_SHOOTING = f"{M_DIAL}, and leave playback, menus and movie mode on the camera"
+#: Nikon's response where the lens or its aperture ring forbids what was asked for.
+NIKON_LENS = 0xA00A
 _LENS = (
     CameraError,
     "its lens is not in working position",
@@ -204,7 +207,7 @@ _MAKERS: dict[str, dict[int, tuple[type[CameraError], str, str]]] = {
         0xA005: (CameraError, "the property cannot be set now", M_DIAL),
         0xA008: (CameraError, "its shutter is set to bulb", "set another shutter time"),
         0xA009: (CameraError, "its mirror is up", "set the release mode to single"),
-        0xA00A: _LENS,
+        NIKON_LENS: _LENS,
         0xA200: (CameraBusyError, "a bulb exposure is running", "wait until it has ended"),
         0xA201: (CameraBusyError, "a silent exposure is running", "wait until it has ended"),
         0xA202: (CameraBusyError, "it is recording a movie", "stop that, and leave movie mode"),
@@ -217,12 +220,19 @@ _MAKERS: dict[str, dict[int, tuple[type[CameraError], str, str]]] = {
         0xA102: (CameraBusyError, "the picture is not ready", "try again"),
         0xA104: (CameraError, "it cannot write the file", "check its card"),
         0xA105: (CameraError, "its card is not ready", "check its card"),
+        0xA106: (CameraError, "its card is not ready", "check its card"),
     },
     "sony": {
         0xA101: (
             CameraError,
             "it does not accept control by a computer",
             "set USB connection to 'PC Remote' in its menu",
+        ),
+        0xA105: (CameraError, "its memory is full", "wait until its lamp is off, then try again"),
+        0xA106: (
+            CameraError,
+            "it cannot do that in its present state",
+            f"{TO_SHOOTING}; see its display: lens, cap, card and battery are other causes",
         ),
     },
 }

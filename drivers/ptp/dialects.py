@@ -74,6 +74,8 @@ class Dialect:
         program: the property of the mode dial, and its numbers for manual exposure; no numbers:
             they are not known
         battery: the property of the charge in per cent
+        lens_warning: a property that is 1 where the lens is not in working position, and the
+            response code with this meaning
         unlisted: operations that the camera has and does not list
         unreliable: operations that it lists and that do not work
         opening: operations after the session is open
@@ -108,6 +110,7 @@ class Dialect:
     program: tuple[int, frozenset[int]]
     battery: int
     releases: tuple[tuple[Step, ...], ...]
+    lens_warning: tuple[int, int] | None = None
     unlisted: frozenset[int] = frozenset()
     unreliable: frozenset[int] = frozenset()
     opening: tuple[Step, ...] = ()

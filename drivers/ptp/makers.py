@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from drivers.ptp.codes import Op, Prop
+from drivers.ptp.codes import NIKON_LENS, Op, Prop
 from drivers.ptp.dialects import (
     EXPOSURE_INDEX,
     EXPOSURE_TIME,
@@ -58,6 +58,7 @@ NIKON = Dialect(
     f_numbers=(F_NUMBER,),
     program=MANUAL,
     battery=Prop.BATTERY_LEVEL,
+    lens_warning=(Prop.NIKON_RETRACTABLE_LENS, NIKON_LENS),
     # Most bodies list their own properties, the exact time and automatic ISO among them, here only.
     hidden=((Op.NIKON_PROPERTY_CODES, (), 2), (Op.NIKON_CODES, (0xD,), 4)),
     tried=frozenset({Prop.NIKON_EXPOSURE_TIME, Prop.NIKON_ISO_AUTO}),

@@ -15,7 +15,7 @@ from pathlib import PurePath
 from camctl.camera import Frame, OriginalFile
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
-from drivers.common.known_format import KnownFormat, check_exposure, matched_pixels
+from drivers.common.known_format import KnownFormat, checked_exposure, matched_pixels
 from drivers.common.still_camera import StillTimes
 from drivers.common.still_file import read_still
 from drivers.ptp.body import Body
@@ -215,7 +215,8 @@ class ExposureSequence:
             self._overlaps = False
         fetched_s = self._clock.now()
         applied = shot.exposure.request.applied
-        check_exposure(shot.info.name, data, applied, has_gain=self._dials.gain is not None)
+        has_gain = self._dials.gain is not None
+        speed = checked_exposure(shot.info.name, data, applied, has_gain=has_gain)
         still = read_still(data, shot.info.name)
         pixels, changes = matched_pixels(still, known, shot.info.name)
         exposure, request = shot.exposure, shot.exposure.request
@@ -226,6 +227,7 @@ class ExposureSequence:
             "download_s": round(took_s, 6),
             "released_s": exposure.released_s,
             "fetched_s": fetched_s,
+            **speed,
             **changes,
         }
         if shot.others:

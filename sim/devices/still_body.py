@@ -72,7 +72,7 @@ class StillFaults:
         is_card_full: there is no room for a picture
         is_battery_low: there is too little charge for a picture
         state: what keeps the camera from taking pictures: "playback", "movie" (modes), "lens" (in a
-            wrong position), "no card"; "": nothing
+            wrong position), "retracted lens", "no card"; "": nothing
     """
 
     light_factor: float = 1.0
@@ -284,7 +284,9 @@ class StillFaultCommands:
         """Have too little charge for a picture."""
         self.body.faults.is_battery_low = True
 
-    def do_body_state(self, state: Literal["", "playback", "movie", "lens", "no card"]) -> None:
+    def do_body_state(
+        self, state: Literal["", "playback", "movie", "lens", "retracted lens", "no card"]
+    ) -> None:
         """Be in a state in which no picture can be taken; "": end it."""
         self.body.faults.state = state
 

@@ -32,9 +32,10 @@ PHOTONS = "photons per pixel per second"
 RELATIVE = "arbitrary units"
 LUMINANCE = "candela per square metre"
 
-HIGHLIGHT_PHOTONS_S = 1e6
-"""Photons a pixel a second that the highlight of a radiance map gets, and that the brightest
-diffuse part of most built-in scenes has: they fill the standard sensor in about 20 ms."""
+HIGHLIGHT_CD_M2 = 464.8576
+"""Luminance that the highlight of a radiance map gets, and that the brightest diffuse part of six
+built-in scenes has, about that of white paper in 1,500 lux: the standard sensor, at f/4 and
+3.45 um, sees a million photons a pixel a second, and is filled by them in 20 ms."""
 
 _HIGHLIGHT_QUANTILE = 0.999  # of a map's positive irradiance
 _DRAWING_BYTES_PER_PIXEL = 112  # scene and working arrays together, for the most costly drawing
@@ -49,8 +50,8 @@ class Scene:
         name: of the scene
         irradiance: (rows, columns) or (rows, columns, 3) linear RGB, float32, finite, >= 0
         unit: `PHOTONS` or `LUMINANCE` for an absolute scene, `RELATIVE` for a radiance map
-        photons_per_unit: photons a pixel a second for one unit of irradiance; if the unit is
-            `LUMINANCE`, `Sensor.photons_per_candela` multiplies it
+        photons_per_unit: photons a pixel a second for one unit of irradiance; unless the unit is
+            `PHOTONS`, it is in cd/m^2, and `Sensor.photons_per_candela` multiplies it
         notes: about the file that it was read from, one line each
         lamps: lamps that are not steady, if any
         target: a moving target, if any
@@ -279,7 +280,7 @@ def _from_file(
     if folder is not None and _is_map(file.picture):
         map_ = _from_map(folder / file.picture, shape)
         light, notes = map_.irradiance, map_.notes
-        light = light * np.float32(map_.photons_per_unit / HIGHLIGHT_PHOTONS_S)
+        light = light * np.float32(map_.photons_per_unit / HIGHLIGHT_CD_M2)
     elif file.picture in DRAWINGS:
         rows, columns = shape or file.shape or usual
         if rows < 1 or columns < 1:
@@ -305,7 +306,7 @@ def _from_map(path: Path, shape: tuple[int, int] | None) -> Scene:
     light = _checked(str(path), values)
     channel = light if light.ndim == 2 else light.max(axis=2)
     highlight = float(np.quantile(channel[channel > 0], _HIGHLIGHT_QUANTILE))
-    return Scene(path.name, light, RELATIVE, HIGHLIGHT_PHOTONS_S / highlight, notes)
+    return Scene(path.name, light, RELATIVE, HIGHLIGHT_CD_M2 / highlight, notes)
 
 
 def _check_memory(name: str, shape: tuple[int, ...], bytes_per_pixel: int) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from camctl.controls import Layout
 from sim.scenes.motion import Lamps, PwmLamps, Target
-from sim.scenes.scene import LUMINANCE, Scene
+from sim.scenes.scene import PHOTONS, Scene
 from sim.sensors.sensor import Sensor
 
 Light = NDArray[np.float32]
@@ -35,9 +35,9 @@ def sample(planes: Light, layout: Layout) -> Light:
 
 def photons_per_unit(scene: Scene, sensor: Sensor) -> float:
     """Return photons a pixel a second for one unit of the scene's irradiance."""
-    if scene.unit == LUMINANCE:
-        return scene.photons_per_unit * sensor.photons_per_candela
-    return scene.photons_per_unit
+    if scene.unit == PHOTONS:
+        return scene.photons_per_unit
+    return scene.photons_per_unit * sensor.photons_per_candela
 
 
 def _sensor_colours(light: Light, layout: Layout, sensor: Sensor) -> Light:

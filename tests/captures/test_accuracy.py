@@ -60,9 +60,9 @@ def test_intervals_contain_the_irradiance_as_often_as_they_state(name: str) -> N
 
 
 def test_intervals_near_saturation_are_neither_wide_nor_narrow() -> None:
-    stops = [0.5 + step / 16 for step in range(16)]
+    stops = [0.5 + step / 8 for step in range(8)]  # each is a plan of its own, which takes a second
     errors = radiance_errors(
-        load_scene("ramp", (60, 400)), load_sensor("standard"), CaptureRequest(), stops
+        load_scene("ramp", (120, 400)), load_sensor("standard"), CaptureRequest(), stops
     )
     near = errors.E >= NEAR_SATURATION
     samples = np.count_nonzero(near)

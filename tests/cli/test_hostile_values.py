@@ -30,7 +30,7 @@ from camctl.cli.parameter_types import (
 
 NUMBERS = (
     *("0", "-0", "-1", "1", "2", "0.5", "nan", "-nan", "inf", "-inf", "1e308", "-1e308", "1e400"),
-    *("5e-324", "1e-300", "9007199254740993", "1,000", "1,000,000.5", "1.000,5", "1_000", "0x10"),
+    *("5e-324", "1e-300", "9007199254740993", "1,000", "1,000,000.5", "1.000,5", "0_2", "0x10"),
     *("1/0", "0/1", "1/1e308", "1e308/1e-308", "0x0", "1x1", "2x1", "-1x5", "1:0:1", "0:1:0"),
     *("1:2:1e-300", "1:1e308:1", "1:1e308:5e-324", "nan:nan:nan", "1:5", "1,nan", "0,0"),
     *("1,1e308", "5e-324,1", "1e-12,1e12", "1e-50,1,1e50"),
@@ -99,7 +99,7 @@ BASES = {
     "calibrate exposure": (
         "--scene uniform --size 16x12 --sensor ideal-6 --repeats 2 --longest 0.01",
     ),
-    "calibrate noise": ("--sensor phone --scene tile-floor --size 160x120",),
+    "calibrate noise": ("--sensor phone --scene tile-floor --size 64x48",),
     "calibrate response": ("--scene tile-floor --size 160x120 -n 6",),
     "help": ("",),
 }
@@ -152,13 +152,20 @@ def places(tmp_path: Path) -> Iterator[tuple[str, ...]]:
         )
 
 
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A cache for all tests here: solving what the lines of `BASES` ask for takes a second."""
+    return str(tmp_path_factory.mktemp("solved"))
+
+
 @pytest.fixture(autouse=True)
-def photographs(run: Run) -> None:
+def photographs(run: Run, solved: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Write the photographs of `BASES` into the empty folder of `run`."""
     import cv2
     import numpy as np
 
     assert run is not None
+    monkeypatch.setenv("CAMCTL_CACHE", solved)
     light = np.geomspace(0.01, 1, 32 * 24).reshape(24, 32)
     for k in range(3):
         brightness = np.minimum((light * 4.0 ** (k - 1)) ** 0.45 * 255, 255)
@@ -201,8 +208,6 @@ def test_hostile_values_are_refused_in_one_line(
 ) -> None:
     is_numeric = isinstance(option.type, NUMERIC)
     values: tuple[str | None, ...] = NUMBERS if is_numeric else (*TEXTS, *places)
-    if "--repeat" in option.opts:
-        values = tuple(value for value in NUMBERS if value != "1_000")  # sets of frames take long
     if isinstance(option.type, Settings):
         values = (*NUMBERS, *TEXTS, *places)
     if isinstance(option, click.Option) and option.is_flag:

@@ -131,7 +131,8 @@ def test_linear_openexr_files_are_merged(run: Run) -> None:
     names = []
     for k, time_s in enumerate(TIMES[::3]):
         values = np.minimum(SCENE * time_s, 1).astype(np.float32)
-        header = {"type": OpenEXR.scanlineimage, "expTime": time_s}
+        iso = 200.0 if k else 100.0
+        header = {"type": OpenEXR.scanlineimage, "expTime": time_s * 100 / iso, "isoSpeed": iso}
         channels = {name: values[..., c].copy() for c, name in enumerate("RGB")}
         OpenEXR.File(header, channels).write(f"p{k}.exr")
         names.append(f"p{k}.exr")

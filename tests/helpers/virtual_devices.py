@@ -138,6 +138,11 @@ COOLPIX = Device(
     {**EIGHT_BITS, "files": ["tiff", "jpeg"], "line": "/dev/ttyGS0"},
     {**LINEAR, "format": "tiff", "speed": "115200"},
 )
+# Cameras with the operations of a make, for the tests that connect them beside the others.
+NIKON, CANON, SONY = MAKES = tuple(
+    Device(vendor, "ptp", {**TWELVE_BITS, "vendor": vendor, "files": ["dng"]}, {"format": "raw"})
+    for vendor in ("nikon", "canon", "sony")
+)
 DEVICES = (WEB, MACHINE, MOSAIC, UNSTEADY, CURVED, STILL, RAW, SNAPSHOT, COOLPIX)
 
 # Exposures that all backends have exactly; half of the ramp is saturated in the longest.
@@ -170,33 +175,35 @@ class RecordingHub(Hub):
 
 
 @contextmanager
-def running_hub(devices: Sequence[Device] = DEVICES) -> Iterator[RecordingHub]:
+def running_hub(
+    devices: Sequence[Device] = DEVICES, directory: Path = DIRECTORY
+) -> Iterator[RecordingHub]:
     """Run the devices in a process of their own, connected to this kernel's drivers."""
     with clock_in_step():
-        process = _start_hub(devices)
+        process = _start_hub(devices, directory)
         for device in devices:
             wait_for(device.name, functools.partial(is_connected, device))
         usb_device(devices[0])  # loads libusb
     try:
-        yield RecordingHub(DIRECTORY)
+        yield RecordingHub(directory)
     finally:
         process.terminate()
 
 
-def _start_hub(devices: Sequence[Device]) -> Forked:
-    DIRECTORY.mkdir(exist_ok=True, parents=True)
+def _start_hub(devices: Sequence[Device], directory: Path) -> Forked:
+    directory.mkdir(exist_ok=True, parents=True)
     for sensor in (CURVED_SENSOR, MOSAIC_SENSOR):
         (DIRECTORY / f"{sensor['name']}.json").write_text(json.dumps(sensor))
-    config = DIRECTORY / "config.json"
+    config = directory / "config.json"
     config.write_text(json.dumps({"devices": [device.config for device in devices]}))
     modprobe("-a", "vhci-hcd", "uvcvideo", "dummy_hcd", "cdc-acm")
     modprobe("g_serial", "use_acm=1")
     wait_for("/dev/ttyGS0", Path("/dev/ttyGS0").exists)
-    process = spawner().start(hub_main, ["--dir", str(DIRECTORY), str(config)])
+    process = spawner().start(hub_main, ["--dir", str(directory), str(config)])
 
     def is_listening() -> bool:
         assert process.status is None, process.err
-        return (DIRECTORY / "ctl").exists()
+        return (directory / "ctl").exists()
 
     wait_for("hub", is_listening)
     return process

@@ -17,8 +17,8 @@ from camctl.errors import UsageError
 from sim.effects.budget import plan_frame
 from sim.noise import TILE
 from sim.render import Renderer
-from sim.scenes.scene import Scene, load_scene
-from sim.scenes.view import View
+from sim.scenes.scene import RELATIVE, Scene, load_scene
+from sim.scenes.view import View, photons_per_unit
 from sim.sensors import parts
 from sim.sensors.sensor import Sensor, load_sensor, sensor_names
 
@@ -198,10 +198,12 @@ def test_photon_transfer_measures_gain_and_read_noise(name: str, gain: float) ->
 
 
 def test_sensitivity_converts_frames_to_the_units_of_the_map() -> None:
-    scene = Scene("map", np.full((100, 200), 0.037), "arbitrary units", photons_per_unit=2.2e7)
-    for name in ("standard", "machine-vision", "phone", "consumer"):
+    scene = Scene("map", np.full((100, 200), 0.037), RELATIVE, photons_per_unit=5e3)
+    for name in ("standard", "machine-vision", "phone", "consumer", "qcmos"):
         sensor = load_sensor(name)
-        controls = sensor.controls(scene.shape, is_coloured=False, photons_per_unit=2.2e7)
+        photons = photons_per_unit(scene, sensor)
+        assert photons == 5e3 * sensor.photons_per_candela
+        controls = sensor.controls(scene.shape, is_coloured=False, photons_per_unit=photons)
         frame = frame_of(scene, sensor)
         levels = np.concatenate([[0.0], controls.levels.levels])
         E = levels[np.minimum(frame, sensor.white).astype(int) - sensor.black].mean()

@@ -16,6 +16,7 @@ from sim.devices.ptp.config import Identity
 from sim.devices.ptp.properties import DeviceProperty, battery
 from sim.devices.ptp.protocol import (
     Event,
+    Format,
     Handler,
     Operation,
     Property,
@@ -26,7 +27,7 @@ from sim.devices.ptp.protocol import (
     unpack_number,
 )
 from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.store import STORE, StoredObject, stored
+from sim.devices.ptp.store import FORMATS, STORE, StoredObject
 from sim.devices.still_body import ImageFile
 
 BULB = 0x0C
@@ -91,6 +92,7 @@ class CanonResponder(Responder):
     )
     takes_data: ClassVar[frozenset[int]] = Responder.takes_data | {Operation.EOS_SET_PROPERTY}
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.EOS_SHUTTER,)
+    object_formats: ClassVar[Mapping[str, int]] = {**FORMATS, "dng": Format.CANON_RAW}
     refusals: ClassVar[Mapping[str, Response]] = {
         **Responder.refusals,
         "playback": Response.CANON_REFUSED,
@@ -214,7 +216,9 @@ class CanonResponder(Responder):
     def store(self, files: Sequence[ImageFile]) -> None:
         """Put files where the destination property says, and record them for the next poll."""
         if self.properties.number(Property.EOS_DESTINATION) == HOST:
-            self.card.memory = {_HOST_HANDLE + i: stored(file, 0) for i, file in enumerate(files)}
+            self.card.memory = {
+                _HOST_HANDLE + i: self.card.stored(file, 0) for i, file in enumerate(files)
+            }
             kind, items = Event.EOS_REQUEST_TRANSFER, self.card.memory
         else:
             handles = self.card.add(files)

@@ -21,7 +21,6 @@ from sim.devices.ptp.protocol import (
     pack_list,
 )
 from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.store import stored
 from sim.devices.still_body import ImageFile
 
 BULB = 0xFFFF_FFFF
@@ -68,7 +67,18 @@ class NikonResponder(Responder):
             is_writable=standard.is_writable,
         )
         automatic = DeviceProperty(Property.NIKON_AUTO_ISO, Type.UINT8, 1, (0, 1))
-        return [*items, exact, *([automatic] if self.config.auto_iso else [])]
+        warning = DeviceProperty(
+            Property.NIKON_RETRACTABLE_LENS, Type.UINT8, 0, limits=(0, 1, 1), is_writable=False
+        )
+        return [*items, exact, warning, *([automatic] if self.config.auto_iso else [])]
+
+    def execute(
+        self, code: int, transaction: int, parameters: Sequence[int], data: bytes
+    ) -> Reply | None:
+        """Execute an operation; a property tells that a retractable lens is not extended."""
+        if (warning := self.properties.get(Property.NIKON_RETRACTABLE_LENS)) is not None:
+            warning.value = int(self.body.faults.state == "retracted lens")
+        return super().execute(code, transaction, parameters, data)
 
     def _pair(self, fractions: Sequence[tuple[int, int]]) -> None:
         """Note which fraction stands for which value of 500D.
@@ -144,7 +154,11 @@ class NikonResponder(Responder):
     def _vendor_properties(self) -> list[int]:
         if self.facts is not None:
             return [code for code in self.facts.hidden if code in self.properties]
-        hidden = (Property.NIKON_AUTO_ISO, Property.NIKON_EXPOSURE_TIME)
+        hidden = (
+            Property.NIKON_AUTO_ISO,
+            Property.NIKON_EXPOSURE_TIME,
+            Property.NIKON_RETRACTABLE_LENS,
+        )
         return [code for code in hidden if code in self.properties]
 
     def after_set(self, code: int) -> tuple[int, ...]:
@@ -202,7 +216,9 @@ class NikonResponder(Responder):
         return self.release(is_bulb=self.exposure_time_s() is None, store=store)
 
     def _keep_in_memory(self, files: Sequence[ImageFile]) -> None:
-        self.card.memory = {IN_MEMORY + i: stored(file, 0) for i, file in enumerate(files)}
+        self.card.memory = {
+            IN_MEMORY + i: self.card.stored(file, 0) for i, file in enumerate(files)
+        }
         for handle in self.card.memory:
             self.announce(Event.NIKON_OBJECT_IN_MEMORY, handle)
         self.announce(Event.CAPTURE_COMPLETE, 0)

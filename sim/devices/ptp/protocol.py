@@ -164,6 +164,7 @@ class Format(IntEnum):
     JPEG = 0x3801
     TIFF = 0x380D
     DNG = 0x3811
+    CANON_RAW = 0xB103
 
 
 class Property(IntEnum):
@@ -180,6 +181,7 @@ class Property(IntEnum):
     DATE_TIME = 0x5011
 
     NIKON_AUTO_ISO = 0xD054
+    NIKON_RETRACTABLE_LENS = 0xD09C
     NIKON_EXPOSURE_TIME = 0xD100
 
     EOS_APERTURE = 0xD101

@@ -9,8 +9,9 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.config import COMPRESSIONS, Identity, PtpConfig, file_formats
+from sim.devices.ptp.config import Identity, PtpConfig
 from sim.devices.ptp.exposure import ExposureProperties
+from sim.devices.ptp.picture_formats import PictureFormats
 from sim.devices.ptp.properties import (
     AUTOMATIC,
     CHARGE,
@@ -32,13 +33,13 @@ from sim.devices.ptp.protocol import (
     Type,
     unpack_number,
 )
-from sim.devices.ptp.store import FORMATS, PICTURE_FOLDER, READ_ONLY, STORE, Card
+from sim.devices.ptp.store import PICTURE_FOLDER, READ_ONLY, STORE, Card
 from sim.devices.still_body import Exposure, ImageFile, StillBody
 
 _LOG_LENGTH = 256  # operations in the log, and in the counter: a host may go on without end
 
 
-class Responder(ExposureProperties):
+class Responder(ExposureProperties, PictureFormats):
     """A camera without a maker's extension; the makers' cameras derive from it.
 
     Args:
@@ -53,12 +54,12 @@ class Responder(ExposureProperties):
     takes_data: ClassVar[frozenset[int]] = frozenset({Operation.SET_PROPERTY_VALUE})
     # Properties that hold the shutter time.
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.EXPOSURE_TIME,)
-    compressions: ClassVar[Mapping[str, int]] = COMPRESSIONS
     # Responses in states of the body in which it takes no picture.
     refusals: ClassVar[Mapping[str, Response]] = {
         "playback": Response.ACCESS_DENIED,
         "movie": Response.ACCESS_DENIED,
         "lens": Response.GENERAL_ERROR,
+        "retracted lens": Response.GENERAL_ERROR,
         "no card": Response.NO_CARD,
     }
     events: ClassVar[tuple[int, ...]] = (
@@ -82,7 +83,11 @@ class Responder(ExposureProperties):
         recorded = None if self.facts is None else self.facts.access
         access = config.access if recorded is None else recorded
         self.card = Card(
-            config.card_bytes, body.note_download, access=access, reuses=config.reuses_names
+            config.card_bytes,
+            body.note_download,
+            formats=self.object_formats,
+            access=access,
+            reuses=config.reuses_names,
         )
         self.session = 0
         self.sends_events = config.event_order != "never"
@@ -244,7 +249,7 @@ class Responder(ExposureProperties):
             store: called with the files; `self.store` if not given
         """
         body, faults = self.body, self.body.faults
-        formats = formats or self._selected_formats()
+        formats = formats or self.selected_formats()
         if body.is_exposing:
             return Reply(Response.DEVICE_BUSY)
         if faults.state:
@@ -273,20 +278,11 @@ class Responder(ExposureProperties):
         body.release(exposure, deliver_and_reply)
         return None
 
-    def _selected_formats(self) -> tuple[str, ...]:
-        if Property.COMPRESSION not in self.properties:
-            return file_formats(self.config.files[0])
-        value = self.properties.number(Property.COMPRESSION)
-        return next(file_formats(c) for c in self.config.files if self.compressions[c] == value)
-
-    def _all_formats(self) -> set[str]:
-        return {form for each in self.config.files for form in file_formats(each)}
-
     # Standard operations.
 
     def _get_device_info(self, parameters: Sequence[int], data: bytes) -> Reply:
         identity = self.config.identity(type(self).identity)
-        formats = sorted(FORMATS[form] for form in self._all_formats())
+        formats = self.listed_formats()
         info = DeviceInfo(
             vendor_extension=identity.extension,
             vendor_version=identity.extension_version,
@@ -334,7 +330,7 @@ class Responder(ExposureProperties):
             return Reply(Response.INVALID_STORAGE)
         if not form:
             return self.release()
-        formats = tuple(name for name in self._all_formats() if FORMATS[name] == form)
+        formats = self.formats_of_object(form)
         return self.release(formats=formats) if formats else Reply(Response.INVALID_FORMAT)
 
     def _initiate_open_capture(self, parameters: Sequence[int], data: bytes) -> Reply | None:

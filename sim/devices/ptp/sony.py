@@ -27,7 +27,7 @@ from sim.devices.ptp.protocol import (
     unpack_number,
 )
 from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.store import ALL, StoredObject, stored
+from sim.devices.ptp.store import ALL, StoredObject
 from sim.devices.still_body import ImageFile
 
 BULB = 0
@@ -155,7 +155,7 @@ class SonyResponder(Responder):
 
     def store(self, files: Sequence[ImageFile]) -> None:
         """Keep files in memory until the host has read them."""
-        self._memory.extend(stored(file, 0) for file in files)
+        self._memory.extend(self.card.stored(file, 0) for file in files)
         self._show_oldest()
         self.announce(Event.SONY_OBJECT_ADDED, IN_MEMORY)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
@@ -17,7 +17,7 @@ ALL = 0xFFFF_FFFF
 READ_ONLY = 1  # access to the card
 _FREE_IMAGES = 999  # in the storage info; not computed
 _FIRST_PICTURE = 0x2000_0001
-FORMATS = {"jpeg": Format.JPEG, "tiff": Format.TIFF, "dng": Format.DNG}
+FORMATS: Mapping[str, int] = {"jpeg": Format.JPEG, "tiff": Format.TIFF, "dng": Format.DNG}
 _JFIF = 0x3808  # format of thumbnails
 _DATE = "20240101T120000"  # of all files
 
@@ -67,25 +67,12 @@ class StoredObject:
         )
 
 
-def stored(file: ImageFile, parent: int = PICTURE_FOLDER) -> StoredObject:
-    """Return an image file as an object in a folder."""
-    return StoredObject(
-        file.name,
-        FORMATS[file.format],
-        file.data,
-        parent,
-        file.rows,
-        file.columns,
-        file.bits,
-        file.thumbnail,
-    )
-
-
 class Card:
     """The stored objects, and the operations that read and delete them.
 
     Args:
         capacity: bytes
+        formats: number of the object format of each file format
         access: see `sim.devices.ptp.config.PtpConfig`
         reuses: new pictures take the lowest free number and handle
         fetched: called with the name of a file whose last byte has been sent
@@ -100,12 +87,13 @@ class Card:
         capacity: int,
         fetched: Callable[[str], None],
         *,
+        formats: Mapping[str, int] = FORMATS,
         access: int = 0,
         reuses: bool = False,
     ) -> None:
         self.capacity = capacity
         self._access, self._reuses = access, reuses
-        self._fetched = fetched
+        self._fetched, self._formats = fetched, formats
         self.objects = {
             ROOT_FOLDER: StoredObject("DCIM", Format.FOLDER),
             PICTURE_FOLDER: StoredObject("100VIRTL", Format.FOLDER, parent=ROOT_FOLDER),
@@ -135,9 +123,22 @@ class Card:
             while self._next in self.objects:
                 self._next += 1
             handles.append(self._next)
-            self.objects[self._next] = stored(file)
+            self.objects[self._next] = self.stored(file)
             self._next += 1
         return handles
+
+    def stored(self, file: ImageFile, parent: int = PICTURE_FOLDER) -> StoredObject:
+        """Return an image file as an object in a folder."""
+        return StoredObject(
+            file.name,
+            self._formats[file.format],
+            file.data,
+            parent,
+            file.rows,
+            file.columns,
+            file.bits,
+            file.thumbnail,
+        )
 
     def find(self, handle: int) -> StoredObject | None:
         """Return the object with this handle, on the card or in memory."""

@@ -7,12 +7,12 @@ import threading
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
 from camctl.controls import ExposureSetting
+from camctl.picture_operations import required_opencv
 from sim.devices.clock import DeviceClock
 from sim.devices.common import VirtualSensor
 from sim.devices.uvc.controls import TICKS_PER_S
@@ -20,6 +20,8 @@ from sim.devices.uvc.descriptors import FORMATS
 from sim.streaming_device import SimulatedDevice, Slot
 
 _JPEG_QUALITY = 95
+#: Of R, G and B in the luma of ITU-R BT.601.
+_LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 @dataclass(frozen=True)
@@ -173,6 +175,7 @@ class Stream:
             return pixels.astype("<u2" if form.pixel_bytes == 2 else np.uint8).tobytes()
         luma = self._luma(pixels)
         if not form.code:
+            cv2 = required_opencv("the virtual webcam with MJPG frames")
             return bytes(cv2.imencode(".jpg", luma, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1])
         if self._mode.is_limited:
             luma = np.rint(16 + luma * (219 / 255)).astype(np.uint8)
@@ -183,7 +186,7 @@ class Stream:
     def _luma(self, pixels: Pixels) -> NDArray[np.uint8]:
         luma = (pixels >> max(0, self._sensor.model.bits - 8)).astype(np.uint8)
         if luma.ndim == 3:
-            luma = np.asarray(cv2.cvtColor(luma, cv2.COLOR_RGB2GRAY), np.uint8)
+            luma = np.rint(luma @ _LUMA_WEIGHTS).astype(np.uint8)
         if offset := self._owner.brightness():
             luma = np.clip(luma.astype(np.int16) + offset, 0, 255).astype(np.uint8)
         return luma

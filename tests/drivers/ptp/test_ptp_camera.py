@@ -61,6 +61,7 @@ class TestFiles:
             file = original(frame.original)
             assert file.data == pictures(device)[frame.details["object"]]
             assert frame.details["bytes"] == len(file.data)
+            assert frame.details["iso"] == 100 * frame.applied.gain
 
     @pytest.mark.parametrize("vendor", VENDORS)
     def test_raw_samples_are_those_of_the_sensor(self, vendor: str) -> None:

@@ -176,6 +176,7 @@ class TestLastingFaults:
             ("playback", "leave playback"),
             ("movie", "movie mode"),
             ("lens", "lens"),
+            ("retracted lens", "lens"),
             ("no card", "put a card in"),
         ],
     )
@@ -191,8 +192,19 @@ class TestLastingFaults:
                     shoot(camera, wanted)
                 assert remedy in error.value.hint
                 assert "\n" not in str(error.value)
+                assert "taken" not in str(error.value)
             device.do("ok")
             assert len(shoot(camera, settings)) == 1
+
+    @pytest.mark.parametrize("hides_properties", [False, True])
+    def test_a_nikon_names_its_retracted_lens(self, hides_properties: bool) -> None:
+        with camera_on(vendor="nikon", hides_properties=hides_properties) as (camera, device):
+            settings = settings_at(camera, 1 / 125)
+            device.do("body_state", state="retracted lens")
+            with pytest.raises(
+                CameraError, match="its lens is not in working position; extend a retractable lens"
+            ):
+                shoot(camera, settings)
 
     @pytest.mark.parametrize("vendor", VENDORS)
     @pytest.mark.parametrize("state", ["playback", "movie"])

@@ -14,14 +14,16 @@ from numpy.typing import NDArray
 from camctl.errors import DataError, UsageError
 from sim.scenes.drawings import DRAWINGS
 from sim.scenes.scene import (
-    HIGHLIGHT_PHOTONS_S,
+    HIGHLIGHT_CD_M2,
     LUMINANCE,
-    PHOTONS,
     RELATIVE,
     Scene,
     load_scene,
     scene_names,
 )
+from sim.scenes.view import View
+from sim.sensors.parts import Lens, Pixels
+from sim.sensors.sensor import load_sensor
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -36,7 +38,7 @@ def test_every_built_in_scene_is_positive_and_finite_at_any_size(
     assert scene.irradiance.dtype == np.float32
     assert np.all(np.isfinite(scene.irradiance))
     assert np.all(scene.irradiance > 0)
-    assert scene.unit in (PHOTONS, LUMINANCE)
+    assert scene.unit == LUMINANCE
     assert scene.photons_per_unit == 1.0
 
 
@@ -62,12 +64,26 @@ def test_scene_names() -> None:
 
 
 def test_the_ramp_is_linear() -> None:
-    light = load_scene("ramp", (5, 100)).irradiance / HIGHLIGHT_PHOTONS_S
+    light = load_scene("ramp", (5, 100)).irradiance / HIGHLIGHT_CD_M2
     assert np.allclose(light, (np.arange(100) + 0.5) / 100, rtol=1e-6)
 
 
 def test_the_uniform_scene_is_uniform() -> None:
-    assert np.unique(load_scene("uniform", (5, 7)).irradiance).tolist() == [HIGHLIGHT_PHOTONS_S]
+    assert np.unique(load_scene("uniform", (5, 7)).irradiance).tolist() == [
+        np.float32(HIGHLIGHT_CD_M2)
+    ]
+
+
+def test_the_standard_sensor_sees_a_million_photons_of_the_usual_luminance() -> None:
+    assert HIGHLIGHT_CD_M2 * load_sensor("standard").photons_per_candela == pytest.approx(1e6, 1e-6)
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_f_number_and_pitch_change_the_light_of_every_scene(name: str) -> None:
+    sensor, scene = load_sensor("standard"), load_scene(name, (6, 8))
+    wide = sensor.model_copy(update={"lens": Lens(f_number=2.0), "pixels": Pixels(pitch_um=6.9)})
+    light, more = (View.of(scene, each).light for each in (sensor, wide))
+    assert more == pytest.approx(16 * light, rel=1e-5)
 
 
 def test_near_tiles_of_the_floor_are_a_thousand_times_as_bright_as_far_ones() -> None:
@@ -85,7 +101,7 @@ def test_the_window_of_the_room_is_ten_thousand_times_as_bright_as_its_corner() 
 
 
 def test_the_ball_is_matte_with_a_small_highlight() -> None:
-    light = load_scene("ball", (480, 640)).irradiance.max(axis=2) / HIGHLIGHT_PHOTONS_S
+    light = load_scene("ball", (480, 640)).irradiance.max(axis=2) / HIGHLIGHT_CD_M2
     assert light.max() > 5
     assert 0.0005 < np.mean(light > 1) < 0.01
 
@@ -113,7 +129,7 @@ def test_the_sun_is_160000_times_as_bright_as_white() -> None:
 
 
 def test_the_cloth_is_bright_and_has_no_edges() -> None:
-    light = load_scene("cloth", (480, 640)).irradiance / HIGHLIGHT_PHOTONS_S
+    light = load_scene("cloth", (480, 640)).irradiance / HIGHLIGHT_CD_M2
     assert np.median(light) > 0.4
     assert np.abs(np.diff(light, axis=1)).max() < 0.1
 
@@ -192,14 +208,14 @@ def test_a_single_channel_may_be_the_last_axis() -> None:
     assert Scene("s", np.ones((4, 5, 1), dtype=np.float32)).irradiance.shape == (4, 5)
 
 
-def test_the_highlight_of_a_radiance_map_gets_the_usual_photons(tmp_path: Path) -> None:
+def test_the_highlight_of_a_radiance_map_gets_the_usual_luminance(tmp_path: Path) -> None:
     light = np.geomspace(1e-5, 1e3, 10_000, dtype=np.float32).reshape(100, 100)
     np.save(tmp_path / "map.npy", light)
     scene = load_scene(tmp_path / "map.npy")
     assert scene.unit == RELATIVE
     assert np.array_equal(scene.irradiance, light)
     highlight = np.quantile(light, 0.999)
-    assert scene.photons_per_unit * highlight == pytest.approx(HIGHLIGHT_PHOTONS_S)
+    assert scene.photons_per_unit * highlight == pytest.approx(HIGHLIGHT_CD_M2)
 
 
 def test_a_size_is_refused_for_a_radiance_map(tmp_path: Path) -> None:

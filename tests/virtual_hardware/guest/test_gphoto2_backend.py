@@ -2,39 +2,73 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import ClassVar
+
 import gphoto2_client
 import guest_processes as guest
 import numpy as np
+import pytest
 import virtual_devices as rig
 from device_conformance import DeviceConformance
 
 from camctl.backends import open_camera
-from camctl.camera import Camera
-
-DEVICE = rig.RAW
+from camctl.camera import Camera, Frame
 
 
-def open_by_libgphoto2() -> Camera:
-    port = gphoto2_client.usb_port(rig.usb_device(DEVICE))
-    with guest.clock_in_step():  # it reads a hundred libraries while the camera waits
-        return open_camera(f"gphoto2:{port}", DEVICE.options)
+def shoot(camera: Camera) -> list[Frame]:
+    return list(camera.shoot([rig.setting(camera, time_s) for time_s in rig.EXPOSURES_S]))
 
 
-def test_frames_are_those_of_ptp_bit_for_bit(hub: rig.RecordingHub) -> None:
-    """test_same_picture.py compares those of ptp with the simulated camera's."""
-    frames = []
-    for opened in (rig.open_device, lambda _: open_by_libgphoto2()):
-        with opened(DEVICE) as camera:
-            settings = [rig.setting(camera, time_s) for time_s in rig.EXPOSURES_S]
-            frames.append(list(camera.shoot(settings)))
-    for by_ptp, by_libgphoto2 in zip(*frames, strict=True):
-        assert by_libgphoto2.applied == by_ptp.applied
-        assert (by_libgphoto2.black, by_libgphoto2.white) == (by_ptp.black, by_ptp.white)
-        assert np.array_equal(by_libgphoto2.pixels, by_ptp.pixels)
+class Gphoto2Conformance(DeviceConformance):
+    """The suite, and the same frames as by `ptp`, with a few openings: each takes seconds.
 
+    test_same_picture.py compares the frames of `ptp` with the simulated camera's.
+    """
 
-class TestRaw(DeviceConformance):
-    device = DEVICE
+    run_length = range_length = 5
+    _by_ptp: ClassVar[list[Frame]]
+
+    @pytest.fixture(scope="class", autouse=True)
+    @classmethod
+    def _frames_by_ptp(cls, running_hub: rig.RecordingHub) -> None:
+        with rig.open_device(cls.device) as camera:
+            cls._by_ptp = shoot(camera)
 
     def open_device(self) -> Camera:
-        return open_by_libgphoto2()
+        port = gphoto2_client.usb_port(rig.usb_device(self.device))
+        with guest.clock_in_step():  # it reads a hundred libraries while the camera waits
+            return open_camera(f"gphoto2:{port}", self.device.options)
+
+    def test_frames_are_those_of_ptp_bit_for_bit(self, camera: Camera) -> None:
+        for by_libgphoto2, by_ptp in zip(shoot(camera), self._by_ptp, strict=True):
+            assert by_libgphoto2.applied == by_ptp.applied
+            assert (by_libgphoto2.black, by_libgphoto2.white) == (by_ptp.black, by_ptp.white)
+            assert np.array_equal(by_libgphoto2.pixels, by_ptp.pixels)
+
+
+class TestStandard(Gphoto2Conformance):
+    device = rig.RAW
+
+
+@pytest.mark.usefixtures("makes")
+class MakeConformance(Gphoto2Conformance):
+    """A camera with the operations of a make."""
+
+
+@pytest.fixture(scope="module")
+def makes(running_hub: rig.RecordingHub) -> Iterator[None]:
+    with rig.running_hub(rig.MAKES, rig.DIRECTORY / "makes"):
+        yield
+
+
+class TestNikon(MakeConformance):
+    device = rig.NIKON
+
+
+class TestCanon(MakeConformance):
+    device = rig.CANON
+
+
+class TestSony(MakeConformance):
+    device = rig.SONY

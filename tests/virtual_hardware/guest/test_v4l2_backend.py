@@ -280,20 +280,7 @@ class TestFaults:
         assert 2 in [frame.attempts for frame in rig.completed_frames("wrong")]
         assert not rig.distrust_warnings(report)
 
-    @pytest.mark.parametrize(
-        "is_delivered",
-        [
-            pytest.param(
-                False,
-                marks=pytest.mark.xfail(
-                    reason="known defect: after a frame that uvcvideo dropped, one frame had the "
-                    "exposure of the setting before, in 2 of 4 runs",
-                    strict=False,
-                ),
-            ),
-            True,
-        ],
-    )
+    @pytest.mark.parametrize("is_delivered", [False, True])
     def test_an_erroneous_frame_is_not_summed(self, is_delivered: bool) -> None:
         """Whether uvcvideo drops it, as before Linux 6.12, or delivers it with the error flag."""
         Path("/sys/module/uvcvideo/parameters/nodrop").write_text(str(int(is_delivered)))

@@ -89,7 +89,7 @@ def test_nikon_captures_to_card_or_memory_as_requested() -> None:
 
 def test_nikon_lists_its_vendor_properties() -> None:
     _, host = connected(vendor="nikon")
-    assert host.get(0x90CA) == struct.pack("<IH", 1, 0xD100)
+    assert host.get(0x90CA) == struct.pack("<IHH", 2, 0xD100, 0xD09C)
 
 
 def test_nikon_bulb() -> None:
