@@ -165,7 +165,7 @@ def test_a_covered_lens_shows_the_dark_signal(is_covered: bool) -> None:
 @pytest.mark.usefixtures("own_profiles")
 def test_a_lens_that_is_not_covered_is_said_to_be_open() -> None:
     given = {**UNKNOWN, "sensor": "mobile", "scene": "tile-floor"}
-    options = StepOptions(longest_s=0.1, cover=lambda: True)
+    options = StepOptions(longest_s=0.3, cover=lambda: True)
     steps = calibrate(lambda parts: open_camera("sim", given, profile=parts), options)
     (dark,) = (step for step in steps if step.name == "dark signal")
     assert dark.result is None
