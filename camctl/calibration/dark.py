@@ -31,8 +31,9 @@ from camctl.response_record import Z_95
 
 #: Shutter times, and the longest one unless another is asked for, s.
 TIMES, LONGEST_S = 5, 4.0
-#: Share of full scale above black that the frames have at most without light.
-_MOST_LIGHT = 0.1
+#: Share of full scale above black that the frames have at most without light, up to this quantile:
+#: above it are hot pixels.
+_MOST_LIGHT, _BRIGHT = 0.1, 0.95
 #: A pixel is hot if its signal in the longest frames exceeds the median by this many standard
 #: deviations of the noise and of the pattern, in each of the two frames, and grows with time.
 _HOT = 8.0
@@ -72,11 +73,11 @@ class DarkFrames:
                 f"and the first one {first.shape[1]} x {first.shape[0]}",
                 hint="give frames of one size and format",
             )
-        light = float(np.median(pixels) - self.black) / (self.white - self.black)
+        light = float(np.quantile(pixels, _BRIGHT) - self.black) / (self.white - self.black)
         if light > _MOST_LIGHT:
             raise DataError(
-                f"the frame of {time_s:.4g} s is not dark: its median has {light:.0%} of full "
-                "scale",
+                f"the frame of {time_s:.4g} s is not dark: the brightest twentieth of it has "
+                f"{light:.0%} of full scale or more",
                 hint="put the lens cap on, and cover the viewfinder",
             )
         pair = self.frames.setdefault(time_s, [])

@@ -33,6 +33,8 @@ _LEAST_PATCHES = 64
 #: Parts of the picture that are left out in turn for the interval, and half the width of a 95 %
 #: interval in standard deviations that so many parts show (Student).
 _PARTS, _T_95 = 16, 2.131
+#: A sample is a hot pixel if its deviations are this many times the median ones, in both views.
+_HOT = 8.0
 #: Relative difference that half of the patches exceed where a camera was turned.
 _TURNED = 0.005
 
@@ -119,13 +121,22 @@ def sensitivity_pattern(first: View, second: View) -> Figure:
     fields = np.indices((side, side)).sum(axis=0).ravel() % 2 == 0
     freedom = 1 - _smooth_shades(side).shape[1] / a.shape[1]
     sums = np.zeros((a.shape[0], 2))
+    usual = _usual(a, b)
     for half, other in ((fields, ~fields), (~fields, fields)):
         weight = both / np.prod(
             [np.square(each[:, other]).mean(axis=1) + 1e-12 for each in (a, b)], axis=0
         )
-        sums[:, 0] += weight * (a[:, half] * b[:, half]).mean(axis=1) / freedom
+        products = np.where(usual, a * b, 0)[:, half].sum(axis=1)
+        count = np.maximum(usual[:, half].sum(axis=1), 1)
+        sums[:, 0] += weight * products / count / freedom
         sums[:, 1] += weight
     return root_of_ratio(np.split(sums, len(_responses(first.controls))))
+
+
+def _usual(a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
+    """Return which samples, (patches, samples), are no hot pixels: these are so in both views."""
+    sizes = [np.median(np.abs(each), axis=1, keepdims=True) for each in (a, b)]
+    return np.asarray(np.abs(a * b) <= _HOT**2 * sizes[0] * sizes[1])
 
 
 def root_of_ratio(sums: Sequence[FloatArray]) -> Figure:

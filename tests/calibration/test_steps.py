@@ -10,16 +10,20 @@ import numpy as np
 import pytest
 
 from camctl.backends import open_camera
-from camctl.calibration.single_steps import StepOptions, StepResult
+from camctl.calibration.single_steps import StepOptions, StepResult, dark_step, noise_step
 from camctl.calibration.steps import calibrate
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.errors import CameraDisconnectedError
 from camctl.exposure_record import exposure_mode
-from camctl.profile import Profile, load_profile
+from camctl.profile import Profile, change_profile, load_profile
 from camctl.response.camera import srgb_to_linear
 from camctl.studies.scene_errors import measured_levels, native_samples, scene_truth
 from sim.camera import Faults, SimulatedCamera
+from sim.render import Renderer
+from sim.scenes.scene import Scene
+from sim.scenes.view import View
+from sim.sensors.sensor import load_sensor
 
 UNKNOWN = {"sensor": "consumer", "scene": "ramp", "size": "160x120", "unknown": True}
 
@@ -128,3 +132,42 @@ def test_a_camera_that_cannot_be_opened_ends_it(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(SimulatedCamera, "_open", broken)
     with pytest.raises(CameraDisconnectedError):
         measured()
+
+
+@pytest.mark.usefixtures("own_profiles")
+@pytest.mark.parametrize("is_covered", [True, False])
+def test_a_covered_lens_shows_the_dark_signal(is_covered: bool) -> None:
+    sensor = load_sensor("mobile")
+    lit = np.geomspace(2e3, 2e5, 160 * 120, dtype=np.float32).reshape(120, 160)
+    with SimulatedCamera(Scene("shades", lit), sensor) as camera:
+
+        def cover() -> bool:
+            if is_covered:
+                cap = Scene("cap", np.full_like(lit, 1e-9))
+                camera._renderer = Renderer(View.of(cap, sensor), sensor)
+            return is_covered
+
+        options = StepOptions(longest_s=1.0, cover=cover)
+        assert dark_step(camera, options, None) is None  # without noise nothing is known
+        change_profile(camera.info, noise_step(camera, options, None).keep)
+        found = dark_step(camera, options, None)
+        profile = load_profile(camera.info)
+        mode = exposure_mode(camera.controls)
+    assert (found is not None) == is_covered
+    if found is not None:
+        found.keep(profile)
+        dark = profile.noises[mode].dark
+        assert dark is not None
+        assert dark.dark_current_e_s.value == pytest.approx(3 * 2 ** (15 / 8), rel=0.1)
+        assert dark.hot_pixels
+
+
+@pytest.mark.usefixtures("own_profiles")
+def test_a_lens_that_is_not_covered_is_said_to_be_open() -> None:
+    given = {**UNKNOWN, "sensor": "mobile", "scene": "tile-floor"}
+    options = StepOptions(longest_s=0.3, cover=lambda: True)
+    steps = calibrate(lambda parts: open_camera("sim", given, profile=parts), options)
+    (dark,) = (step for step in steps if step.name == "dark signal")
+    assert dark.result is None
+    assert "is not dark" in (dark.problem or "")
+    assert "lens cap" in dark.hint

@@ -45,6 +45,7 @@ def test_text_output_states_delay_consequence_and_file(run: Run) -> None:
     text = run("profile", "list").out
     for each in list_profiles():
         assert each.name in text
+        assert "control delay" in text
         shown = run("profile", "show", each.name).out
         assert each.model in shown
         assert "delay in " in shown
