@@ -65,6 +65,8 @@ class Worker:
             models = gp.CameraAbilitiesList()
             models.load()
             camera.set_abilities(models.get_abilities(models.lookup_model(_NETWORK_MODEL)))
+            if port.count(":") == 2:  # the port of the events would be the usual one
+                port += port[port.rindex(":") :]
         camera.set_port_info(ports.get_info(ports.lookup_path(port)))
         camera.init()
         self._camera = camera

@@ -6,7 +6,7 @@ import functools
 import json
 import subprocess
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -220,8 +220,11 @@ def video_node(device: Device) -> Path | None:
 
 def usb_device(device: Device) -> Any:
     """Return the pyusb device; None where it is not connected."""
-    found = usb.core.find(find_all=True)
-    return next((each for each in found if each.serial_number == device.serial), None)
+    for found in usb.core.find(find_all=True):
+        with suppress(ValueError, usb.core.USBError):  # unplugged just now
+            if found.serial_number == device.serial:
+                return found
+    return None
 
 
 def tty_node() -> Path | None:

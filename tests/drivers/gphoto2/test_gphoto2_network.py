@@ -35,8 +35,8 @@ def virtual_camera(vendor: str) -> Iterator[tuple[VirtualCamera, str]]:
 
 
 def opened(address: str) -> Camera:
-    """Return the camera through libgphoto2, which needs the port of the events, too."""
-    return camctl.open_camera(f"gphoto2:{address}:{address.rpartition(':')[2]}", format="raw")
+    """Return the camera through libgphoto2."""
+    return camctl.open_camera(f"gphoto2:{address}", format="raw")
 
 
 @pytest.mark.parametrize("vendor", ["nikon", "canon", "sony"])

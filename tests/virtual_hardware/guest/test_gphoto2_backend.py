@@ -60,6 +60,7 @@ class MakeConformance(Gphoto2Conformance):
 def makes(running_hub: rig.RecordingHub) -> Iterator[None]:
     with rig.running_hub(rig.MAKES, rig.DIRECTORY / "makes"):
         yield
+    guest.wait_for("end of the makes", lambda: not any(map(rig.is_connected, rig.MAKES)))
 
 
 class TestNikon(MakeConformance):
