@@ -275,7 +275,7 @@ class SubsetScore:
             edges = np.empty((len(part), size + 2), dtype=np.float32)
             edges[:, 0], edges[:, -1] = 0, G
             edges[:, 1:-1] = heights[part].reshape(len(part), -1)
-            edges.sort(axis=1)
+            edges.sort(axis=1, kind="stable")
             gaps = np.diff(edges, axis=1)
             gaps -= 1
             np.maximum(gaps, 0, out=gaps)
