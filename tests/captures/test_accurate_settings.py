@@ -115,7 +115,7 @@ def test_gain_is_raised_within_a_budget_below_the_exposures_at_gain_1() -> None:
         free = plan_capture(camera, CaptureRequest("log", 1000.0, 2))
         plan = plan_capture(camera, CaptureRequest("log", 1000.0, 2, time_budget_s=0.15))
     assert plan.wall_s is not None
-    assert plan.wall_s <= 0.15
+    assert plan.wall_s <= 0.15 * (1 + 1e-8)  # `time_budget` allows for rounding in float64
     assert max(setting.gain for setting in free.settings) == 1
     assert max(setting.gain for setting in plan.settings) > 1
 
