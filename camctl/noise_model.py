@@ -48,6 +48,8 @@ class NoiseModel:
         dark_current_e_s: electrons a pixel a second without light
         prnu: standard deviation of the sensitivity over the pixels, relative (EMVA 1288 PRNU)
         dsnu_e: standard deviation of the offset over the pixels, electrons (EMVA 1288 DSNU)
+        dcnu_e_s: standard deviation of the dark current over the pixels, electrons a second (EMVA
+            1288 DCNU)
         photon_noise: False for an ideal sensor, whose electrons do not vary
 
     Raises:
@@ -64,6 +66,7 @@ class NoiseModel:
     dark_current_e_s: float = 0.0
     prnu: float = 0.0
     dsnu_e: float = 0.0
+    dcnu_e_s: float = 0.0
     photon_noise: bool = True
 
     def __post_init__(self) -> None:
@@ -76,7 +79,7 @@ class NoiseModel:
             raise UsageError(
                 f"invalid full well {self.full_well_e:g}: expected a positive number of electrons"
             )
-        for name in ("dark_current_e_s", "prnu", "dsnu_e"):
+        for name in ("dark_current_e_s", "prnu", "dsnu_e", "dcnu_e_s"):
             value = getattr(self, name)
             if not 0 <= value < math.inf:
                 raise UsageError(f"invalid {name} {value:g}: expected a finite number >= 0")
@@ -91,7 +94,7 @@ class NoiseModel:
     @property
     def is_none(self) -> bool:
         """Whether this is a camera without any noise, as an ideal sensor is."""
-        others = (self.dark_current_e_s, self.prnu, self.dsnu_e)
+        others = (self.dark_current_e_s, self.prnu, self.dsnu_e, self.dcnu_e_s)
         return not (self.photon_noise or any(others) or any(e for _, e in self.read_noise_e))
 
     def read_noise(self, gain: float) -> float:
@@ -101,6 +104,9 @@ class NoiseModel:
 
     def frame(self, *, gain: float, time_s: float, black: int = 0) -> FrameNoise:
         """Return the noise of a frame.
+
+        The two patterns of the pixels, of offset and of dark current, are taken for one, so that
+        their part of a sum of frames is rather too large where both are of like size.
 
         Args:
             gain: linear gain
@@ -114,7 +120,7 @@ class NoiseModel:
             electrons if self.photon_noise else math.inf,
             added_e / electrons,
             dark_e / electrons,
-            self.dsnu_e / electrons,
+            math.hypot(self.dsnu_e, self.dcnu_e_s * time_s) / electrons,
             self.prnu,
             black,
         )

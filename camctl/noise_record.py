@@ -115,6 +115,8 @@ class DarkRecord(BaseModel):
         dark_current_e_s: electrons a pixel a second
         dsnu_e: standard deviation of the pixels' offset at the shortest time, electrons
         black_dn: brightness at time 0, DN
+        dcnu_e_s: standard deviation of the dark current over the pixels that are not hot, electrons
+            a second; None: not measured
         hot_pixels: the brightest first, at most `MOST_HOT_PIXELS`
         measured_at: date and time, ISO 8601
     """
@@ -127,6 +129,7 @@ class DarkRecord(BaseModel):
     dsnu_e: Figure
     black_dn: FiniteFloat
     hot_pixels: tuple[HotPixel, ...] = Field(max_length=MOST_HOT_PIXELS)
+    dcnu_e_s: Figure | None = None
     measured_at: str
 
 
@@ -218,6 +221,7 @@ class NoiseRecord(BaseModel):
             dark_current_e_s=self.dark.dark_current_e_s.value if self.dark else 0.0,
             prnu=self.prnu.value if self.prnu else 0.0,
             dsnu_e=self.dark.dsnu_e.value if self.dark else 0.0,
+            dcnu_e_s=self.dark.dcnu_e_s.value if self.dark and self.dark.dcnu_e_s else 0.0,
         )
 
     def joined(self, earlier: NoiseRecord) -> NoiseRecord:

@@ -22,6 +22,13 @@ def test_dark_current_adds_its_shot_noise() -> None:
     assert noise.frame(gain=1.0, time_s=2.0).read_noise_levels == pytest.approx(5 / 2)
 
 
+def test_the_pattern_of_the_dark_current_grows_with_time() -> None:
+    noise = NoiseModel(2.0, dsnu_e=3.0, dcnu_e_s=8.0)
+    assert noise.frame(gain=1.0, time_s=0.0).dsnu_levels == 3.0 / 2
+    assert noise.frame(gain=4.0, time_s=0.5).dsnu_levels == pytest.approx(5.0 / 0.5)
+    assert not NoiseModel(2.0, dcnu_e_s=1.0, photon_noise=False).is_none
+
+
 def test_no_photon_noise_and_no_read_noise() -> None:
     frame = NoiseModel(1.0, photon_noise=False).frame(gain=2.0, time_s=1.0)
     assert (frame.electrons_per_level, frame.read_noise_levels) == (math.inf, 0.0)

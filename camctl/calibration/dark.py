@@ -42,7 +42,7 @@ _HOT = 8.0
 _LEAST_NOISE, _MOST_CUT = 0.4, 0.01
 #: Median of the absolute deviation of normal numbers of standard deviation 1.
 _MEDIAN_SHARE = 0.6745
-#: Vertical stripes of the picture whose scatter gives the interval of the DSNU.
+#: Vertical stripes of the picture whose scatter gives the intervals of DSNU and DCNU.
 _STRIPES = 16
 
 
@@ -121,16 +121,16 @@ def estimate_dark(frames: DarkFrames, at: GainNoise) -> DarkRecord:
     cool = ~_mask(hot, pairs[0][0].shape)
     means = np.array([[each[cool].mean(dtype=np.float64) for each in pair] for pair in pairs])
     black, current = _line(np.repeat(times, 2), means.ravel())
-    stripes = _covariances(pairs[0][0], pairs[0][1], cool)
-    half = Z_95 * float(stripes.std(ddof=1)) / math.sqrt(stripes.size)
-    low, value, high = (
-        math.sqrt(max(0.0, float(stripes.mean()) + turn * half)) for turn in (-1, 0, 1)
-    )
+    shortest, longest = pairs[0], pairs[-1]
+    offsets = _deviation(shortest[0], shortest[1], cool)
+    # What grows is in the differences, in which the offsets cancel.
+    rates = _deviation(longest[0] - shortest[0], longest[1] - shortest[1], cool)
     return DarkRecord(
         gain=at.gain,
         times_s=tuple(times),
         dark_current_e_s=current.times(electrons),
-        dsnu_e=Figure(value=value, low=low, high=high).times(electrons),
+        dsnu_e=offsets.times(electrons),
+        dcnu_e_s=rates.scaled(1 / (times[-1] - times[0])).times(electrons),
         black_dn=black,
         hot_pixels=tuple(hot),
         measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -212,12 +212,20 @@ def _stripes(values: NDArray[Any], counts: NDArray[np.bool_]) -> FloatArray:
     )
 
 
-def _covariances(
+def _deviation(
     first: NDArray[np.float32], second: NDArray[np.float32], counts: NDArray[np.bool_]
-) -> FloatArray:
-    """Return the covariance of two frames in each stripe, about the mean of the picture."""
+) -> Figure:
+    """Return the standard deviation of the pattern that two pictures have in common.
+
+    It is the root of their covariance about the mean of each; the stripes give its interval.
+    """
     centres = [float(each[counts].mean(dtype=np.float64)) for each in (first, second)]
-    return _stripes((first - centres[0]) * (second - centres[1]), counts)
+    stripes = _stripes((first - centres[0]) * (second - centres[1]), counts)
+    half = Z_95 * float(stripes.std(ddof=1)) / math.sqrt(stripes.size)
+    low, value, high = (
+        math.sqrt(max(0.0, float(stripes.mean()) + turn * half)) for turn in (-1, 0, 1)
+    )
+    return Figure(value=value, low=low, high=high)
 
 
 def measure_dark(

@@ -15,7 +15,7 @@ from camctl.exposure.exposure_choices import AccuracyProblem, TimeCosts
 from camctl.exposure.solver import Progress
 from camctl.exposure.table import TableEntry, accuracy_rows
 
-VERSION = 1
+VERSION = 2
 """Part of the key of a row; it changes where the search finds other exposures."""
 
 _LIMIT_DIGITS = 3

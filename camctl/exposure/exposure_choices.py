@@ -159,8 +159,8 @@ class AvailableExposures:
 
         Args:
             reach: the longest exposure that can be of use
-            noise: the noise of the camera; its dark current is left out where it adds less than
-                `NOTABLE_DARK` to the variance of the read noise
+            noise: the noise of the camera; its dark current is left out where it and its pattern
+                add less than `NOTABLE_DARK` to the variance of the read noise
         """
         if self.times is not None:
             return self
@@ -168,7 +168,8 @@ class AvailableExposures:
         shortest = self.shortest
         if shortest * max(self.gains) <= min(self.gains):
             shortest = 0.0
-        dark_e = noise.dark_current_e_s * self.unit_s * min(longest, reach)
+        dark_s = self.unit_s * min(longest, reach)
+        dark_e = noise.dark_current_e_s * dark_s + (noise.dcnu_e_s * dark_s) ** 2
         dark_unit_s = 0.0
         if dark_e > NOTABLE_DARK * noise.read_noise(min(self.gains)) ** 2:
             dark_unit_s = 2.0 ** round(math.log2(self.unit_s))

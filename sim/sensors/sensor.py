@@ -251,6 +251,7 @@ class Sensor(FileModel):
             dark_current_e_s=self.dark.current_e_s * self.dark.rate_factor,
             prnu=self.pixels.prnu,
             dsnu_e=math.hypot(self.pixels.dsnu_e, self.read_out.column_noise_e),
+            dcnu_e_s=self.dark.dcnu_e_s * self.dark.rate_factor,
             photon_noise=self.photon_noise,
         )
 

@@ -24,7 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
-from accuracy import RAMP_COLUMNS, ramp_base_s, sensor_without_lens, shoot_ramp
+from accuracy import RAMP_COLUMNS, SEED, ramp_base_s, sensor_without_lens, shoot_ramp
 
 from camctl.calibrated import with_profile
 from camctl.calibration.dark import measure_dark
@@ -100,8 +100,10 @@ def _compare(sensor: Sensor, name: str) -> float:
 def _calibrate_noise(sensor: Sensor) -> None:
     """Measure the noise again before an evenly lit surface and with the lens cap, and keep it."""
     lit = np.full((ROWS, RAMP_COLUMNS), _full_scale(sensor) / 2, np.float32)
-    camera = SimulatedCamera(Scene("flat", lit), sensor, is_unknown=True)
-    capped = SimulatedCamera(Scene("cap", lit * np.float32(1e-9)), sensor, is_unknown=True)
+    camera = SimulatedCamera(Scene("flat", lit), sensor, is_unknown=True, seed=SEED)
+    capped = SimulatedCamera(
+        Scene("cap", lit * np.float32(1e-9)), sensor, is_unknown=True, seed=SEED
+    )
     mode = exposure_mode(camera.controls)
     record = measure_noise(with_profile(camera, ("response",)), is_flat=True)
     record = record.model_copy(update={"dark": measure_dark(capped, record)})
@@ -129,7 +131,7 @@ def _calibrate(sensor: Sensor, asked: set[str]) -> None:
     cameras = []
 
     def opened(parts: str) -> AbstractContextManager[Camera]:
-        camera = SimulatedCamera(scene, sensor, is_unknown=True)
+        camera = SimulatedCamera(scene, sensor, is_unknown=True, seed=SEED)
         cameras.append(camera)
         used = () if parts == "none" else tuple(parts.split(","))
         return with_profile(camera, used)
@@ -137,7 +139,7 @@ def _calibrate(sensor: Sensor, asked: set[str]) -> None:
     capped = Scene("cap", np.full_like(scene.irradiance, 1e-9))
 
     def shown(view: Scene) -> bool:
-        cameras[-1]._renderer = Renderer(View.of(view, sensor), sensor)
+        cameras[-1]._renderer = Renderer(View.of(view, sensor), sensor, seed=SEED)
         return True
 
     options = StepOptions(

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from camctl.backends import open_camera
+from camctl.calibration.dark import measure_dark
+from camctl.calibration.noise import measure_noise
 from camctl.calibration.single_steps import StepOptions, StepResult, dark_step, noise_step
 from camctl.calibration.steps import calibrate
 from camctl.captures.request import CaptureRequest
@@ -160,6 +162,23 @@ def test_a_covered_lens_shows_the_dark_signal(is_covered: bool) -> None:
         assert dark is not None
         assert dark.dark_current_e_s.value == pytest.approx(3 * 2 ** (15 / 8), rel=0.1)
         assert dark.hot_pixels
+
+
+@pytest.mark.usefixtures("own_profiles")
+def test_the_pattern_of_the_dark_current_is_distinguished_from_that_of_the_offsets() -> None:
+    sensor = load_sensor("security")
+    cap = Scene("cap", np.full((240, 320), 1e-9, np.float32))
+    lit = np.geomspace(2e2, 2e4, cap.irradiance.size, dtype=np.float32).reshape(240, 320)
+    with SimulatedCamera(Scene("shades", lit), sensor) as camera:
+        noise = measure_noise(camera)
+    with SimulatedCamera(cap, sensor) as camera:
+        dark = measure_dark(camera, noise)
+    assert dark.dcnu_e_s is not None
+    true = sensor.noise_model
+    assert dark.dcnu_e_s.value == pytest.approx(true.dcnu_e_s, rel=0.03)
+    assert dark.dsnu_e.value == pytest.approx(true.dsnu_e, rel=0.1)
+    model = noise.model_copy(update={"dark": dark}).noise_model()
+    assert model.dcnu_e_s == dark.dcnu_e_s.value
 
 
 @pytest.mark.usefixtures("own_profiles")

@@ -43,6 +43,8 @@ def even_ramp(rows: int, columns: int) -> NDArray[np.float64]:
 
 
 RAMP_COLUMNS = 400
+SEED = 1
+"""Of the cameras that shoot ramps: pixels differ from camera to camera, as the seed says."""
 
 
 def ramp_base_s(sensor: Sensor) -> float:
@@ -70,7 +72,7 @@ def shoot_ramp(
     full_scale = sensor.full_scale_e / sensor.quantum_efficiency / base_s
     scene = Scene("ramp", (desired.inverse(u) * full_scale).astype(np.float32))
     request = CaptureRequest(response, dynamic_range, len(ratios), ratios=ratios, base_s=base_s)
-    with SimulatedCamera(scene, sensor, seed=1, is_unknown=is_unknown) as camera:
+    with SimulatedCamera(scene, sensor, seed=SEED, is_unknown=is_unknown) as camera:
         report = capture(with_profile(camera) if is_unknown else camera, request)
     error = measured_samples(report.image(), report.layout) / FULL_CODE - u
     return report, float((12 * np.mean(error**2)) ** -0.5)

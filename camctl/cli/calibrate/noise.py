@@ -297,5 +297,6 @@ def _dark_rows(dark: DarkRecord | None) -> list[tuple[str, str]]:
     return [
         ("dark current", _text(dark.dark_current_e_s, " e-/s")),
         ("DSNU", _text(dark.dsnu_e, " e-")),
+        *([("DCNU", _text(dark.dcnu_e_s, " e-/s"))] if dark.dcnu_e_s else []),
         ("hot pixels", str(len(dark.hot_pixels))),
     ]
