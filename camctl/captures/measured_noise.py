@@ -238,5 +238,7 @@ def _estimated_levels(
         electrons_per_level=[frame.electrons_per_level for frame in noise],
         read_noise_levels=[frame.read_noise_levels for frame in noise],
     )
-    error = np.minimum(deviation * desired.slope(E), 1.0)
+    error = deviation * desired.slope(E)
+    # Where a curved camera has no slope, the sum says nothing, whatever its noise.
+    error = error[error < 1] if np.any(error < 1) else np.ones(1)
     return float((12 * np.mean(error**2)) ** -0.5)

@@ -288,6 +288,8 @@ def simulation_text(report: CaptureReport) -> str:
     summary = report.simulation
     if summary is None:
         return "--explain: the camera is not simulated, so that no effect was left out."
+    if not summary.left_out:
+        return f"No effect was left out (tolerance {format_number(summary.tolerance_dn, 3)} DN)."
     lines = [
         (name, ", ".join(map(str, one.frames)), format_number(one.bound_dn, 3))
         for name, one in summary.left_out.items()

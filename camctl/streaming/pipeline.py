@@ -186,7 +186,7 @@ class ExposurePipeline(Generic[DataT]):
                 continue
             shot = pending.popleft()
             taken[shot.index] = Shot(shot.index, shot.applied, stamp.time_s, data)
-            while done in taken:
+            while done < len(settings) and done in taken:  # the frame at rest is nobody's
                 yield taken.pop(done)
                 done, attempts = done + 1, 0
 

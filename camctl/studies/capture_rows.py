@@ -13,7 +13,7 @@ from camctl.exposure.tradeoff import gain_in_words
 from camctl.studies.capture_study import CapturePoint, CaptureRun
 
 SAME = 0.005
-"""Relative difference in effective levels or time up to which two brackets are equally good."""
+"""Relative difference in effective levels up to which two brackets are equally good."""
 
 
 def pareto_front(points: Sequence[CapturePoint]) -> list[bool]:

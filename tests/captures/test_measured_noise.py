@@ -133,6 +133,16 @@ def test_uncertainty_is_the_scatter_of_repeated_captures() -> None:
     assert 0.4 < stated / np.std(levels, ddof=1) < 2.5
 
 
+def test_a_curved_camera_has_an_uncertainty_of_like_size() -> None:
+    # At the ends of its curve a level spans much light: those do not hide the scatter.
+    found = {}
+    for sensor in ("consumer", "standard"):
+        with small_camera(sensor, gradient(480, 160)) as camera:
+            measured = measured_in(capture(camera, replace(REQUEST, response="linear")))
+        found[sensor] = measured.uncertainty / measured.effective_levels
+    assert 0.2 < found["consumer"] / found["standard"] < 5
+
+
 def test_frames_that_do_not_overlap_show_nothing() -> None:
     assert measure(patches(LIGHT[:40], 40.0)) is None
     assert measure(patches(np.full((600, 64), 1e-4), 40.0)) is None

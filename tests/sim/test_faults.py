@@ -13,6 +13,7 @@ from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.controls import ExposureSetting
 from camctl.errors import UsageError
+from camctl.streaming.pipeline import resting_setting
 from sim.backend import SimulatedOptions
 from sim.camera import SimulatedCamera
 from sim.faults import FAULT_FORMS, Faults
@@ -41,6 +42,17 @@ def test_a_dropped_frame_is_missing_from_the_stream_and_the_capture_still_right(
     assert [frame.applied for frame in frames] == SETTINGS
     means = [frame.pixels.mean() / frame.applied.time_s for frame in frames if frame.index != 2]
     assert max(means) < 1.15 * min(means)
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_a_frame_is_dropped_while_the_stream_goes_to_rest(number: int) -> None:
+    scene, sensor = load_scene("tile-floor", (48, 64)), load_sensor("standard")
+    settings = [ExposureSetting(time_s) for time_s in (0.02, 0.2, 2.0)]
+    assert resting_setting(SimulatedCamera(scene, sensor).controls, settings) is not None
+    with SimulatedCamera(scene, sensor, faults=Faults(dropped_frames=[number])) as camera:
+        frames = list(camera.shoot(settings))
+    assert [frame.requested for frame in frames] == settings
+    assert [frame.index for frame in frames] == [0, 1, 2]
 
 
 def test_a_repeated_frame_has_the_pixels_of_the_frame_before() -> None:

@@ -49,7 +49,7 @@ def _explanation(study: CaptureStudy) -> str:
     noise = study.noise_counted
     lines = [
         f"L: effective levels, (12 mean square error)^(-1/2) in the desired brightness, {noise}.",
-        "*: no other line has more levels in no more time.",
+        "*: no other line has more levels, by over 0.5 %, in no more time.",
     ]
     if points[0].effective_levels_each:
         lines += [
