@@ -115,9 +115,9 @@ class DarkRecord(BaseModel):
         dark_current_e_s: electrons a pixel a second
         dsnu_e: standard deviation of the pixels' offset at the shortest time, electrons
         black_dn: brightness at time 0, DN
+        hot_pixels: the brightest first, at most `MOST_HOT_PIXELS`
         dcnu_e_s: standard deviation of the dark current over the pixels that are not hot, electrons
             a second; None: not measured
-        hot_pixels: the brightest first, at most `MOST_HOT_PIXELS`
         measured_at: date and time, ISO 8601
     """
 

@@ -209,7 +209,10 @@ def _check_order_of_patches(series: Series) -> None:
     order = np.argsort(series.exposures).tolist()
     for short, long in pairwise(order):
         for channel in series.channels:
-            means = _common_patches(series, channel, short, long)
+            levels = np.stack(_common_patches(series, channel, short, long))
+            # Of many patches some are taken.
+            levels = levels[:, :: 1 + levels.shape[1] // _MOST_PATCHES]
+            means = levels.mean(axis=2) / (series.white - series.black)
             apart = means[:, :, None] - means[:, None, :]
             is_certain = np.all(np.abs(apart) > _DIFFERENT, axis=0)
             pairs = max(int(np.count_nonzero(is_certain)), 2 * _LEAST_PAIRS)  # each counts twice
@@ -222,34 +225,25 @@ def _check_order_of_patches(series: Series) -> None:
                 )
 
 
-def _common_patches(series: Series, channel: str, short: int, long: int) -> FloatArray:
-    """Return the brightness of patches that two frames expose well, (2, patches), of full scale.
-
-    Of many patches some are taken.
-    """
+def _common_patches(series: Series, channel: str, short: int, long: int) -> list[FloatArray]:
+    """Return the levels of patches that two frames expose well, each (patches, samples)."""
     span = series.white - series.black
-    patches = [series.channel_patches(k, channel) for k in (short, long)]
-    means = np.array([each.mean(axis=1) - series.black for each in patches]) / span
+    levels = [
+        series.channel_patches(k, channel).astype(np.float64) - series.black for k in (short, long)
+    ]
+    means = np.array([each.mean(axis=1) for each in levels]) / span
     used = np.all((means > _COMPARED[0]) & (means < _COMPARED[1]), axis=0)
-    used &= np.all([each.max(axis=1) < series.white for each in patches], axis=0)
-    return np.asarray(means[:, used][:, :: 1 + np.count_nonzero(used) // _MOST_PATCHES])
+    used &= np.all([each.max(axis=1) < span for each in levels], axis=0)
+    return [each[used] for each in levels]
 
 
 def _check_patches(series: Series, channel: str, edges: FloatArray, fit: ResponseFit) -> None:
     order = np.argsort(series.exposures).tolist()
-    span = series.white - series.black
     for short, long in pairwise(order):
-        levels = [
-            series.channel_patches(k, channel).astype(np.float64) - series.black
-            for k in (short, long)
-        ]
-        means = [each.mean(axis=1) / span for each in levels]
-        used = np.all(
-            [(each > _COMPARED[0]) & (each < _COMPARED[1]) for each in means], axis=0
-        ) & np.all([each.max(axis=1) < span for each in levels], axis=0)
-        if np.count_nonzero(used) < 20:
+        levels = _common_patches(series, channel, short, long)
+        if len(levels[0]) < 20:
             continue
-        light = [np.interp(each[used], edges - 0.5, fit.irradiance).mean(axis=1) for each in levels]
+        light = [np.interp(each, edges - 0.5, fit.irradiance).mean(axis=1) for each in levels]
         errors = np.log(light[1] / light[0] * fit.exposures[short] / fit.exposures[long])
         moved = float(np.mean(np.abs(errors - np.median(errors)) > _MOVED))
         if moved > _MOST_MOVED:

@@ -1,4 +1,4 @@
-"""What an unsuitable exposure series is told, and curves with a sharp shoulder."""
+"""Errors for unsuitable exposure series, and curves with a sharp shoulder."""
 
 from __future__ import annotations
 
