@@ -39,6 +39,28 @@ _LOST = 0.05
 _SPREADS, _ENDS = 0.02, 0.1
 
 
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Some of the columns and some of the rows of a frame.
+
+    Attributes:
+        columns: every so many columns
+        rows: every so many rows
+        every: column and row
+    """
+
+    columns: Pixels
+    rows: Pixels
+    every: tuple[int, int]
+
+    @classmethod
+    def of(cls, frame: Pixels) -> Lines:
+        """Take them from a frame."""
+        down, across = (-(-length // _MOST_LINES) for length in frame.shape[:2])
+        columns, rows = frame[:, ::across], frame[::down]
+        return cls(np.ascontiguousarray(columns), np.ascontiguousarray(rows), (across, down))
+
+
 @dataclass(frozen=True)
 class LightSpread:
     """How light of a pair spreads from saturated samples of the longer frame.
@@ -59,22 +81,19 @@ class LightSpread:
         return self.streaks or self.reach > 0
 
     @classmethod
-    def of(cls, limits: Limits, pair: Pair, short: Pixels, long: Pixels) -> LightSpread:
+    def of(cls, limits: Limits, pair: Pair, short: Lines, long: Lines) -> LightSpread:
         """Measure it on some of the columns and rows."""
-        white = pair.saturated
-        every = [-(-length // _MOST_LINES) for length in short.shape[1::-1]]
-        columns = tuple(np.ascontiguousarray(each[:, :: every[0]]) for each in (short, long))
-        found, source = _on_lines(limits, white, *columns)
+        white, every = pair.saturated, short.every
+        found, source = _on_lines(limits, white, short.columns, long.columns)
         if not (found.any() and source.any()):
             return cls(white, 0, False)
         along = np.count_nonzero(_connected_runs(found, source)) * every[0]
-        rows = tuple(np.ascontiguousarray(each[:: every[1]]) for each in (short, long))
-        on_rows = _on_lines(limits, white, *rows)
+        on_rows = _on_lines(limits, white, short.rows, long.rows)
         beside = np.count_nonzero(_connected_runs(*(each.T for each in on_rows))) * every[1]
         streaks = along > _STREAKS * beside + _LEAST_STREAKS
         if not streaks and pair.is_known:
             # Charge only adds light; things that move take it away elsewhere.
-            darker = _darker(limits, *columns)
+            darker = _darker(limits, short.columns, long.columns)
             lost = np.count_nonzero(_connected_runs(darker, source)) * every[0]
             streaks = along > _LEAST_STREAKS and lost < _LOST * along
         if streaks:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import Pixels
 from camctl.captures.frame_pairs import Limits, Pair
-from camctl.captures.light_spread import ACROSS, LightSpread
+from camctl.captures.light_spread import ACROSS, LightSpread, Lines
 from camctl.picture_operations import AREA, connected_parts, dilated
 
 FALSE_ALARMS = 0.002
@@ -159,6 +159,7 @@ def _bands(frame: Callable[[int], Pixels]) -> Callable[[int], Pixels]:
 def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float) -> Movement:
     """Return what contradicts by limits that are set for this share of false alarms."""
     short = frame(pairs[0].short.position)
+    short_lines = Lines.of(short)
     shape, (rows, columns) = short.shape, short.shape[:2]
     channels = short.size // (rows * columns)
     marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
@@ -166,12 +167,13 @@ def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float)
     with ThreadPoolExecutor(_THREADS) as threads:
         for pair, (limits, rate) in zip(pairs, _calibrated(pairs, total), strict=True):
             long = frame(pair.long.position)
-            spread = LightSpread.of(limits, pair, short, long)
+            long_lines = Lines.of(long)
+            spread = LightSpread.of(limits, pair, short_lines, long_lines)
             does_spread |= spread.is_any
             mark = partial(_mark, marks, limits, spread, short, long)
             compared = sum(threads.map(mark, _areas(rows, columns, channels, spread)))
             alarms += rate * compared / short.size
-            short = long
+            short, short_lines = long, long_lines
     is_known = all(pair.is_known for pair in pairs)
     movement, at_rest = _mapped(shape, marks, alarms, is_known=is_known)
     if is_known and not (does_spread and at_rest < alarms):
@@ -242,7 +244,7 @@ def _mapped(
     cell = max(_LEAST_CELL, -(-max(rows, columns) // MAP_SIDE))
     edges = np.arange(0, columns, cell)
     counts = np.zeros((-(-rows // cell), edges.size))
-    step = max(cell, _STRIP_SAMPLES // (columns * channels))
+    step = max(1, _STRIP_SAMPLES // (columns * channels * cell)) * cell
     for start in range(0, rows, step):
         packed = marks[start : start + step]
         if not packed.any():
@@ -250,7 +252,8 @@ def _mapped(
         part = np.unpackbits(packed, axis=1, count=columns * channels)
         flat = np.sum([part[:, k::channels] for k in range(channels)], axis=0, dtype=np.uint8)
         sums = np.add.reduceat(flat, edges, axis=1, dtype=np.int64)
-        np.add.at(counts, np.arange(start, start + len(part)) // cell, sums)
+        cells = np.add.reduceat(sums, np.arange(0, len(part), cell), axis=0)
+        counts[start // cell :][: len(cells)] = cells
     size = np.outer(_sizes(rows, cell), _sizes(columns, cell)) * channels
     expected = size * FALSE_ALARMS
     moves = counts > expected + _CELL_SIGMAS * np.sqrt(expected) + _LEAST_MARKS
