@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from camctl.camera import Pixels
 from camctl.captures.frame_pairs import Limits, Pair
 from camctl.captures.light_spread import ACROSS, LightSpread, Lines
 from camctl.picture_operations import AREA, connected_parts, dilated
+from camctl.threads import in_threads
 
 FALSE_ALARMS = 0.002
 """Share of the samples of a scene without movement that noise alone puts outside."""
@@ -48,8 +48,6 @@ _BAND, _BANDS_PIXELS = 64, 1_000_000
 _MOST_PLACES = 5
 #: Samples that are compared at a time.
 _STRIP_SAMPLES = 1 << 20
-#: Areas of a frame that are compared at once.
-_THREADS = 2
 
 _Floats = NDArray[np.float64]
 
@@ -107,7 +105,16 @@ class Movement:
         return found.reshape(-1, *self.shape[1:])
 
 
-def find_movement(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> Movement | None:
+def bands_of(pixels: Pixels) -> Pixels:
+    """Return bands of columns of a frame, all over it, of about a million pixels together."""
+    rows, columns = pixels.shape[:2]
+    step = _BAND * -(-rows * columns // _BANDS_PIXELS)
+    return np.ascontiguousarray(pixels[:, np.arange(columns) % step < _BAND])
+
+
+def find_movement(
+    frame: Callable[[int], Pixels], pairs: Sequence[Pair], bands: Callable[[int], Pixels]
+) -> Movement | None:
     """Return where the frames of a capture contradict each other; None with a single frame.
 
     Two frames are in memory at a time.
@@ -115,12 +122,13 @@ def find_movement(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> Move
     Args:
         frame: returns the samples of a frame by its position, black included
         pairs: frames neighbouring in exposure, from the shortest on
+        bands: returns `bands_of` a frame likewise; called where the noise is unknown
     """
     if not pairs:
         return None
     if all(pair.is_known for pair in pairs):
         return _marked(frame, pairs, FALSE_ALARMS)
-    return _marked(frame, pairs, _corrected_total(_bands(frame), pairs))
+    return _marked(frame, pairs, _corrected_total(bands, pairs))
 
 
 def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> float:
@@ -143,19 +151,6 @@ def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> f
     return min(tries)[1]
 
 
-def _bands(frame: Callable[[int], Pixels]) -> Callable[[int], Pixels]:
-    """Return a function that returns bands of columns of each frame, which are kept in memory."""
-
-    @cache
-    def bands(position: int) -> Pixels:
-        pixels = frame(position)
-        rows, columns = pixels.shape[:2]
-        step = _BAND * -(-rows * columns // _BANDS_PIXELS)
-        return pixels[:, np.arange(columns) % step < _BAND]
-
-    return bands
-
-
 def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float) -> Movement:
     """Return what contradicts by limits that are set for this share of false alarms."""
     short = frame(pairs[0].short.position)
@@ -164,16 +159,15 @@ def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float)
     channels = short.size // (rows * columns)
     marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
     alarms, does_spread = 0.0, False
-    with ThreadPoolExecutor(_THREADS) as threads:
-        for pair, (limits, rate) in zip(pairs, _calibrated(pairs, total), strict=True):
-            long = frame(pair.long.position)
-            long_lines = Lines.of(long)
-            spread = LightSpread.of(limits, pair, short_lines, long_lines)
-            does_spread |= spread.is_any
-            mark = partial(_mark, marks, limits, spread, short, long)
-            compared = sum(threads.map(mark, _areas(rows, columns, channels, spread)))
-            alarms += rate * compared / short.size
-            short, short_lines = long, long_lines
+    for pair, (limits, rate) in zip(pairs, _calibrated(pairs, total), strict=True):
+        long = frame(pair.long.position)
+        long_lines = Lines.of(long)
+        spread = LightSpread.of(limits, pair, short_lines, long_lines)
+        does_spread |= spread.is_any
+        mark = partial(_mark, marks, limits, spread, short, long)
+        compared = sum(in_threads(mark, _areas(rows, columns, channels, spread)))
+        alarms += rate * compared / short.size
+        short, short_lines = long, long_lines
     is_known = all(pair.is_known for pair in pairs)
     movement, at_rest = _mapped(shape, marks, alarms, is_known=is_known)
     if is_known and not (does_spread and at_rest < alarms):

@@ -83,10 +83,8 @@ def complete(
     gains = [setting.gain for setting in applied]
     measured = measure_noise(controls.levels, desired, checks.samples, exposures, noise, gains)
     no_light = _no_light(total, unfinished.black_total, controls.levels.M, outside.saturated)
-    movement = find_movement(
-        store.frame,
-        checks.pairs(exposures, noise if controls.noise else None),
-    )
+    pairs = checks.pairs(exposures, noise if controls.noise else None)
+    movement = find_movement(store.frame, pairs, checks.bands.__getitem__)
     rendering = Rendering(
         controls.layout, tables, desired, full_scale_exposure, controls.hot_pixels, movement
     )

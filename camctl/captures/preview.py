@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from camctl.captures.pictures import DARK, SATURATED, Strip
 from camctl.picture_operations import box_means, reduced_by_area
+from camctl.threads import in_threads
 
 PREVIEW_SIDE = 2560
 """Longest side of the preview, pixels."""
@@ -128,12 +129,20 @@ class LightReducer:
         flags = (saturated, (mask & DARK) != 0, light <= self._unlit, white)
         parts = (light, deviation, *(flag.view(np.uint8) * np.uint8(ALL) for flag in flags))
         if self._rest:
+            missing = self._step - len(self._rest[0])
             pairs = zip(self._rest, parts, strict=True)
-            parts = tuple(np.concatenate(pair) for pair in pairs)
-        rows = parts[0].shape[0] // self._step
-        self._rest = tuple(part[rows * self._step :].copy() for part in parts)
-        if rows:
-            self._reduce(parts, rows)
+            self._add(tuple(np.concatenate((rest, part[:missing])) for rest, part in pairs))
+            parts = tuple(part[missing:] for part in parts)
+        if not self._rest:
+            self._add(parts)
+
+    def _add(self, parts: tuple[NDArray[Any], ...]) -> None:
+        """Reduce the rows of these parts that are whole, and keep the rest."""
+        whole = len(parts[0]) // self._step
+        used = whole * self._step
+        self._rest = tuple(part[used:].copy() for part in parts) if used < len(parts[0]) else ()
+        if whole:
+            self._reduce(parts, whole)
 
     def light(self) -> Light:
         """Return the light of all strips."""
@@ -175,12 +184,14 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     irradiance, noise, unlit = _averaged_in_the_dark(light)
     logs = np.maximum(irradiance, _NO_LIGHT, out=irradiance)
     np.log2(logs, out=logs)
-    for channel in range(logs.shape[2]):
-        logs[..., channel] = _without_noise(logs[..., channel], noise[..., channel] * _LOG2_E)
+    pairs = zip(_channels(logs), _channels(noise), strict=True)
+    filtered = in_threads(lambda pair: _without_noise(pair[0], pair[1] * _LOG2_E), pairs)
+    for channel, values in zip(_channels(logs), filtered, strict=True):
+        channel[:] = values
     largest = _largest(logs).copy()
     logs -= largest[..., np.newaxis]
     colours = np.exp2(logs, out=logs)  # relative to the largest
-    pixel_noise = noise[..., 0] if noise.shape[2] == 1 else noise.mean(axis=2)
+    pixel_noise = reduce(np.add, _channels(noise)) / np.float32(noise.shape[2])
     exposure, white = _exposure(largest, colours, pixel_noise, light)
     # The operator, x (1 + S / white^2) / (1 + S) for light x in the surround S, in logarithms.
     surround = _surround(largest)
