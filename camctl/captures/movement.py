@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +131,7 @@ def find_movement(
     return _marked(frame, pairs, _corrected_total(bands, pairs))
 
 
-def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> float:
+def _corrected_total(bands: Callable[[int], Pixels], pairs: Sequence[Pair]) -> float:
     """Return the share of false alarms to set limits for, so that the share in frames is right.
 
     Unknown noise is larger at contours and beside saturated pixels, of which patches have few.
@@ -139,7 +139,7 @@ def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> f
     most = _MOST_RATE * FALSE_ALARMS
     total, low, high, tries = FALSE_ALARMS, 0.0, math.inf, []
     for _ in range(1 + _TRIES):
-        alarms = _marked(frame, pairs, total).found.false_alarms
+        alarms = _marked(bands, pairs, total, in_memory=True).found.false_alarms
         tries.append((abs(alarms / FALSE_ALARMS - 1), total))
         too_few = alarms < FALSE_ALARMS
         if not alarms or min(tries)[0] < _NEAR_RATE or (too_few and total == most):
@@ -151,23 +151,39 @@ def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> f
     return min(tries)[1]
 
 
-def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float) -> Movement:
-    """Return what contradicts by limits that are set for this share of false alarms."""
-    short = frame(pairs[0].short.position)
-    short_lines = Lines.of(short)
-    shape, (rows, columns) = short.shape, short.shape[:2]
-    channels = short.size // (rows * columns)
-    marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
-    alarms, does_spread = 0.0, False
-    for pair, (limits, rate) in zip(pairs, _calibrated(pairs, total), strict=True):
-        long = frame(pair.long.position)
-        long_lines = Lines.of(long)
+def _marked(
+    frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float, *, in_memory: bool = False
+) -> Movement:
+    """Return what contradicts by limits that are set for this share of false alarms.
+
+    Frames that are `in_memory` are compared two pairs at a time.
+    """
+
+    @lru_cache(maxsize=1)  # the shorter frame of a pair is the longer one of the pair before
+    def load(position: int) -> tuple[Pixels, Lines]:
+        pixels = frame(position)
+        return pixels, Lines.of(pixels)
+
+    def compare(work: tuple[Pair, tuple[Limits, float]]) -> tuple[NDArray[np.uint8], float, bool]:
+        pair, (limits, rate) = work
+        short, short_lines = load(pair.short.position)
+        long, long_lines = load(pair.long.position)
         spread = LightSpread.of(limits, pair, short_lines, long_lines)
-        does_spread |= spread.is_any
+        rows, columns = shape[:2]
+        marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
         mark = partial(_mark, marks, limits, spread, short, long)
         compared = sum(in_threads(mark, _areas(rows, columns, channels, spread)))
-        alarms += rate * compared / short.size
-        short, short_lines = long, long_lines
+        return marks, rate * compared / short.size, spread.is_any
+
+    shape = load(pairs[0].short.position)[0].shape
+    channels = shape[2] if len(shape) == 3 else 1
+    work = zip(pairs, _calibrated(pairs, total), strict=True)
+    results = in_threads(compare, work) if in_memory else map(compare, work)
+    marks, alarms, does_spread = next(results)
+    for each, share, spreads in results:
+        marks |= each
+        alarms += share
+        does_spread |= spreads
     is_known = all(pair.is_known for pair in pairs)
     movement, at_rest = _mapped(shape, marks, alarms, is_known=is_known)
     if is_known and not (does_spread and at_rest < alarms):
