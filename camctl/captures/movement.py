@@ -47,7 +47,7 @@ _BAND, _BANDS_PIXELS = 64, 1_000_000
 #: Places that are named at most, the largest first.
 _MOST_PLACES = 5
 #: Samples that are compared at a time.
-_STRIP_SAMPLES = 1 << 20
+_STRIP_SAMPLES = 1 << 19
 
 _Floats = NDArray[np.float64]
 
@@ -172,7 +172,8 @@ def _marked(
         rows, columns = shape[:2]
         marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
         mark = partial(_mark, marks, limits, spread, short, long)
-        compared = sum(in_threads(mark, _areas(rows, columns, channels, spread)))
+        areas = _areas(rows, columns, channels, spread)
+        compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas))
         return marks, rate * compared / short.size, spread.is_any
 
     shape = load(pairs[0].short.position)[0].shape

@@ -27,6 +27,7 @@ from camctl.captures.pictures import Rendering, Strip
 from camctl.captures.preview import LightReducer, tone_map
 from camctl.errors import DataError, OutOfMemoryError, UsageError
 from camctl.files import atomic_file, storage_error, write_bytes
+from camctl.free_memory import return_free_memory
 from camctl.input_files import check_regular
 from camctl.interrupts import uninterrupted
 from camctl.library_output import exr_source, quiet_libraries
@@ -89,6 +90,7 @@ def write_picture_files(
             **tags,
         )
         sum_file.result()
+    return_free_memory()
     light = reducer.light()
     preview = tone_map(light)
     write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))

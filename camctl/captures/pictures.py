@@ -27,10 +27,10 @@ GOOD, DARK, SATURATED = 0, 1, 2
 CONTRADICTING, HOT = 4, 8
 #: Largest value of image.tiff.
 FULL_CODE = 65535
-#: Samples of a strip: its arrays are small beside the sum, and numpy's call overhead is small.
-STRIP_SAMPLES = 1 << 20
-#: Rows that two threads compress: radiance.exr is compressed in blocks of 32.
-_COMPRESSED_ROWS = 64
+#: Samples of a strip at most: its arrays are small beside the sum.
+STRIP_SAMPLES = 1 << 21
+#: Rows of a strip at most: radiance.exr is compressed in blocks of 32, two of them at once.
+_STRIP_ROWS = 64
 
 _Result = TypeVar("_Result")
 
@@ -220,10 +220,8 @@ class Rendering:
 
     def strip_rows(self, total: NDArray[np.unsignedinteger]) -> int:
         """Return the number of rows of a strip, even, so that a mosaic's pattern begins anew."""
-        rows: int = STRIP_SAMPLES // (total.shape[1] * len(self.channels))
-        if rows >= _COMPRESSED_ROWS // 2:
-            return max(1, rows // _COMPRESSED_ROWS) * _COMPRESSED_ROWS
-        return max(2, rows & ~1)
+        row_samples: int = total.shape[1] * len(self.channels)
+        return min(_STRIP_ROWS, max(2, STRIP_SAMPLES // row_samples & ~1))
 
     def strips(self, total: NDArray[np.unsignedinteger]) -> Iterator[Strip]:
         """Yield the pictures of a sum from top to bottom, `strip_rows` rows at a time."""

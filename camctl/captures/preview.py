@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from camctl.captures.pictures import DARK, SATURATED, Strip
 from camctl.picture_operations import box_means, reduced_by_area
-from camctl.threads import in_threads
 
 PREVIEW_SIDE = 2560
 """Longest side of the preview, pixels."""
@@ -184,10 +183,8 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     irradiance, noise, unlit = _averaged_in_the_dark(light)
     logs = np.maximum(irradiance, _NO_LIGHT, out=irradiance)
     np.log2(logs, out=logs)
-    pairs = zip(_channels(logs), _channels(noise), strict=True)
-    filtered = in_threads(lambda pair: _without_noise(pair[0], pair[1] * _LOG2_E), pairs)
-    for channel, values in zip(_channels(logs), filtered, strict=True):
-        channel[:] = values
+    for channel in range(logs.shape[2]):
+        logs[..., channel] = _without_noise(logs[..., channel], noise[..., channel] * _LOG2_E)
     largest = _largest(logs).copy()
     logs -= largest[..., np.newaxis]
     colours = np.exp2(logs, out=logs)  # relative to the largest
@@ -200,19 +197,22 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     largest += exposure
     shown = np.exp2(largest, out=largest)
     shown *= 1 + surround / white**2
-    shown /= 1 + surround
+    surround += 1
+    shown /= surround
+    del surround
     np.minimum(shown, 1, out=shown)
     darkest = _UNLIT if (light.unlit < ALL).any() else 0.0
     shown *= 1 + (darkest - 1) * unlit * unlit
     # A pixel of which one channel is saturated keeps the colour of its neighbours that are not.
     full = light.white / np.float32(ALL)
     shown += full * (1 - shown)
-    around = box_means(pixel_noise, 2)
-    # Where a channel shows no light, the colour is not known.
-    colourful = (1 - full) * (1 - np.sqrt(unlit)) / (1 + around * around)
-    colours -= 1
-    colours *= colourful[..., np.newaxis]
-    colours += 1
+    if colours.shape[2] > 1:
+        around = box_means(pixel_noise, 2)
+        # Where a channel shows no light, the colour is not known.
+        colourful = (1 - full) * (1 - np.sqrt(unlit)) / (1 + around * around)
+        colours -= 1
+        colours *= colourful[..., np.newaxis]
+        colours += 1
     colours *= shown[..., np.newaxis]
     starts = range(0, len(colours), _ROWS)
     codes = np.concatenate([srgb_codes(colours[start : start + _ROWS]) for start in starts])
@@ -261,24 +261,46 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
         # Beside samples without light the noise of the others decides which of them have some.
         doubt = _largest(noise)
         if has_unlit:
-            doubt = doubt * (1 + _UNLIT_DOUBT * box_means(unlit, radius))
+            factor = box_means(unlit, radius)
+            factor *= np.float32(_UNLIT_DOUBT)
+            factor += 1
+            doubt = np.multiply(doubt, factor, out=factor)
         if doubt.max() <= low:
             break
-        hidden = np.clip((doubt - low) / (high - low), 0, 1)
-        counts = np.clip((doubt - least) / (low - least), 0, 1)
-        area = np.maximum(box_means(counts, radius), _LEAST_VARIANCE)
-        samples = area * (2 * radius + 1) ** 2
+        hidden, counts = _share(doubt, low, high), _share(doubt, least, low)
+        area = box_means(counts, radius)
+        np.maximum(area, _LEAST_VARIANCE, out=area)
         for place in range(noise.shape[2]):
             values, errors = irradiance[..., place], noise[..., place]
             # Sums over windows are running ones, and may round to just below 0.
-            variance = np.maximum(box_means((values * errors) ** 2 * counts, radius), 0) / area
-            average = np.maximum(box_means(values * counts, radius) / area, _NO_LIGHT)
-            error = np.sqrt(variance / samples) / average
-            values += (average - values) * hidden
-            errors += (np.minimum(error, errors) - errors) * hidden
+            error = values * errors
+            error *= error
+            error *= counts
+            error = box_means(error, radius)
+            np.maximum(error, 0, out=error)
+            error /= area
+            average = box_means(values * counts, radius)
+            average /= area
+            np.maximum(average, _NO_LIGHT, out=average)
+            error /= area * (2 * radius + 1) ** 2  # the samples
+            np.sqrt(error, out=error)
+            error /= average
+            values += np.multiply(np.subtract(average, values, out=average), hidden, out=average)
+            np.minimum(error, errors, out=error)
+            error -= errors
+            error *= hidden
+            errors += error
         if has_unlit:
             unlit += (box_means(unlit * counts, radius) / area - unlit) * hidden
+        del doubt, hidden, counts, area  # memory for the next ones
     return irradiance, noise, np.clip(unlit, 0, 1)
+
+
+def _share(values: Floats, low: np.float32, high: np.float32) -> Floats:
+    """Return how far values are on the way from `low` to `high`, 0 to 1."""
+    found = values - low
+    found /= high - low
+    return np.clip(found, 0, 1, out=found)
 
 
 def _largest(values: NDArray[Any]) -> NDArray[Any]:
