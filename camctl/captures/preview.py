@@ -290,8 +290,14 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
             error -= errors
             error *= hidden
             errors += error
+            del error, average
         if has_unlit:
-            unlit += (box_means(unlit * counts, radius) / area - unlit) * hidden
+            around = box_means(unlit * counts, radius)
+            around /= area
+            around -= unlit
+            around *= hidden
+            unlit += around
+            del around
         del doubt, hidden, counts, area  # memory for the next ones
     return irradiance, noise, np.clip(unlit, 0, 1)
 
