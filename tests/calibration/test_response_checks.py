@@ -64,7 +64,7 @@ def test_a_camera_that_moved_is_not_taken_for_wrong_exposures() -> None:
 def test_a_frame_is_darker_by_less_than_all_of_its_light() -> None:
     wrong = [exposure / (1.8 if k == 3 else 1) for k, exposure in enumerate(STOPS)]
     frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(wrong)]
-    with pytest.raises(DataError, match=r"frame 3 is [3-9]\d% darker than its exposure says"):
+    with pytest.raises(DataError, match=r"frame 3 is 44% darker than its exposure 1 says"):
         estimate_response(series_of(frames))
 
 
