@@ -30,7 +30,7 @@ _OTHERS = 0.15
 _SMOOTH, _LEAST_SMOOTH = 0.85, 5
 #: Flatness of responses: the exponent that makes them as steep as that of sRGB.  3000 random film
 #: and camera responses have 0.78 to 2.14, a linear one has 1.85.
-_STEEPNESS = (0.4, 2.4)
+_STEEPNESS = (0.4, 2.2)
 #: Exposures that are printed.
 _MOST_PRINTED = 8
 _ESTIMATE = (
@@ -90,6 +90,8 @@ def check_labels(
     order = np.argsort(-size)
     first = int(order[0])
     is_single = shown.sum() > 3 and size[order[1]] <= max(_NOTED, _OTHERS * size[first])
+    bow = _bow(logs[shown], error[shown])
+    is_smooth = not is_single and bow > 0
     if is_single:
         apart = np.ptp(errors[judged[:, first], first]) > _NOTED
         where = f" in channel {channels[worst[first]]}" if apart else ""
@@ -101,7 +103,7 @@ def check_labels(
             " one of them is wrong, or the light changed"
         )
         hint = "correct it, add frames, which show which one it is, or use --estimate-ratios"
-    elif _is_smooth(logs[shown], error[shown]) or size[first] > math.log1p(_REFUSED):
+    elif is_smooth or size[first] > math.log1p(_REFUSED):
         text = _contradiction(exposures, edges, fits)
         hint = _ESTIMATE
     else:
@@ -110,7 +112,8 @@ def check_labels(
     if size[first] > math.log1p(_REFUSED):
         raise DataError(text, hint=hint)
     right = shown & (size <= _NOTED) if is_single else shown
-    return LabelCheck(np.exp(errors), _exponent_error(logs[right], error[right]), text, hint)
+    spread = bow if is_smooth else _standard_error(logs[right], error[right])
+    return LabelCheck(np.exp(errors), spread, text, hint)
 
 
 def _check_steepness(exposures: FloatArray, edges: FloatArray, fits: Sequence[ResponseFit]) -> None:
@@ -139,17 +142,21 @@ def _errors(logs: FloatArray, found: FloatArray, judged: NDArray[np.bool_]) -> F
     return errors
 
 
-def _is_smooth(logs: FloatArray, errors: FloatArray) -> bool:
+def _bow(logs: FloatArray, errors: FloatArray) -> float:
+    """Return how the slope of the labels changes (standard deviation) where errors are a parabola.
+
+    0 where they are not, or where frames are too few to tell.
+    """
     if logs.size < _LEAST_SMOOTH:
-        return False
-    line, bow = (
-        float(np.var(errors - np.polyval(np.polyfit(logs, errors, degree), logs)))
-        for degree in (1, 2)
-    )
-    return bow < (1 - _SMOOTH) * line
+        return 0.0
+    line, bow = (np.polyfit(logs, errors, degree) for degree in (1, 2))
+    left = [float(np.var(errors - np.polyval(each, logs))) for each in (line, bow)]
+    if left[1] >= (1 - _SMOOTH) * left[0]:
+        return 0.0
+    return float(abs(bow[0]) * np.ptp(logs)) / math.sqrt(3)
 
 
-def _exponent_error(logs: FloatArray, errors: FloatArray) -> float:
+def _standard_error(logs: FloatArray, errors: FloatArray) -> float:
     """Return the standard error of the slope of the labels."""
     spread = float(np.sum(np.square(logs - logs.mean())))
     if logs.size < 3 or spread == 0:
