@@ -148,7 +148,8 @@ def estimate_response(
     if not estimate_ratios:
         if is_scene_checked:
             labels = _check_scene(series, edges, exposures, fits)
-        notes += [labels.problem] * bool(labels.problem)
+        if labels.problem:
+            notes.append(f"{labels.problem}; {labels.hint}")
         pairs = zip(channels, labels.corrections, strict=True)
         fits = [
             each.fit(exposures * factors, edges, series.phase, STATED) for each, factors in pairs

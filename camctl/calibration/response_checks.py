@@ -76,14 +76,15 @@ def check_frames(series: Series, *, has_chart: bool = False, is_scene_checked: b
             "all frames are saturated everywhere", hint="expose shorter, or close the aperture"
         )
     for first, second in combinations(range(exposures.size), 2):
-        if exposures[first] != exposures[second] and np.array_equal(
-            series.patches[first], series.patches[second]
-        ):
+        if not np.array_equal(series.patches[first], series.patches[second]):
+            continue
+        same = f"{series.names[first]} and {series.names[second]} are the same picture"
+        if exposures[first] != exposures[second]:
             raise DataError(
-                f"{series.names[first]} and {series.names[second]} are the same picture, but their "
-                "exposures differ",
+                f"{same}, but their exposures differ",
                 hint="leave one of them out, or correct its exposure",
             )
+        series.notes.append(f"{same}: a copy says nothing more; leave one of them out")
     _check_order(series, exposures)
     if is_scene_checked:
         _check_order_of_patches(series)

@@ -33,10 +33,7 @@ _SMOOTH, _LEAST_SMOOTH = 0.85, 5
 _STEEPNESS = (0.4, 2.2)
 #: Exposures that are printed.
 _MOST_PRINTED = 8
-_ESTIMATE = (
-    "correct them, or measure without times: --estimate-ratios, and no --times (the exponent of "
-    "the curve is then a guess)"
-)
+_ESTIMATE = "correct them, or leave --times out and use --estimate-ratios"
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +118,8 @@ def _check_steepness(exposures: FloatArray, edges: FloatArray, fits: Sequence[Re
         steepness = expected_exponent(fit, edges).value
         if not _STEEPNESS[0] <= steepness <= _STEEPNESS[1]:
             raise DataError(
-                f"{_contradiction(exposures, edges, fits)}: with the stated ones the response "
-                f"would be {steepness:.1f} times as flat as sRGB, and no camera's is",
+                f"{_contradiction(exposures, edges, fits)}: by the stated ones the response would "
+                f"be {steepness:.1f} times as flat as sRGB, as no camera's is",
                 hint=_ESTIMATE,
             )
 
