@@ -2,8 +2,8 @@
 
 In one view the pattern of the pixels cannot be told from the scene: both are in proportion to the
 light.  Where the camera has been turned a little, the pattern is where it was and the scene is not,
-so that what the deviations of both views from smooth shades have in common is the pattern alone.  The
-patterns of offsets and of dark current (DSNU, DCNU) stay, too: where they are known, they are
+so that what the deviations of both views from smooth shades have in common is the pattern alone.
+The patterns of offsets and of dark current (DSNU, DCNU) stay, too: where they are known, they are
 subtracted.
 """
 

@@ -75,8 +75,8 @@ def noise_record(full_e: float, dark: DarkRecord | None = None) -> NoiseRecord:
 def test_the_pattern_is_found_before_a_scene_with_contrast(prnu: float, layout: Layout) -> None:
     rng = np.random.default_rng(1)
     light, pattern = texture(rng), 1 + prnu * rng.normal(size=SHAPE)
-    views = [view(light[by:, by:], pattern, rng, layout) for by in (0, 14)]
-    found = sensitivity_pattern(*views)
+    first, second = (view(light[by:, by:], pattern, rng, layout) for by in (0, 14))
+    found = sensitivity_pattern(first, second)
     assert found.low <= prnu <= found.high
     assert found.value == pytest.approx(prnu, rel=0.1, abs=0.002)
 
@@ -86,7 +86,7 @@ def test_the_patterns_of_the_dark_signal_are_no_part_of_it(layout: Layout) -> No
     rng = np.random.default_rng(1)
     light, pattern = texture(rng), 1 + 0.005 * rng.normal(size=SHAPE)
     dark_e = rng.normal(0, 80, SHAPE) + rng.normal(0, 120, SHAPE)
-    views = [view(light[by:, by:], pattern, rng, layout, dark_e) for by in (0, 14)]
+    first, second = (view(light[by:, by:], pattern, rng, layout, dark_e) for by in (0, 14))
     one = Figure(value=1.0, low=1.0, high=1.0)
     dark = DarkRecord(
         gain=1.0,
@@ -98,24 +98,24 @@ def test_the_patterns_of_the_dark_signal_are_no_part_of_it(layout: Layout) -> No
         hot_pixels=(),
         measured_at="today",
     )
-    assert sensitivity_pattern(*views).low > 0.006
-    found = sensitivity_pattern(*views, noise_record(20_000, dark))
+    assert sensitivity_pattern(first, second).low > 0.006
+    found = sensitivity_pattern(first, second, noise_record(20_000, dark))
     assert found.low <= 0.005 <= found.high < 0.006
 
 
 def test_two_equal_views_are_refused() -> None:
     rng = np.random.default_rng(1)
     light, pattern = texture(rng), np.ones(SHAPE)
-    views = [view(light, pattern, rng, Layout.MONO) for _ in range(2)]
+    first, second = (view(light, pattern, rng, Layout.MONO) for _ in range(2))
     with pytest.raises(DataError, match="both views show the same"):
-        sensitivity_pattern(*views)
+        sensitivity_pattern(first, second)
 
 
 def test_dark_views_are_refused() -> None:
     rng = np.random.default_rng(1)
-    views = [view(np.full(SHAPE, 0.01), np.ones(SHAPE), rng, Layout.MONO) for _ in range(2)]
+    first, second = (view(np.full(SHAPE, 0.01), np.ones(SHAPE), rng, Layout.MONO) for _ in range(2))
     with pytest.raises(DataError, match="only 0 of"):
-        sensitivity_pattern(*views)
+        sensitivity_pattern(first, second)
 
 
 @pytest.mark.parametrize("is_turned", [True, False])

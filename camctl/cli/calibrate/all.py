@@ -36,9 +36,9 @@ _GUIDANCE = (
 
 #: How a pattern of the pixels, which stays, is separated from the scene, which does not.
 _TURN = (
-    "Last step: uncover the lens, turn the camera a little, by about a tenth of the picture, and fix "
-    "it again. What then stays in the pictures is how the pixels differ. Answer n if it cannot be "
-    "turned."
+    "Last step: uncover the lens, turn the camera a little, by about a tenth of the picture, and "
+    "fix it again. What then stays in the pictures is how the pixels differ. Answer n if it cannot "
+    "be turned."
 )
 #: What the pixels collect without light.
 _COVER = (
