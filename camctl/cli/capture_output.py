@@ -158,6 +158,9 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
     rows = []
     if report.untrustworthy_because is not None:
         rows.append(("not trustworthy", report.untrustworthy_because))
+    if again := [number for number, frame in enumerate(report.frames, 1) if frame.attempts > 1]:
+        frames = f"frame{'s' if len(again) > 1 else ''} {', '.join(map(str, again))}"
+        rows.append(("shot again", f"{frames}: the brightness did not fit the exposure at first"))
     rows += [
         (
             "effective levels",
