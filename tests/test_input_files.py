@@ -26,9 +26,9 @@ Make = Callable[[Path], object]
 
 
 def make_socket(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as server:
-        with chdir(path.parent):  # the name of a socket has at most 107 characters
-            server.bind(path.name)
+    # The name of a socket has at most 107 characters.
+    with socket.socket(socket.AF_UNIX) as server, chdir(path.parent):
+        server.bind(path.name)
 
 
 NO_FILES: dict[str, tuple[Make, str]] = {

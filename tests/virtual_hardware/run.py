@@ -224,6 +224,7 @@ def _parser() -> argparse.ArgumentParser:
 def _compile() -> None:
     """Write the byte code of modules and tests on the host: in a guest that takes a minute."""
     folders = [str(REPOSITORY / package) for package in PACKAGES]
+    inherited = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     for command in (
         [sys.executable, "-m", "compileall", "-q", *folders, str(HELPERS)],
         [*PYTEST, "--collect-only", str(HERE / "guest")],  # pytest changes the code of tests
@@ -231,7 +232,7 @@ def _compile() -> None:
         subprocess.run(
             command,
             cwd=REPOSITORY,
-            env={**os.environ, **ENVIRONMENT},
+            env={**inherited, **ENVIRONMENT},
             check=False,
             stdout=subprocess.DEVNULL,
         )
