@@ -126,9 +126,9 @@ class MeteringFrames:
         factor = self._factor(before, after)
         if factor < _COMPARED_FACTOR:
             return None
-        patches = [self._check.sample(each.pixels) for each in (before, after)]
-        is_longer = after.applied.exposure > before.applied.exposure
-        measured = self._check.compare(*patches, factor if is_longer else 1 / factor).measured
+        expected = factor if after.applied.exposure > before.applied.exposure else 1 / factor
+        one, other = (self._check.sample(each.pixels) for each in (before, after))
+        measured = self._check.compare(one, other, expected).measured
         if measured is None or abs(math.log(measured)) > _LEAST_POWER * math.log(factor):
             return None
         return before.applied.time_s * measured
