@@ -20,12 +20,9 @@ import numpy as np
 
 from camctl.calibrated import EXPOSURES, RESPONSE
 from camctl.calibration.exposures import measure_exposures
-from camctl.calibration.response import (
-    ResponseEstimate,
-    estimate_response,
-    measure_response,
-)
+from camctl.calibration.response import ResponseEstimate, estimate_response
 from camctl.calibration.response_series import Series
+from camctl.calibration.response_shooting import measure_response
 from camctl.calibration.single_steps import (
     Found,
     Measure,
@@ -202,10 +199,14 @@ class _Calibration:
         wrong = max(abs(each.factor - 1) for each in (*record.times, *record.gains))
         self._change, self._exposures = _change(self._exposures, record), record
         text = (
-            f"{len(record.times)} times and {len(record.gains)} gains, up to {wrong:.2%} from the "
-            "stated exposures"
+            f"{_count(len(record.times), 'time')} and {_count(len(record.gains), 'gain')}, up to "
+            f"{wrong:.2%} from the stated exposures"
         )
         return Found(lambda profile: profile.exposures.update({mode: record}), text)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _change(before: ExposureRecord | None, now: ExposureRecord) -> float:

@@ -11,15 +11,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
 from camctl.captures.frame_pairs import Limits, Pair
-from camctl.captures.light_spread import ACROSS, LightSpread
+from camctl.captures.light_spread import ACROSS, LightSpread, Lines
 from camctl.picture_operations import AREA, connected_parts, dilated
 
 FALSE_ALARMS = 0.002
@@ -47,6 +48,8 @@ _BAND, _BANDS_PIXELS = 64, 1_000_000
 _MOST_PLACES = 5
 #: Samples that are compared at a time.
 _STRIP_SAMPLES = 1 << 20
+#: Areas of a frame that are compared at once.
+_THREADS = 2
 
 _Floats = NDArray[np.float64]
 
@@ -156,35 +159,60 @@ def _bands(frame: Callable[[int], Pixels]) -> Callable[[int], Pixels]:
 def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float) -> Movement:
     """Return what contradicts by limits that are set for this share of false alarms."""
     short = frame(pairs[0].short.position)
+    short_lines = Lines.of(short)
     shape, (rows, columns) = short.shape, short.shape[:2]
     channels = short.size // (rows * columns)
     marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
-    # Charge flows along columns, so that a strip has whole ones, and the marks of one whole bytes.
-    step = max(8, _STRIP_SAMPLES // (rows * channels) & ~7)
     alarms, does_spread = 0.0, False
-    for pair, (limits, rate) in zip(pairs, _calibrated(pairs, total), strict=True):
-        long = frame(pair.long.position)
-        spread = LightSpread.of(limits, pair, short, long)
-        does_spread |= spread.is_any
-        compared = 0
-        for start in range(0, columns, step):
-            part = slice(max(0, start - ACROSS), start + step + ACROSS)
-            inner = slice(start - part.start, start - part.start + step)
-            found, comparable = (
-                each[:, inner] for each in spread.outside(limits, short[:, part], long[:, part])
-            )
-            compared += int(np.count_nonzero(comparable))
-            packed = np.packbits(found.reshape(rows, -1), axis=1)
-            first = start * channels // 8
-            marks[:, first : first + packed.shape[1]] |= packed
-        alarms += rate * compared / short.size
-        short = long
+    with ThreadPoolExecutor(_THREADS) as threads:
+        for pair, (limits, rate) in zip(pairs, _calibrated(pairs, total), strict=True):
+            long = frame(pair.long.position)
+            long_lines = Lines.of(long)
+            spread = LightSpread.of(limits, pair, short_lines, long_lines)
+            does_spread |= spread.is_any
+            mark = partial(_mark, marks, limits, spread, short, long)
+            compared = sum(threads.map(mark, _areas(rows, columns, channels, spread)))
+            alarms += rate * compared / short.size
+            short, short_lines = long, long_lines
     is_known = all(pair.is_known for pair in pairs)
     movement, at_rest = _mapped(shape, marks, alarms, is_known=is_known)
     if is_known and not (does_spread and at_rest < alarms):
         return movement
     # Light that spread is in the patches, too, and has been taken out of the picture.
     return replace(movement, found=replace(movement.found, false_alarms=at_rest))
+
+
+def _areas(
+    rows: int, columns: int, channels: int, spread: LightSpread
+) -> list[tuple[slice, slice]]:
+    """Return the rows and columns of the parts of a frame that are compared at a time."""
+    if not spread.is_any:
+        step = max(1, _STRIP_SAMPLES // (columns * channels))
+        return [(slice(top, top + step), slice(0, columns)) for top in range(0, rows, step)]
+    # Charge flows along columns, so that a part has whole ones, and the marks of one whole bytes.
+    step = max(8, _STRIP_SAMPLES // (rows * channels) & ~7)
+    return [(slice(None), slice(left, left + step)) for left in range(0, columns, step)]
+
+
+def _mark(
+    marks: NDArray[np.uint8],
+    limits: Limits,
+    spread: LightSpread,
+    short: Pixels,
+    long: Pixels,
+    area: tuple[slice, slice],
+) -> int:
+    """Add what contradicts in an area to the packed marks; return how many samples can."""
+    rows, columns = area
+    part = slice(max(0, columns.start - ACROSS), columns.stop + ACROSS)
+    inner = slice(columns.start - part.start, columns.stop - part.start)
+    found, comparable = (
+        each[:, inner] for each in spread.outside(limits, short[rows, part], long[rows, part])
+    )
+    packed = np.packbits(found.reshape(len(found), -1), axis=1)
+    first = columns.start * (found[0, 0].size) // 8
+    marks[rows, first : first + packed.shape[1]] |= packed
+    return int(np.count_nonzero(comparable))
 
 
 def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float]]:
@@ -216,7 +244,7 @@ def _mapped(
     cell = max(_LEAST_CELL, -(-max(rows, columns) // MAP_SIDE))
     edges = np.arange(0, columns, cell)
     counts = np.zeros((-(-rows // cell), edges.size))
-    step = max(cell, _STRIP_SAMPLES // (columns * channels))
+    step = max(1, _STRIP_SAMPLES // (columns * channels * cell)) * cell
     for start in range(0, rows, step):
         packed = marks[start : start + step]
         if not packed.any():
@@ -224,7 +252,8 @@ def _mapped(
         part = np.unpackbits(packed, axis=1, count=columns * channels)
         flat = np.sum([part[:, k::channels] for k in range(channels)], axis=0, dtype=np.uint8)
         sums = np.add.reduceat(flat, edges, axis=1, dtype=np.int64)
-        np.add.at(counts, np.arange(start, start + len(part)) // cell, sums)
+        cells = np.add.reduceat(sums, np.arange(0, len(part), cell), axis=0)
+        counts[start // cell :][: len(cells)] = cells
     size = np.outer(_sizes(rows, cell), _sizes(columns, cell)) * channels
     expected = size * FALSE_ALARMS
     moves = counts > expected + _CELL_SIGMAS * np.sqrt(expected) + _LEAST_MARKS

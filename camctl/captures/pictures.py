@@ -110,6 +110,18 @@ def encode(desired: DesiredResponse, E: NDArray[Any]) -> NDArray[np.uint16]:
     return np.rint(desired.u(E) * FULL_CODE).astype(np.uint16)
 
 
+def sum_mask(posterior: Posterior) -> NDArray[np.uint8]:
+    """Return for each value of the sum `GOOD`, `DARK` or `SATURATED`, black included.
+
+    Dark is a sum that says that the light is below the desired range, or that shows no light.
+    """
+    mask = np.full(posterior.sum.top + 1, GOOD, np.uint8)
+    mask[: posterior.sum.black + 1] = DARK
+    mask[posterior.desired.e_min > posterior.inverse.E] = DARK
+    mask[-1] = SATURATED
+    return mask
+
+
 @dataclass(frozen=True)
 class Tables:
     """Irradiance, code and mask for each value of the sum: arrays indexed by it, black included.
@@ -143,16 +155,12 @@ class Tables:
         inverse, black_total = posterior.inverse, posterior.sum.black
         E, deviation = inverse.E.copy(), inverse.deviation.copy()
         E[-1], deviation[-1] = posterior.sum.camera.levels[-1], np.inf
-        mask = np.full(E.size, GOOD, np.uint8)
-        mask[: black_total + 1] = DARK
-        mask[posterior.desired.e_min > E] = DARK
-        mask[-1] = SATURATED
         return cls(
             irradiance=(E / full_scale_exposure).astype(np.float32),
             deviation=_rounded((deviation / full_scale_exposure).astype(np.float32)),
             code=np.rint(inverse.u * FULL_CODE).astype(np.uint16),
             shown=posterior.desired.inverse(inverse.u).astype(np.float32),
-            mask=mask,
+            mask=sum_mask(posterior),
             unlit=float(E[black_total]) / full_scale_exposure,
             full=float(E[-1]) / full_scale_exposure,
         )

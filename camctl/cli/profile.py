@@ -154,7 +154,8 @@ def _measurements(found: Profile) -> list[tuple[str, str]]:
         rows.append((f"{kind} files", f"{size}, black {still.black}, white {still.white}"))
     for mode, exposures in found.exposures.items():
         wrong = sum(each.contradicts_label for each in (*exposures.times, *exposures.gains))
-        measured = f"{len(exposures.times)} times, {len(exposures.gains)} gains"
+        times, gains = len(exposures.times), len(exposures.gains)
+        measured = f"{times} time{'s' * (times != 1)}, {gains} gain{'s' * (gains != 1)}"
         rows.append((f"exposures in {mode}", f"{measured}; {wrong} contradict the stated ones"))
         rows.append(("", f"measured {exposures.measured_at}"))
     for mode, response in found.responses.items():

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 import camctl
 from camctl.backends import open_camera
 from camctl.calibration.exposures import measure_exposures
-from camctl.calibration.response import estimate_response, measure_response
+from camctl.calibration.response import estimate_response
+from camctl.calibration.response_shooting import measure_response
 from camctl.errors import CaptureError
 from camctl.exposure_record import ExposureRecord, exposure_mode
 from camctl.profile import change_profile
