@@ -112,7 +112,7 @@ def test_a_camera_that_does_not_follow_its_exposure_is_an_error(longest_s: float
     assert "no longer than" in str(found.value)
 
 
-@pytest.mark.parametrize("wrong_by", [-2, 1])
+@pytest.mark.parametrize("wrong_by", [-1, 1])
 def test_a_stale_control_delay_is_said_to_be_the_possible_cause(
     wrong_by: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,7 +126,7 @@ def test_a_stale_control_delay_is_said_to_be_the_possible_cause(
         stale = record.model_copy(update=dict.fromkeys(("frames", "smallest", "largest"), frames))
         change_profile(camera.info, lambda profile: profile.delays.update({mode: stale}))
     with open_camera("sim", options) as camera, pytest.raises(CaptureError) as found:
-        meter(MeteringFrames(camera))
+        histogram(MeteringFrames(camera))
     assert "camctl calibrate delay --camera sim" in found.value.hint
 
 
