@@ -64,7 +64,7 @@ class RatioFit:
         model[self._unknown] = np.sqrt(np.diag(np.linalg.inv(self._normal(total))))
         left_out = np.array([self._solve(total - block)[0] for block in sums])
         jackknife = np.sqrt(len(sums) - 1) * left_out.std(axis=0)
-        return np.maximum(model[:-1], jackknife)
+        return np.asarray(np.maximum(model[:-1], jackknife))
 
     def _residuals(self, x: FloatArray, black: float, weights: FloatArray) -> FloatArray:
         values = self._logs - x - black * self._slopes
