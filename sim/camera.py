@@ -142,6 +142,11 @@ class SimulatedCamera(CameraBase):
         return self.device.lost
 
     @property
+    def unused_faults(self) -> list[str]:
+        """Faults of frames that were not taken yet, as `--fault` has them."""
+        return self._faults.unused(self._frames_returned)
+
+    @property
     def mode(self) -> str:
         """Pixel layout, bits, size and frame rate, such as mono8-640x480-30."""
         return _mode(self.controls, self.sensor)

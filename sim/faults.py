@@ -58,6 +58,18 @@ class Faults:
             light *= min(1.0, self.longest_exposure_s / time_s)
         return light
 
+    def unused(self, frames: int) -> list[str]:
+        """Return the faults of frames that a camera did not come to, as `--fault` has them.
+
+        Args:
+            frames: that it has returned
+        """
+        after = {name: getattr(self, key) for name, key in _AFTER.items()}
+        found = [f"{name}@{first}" for name, first in after.items() if first is not None]
+        for name, key in (_LISTED | _BY_FRAME).items():
+            found += [f"{name}@{number}" for number in getattr(self, key)]
+        return [fault for fault in found if int(fault.partition("@")[2]) >= frames]
+
 
 _AFTER = {"unplug": "unplug_after", "freeze": "freeze_after"}
 _LISTED = {

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from camctl.camera import Camera, Frame, PreviewingCamera
 from camctl.captures.capture_plan import Metering
+from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.scene_range import SceneLight
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
+from camctl.number_text import time_text
 from camctl.response.camera import FloatArray
 
 #: Share of a channel's samples above the highlights: reflections of lamps, and hot pixels.
@@ -43,6 +45,9 @@ _READABLE_LEVELS = 8
 _LONGEST_HISTOGRAM_S = 4.0
 #: Share of the samples that need not be told apart from black.
 _UNREAD_SHARE = 0.005
+#: Frames are compared whose exposures differ by this factor or more.  The pixels do not follow
+#: where their light changes by less than this power of it: an unknown gamma curve has 0.4.
+_COMPARED_FACTOR, _LEAST_POWER = 4.0, 0.25
 #: Irradiances that stand for one brightness in a histogram.
 _SPREAD = 16
 
@@ -90,19 +95,67 @@ class MeteringFrames:
         self.count = 0
         self.last: ExposureSetting | None = None
         self._frame: Frame | None = None
+        controls = camera.controls
+        self._reference: Frame | None = None
+        self._check = NeighbourCheck(controls.levels, controls.black, controls.layout)
 
     def take(self, setting: ExposureSetting) -> Frame:
-        """Return a frame; the last one again if it had this setting."""
+        """Return a frame; the last one again if it had this setting.
+
+        Raises:
+            CaptureError: the pixels do not follow the exposure, also when taken again
+        """
         if self._frame is None or self.last != setting:
-            self.count += 1
-            self.last, self._frame = setting, self._shoot(setting)
+            frame = self._shoot(setting)
+            if self._reference is not None and self._stays_at(self._reference, frame):
+                reference, frame = self._shoot(self._reference.requested), self._shoot(setting)
+                if stays_s := self._stays_at(reference, frame):
+                    raise self._not_following(reference.applied, frame.applied, stays_s)
+            if self._reference is None or self._factor(self._reference, frame) >= _COMPARED_FACTOR:
+                self._reference = frame
+            self.last, self._frame = setting, frame
         return self._frame
 
+    def _factor(self, before: Frame, after: Frame) -> float:
+        """Return the ratio of the exposures, the larger one over the smaller one."""
+        one, other = (self.camera.controls.exposure(each.applied) for each in (before, after))
+        return max(one, other) / min(one, other)
+
+    def _stays_at(self, before: Frame, after: Frame) -> float | None:
+        """Return the shutter time that the pixels of `after` show, s; None: they follow."""
+        factor = self._factor(before, after)
+        if factor < _COMPARED_FACTOR:
+            return None
+        expected = factor if after.applied.exposure > before.applied.exposure else 1 / factor
+        one, other = (self._check.sample(each.pixels) for each in (before, after))
+        measured = self._check.compare(one, other, expected).measured
+        if measured is None or abs(math.log(measured)) > _LEAST_POWER * math.log(factor):
+            return None
+        return before.applied.time_s * measured
+
     def _shoot(self, setting: ExposureSetting) -> Frame:
+        self.count += 1
         if isinstance(self.camera, PreviewingCamera):
             return self.camera.preview(setting)
         with closing(self.camera.shoot([setting])) as frames:
             return next(frames)
+
+    def _not_following(
+        self, before: ExposureSetting, after: ExposureSetting, stays_s: float
+    ) -> CaptureError:
+        shown = [time_text(time_s) for time_s in (before.time_s, after.time_s, stays_s)]
+        end = "no longer" if after.exposure > before.exposure else "no shorter"
+        has_delay, name = self.camera.controls.delay_frames is not None, self.camera.info.id
+        again = (
+            f"measure its control delay again (camctl calibrate delay --camera {name}), or "
+        )
+        return CaptureError(
+            f"the camera does not follow its exposure: {shown[0]} and {shown[1]} give nearly the "
+            f"same brightness, as if it were {end} than {shown[2]}",
+            hint=f"{again if has_delay else ''}"
+            "turn its automatic exposure off; if it has none, give exposures that it can make, "
+            "with --base and --ratios",
+        )
 
 
 def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:

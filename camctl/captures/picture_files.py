@@ -24,11 +24,11 @@ from camctl.captures.picture_metadata import (
     tiff_tags,
 )
 from camctl.captures.pictures import Rendering, Strip
-from camctl.captures.preview import LightReducer, tone_map
+from camctl.captures.preview import PREVIEW_SIDE, LightReducer, tone_map
 from camctl.errors import DataError, OutOfMemoryError, UsageError
 from camctl.files import atomic_file, storage_error, write_bytes
 from camctl.free_memory import return_free_memory
-from camctl.input_files import check_regular
+from camctl.input_files import check_regular, read_own_file
 from camctl.interrupts import uninterrupted
 from camctl.library_output import exr_source, quiet_libraries
 from camctl.picture_operations import opencv, png
@@ -39,6 +39,10 @@ _LARGE = 4_000_000
 
 SUM, IMAGE, RADIANCE = "sum.tiff", "image.tiff", "radiance.exr"
 PREVIEW, CONTACT = "preview.png", "contact.png"
+
+#: Bytes of a preview at most: three for each pixel, and what a PNG file adds where noise makes it
+#: impossible to compress.
+_LARGEST_PREVIEW = 4 * PREVIEW_SIDE**2
 
 _MASK_PREFIX, _DEVIATION_PREFIX = "mask.", "sd."
 #: The values of a mask in float16.
@@ -278,3 +282,12 @@ class _RadianceFile:
         except OSError as error:
             # Converted here: the TIFF file is written around this call, and would be named instead.
             raise storage_error(self._final, error) from error
+
+
+def read_preview(folder: Path) -> bytearray:
+    """Return the content of a capture's preview, a PNG file.
+
+    Raises:
+        DataError: it is missing, no regular file, or larger than any preview
+    """
+    return read_own_file(folder / PREVIEW, _LARGEST_PREVIEW)

@@ -147,7 +147,7 @@ def plan_capture(
         is_wall_known=controls.timing is not None,
         noise=controls.noise,
         objective=kind,
-        light=metered.planned(chosen),
+        light=metered.planned(chosen, controls),
     )
     warnings += setting_warnings(controls, request, plan)
     possible = evaluate(real, desired, ratios, objective=objective, noise=noise).effective_levels

@@ -8,7 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
+import numpy as np
+
 from camctl.captures.capture_plan import Metering, relative_exposures
+from camctl.captures.pictures import DARK, SATURATED, sum_mask
 from camctl.captures.request import AUTO, CaptureRequest, build_desired
 from camctl.captures.scene_range import (
     PlannedLight,
@@ -16,7 +19,10 @@ from camctl.captures.scene_range import (
 )
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
+from camctl.exposure.accuracy import TooInaccurateError
+from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
+from camctl.exposure.inverse import Posterior
 from camctl.number_text import range_text
 from camctl.response.auto import auto_response
 from camctl.response.desired import RANGES, DesiredResponse
@@ -36,6 +42,8 @@ and the table that is part of camctl has these."""
 
 #: Relative difference up to which two ranges are the same, and by which a range may be too small.
 _SAME, _MARGIN = 1e-9, 1.02
+#: Irradiances at which the shares outside of the range are computed: 20 in each of 20 stops.
+_NODES = 400
 #: Share of the levels that are enough from which, by the estimate, a range may have them.
 _NEARLY = 0.95
 
@@ -89,17 +97,19 @@ class Metered:
         assert self.light is not None  # the same
         return self.light.needed_range(self._upper_end(exposure))
 
-    def planned(self, chosen: Chosen) -> PlannedLight | None:
+    def planned(self, chosen: Chosen, controls: ExposureControls) -> PlannedLight | None:
         """Return how much of the light the chosen exposures hold."""
         if self.light is None:
             return None
         end = self._upper_end(chosen.settings[0].exposure)
+        clips, dark = _outside(self.light.relative_to(end), chosen, controls)
         return PlannedLight(
             span=self.light.brightest / self.light.seen_shadows,
             is_open=self.light.is_open,
-            clips=self.light.share_above(end),
+            unseen=self.light.unseen,
+            clips=clips,
             clips_stops=max(0.0, math.log2(self.light.brightest / end)),
-            dark=self.light.share_below(end * chosen.desired.e_min),
+            dark=dark,
             needed=self.light.needed_range(end),
             needed_levels=chosen.needed_levels,
         )
@@ -109,6 +119,30 @@ class Metered:
         assert self.metering is not None  # there is no light without
         setting = self.metering.setting
         return setting.exposure * self.metering.limit_s / setting.time_s / exposure
+
+
+def _outside(light: SceneLight, chosen: Chosen, controls: ExposureControls) -> tuple[float, float]:
+    """Return the shares of the light that the masks of the pictures will say is outside the range.
+
+    Args:
+        light: E = 1 just saturates the shortest exposure
+        chosen: the exposures
+        controls: of the camera
+
+    Returns:
+        the share that every frame will saturate, and the share that will be too dark
+    """
+    settings = chosen.settings
+    camera = EffectiveCamera.of(controls.levels, relative_exposures(settings))
+    posterior = Posterior(camera, chosen.desired, controls.frame_noise(settings))
+    mask = sum_mask(posterior)
+    E = np.geomspace(light.irradiance[0], light.irradiance[-1], _NODES)
+
+    def share(value: int) -> float:
+        found = np.interp(light.irradiance, E, posterior.shares(E, mask == value))
+        return float(found @ light.shares)
+
+    return share(SATURATED), share(DARK)
 
 
 def choose_range(
@@ -183,9 +217,7 @@ def choose_range(
     best = max(range(top + 1), key=possible)
     try:
         return replace(choose(desired(best)), needed_levels=possible(top))
-    except UsageError as error:
-        if request.accuracy is None:
-            raise
+    except TooInaccurateError as error:
         raise UsageError(
             f"{error.what}, over any range up to {range_text(ladder[top])}",
             hint=f"over {range_text(ladder[best])} {error.hint}",

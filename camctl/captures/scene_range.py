@@ -69,7 +69,7 @@ class SceneLight:
         """
         if not self.is_open:
             return self.seen_shadows
-        unseen = self.share_below(self.darkest) - DARK_SHARE
+        unseen = self.unseen - DARK_SHARE
         in_stop = (self.share_below(4 * self.darkest) - self.share_below(self.darkest)) / 2
         stops = unseen / max(in_stop, unseen / _MOST_UNSEEN_STOPS)
         return float(self.darkest * 2.0 ** -max(stops, _LEAST_UNSEEN_STOPS))
@@ -84,7 +84,12 @@ class SceneLight:
     @property
     def is_open(self) -> bool:
         """Whether the shadows are darker than the metering frames can tell."""
-        return self.share_below(self.darkest) > DARK_SHARE
+        return self.unseen > DARK_SHARE
+
+    @property
+    def unseen(self) -> float:
+        """The share of the samples that the metering frames cannot tell from black."""
+        return self.share_below(self.darkest)
 
     def highlights(self, clip: float) -> float:
         """Return the light above which at most the share `clip` of the samples is."""
@@ -124,11 +129,13 @@ class PlannedLight:
         is_open: whether the shadows are darker than metering could tell: then the scene spans more
         clips: share of the samples that will be saturated in every frame
         clips_stops: how far the brightest of them are above the range, stops
-        dark: share of the samples that will be darker than the range
+        dark: share of the samples that will be darker than the range, or than the frames can show,
+            where the unseen ones are just too dark for the metering; at most `unseen` more are
         needed: the range that would hold the light; larger than the planned one where the camera
             does not hold it at the accuracy asked for
         needed_levels: effective levels that `needed` would have; None where it is planned, or
             where they are not known
+        unseen: share of the samples that metering could not tell from black
     """
 
     span: float
@@ -138,3 +145,4 @@ class PlannedLight:
     dark: float
     needed: float
     needed_levels: float | None = None
+    unseen: float = 0.0

@@ -34,6 +34,8 @@ TIMES = {"planning_s": "planning", "shooting_s": "shooting", "writing_s": "writi
 
 #: Shares of the picture that are named, and how far lamps are above the range, stops.
 _NOTABLE_SHARE, _LAMP_STOPS = 5e-4, 2.0
+#: Share of the picture that metering cannot tell from black, and that may be darker than the range.
+_NOTABLY_UNSEEN = 0.02
 
 #: Characters of a histogram, from an empty bin to the fullest one.
 _BARS = " \u2581\u2582\u2583\u2584\u2585\u2586\u2587\u2588"
@@ -123,6 +125,9 @@ def light_text(light: PlannedLight) -> str:
             text += f", and the rest spans {spans(rest)}"
     if light.dark >= _NOTABLE_SHARE:
         text += f"; {format_percent(light.dark)} will be darker than the range"
+    if light.unseen > light.dark + _NOTABLY_UNSEEN:
+        share = format_percent(light.unseen)
+        text += f"; metering shows no light in {share}, all of which may be darker than the range"
     return text
 
 
@@ -153,6 +158,9 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
     rows = []
     if report.untrustworthy_because is not None:
         rows.append(("not trustworthy", report.untrustworthy_because))
+    if again := [number for number, frame in enumerate(report.frames, 1) if frame.attempts > 1]:
+        frames = f"frame{'s' if len(again) > 1 else ''} {', '.join(map(str, again))}"
+        rows.append(("shot again", f"{frames}: the brightness did not fit the exposure at first"))
     rows += [
         (
             "effective levels",

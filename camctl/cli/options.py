@@ -255,6 +255,13 @@ class CameraOptions:
 
         return open_camera(self.camera_id, {"profile": profile, **self.camera_options()})
 
+    def unused_faults(self, camera: Camera) -> str | None:
+        """Return which of the faults asked for did not happen, if there are any."""
+        unused = getattr(camera, "unused_faults", []) if self.scenery.faults else []
+        if not unused:
+            return None
+        return f"these faults did not happen, since fewer frames were taken: {', '.join(unused)}"
+
     def source(self) -> dict[str, Any]:
         """Return what a report must hold to open the camera again from any working directory.
 

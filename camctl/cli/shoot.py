@@ -307,7 +307,7 @@ def _shoot(
             FolderStore.check_free(directory, overwrite=force)
             table = ExposureTable.load(table_file, camera.controls.levels)
             plan = plan_capture(camera, request, table=table)
-        return complete(
+        report = complete(
             capture(
                 camera,
                 request,
@@ -318,6 +318,9 @@ def _shoot(
                 overwrite=force,
             )
         )
+        if (unused := camera_options.unused_faults(camera)) is not None:
+            print_warning(unused)
+        return report
 
 
 def _resume(directory: Path, camera_options: CameraOptions, complete: _Complete) -> CaptureReport:

@@ -248,6 +248,18 @@ class Posterior:
             found[part] += np.sum(probability * difference**2, axis=1)
         return found
 
+    def shares(self, E: FloatArray, marked: NDArray[np.bool_]) -> FloatArray:
+        """Return the probability at each irradiance that the sum is one of those marked.
+
+        Args:
+            E: ascending irradiances, (Q,)
+            marked: for each value of the sum, (top + 1,)
+        """
+        found = np.zeros(E.size)
+        for part, columns, probability in self._joint(self._response.v(E)):
+            found[part] += np.sum(probability * marked[columns], axis=1)
+        return found
+
 
 def _deviation(frames: Sequence[NoisyFrame], E: FloatArray) -> FloatArray:
     """Return the standard deviation of E by noise alone, from the frames not saturated at E."""

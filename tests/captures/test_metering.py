@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from small_cameras import WrappedCamera, small_camera
 
-from camctl.camera import FrameStream
-from camctl.captures.metering import OUTLIER_SHARE, MeteringFrames, meter
+from camctl.backends import open_camera
+from camctl.calibration.delay import measure_delay
+from camctl.camera import FrameStream, StreamingCamera
+from camctl.captures.metering import OUTLIER_SHARE, MeteringFrames, light_histogram, meter
+from camctl.captures.scene_range import SceneLight
 from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
+from camctl.profile import change_profile
+from sim.camera import Faults
 
 
 def uniform(value: float, shape: tuple[int, int] = (40, 50)) -> NDArray[np.float32]:
@@ -92,3 +99,60 @@ def test_shutter_of_a_camera_without_preview_is_actuated_on_request_only() -> No
         assert camera.shots == 0
         metering = meter(MeteringFrames(camera, spend_shutter=True))
     assert metering.frames == camera.shots > 0
+
+
+@pytest.mark.parametrize("longest_s", [1e-3, 0.01, 0.1])
+def test_a_camera_that_does_not_follow_its_exposure_is_an_error(longest_s: float) -> None:
+    """Without the check metering ends at 60 s, with frames as dark as at the limit."""
+    with (
+        small_camera(faults=Faults(longest_exposure_s=longest_s)) as camera,
+        pytest.raises(CaptureError, match="the camera does not follow its exposure") as found,
+    ):
+        histogram(MeteringFrames(camera))
+    assert "no longer than" in str(found.value)
+
+
+@pytest.mark.parametrize("wrong_by", [-1, 1])
+def test_a_stale_control_delay_is_said_to_be_the_possible_cause(
+    wrong_by: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path))
+    options = {"scene": "ramp", "size": "160x120", "unknown": True}
+    with open_camera("sim", options) as camera:
+        assert isinstance(camera, StreamingCamera)
+        record, mode = measure_delay(camera, trials=4), camera.mode
+        assert record.frames is not None
+        frames = record.frames + wrong_by
+        stale = record.model_copy(update=dict.fromkeys(("frames", "smallest", "largest"), frames))
+        change_profile(camera.info, lambda profile: profile.delays.update({mode: stale}))
+    with open_camera("sim", options) as camera, pytest.raises(CaptureError) as found:
+        histogram(MeteringFrames(camera))
+    assert "camctl calibrate delay --camera sim" in found.value.hint
+
+
+def histogram(source: MeteringFrames) -> SceneLight:
+    return light_histogram(source, meter(source))
+
+
+class CloudPasses(WrappedCamera):
+    """A camera whose second frame has the light of a sixteenth of the time."""
+
+    shots = 0
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        self.shots += 1
+        for frame in self.camera.shoot(settings):
+            is_dim = self.shots == 2
+            yield replace(frame, pixels=frame.pixels // 16) if is_dim else frame
+
+
+def test_a_single_frame_that_does_not_follow_is_taken_again() -> None:
+    light = uniform(0.1, (60, 80))
+    with small_camera(light=light) as camera:
+        assert camera.controls.sensitivity is not None
+        full_s = 1 / (camera.controls.sensitivity * 0.1)
+        settings = [ExposureSetting(share * full_s) for share in (0.05, 0.8)]
+        source = MeteringFrames(CloudPasses(camera), spend_shutter=True)
+        frames = [source.take(setting) for setting in settings]
+    assert source.count == 4
+    assert frames[1].pixels.mean() == pytest.approx(16 * frames[0].pixels.mean(), rel=0.05)

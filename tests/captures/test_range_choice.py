@@ -51,6 +51,15 @@ def test_an_accuracy_beyond_all_ranges_names_the_range_with_most() -> None:
     assert plan.effective_levels >= levels * 0.98
 
 
+def test_a_budget_too_short_for_any_exposure_names_no_range() -> None:
+    request = CaptureRequest("log", "auto", accuracy=120.0, time_budget_s=0.05)
+    with pytest.raises(camctl.UsageError) as found:
+        planned(request)
+    assert str(found.value) == (
+        "one exposure takes 0.1 s at least, more than the 0.05 s allowed; allow more time"
+    )
+
+
 def _numbers(hint: str) -> tuple[str, str]:
     """Return the range and the levels of: over 1:256 the best has 121 in 3.4 s; ..."""
     words = hint.split()
@@ -74,3 +83,26 @@ def test_exposures_are_solved_for_one_range_alone(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(planning, "accurate_settings", counted)
     plan = planned(CaptureRequest(dynamic_range="auto", time_budget_s=0.5))
     assert solved == [plan.dynamic_range]
+
+
+@pytest.mark.parametrize(
+    ("scene", "sensor", "response"),
+    [
+        ("night-street", "webcam", "linear"),
+        ("night-street", "webcam", "log"),
+        ("room", "webcam", "log"),
+        ("tile-floor", "standard", "log"),
+    ],
+)
+def test_the_planned_shares_outside_the_range_are_those_of_the_result(
+    scene: str, sensor: str, response: str
+) -> None:
+    """Light within the range that no exposure shows is too dark in both."""
+    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="320x240") as camera:
+        request = CaptureRequest(response, "auto", count=3)
+        report = camctl.capture(camera, request, None)
+    light, achieved = report.plan.light, report.achieved
+    assert light is not None
+    assert achieved.dark_fraction > 0.005  # else it proves nothing
+    assert light.dark == pytest.approx(achieved.dark_fraction, rel=0.1, abs=0.003)
+    assert light.clips == pytest.approx(achieved.saturated_fraction, rel=0.3, abs=0.001)

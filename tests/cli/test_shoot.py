@@ -240,6 +240,16 @@ def test_untrustworthy_capture_ends_with_status_3(
     assert "\nnot trustworthy " in ran.out
 
 
+def test_a_frame_shot_again_and_a_fault_that_did_not_happen_are_named(run: Run) -> None:
+    ran = run("shoot", "--size", "160x120", "--fault", "wrong@1=0.5,drop@9,unplug@7", "-o", "here")
+    assert ran.status == 0
+    assert "\nshot again           frame 2: the brightness did not fit" in ran.out
+    assert "fewer frames were taken: unplug@7, drop@9\n" in ran.err
+    ran = run("shoot", "--size", "160x120", "--fault", "drop@1,clamp=60", "-o", "there")
+    assert "shot again" not in ran.out
+    assert "fault" not in ran.err
+
+
 def test_interrupted_capture_can_be_resumed_once(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     shoot = SimulatedCamera.shoot
 
