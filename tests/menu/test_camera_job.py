@@ -249,6 +249,6 @@ def test_result_shows_what_is_darker_than_the_range(tmp_path: Path) -> None:
         job.look(past)
     # Three bytes for each of 2560 x 2560 pixels, and a third more.
     os.truncate(Path(shot.folder) / "preview.png", 4 * 2560**2 + 1)
-    with pytest.raises(DataError, match="preview.png: it is larger than 25 MiB"):
+    with pytest.raises(DataError, match=r"preview\.png: it is larger than 25 MiB"):
         job.look(past)
     job.close()
