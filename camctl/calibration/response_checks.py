@@ -190,7 +190,8 @@ def intervals_of(record: ResponseRecord) -> Intervals | None:
     for channel in record.channels:
         if channel.deviation is None:
             return None
-        brightness = np.linspace(*np.clip(channel.measured, *_JUDGED), 181)
+        low, high = np.clip(channel.measured, *_JUDGED).tolist()
+        brightness = np.linspace(low, high, 181)
         half = Z_95 * np.interp(brightness, channel.brightness, channel.deviation)
         mean = float(np.sqrt(np.mean(np.square(half))))
         found.append(Intervals(float(half.max()), float(brightness[half.argmax()]), mean))
