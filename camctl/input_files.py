@@ -106,16 +106,16 @@ def read_input(
             data = file.read(most_bytes + 1)
         except OSError as error:
             raise unreadable(path, subject, error, hint=hint) from error
-    _check_size(path, subject, data, most_bytes)
+    if len(data) > most_bytes:
+        raise _too_large(path, subject, most_bytes)
     return data
 
 
-def _check_size(path: str | Path, subject: str, data: bytes | bytearray, most_bytes: int) -> None:
-    if len(data) > most_bytes:
-        raise DataError(
-            f"cannot read {_named(subject, path)}: it is larger than {most_bytes / 2**20:g} MiB",
-            hint="check that it is the right file",
-        )
+def _too_large(path: str | Path, subject: str, most_bytes: int) -> DataError:
+    return DataError(
+        f"cannot read {_named(subject, path)}: it is larger than {most_bytes / 2**20:g} MiB",
+        hint="check that it is the right file",
+    )
 
 
 def read_input_text(path: str | Path, subject: str, *, hint: str = "") -> str:
@@ -132,19 +132,29 @@ def read_input_text(path: str | Path, subject: str, *, hint: str = "") -> str:
         ) from error
 
 
-def read_own_file(path: Path, most_bytes: int) -> bytearray:
-    """Return the content of a file that camctl wrote itself; it is not reached through a link.
+def open_own_file(path: Path, most_bytes: int) -> tuple[BufferedReader, int]:
+    """Return a file that camctl wrote itself, opened for reading, and its size.
 
     Raises:
-        DataError: as `read_input`, or `path` is a symbolic link
+        DataError: as `open_input`; it is larger than `most_bytes`; `path` is a symbolic link
     """
     if path.is_symlink():
         raise DataError(f"cannot read {path}: it is a symbolic link", hint=_REGULAR)
-    with open_input(path, "") as file:
-        data = bytearray(min(os.fstat(file.fileno()).st_size, most_bytes + 1))
+    file = open_input(path, "")
+    size = os.fstat(file.fileno()).st_size
+    if size > most_bytes:
+        file.close()
+        raise _too_large(path, "", most_bytes)
+    return file, size
+
+
+def read_own_file(path: Path, most_bytes: int) -> bytearray:
+    """Return the content of a file that camctl wrote itself; raises as `open_own_file`."""
+    file, size = open_own_file(path, most_bytes)
+    with file:
+        data = bytearray(size)
         try:
             del data[file.readinto(data) :]
         except OSError as error:
             raise unreadable(path, "", error) from error
-    _check_size(path, "", data, most_bytes)
     return data

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -14,7 +15,8 @@ from camctl.response.measured import measured_response
 Z_95 = 1.96
 """Half the width of a 95 % confidence interval in standard deviations."""
 
-
+#: Logarithm of the ratio of irradiances from which their deviation shows the exponent's.
+_LEAST_DISTANCE = 1.0
 #: A level of a 16-bit camera for each number, and both ends.
 _Curve = Annotated[tuple[FiniteFloat, ...], Field(max_length=65538)]
 
@@ -65,6 +67,24 @@ class ChannelResponse(BaseModel):
         weights = np.where(brightness > 0, 1 / variance, 0.0)
         weights[[self.black, self.white]] = 0.0
         return np.asarray(weights / weights.max())
+
+    @property
+    def exponent_error(self) -> float:
+        """Standard deviation of the exponent of the curve; 0 where no deviation is known.
+
+        An exponent that is wrong by e changes ln(irradiance) by e times its distance from that at
+        half the brightness.  What is left of the curve's deviation are errors of single parts, so
+        the smallest ratio of deviation and distance is the error of the exponent.
+        """
+        if self.deviation is None:
+            return 0.0
+        irradiance, brightness = np.array(self.irradiance[1:]), np.array(self.brightness[1:])
+        half = np.interp(0.5, self.brightness, self.irradiance)
+        distance = np.abs(np.log(irradiance / half))
+        low, high = self.measured
+        counts = (distance >= _LEAST_DISTANCE) & (brightness >= low) & (brightness <= high)
+        ratios = np.array(self.deviation[1:])[counts] / distance[counts]
+        return float(ratios.min()) if ratios.size else 0.0
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
@@ -118,7 +138,7 @@ class ResponseRecord(BaseModel):
         if channel not in named:
             raise unknown_name("channel", channel, named)
         found = named[channel]
-        return measured_response(
+        response = measured_response(
             found.irradiance,
             found.brightness,
             bits=found.white.bit_length(),
@@ -126,3 +146,5 @@ class ResponseRecord(BaseModel):
             levels=found.white - found.black,
             name=f"measured response, {channel}",
         )
+        # The curve is smooth and its points are close enough: that lines join them is no repair.
+        return replace(response, notes=(), exponent_error=found.exponent_error)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from camctl.camera import Frame
 from camctl.controls import Layout
 from camctl.errors import DataError
-from camctl.input_files import read_own_file
 from camctl.picture_operations import png_pixels
 from menu.data import Picture
 
@@ -22,7 +21,6 @@ BINS = 64
 """Bins of a histogram of a frame."""
 
 _DISPLAY_GAMMA = 1 / 2.2
-_LARGEST_PREVIEW = 32 << 20
 
 
 def frame_histogram(frame: Frame, layout: Layout) -> tuple[float, ...]:
@@ -60,17 +58,19 @@ def frame_picture(frame: Frame, layout: Layout) -> Picture:
     return _picture((255 * shown + 0.5).astype(np.uint8))
 
 
-def preview_picture(path: Path) -> Picture:
+def preview_picture(folder: Path) -> Picture:
     """Return the preview of a capture, which is tone-mapped for a display, as a small picture.
 
     Raises:
         DataError: the file is missing or damaged
     """
-    data = read_own_file(path, _LARGEST_PREVIEW)
+    from camctl.captures.picture_files import PREVIEW, read_preview  # loaded: there is a report
+
+    data = read_preview(folder)
     try:
         preview = png_pixels(data)
     except DataError as error:
-        raise DataError(f"cannot read {path}: {error}") from error
+        raise DataError(f"cannot read {folder / PREVIEW}: {error}") from error
     step = _step(preview.shape)
     rows, columns = preview.shape[0] // step, preview.shape[1] // step
     blocks = preview[: rows * step, : columns * step].reshape(rows, step, columns, step, -1)

@@ -70,8 +70,6 @@ def progress_view(progress: CaptureProgress) -> Progress:
 
 def summary_view(report: CaptureReport, folder: Path) -> Summary:
     """Return what the menu shows of a complete capture."""
-    from camctl.captures.picture_files import PREVIEW  # loaded since there is a report
-
     return Summary(
         effective_levels=report.achieved.effective_levels,
         effective_levels_noise_free=report.achieved.effective_levels_noise_free,
@@ -82,5 +80,5 @@ def summary_view(report: CaptureReport, folder: Path) -> Summary:
         notes=tuple(report.warnings),
         untrustworthy_because=report.untrustworthy_because or "",
         histogram=tuple(report.achieved.light_shares),
-        picture=preview_picture(folder / PREVIEW),
+        picture=preview_picture(folder),
     )

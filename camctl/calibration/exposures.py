@@ -83,13 +83,19 @@ def measure_exposures(
     reference = order[found.reference]
     if reference >= len(times):  # a gain: relative to its time, which is the first
         reference = 0
+    exponent = found.exponent_error
     corrections = [
-        _correction(value, means[k] - means[reference], half[k] * (k != reference))
+        _correction(
+            value,
+            means[k] - means[reference],
+            math.hypot(half[k], exponent * math.log(value / times[reference])) * (k != reference),
+        )
         for k, value in enumerate(times)
     ]
     by_gain = {base: Correction(value=base, factor=1.0, low=1.0, high=1.0)}
     for k, setting in enumerate(settings[len(times) :], start=len(times)):
-        by_gain[setting.gain] = _correction(setting.gain, means[k] - means[0], half[k])
+        width = math.hypot(half[k], exponent * math.log(setting.gain / base))
+        by_gain[setting.gain] = _correction(setting.gain, means[k] - means[0], width)
     return ExposureRecord(
         times=tuple(corrections),
         gains=tuple(by_gain[gain] for gain in sorted(by_gain)),
@@ -241,11 +247,14 @@ def _pooled(
     order: Sequence[int],
     warn: Callable[[str], None],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return for each setting the logarithm of true over stated exposure, and half its interval."""
+    """Return for each setting the logarithm of true over stated exposure, and half its interval.
+
+    The error of the exponent of the response is not in the interval.
+    """
     count = max(order) + 1
     place = np.array(order)
     logs = np.log(np.array(found.exposures) / np.array(labels))
-    widths = np.log(np.array(found.high) / np.array(found.low)) / 2
+    widths = np.array(found.half_widths)
     repeats = np.bincount(place, minlength=count)
     means = np.bincount(place, logs, count) / repeats
     scatter = math.sqrt(float(np.square(logs - means[place]).sum() / (len(logs) - count)))

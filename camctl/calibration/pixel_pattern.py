@@ -3,6 +3,8 @@
 In one view the pattern of the pixels cannot be told from the scene: both are in proportion to the
 light.  Where the camera has been turned a little, the pattern is where it was and the scene is not,
 so that what the deviations of both views from smooth shades have in common is the pattern alone.
+The patterns of offsets and of dark current (DSNU, DCNU) stay, too: where they are known, they are
+subtracted.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from camctl.camera import Camera
 from camctl.controls import ExposureControls, ExposureSetting, Layout
 from camctl.errors import CaptureError, DataError
 from camctl.exposure.patches import LightScale, sample_patches
-from camctl.noise_record import Figure
+from camctl.noise_record import DarkRecord, Figure, NoiseRecord
 from camctl.response.camera import CameraResponse, FloatArray
 
 #: Frames of a view with each time, and the number of times, a factor of 2 apart.
@@ -51,9 +53,11 @@ class View:
     _mean: FloatArray | float = field(default=0.0, repr=False)
     _sum: FloatArray | None = field(default=None, repr=False)
     _weight: FloatArray | None = field(default=None, repr=False)
+    _frames: FloatArray | float = field(default=0.0, repr=False)
+    _time_s: FloatArray | float = field(default=0.0, repr=False)
 
-    def add(self, pixels: NDArray[Any]) -> None:
-        """Add a frame; its pixels are not kept."""
+    def add(self, pixels: NDArray[Any], time_s: float) -> None:
+        """Add a frame of this shutter time; its pixels are not kept."""
         controls = self.controls
         scales = [LightScale(each, controls.black) for each in _responses(controls)]
         planes = controls.layout.planes(pixels)
@@ -69,6 +73,8 @@ class View:
         self._sum = relative if self._sum is None else self._sum + relative
         self._weight = weight if self._weight is None else self._weight + weight
         self._mean = self._mean + mean
+        self._frames = self._frames + is_used
+        self._time_s = self._time_s + is_used * time_s
 
     @property
     def share_used(self) -> float:
@@ -81,6 +87,17 @@ class View:
         """Light of the patches, (patches,), in any unit."""
         return np.asarray(self._mean)
 
+    def dark_pattern(self, dark: DarkRecord, full_e: float) -> tuple[FloatArray, FloatArray]:
+        """Return the deviations of offsets and of dark current over the light, (patches,) each.
+
+        Args:
+            dark: of the camera
+            full_e: electrons of full scale in the frames
+        """
+        light_e = np.maximum(np.asarray(self._weight), _DIM) * full_e
+        rate = 0.0 if dark.dcnu_e_s is None else dark.dcnu_e_s.value
+        return dark.dsnu_e.value * self._frames / light_e, rate * self._time_s / light_e
+
     def deviations(self) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return relative deviations from smooth shades, (patches, samples), and which count."""
         assert self._sum is not None
@@ -90,12 +107,14 @@ class View:
         return relative - (relative @ smooth) @ smooth.T, self._weight > 0
 
 
-def sensitivity_pattern(first: View, second: View) -> Figure:
+def sensitivity_pattern(first: View, second: View, noise: NoiseRecord | None = None) -> Figure:
     """Return the PRNU: the standard deviation of the sensitivity of the pixels, relative.
 
     Args:
         first: view of a scene
         second: view of the same camera after it was turned
+        noise: of the camera; where it has the dark signal, that is no part of the result.  The
+            interval does not contain the error of the dark signal, which is far smaller
 
     Raises:
         DataError: the views are too dark, or the camera was not turned
@@ -106,7 +125,7 @@ def sensitivity_pattern(first: View, second: View) -> Figure:
         raise DataError(
             f"only {np.count_nonzero(both)} of {both.size} parts of the picture are well exposed "
             "in both views",
-            hint="point the camera at a scene with more bright parts",
+            hint="uncover the lens, and point the camera at a scene with more bright parts",
         )
     change = np.log(first.mean[both] / second.mean[both])
     if np.median(np.abs(change - np.median(change))) < _TURNED:
@@ -122,15 +141,29 @@ def sensitivity_pattern(first: View, second: View) -> Figure:
     freedom = 1 - _smooth_shades(side).shape[1] / a.shape[1]
     sums = np.zeros((a.shape[0], 2))
     usual = _usual(a, b)
+    dark = _dark_covariance(first, second, noise)
     for half, other in ((fields, ~fields), (~fields, fields)):
         weight = both / np.prod(
             [np.square(each[:, other]).mean(axis=1) + 1e-12 for each in (a, b)], axis=0
         )
         products = np.where(usual, a * b, 0)[:, half].sum(axis=1)
         count = np.maximum(usual[:, half].sum(axis=1), 1)
-        sums[:, 0] += weight * products / count / freedom
+        sums[:, 0] += weight * (products / count / freedom - dark)
         sums[:, 1] += weight
     return root_of_ratio(np.split(sums, len(_responses(first.controls))))
+
+
+def _dark_covariance(first: View, second: View, noise: NoiseRecord | None) -> FloatArray | float:
+    """Return what offsets and dark current add to the product of deviations, (patches,)."""
+    if noise is None or noise.dark is None:
+        return 0.0
+    at = noise.reference
+    full_e = noise.full_well_e.value
+    full_e *= at.conversion_e_per_dn.value / noise.gains[0].conversion_e_per_dn.value
+    offsets, rates = zip(
+        *(view.dark_pattern(noise.dark, full_e) for view in (first, second)), strict=True
+    )
+    return np.asarray(np.prod(offsets, axis=0) + np.prod(rates, axis=0))
 
 
 def _usual(a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
@@ -175,7 +208,7 @@ def view_settings(camera: Camera, longest_s: float) -> list[ExposureSetting]:
     shares = []
     for frame in camera.shoot([ExposureSetting(time_s, gain) for time_s in times]):
         view = View(controls)
-        view.add(frame.pixels)
+        view.add(frame.pixels, frame.applied.time_s)
         shares.append(view.share_used)
     best = int(np.argmax(shares))
     if not shares[best]:
@@ -195,7 +228,7 @@ def shoot_view(camera: Camera, settings: Sequence[ExposureSetting]) -> View:
     """
     view = View(camera.controls)
     for frame in camera.shoot([each for each in settings for _ in range(_REPEATS)]):
-        view.add(frame.pixels)
+        view.add(frame.pixels, frame.applied.time_s)
     return view
 
 

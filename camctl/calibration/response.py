@@ -7,8 +7,7 @@ channel is estimated by `camctl.calibration.response_fit`.
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,7 +25,13 @@ from camctl.calibration.exponent import (
     with_exponent_error,
 )
 from camctl.calibration.response_chart import chart_notes, chart_samples
-from camctl.calibration.response_checks import check_frames, check_range, check_scene
+from camctl.calibration.response_checks import (
+    check_frames,
+    check_interval,
+    check_patches,
+    check_range,
+    shows_exposure,
+)
 from camctl.calibration.response_fit import (
     ROUGH,
     STATED,
@@ -34,26 +39,22 @@ from camctl.calibration.response_fit import (
     ResponseFit,
     fit_response,
 )
+from camctl.calibration.response_labels import LabelCheck, check_labels
 from camctl.calibration.response_matches import Matches, match_levels
 from camctl.calibration.response_noise import correct_matches
 from camctl.calibration.response_series import Series
 from camctl.calibration.spill import below_saturation, spills_over
-from camctl.camera import Camera
-from camctl.controls import ExposureSetting
-from camctl.errors import CaptureError, DataError
+from camctl.errors import DataError
 from camctl.response.camera import FloatArray
 from camctl.response_record import ChannelResponse, ResponseRecord
 
-FRAMES = 8
-#: Longest shutter time that is used unless another one is asked for, s.
-LONGEST_S = 2.0
-#: Levels at which a response is estimated, beside the first ones, and those that a record keeps.
-_LEVELS, _FIRST_LEVELS = 4096, 256
-_KEPT, _FIRST_KEPT = 200, 32
-#: Time for the bracket: from the first probe in which this share of the pixels reaches half of full
-#: scale, to the first in which all but this share is saturated.
+#: Share of the samples from which some are saturated.
 _FEW = 0.01
-_PROBE_STEP = 4.0
+#: Levels at which a response is estimated, beside the first ones; the number up to which a record
+#: keeps all, and of how many it keeps otherwise, at equal steps and at equal factors: lines between
+#: these are within 0.01 % of a power.
+_LEVELS, _FIRST_LEVELS = 4096, 256
+_ALL_KEPT, _KEPT, _KEPT_BY_FACTOR = 512, 200, 500
 #: Where neither exposures nor reflectances are known.
 _UNKNOWN_EXPONENT = (
     "no exposure is known: the exponent of the curve was chosen so that it is about as steep as "
@@ -139,35 +140,73 @@ def estimate_response(
         exposures = exposures**exponent.value
         if chart is None:
             notes.append(_UNKNOWN_EXPONENT)
-    fits = []
-    for k, each in enumerate(channels):
-        if exposures.size > 1:
-            first = each.fit(exposures, edges, series.phase, ROUGH if estimate_ratios else STATED)
-            matches = correct_matches(each.matches, series, each.name, edges, first)
-            channels[k] = each = dataclasses.replace(each, matches=matches)
-        free = each.fit(exposures, edges, series.phase, ROUGH)
-        fit = free if estimate_ratios else each.fit(exposures, edges, series.phase, STATED)
-        if is_scene_checked and not estimate_ratios:
-            notes += check_scene(series, each.name, edges, fit, free)
+    start = ROUGH if estimate_ratios else STATED
+    if exposures.size > 1:
+        channels = [_without_noise(each, series, edges, exposures, start) for each in channels]
+    fits = [each.fit(exposures, edges, series.phase, ROUGH) for each in channels]
+    labels = LabelCheck(np.ones((len(channels), exposures.size)))
+    if not estimate_ratios:
+        if is_scene_checked:
+            labels = _check_scene(series, edges, exposures, fits)
+        if labels.problem:
+            notes.append(f"{labels.problem}; {labels.hint}")
+        pairs = zip(channels, labels.corrections, strict=True)
+        fits = [
+            each.fit(exposures * factors, edges, series.phase, STATED) for each, factors in pairs
+        ]
+        fits = [with_exponent_error(fit, edges, labels.exponent_error) for fit in fits]
+    for each, fit in zip(channels, fits, strict=True):
         if each.samples is not None:
             notes += chart_notes(each.samples, fit.patch_errors, each.name)
-        fits.append(fit if exponent is None else with_exponent_error(fit, edges, exponent.error))
+    if exponent is not None:
+        fits = [with_exponent_error(fit, edges, exponent.error) for fit in fits]
     if estimate_ratios:
         exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0))
-    return ResponseEstimate(
-        record=ResponseRecord(
-            channels=tuple(
-                each.response(fit, series, edges) for each, fit in zip(channels, fits, strict=True)
-            ),
-            phase=series.phase,
-            frames=len(series.exposures),
-            measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
+    record = ResponseRecord(
+        channels=tuple(
+            each.response(fit, series, edges) for each, fit in zip(channels, fits, strict=True)
         ),
+        phase=series.phase,
+        frames=len(series.exposures),
+        measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+    if is_scene_checked and not estimate_ratios:
+        check_interval(record, series.exposures, labels)
+    return ResponseEstimate(
+        record=record,
         exposures=tuple((exposures / exposures[0]).tolist()),
         residual=max(fit.residual for fit in fits),
         exponent_error=None if exponent is None else exponent.error,
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _without_noise(
+    evidence: _Evidence, series: Series, edges: FloatArray, exposures: FloatArray, error: float
+) -> _Evidence:
+    """Return the evidence with its matches corrected for noise."""
+    first = evidence.fit(exposures, edges, series.phase, error)
+    matches = correct_matches(evidence.matches, series, evidence.name, edges, first)
+    return dataclasses.replace(evidence, matches=matches)
+
+
+def _check_scene(
+    series: Series, edges: FloatArray, exposures: FloatArray, fits: Sequence[ResponseFit]
+) -> LabelCheck:
+    """Check that nothing moved, and the stated exposures, by fits that estimate them, too."""
+    for name, fit in zip(series.channels, fits, strict=True):
+        check_patches(series, name, edges, fit)
+    judged = np.array([shows_exposure(series, name) for name in series.channels])
+    return check_labels(series.names, exposures, edges, series.channels, fits, judged)
+
+
+def _kept(edges: FloatArray) -> NDArray[np.intp]:
+    """Return the places of the levels that a record keeps, so close that lines join them well."""
+    if edges.size <= _ALL_KEPT:
+        return np.arange(edges.size)
+    even = np.linspace(0, edges.size - 1, _KEPT).round().astype(np.intp)
+    dark = np.searchsorted(edges, np.geomspace(1, edges[-1], _KEPT_BY_FACTOR))
+    return np.unique(np.concatenate([even, dark]))
 
 
 def _edges(levels: int) -> FloatArray:
@@ -206,10 +245,7 @@ class _Evidence:
 
     def response(self, fit: ResponseFit, series: Series, edges: FloatArray) -> ChannelResponse:
         levels = series.white - series.black
-        spaced = np.linspace(0, edges.size - 1, _KEPT).round()
-        kept = np.unique(
-            np.concatenate([np.arange(min(edges.size, _FIRST_KEPT)), spaced]).astype(np.intp)
-        )
+        kept = _kept(edges)
         brightness = (edges[kept] - series.phase) / (levels + 1)
         found = [self.matches.low, self.matches.high]
         found += [] if self.samples is None else [self.samples.level]
@@ -267,79 +303,3 @@ def _without_spill(
         notes.append(_SPILLS)
         return found
     return channels
-
-
-def measure_response(
-    camera: Camera,
-    *,
-    count: int = FRAMES,
-    longest_s: float = LONGEST_S,
-    frames: list[NDArray[Any]] | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Series:
-    """Shoot an exposure series that suits the light before the camera; return it.
-
-    The exposures are the true ones where the camera's controls know them, else those stated.
-
-    Args:
-        camera: an open camera
-        count: number of frames, at least 2
-        longest_s: longest shutter time, s
-        frames: a list to which the frames are added
-        progress: called with the share that is done, 0 to 1
-
-    Raises:
-        CaptureError: the scene is too dark or too bright for the camera's shutter times
-        CameraError: as `Camera.shoot` raises
-    """
-    controls = camera.controls
-    gain = controls.gain.nearest(1.0)
-    settings = [ExposureSetting(time_s, gain) for time_s in _bracket(camera, count, longest_s)]
-    series = Series(
-        controls.layout,
-        controls.bits,
-        controls.black,
-        controls.white,
-        phase=controls.phase,
-        levels_are_stated=True,
-    )
-    for frame in camera.shoot(settings):
-        exposure = controls.exposure(frame.applied)
-        series.add(frame.pixels, exposure, f"the frame of {frame.applied.time_s:.4g} s")
-        if frames is not None:
-            frames.append(frame.pixels)
-        if progress is not None:
-            progress(len(series.names) / len(settings))
-    return series
-
-
-def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:
-    """Return up to `count` shutter times from dark frames to nearly saturated ones."""
-    controls = camera.controls
-    gain = controls.gain.nearest(1.0)
-    shortest = controls.time_s.minimum
-    longest = max(shortest, min(controls.time_s.maximum, longest_s))
-    probes = 1 + max(1, math.ceil(math.log(longest / shortest, _PROBE_STEP)))
-    times = sorted(
-        {controls.time_s.nearest(float(each)) for each in np.geomspace(shortest, longest, probes)}
-    )
-    first, last = None, times[-1]
-    half = controls.black + (controls.white - controls.black) / 2
-    for frame in camera.shoot([ExposureSetting(time_s, gain) for time_s in times]):
-        if first is None and np.mean(frame.pixels >= half) >= _FEW:
-            first = frame.applied.time_s / _PROBE_STEP
-        if np.mean(frame.pixels >= controls.white) >= 1 - 2 * _FEW:
-            last = frame.applied.time_s
-            break
-    if first is None:
-        raise CaptureError(
-            f"the scene is too dark: it does not reach half of full scale at {times[-1]:.4g} s",
-            hint="take the lens cap off, light the scene, or allow longer times (--longest)",
-        )
-    if last == times[0]:
-        raise CaptureError(
-            f"the scene is too bright: it is white even at {times[0]:.4g} s",
-            hint="close the aperture, or put a filter in front of the lens",
-        )
-    wanted = np.geomspace(max(first, shortest), last, count)
-    return sorted({controls.time_s.nearest(float(each)) for each in wanted})

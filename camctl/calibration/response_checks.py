@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from itertools import combinations, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.calibration.response_fit import ChartSamples, ResponseFit
+from camctl.calibration.response_labels import LabelCheck
 from camctl.calibration.response_matches import Matches
 from camctl.calibration.response_series import Series
 from camctl.errors import DataError
 from camctl.response.camera import FloatArray
+from camctl.response_record import Z_95, ResponseRecord
 
 #: A frame is black if less than this share of its pixels is above the first level, % of full scale.
 _LIT_SHARE, _LIT_LEVEL = 0.01, 0.04
@@ -21,9 +24,16 @@ _BOTTOM, _TOP, _WIDEST_GAP = 0.15, 0.85, 0.15
 #: The same of patches of a chart: N 9.5 and N 8 of a linear camera are 0.33 apart, and the darkest
 #: patch has brightness 0.2 in sRGB.
 _BOTTOM_PATCH, _TOP_PATCH, _WIDEST_PATCHES = 0.3, 0.7, 0.35
-#: Relative errors of the exposures from which there is a note, and from which there is no result:
-#: film at long exposures (reciprocity failure) can be 25 % darker.
-_NOTED, _REFUSED = 0.02, 0.35
+#: Brightness, shares of full scale, between which the 95 % interval of a response is judged.
+_JUDGED = (0.05, 0.95)
+#: Half the 95 % interval of irradiance, relative, up to which a response is kept: it changes a
+#: logarithmic picture over 1:1,000 by 1 % of its range.
+KEPT = 0.07
+#: The same from which a response is refused: random film and camera responses differ by as much
+#: from sRGB (root mean square over 3000), which needs no measurement.
+USELESS = 0.4
+#: Steps of exposures, as factors, that are wide; and exposures in between that are proposed.
+_WIDE_STEP, _MOST_ADDED = 2.5, 4
 #: A frame's exposure is judged if this share of its pixels is between `_COMPARED`: errors of the
 #: darkest levels would count as errors of the exposure of a frame that is nearly black.
 _JUDGED_SHARE = 0.02
@@ -66,14 +76,15 @@ def check_frames(series: Series, *, has_chart: bool = False, is_scene_checked: b
             "all frames are saturated everywhere", hint="expose shorter, or close the aperture"
         )
     for first, second in combinations(range(exposures.size), 2):
-        if exposures[first] != exposures[second] and np.array_equal(
-            series.patches[first], series.patches[second]
-        ):
+        if not np.array_equal(series.patches[first], series.patches[second]):
+            continue
+        same = f"{series.names[first]} and {series.names[second]} are the same picture"
+        if exposures[first] != exposures[second]:
             raise DataError(
-                f"{series.names[first]} and {series.names[second]} are the same picture, but their "
-                "exposures differ",
+                f"{same}, but their exposures differ",
                 hint="leave one of them out, or correct its exposure",
             )
+        series.notes.append(f"{same}: a copy says nothing more; leave one of them out")
     _check_order(series, exposures)
     if is_scene_checked:
         _check_order_of_patches(series)
@@ -92,8 +103,8 @@ def _check_order(series: Series, exposures: FloatArray) -> None:
             raise DataError(
                 f"{series.names[short]} is brighter than {series.names[long]}, though its exposure "
                 "is shorter",
-                hint="check the order of the exposures and of the frames, and that the light is "
-                "steady",
+                hint="check the order of the exposures and of the frames, that the light is "
+                "steady, and that no file is damaged",
             )
 
 
@@ -138,58 +149,67 @@ def check_range(
     gaps = np.diff(found)
     if gaps.max(initial=0.0) > widest_gap:
         at = int(np.argmax(gaps))
-        ordered = np.unique(exposures)
-        steps = (
-            np.sqrt(ordered[1:] * ordered[:-1])
-            if ordered.size > 1
-            else shortest * np.array([0.5, 2])
-        )
-        between = ", ".join(f"{each:.3g}" for each in steps[:4])
         raise DataError(
             f"{where}no brightness between {found[at]:.0%} and {found[at + 1]:.0%} of full scale "
             "occurs in two frames",
-            hint=f"use a scene with many shades, or add frames of exposure {between}",
+            hint=f"use a scene with many shades, or add frames of {_between(exposures)}",
         )
 
 
-def check_scene(
-    series: Series, channel: str, edges: FloatArray, fit: ResponseFit, free: ResponseFit
-) -> list[str]:
-    """Check exposures and patches against a fit; return notes.
+def _between(exposures: FloatArray) -> str:
+    """Return exposures between those of a series, the widest steps first."""
+    ordered = np.unique(exposures)
+    if ordered.size < 2:
+        return f"exposure {ordered[0] / 2:.3g}, {ordered[0] * 2:.3g}"
+    widest = np.argsort(ordered[:-1] / ordered[1:], kind="stable")[:_MOST_ADDED]
+    steps = np.sqrt(ordered[1:] * ordered[:-1])[np.sort(widest)]
+    return f"exposure {', '.join(f'{each:.3g}' for each in steps)}"
 
-    Args:
-        series: the frames
-        channel: name of the channel
-        edges: levels of the fit
-        fit: the response
-        free: the response when the exposures are estimated, too
+
+def widest_interval(record: ResponseRecord) -> tuple[float, float] | None:
+    """Return the widest 95 % interval of irradiance, relative, and its brightness, a share.
+
+    Between `_JUDGED` of full scale, where the frames show it; None where the method gives none.
+    """
+    widest = (0.0, 0.0)
+    for channel in record.channels:
+        if channel.deviation is None:
+            return None
+        brightness = np.linspace(*np.clip(channel.measured, *_JUDGED), 181)
+        found = Z_95 * np.interp(brightness, channel.brightness, channel.deviation)
+        widest = max(widest, (float(found.max()), float(brightness[found.argmax()])))
+    return widest
+
+
+def check_interval(record: ResponseRecord, exposures: Sequence[float], labels: LabelCheck) -> None:
+    """Check that a response is known better than without any measurement.
 
     Raises:
-        DataError: the exposures are wrong, or scene or camera moved
+        DataError: it is not; says why, and what would help
     """
-    notes = []
-    logs = np.log(series.exposures)
-    errors = np.log(free.exposures) - logs
-    # A power of the exposures cannot be told from another curve: it counts as no error.
-    if len(logs) > 2:
-        errors = errors - np.polyval(np.polyfit(logs, errors, 1), logs)
-        judged = [_well_exposed(series, k, channel) >= _JUDGED_SHARE for k in range(len(logs))]
-        worst = int(np.argmax(np.abs(errors) * judged))
-        error = float(errors[worst] * judged[worst])
-        text = (
-            f"{series.names[worst]} is {abs(math.expm1(error)):.0%} "
-            f"{'brighter' if error > 0 else 'darker'} than its exposure says"
-        )
-        if abs(error) > math.log1p(_REFUSED):
-            raise DataError(
-                text,
-                hint="check the exposures and that the light does not flicker, or use "
-                "--estimate-ratios",
-            )
-        if abs(error) > math.log1p(_NOTED):
-            notes.append(text)
-    _check_patches(series, channel, edges, fit)
-    return notes
+    widest = widest_interval(record)
+    if widest is None or widest[0] <= USELESS:
+        return
+    known = f"the response would be known to +-{widest[0]:.0%} only"
+    if labels.problem:
+        raise DataError(f"{labels.problem}: {known}", hint=labels.hint)
+    raise DataError(known, hint=helpful_exposures(exposures, widest[1]))
+
+
+def helpful_exposures(exposures: Sequence[float], brightness: float) -> str:
+    """Return which exposures would make a response better known at a brightness, a share."""
+    ordered = np.unique(exposures)
+    if ordered.size < 2 or np.max(ordered[1:] / ordered[:-1]) > _WIDE_STEP:
+        return f"add frames of {_between(ordered)}"
+    if brightness > 1 / 2:
+        return f"add a frame of exposure {2 * ordered[-1]:.3g}, or a brighter object"
+    return f"add a frame of exposure {ordered[0] / 2:.3g}, or a darker object"
+
+
+def shows_exposure(series: Series, channel: str) -> NDArray[np.bool_]:
+    """Return whether enough samples of a channel are well exposed in each frame, (J,)."""
+    shares = [_well_exposed(series, k, channel) for k in range(len(series.exposures))]
+    return np.array(shares) >= _JUDGED_SHARE
 
 
 def _well_exposed(series: Series, position: int, channel: str) -> float:
@@ -237,7 +257,20 @@ def _common_patches(series: Series, channel: str, short: int, long: int) -> list
     return [each[used] for each in levels]
 
 
-def _check_patches(series: Series, channel: str, edges: FloatArray, fit: ResponseFit) -> None:
+def check_patches(series: Series, channel: str, edges: FloatArray, fit: ResponseFit) -> None:
+    """Check that the scene stood still, by the light of patches in neighbouring exposures.
+
+    A factor that all patches have does not count: it is one of the exposure or of the light.
+
+    Args:
+        series: the frames
+        channel: name of the channel
+        edges: levels of the fit
+        fit: the response when the exposures are estimated, too
+
+    Raises:
+        DataError: scene or camera moved
+    """
     order = np.argsort(series.exposures).tolist()
     for short, long in pairwise(order):
         levels = _common_patches(series, channel, short, long)

@@ -10,8 +10,14 @@ from camctl.calibration.dark import measure_dark
 from camctl.calibration.delay import measure_delay
 from camctl.calibration.exposures import LONGEST_S
 from camctl.calibration.noise import measure_noise
-from camctl.calibration.pixel_pattern import sensitivity_pattern, shoot_view, view_settings
+from camctl.calibration.pixel_pattern import (
+    View,
+    sensitivity_pattern,
+    shoot_view,
+    view_settings,
+)
 from camctl.camera import Camera, StreamingCamera
+from camctl.controls import ExposureSetting
 from camctl.exposure_record import exposure_mode
 from camctl.profile import Profile, load_profile
 
@@ -29,16 +35,16 @@ class StepOptions:
         begin: called with the name of each step; returns what is called with the share of it that
             is done, 0 to 1
         warn: called with one line for each irregularity
-        turn: asks for another view of the scene, and returns whether the camera was turned; None:
-            it cannot be
         cover: asks for the lens to be covered, and returns whether it was; None: it cannot be
+        turn: asks for another view of the scene through the uncovered lens, and returns whether the
+            camera was turned; None: it cannot be
     """
 
     longest_s: float = LONGEST_S
     begin: Callable[[str], Callable[[float], None] | None] = lambda _name: None
     warn: Callable[[str], None] = _ignore
-    turn: Callable[[], bool] | None = None
     cover: Callable[[], bool] | None = None
+    turn: Callable[[], bool] | None = None
 
 
 @dataclass(frozen=True)
@@ -103,22 +109,38 @@ def noise_step(camera: Camera, options: StepOptions, progress: Progress) -> Foun
     return Found(keep, text)
 
 
-def pattern_step(camera: Camera, options: StepOptions, _progress: Progress) -> Found | None:
-    """Measure how the sensitivity of the pixels differs, from two views of the scene."""
-    mode = exposure_mode(camera.controls)
-    if options.turn is None or mode not in load_profile(camera.info).noises:
-        return None
-    settings = view_settings(camera, options.longest_s)
-    first = shoot_view(camera, settings)
-    if not options.turn():
-        return None
-    prnu = sensitivity_pattern(first, shoot_view(camera, settings))
+class PatternSteps:
+    """Measure how the sensitivity of the pixels differs, from two views of the scene.
 
-    def keep(profile: Profile) -> None:
-        profile.noises[mode] = profile.noises[mode].model_copy(update={"prnu": prnu})
+    Between the two, the dark signal can be measured: it is then no part of the result.
+    """
 
-    text = f"their sensitivity differs by {prnu.value:.2%} ({prnu.low:.2%} to {prnu.high:.2%})"
-    return Found(keep, text)
+    def __init__(self) -> None:
+        self._settings: list[ExposureSetting] = []
+        self._first: View | None = None
+
+    def first_view(self, camera: Camera, options: StepOptions, _progress: Progress) -> None:
+        """Shoot the view before the camera is turned."""
+        mode = exposure_mode(camera.controls)
+        if options.turn is not None and mode in load_profile(camera.info).noises:
+            self._settings = view_settings(camera, options.longest_s)
+            self._first = shoot_view(camera, self._settings)
+
+    def second_view(
+        self, camera: Camera, options: StepOptions, _progress: Progress
+    ) -> Found | None:
+        """Ask for the camera to be turned, and compare both views; nothing without the first."""
+        if self._first is None or options.turn is None or not options.turn():
+            return None
+        mode = exposure_mode(camera.controls)
+        noise = load_profile(camera.info).noises[mode]
+        prnu = sensitivity_pattern(self._first, shoot_view(camera, self._settings), noise)
+
+        def keep(profile: Profile) -> None:
+            profile.noises[mode] = profile.noises[mode].model_copy(update={"prnu": prnu})
+
+        text = f"their sensitivity differs by {prnu.value:.2%} ({prnu.low:.2%} to {prnu.high:.2%})"
+        return Found(keep, text)
 
 
 def dark_step(camera: Camera, options: StepOptions, progress: Progress) -> Found | None:

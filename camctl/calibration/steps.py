@@ -1,7 +1,7 @@
 """All calibrations of a camera before one scene, in the order in which they need each other.
 
-Control delay, response, true exposures, noise; where the camera can be turned, the pattern of its
-pixels; and where its lens can be covered, the dark signal.  A response is estimated from stated
+Control delay, response, true exposures, noise; where its lens can be covered, the dark signal; and
+where the camera can be turned, the pattern of its pixels.  A response is estimated from stated
 exposures; if these turn out to be wrong, both are measured again from the results so far, until
 they agree.  If the frames agree less with the measured exposures than with the stated ones, these
 are kept: a camera of few levels without noise does not show its exposures, and rounds would lead
@@ -20,22 +20,19 @@ import numpy as np
 
 from camctl.calibrated import EXPOSURES, RESPONSE
 from camctl.calibration.exposures import measure_exposures
-from camctl.calibration.response import (
-    ResponseEstimate,
-    estimate_response,
-    measure_response,
-)
+from camctl.calibration.response import ResponseEstimate, estimate_response
 from camctl.calibration.response_series import Series
+from camctl.calibration.response_shooting import measure_response
 from camctl.calibration.single_steps import (
     Found,
     Measure,
+    PatternSteps,
     Progress,
     StepOptions,
     StepResult,
     dark_step,
     delay_step,
     noise_step,
-    pattern_step,
 )
 from camctl.camera import Camera
 from camctl.errors import CamctlError, CaptureError, DataError
@@ -111,8 +108,10 @@ class _Calibration:
         if any(step.result for step in short):
             yield from self._step("exposures again", RESPONSE, self._measure_exposures)
         yield from self._step("noise", f"{EXPOSURES},{RESPONSE}", noise_step)
-        yield from self._step("pixels", f"{EXPOSURES},{RESPONSE}", pattern_step)
+        pattern, parts = PatternSteps(), f"{EXPOSURES},{RESPONSE}"
+        yield from self._step("first view of the pixels", parts, pattern.first_view)
         yield from self._step("dark signal", "none", dark_step)
+        yield from self._step("pixels", parts, pattern.second_view)
 
     def _step(self, name: str, parts: str, measure: Measure) -> Iterator[StepResult]:
         """Do one step with these parts of the profile; yield its result if it has one."""
@@ -200,10 +199,14 @@ class _Calibration:
         wrong = max(abs(each.factor - 1) for each in (*record.times, *record.gains))
         self._change, self._exposures = _change(self._exposures, record), record
         text = (
-            f"{len(record.times)} times and {len(record.gains)} gains, up to {wrong:.2%} from the "
-            "stated exposures"
+            f"{_count(len(record.times), 'time')} and {_count(len(record.gains), 'gain')}, up to "
+            f"{wrong:.2%} from the stated exposures"
         )
         return Found(lambda profile: profile.exposures.update({mode: record}), text)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _change(before: ExposureRecord | None, now: ExposureRecord) -> float:

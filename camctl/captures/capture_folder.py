@@ -30,7 +30,7 @@ from camctl.captures.report_file import (
 )
 from camctl.errors import StorageError
 from camctl.files import file_lock, storage_error, sync_folder, write_new
-from camctl.input_files import read_own_file
+from camctl.input_files import open_own_file, read_own_file
 from camctl.interrupts import uninterrupted
 
 #: Bytes that are read as one file of a frame at most: 250 megapixels in 16 bits.
@@ -181,10 +181,13 @@ class CaptureFolder:
             ValueError: the file is damaged, or its checksum is not `checksum` (None: any)
             DataError: it is no file, or too large
         """
-        data = read_own_file(self.directory / name, _LARGEST_FRAME)
+        file, length = open_own_file(self.directory / name, _LARGEST_FRAME)
+        with file:
+            data = np.empty(length, np.uint8)  # unlike a bytearray, it is not filled first
+            data = data[: file.readinto(data)]
         if checksum is not None and hashlib.sha256(data).hexdigest() != checksum:
             raise ValueError("its content has changed since it was shot (wrong checksum)")
-        stream = io.BytesIO(data[:1024])  # the header of such an array has 128 bytes
+        stream = io.BytesIO(data[:1024].tobytes())  # the header of such an array has 128 bytes
         if np.lib.format.read_magic(stream) != (1, 0):
             raise ValueError("it is not a .npy file of version 1.0")
         try:

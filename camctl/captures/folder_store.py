@@ -74,6 +74,7 @@ class FolderStore:
         self._folder = CaptureFolder(directory)
         self._renames: dict[str, str] = {}  # done when the next report was saved
         self._removals: list[str] = []  # the same
+        self._kept: set[int] = set()  # positions of the frames that this process wrote
 
     @classmethod
     @contextmanager
@@ -170,6 +171,7 @@ class FolderStore:
         file = frame_file(position)
         staged, sha256 = self._folder.stage(file, npy_parts(frame.pixels))
         self._renames[staged] = file
+        self._kept.add(position)
         return KeptFiles(file, sha256, original, original_sha256)
 
     def reject(self, position: int) -> list[str]:
@@ -231,15 +233,20 @@ class FolderStore:
         )
 
     def frame(self, position: int) -> Pixels:
-        """Read the samples of a frame, and compare its checksum with that in the report."""
+        """Read the samples of a frame, and compare its checksum with that in the report.
+
+        Until the capture is complete the frames that this process wrote are trusted.
+        """
         name, record = frame_file(position), self._record(position)
+        is_trusted = position in self._kept and not isinstance(self.report, CaptureReport)
+        checksum = None if record is None or is_trusted else record.sha256
         hint = "shoot the capture again"
         if not isinstance(self.report, CaptureReport):
             hint = "move it away, and resume: it is shot again"
         path = self.directory / name
         try:
             self._folder.check_frames_folder()
-            return self._folder.samples(name, None if record is None else record.sha256)
+            return self._folder.samples(name, checksum)
         except (OSError, ValueError) as error:
             raise DataError(f"{path} cannot be read: {error}", hint=hint) from error
         except (DataError, StorageError) as error:

@@ -9,19 +9,16 @@ from urllib.parse import quote
 
 import numpy as np
 
-from camctl.captures.picture_files import CONTACT, PREVIEW
+from camctl.captures.picture_files import CONTACT, PREVIEW, read_preview
 from camctl.captures.series_journal import GALLERY, THUMBNAILS, SeriesJournal, SetRecord
 from camctl.errors import DataError
 from camctl.files import make_folder, storage_error, write_bytes
-from camctl.input_files import read_own_file
 from camctl.library_output import quiet_libraries
 from camctl.number_text import range_text
 from camctl.picture_operations import opencv
 
 #: Longest side of a thumbnail, pixels, and the quality of its JPEG file.
 _SIDE, _QUALITY = 480, 85
-#: Bytes that are read as a preview at most.
-_LARGEST_PREVIEW = 64 << 20
 
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -69,7 +66,7 @@ def make_thumbnail(directory: Path, record: SetRecord) -> bool:
     if (cv2 := opencv()) is None:
         return False
     try:
-        content = read_own_file(directory / record.folder / PREVIEW, _LARGEST_PREVIEW)
+        content = read_preview(directory / record.folder)
         with quiet_libraries():
             picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     except (DataError, cv2.error):

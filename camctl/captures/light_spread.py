@@ -39,6 +39,28 @@ _LOST = 0.05
 _SPREADS, _ENDS = 0.02, 0.1
 
 
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Some of the columns and some of the rows of a frame.
+
+    Attributes:
+        columns: every so many columns
+        rows: every so many rows
+        every: column and row
+    """
+
+    columns: Pixels
+    rows: Pixels
+    every: tuple[int, int]
+
+    @classmethod
+    def of(cls, frame: Pixels) -> Lines:
+        """Take them from a frame."""
+        down, across = (-(-length // _MOST_LINES) for length in frame.shape[:2])
+        columns, rows = frame[:, ::across], frame[::down]
+        return cls(np.ascontiguousarray(columns), np.ascontiguousarray(rows), (across, down))
+
+
 @dataclass(frozen=True)
 class LightSpread:
     """How light of a pair spreads from saturated samples of the longer frame.
@@ -59,21 +81,19 @@ class LightSpread:
         return self.streaks or self.reach > 0
 
     @classmethod
-    def of(cls, limits: Limits, pair: Pair, short: Pixels, long: Pixels) -> LightSpread:
+    def of(cls, limits: Limits, pair: Pair, short: Lines, long: Lines) -> LightSpread:
         """Measure it on some of the columns and rows."""
-        white = pair.saturated
-        rows, columns = short.shape[:2]
-        every = -(-columns // _MOST_LINES), -(-rows // _MOST_LINES)
-        found, source = _on_lines(limits, white, short[:, :: every[0]], long[:, :: every[0]])
+        white, every = pair.saturated, short.every
+        found, source = _on_lines(limits, white, short.columns, long.columns)
         if not (found.any() and source.any()):
             return cls(white, 0, False)
         along = np.count_nonzero(_connected_runs(found, source)) * every[0]
-        on_rows = _on_lines(limits, white, short[:: every[1]], long[:: every[1]])
+        on_rows = _on_lines(limits, white, short.rows, long.rows)
         beside = np.count_nonzero(_connected_runs(*(each.T for each in on_rows))) * every[1]
         streaks = along > _STREAKS * beside + _LEAST_STREAKS
         if not streaks and pair.is_known:
             # Charge only adds light; things that move take it away elsewhere.
-            darker = _darker(limits, short[:, :: every[0]], long[:, :: every[0]])
+            darker = _darker(limits, short.columns, long.columns)
             lost = np.count_nonzero(_connected_runs(darker, source)) * every[0]
             streaks = along > _LEAST_STREAKS and lost < _LOST * along
         if streaks:
@@ -102,31 +122,32 @@ def _on_lines(
     limits: Limits, white: int, short: Pixels, long: Pixels
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which pixels contradict in any colour, and which are saturated and do not."""
-    found = outside(limits, short.copy(), long.copy())
+    found = outside(limits, short, long)
     return _any_colour(found), _any_colour((long >= white) & ~found)
 
 
 def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
     """Return which pixels are darker in the longer frame than expected, in any colour."""
     low, high = limits
-    return _any_colour(outside((np.zeros_like(low), high), short.copy(), long.copy()))
+    return _any_colour(outside((np.zeros_like(low), high), short, long))
 
 
 def _connected_runs(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which pixels found are connected to a source along their column."""
     rows, columns = found.shape
-    line = np.zeros((columns, rows + 1), np.bool_)
-    line[:, :-1] = (found | source).T
-    line = line.ravel()
-    begins = line.copy()
-    begins[1:] &= ~line[:-1]
-    runs = np.cumsum(begins, dtype=np.int32)
-    has_source = np.zeros(int(runs[-1]) + 1, np.bool_)
-    sources = np.zeros((columns, rows + 1), np.bool_)
-    sources[:, :-1] = source.T
-    has_source[runs[sources.ravel()]] = True
-    connected = (line & has_source[runs]).reshape(columns, rows + 1)[:, :-1].T
-    return np.asarray(connected & found)
+    # One column after the other, with a free place after each, and one before the first.
+    lines = np.zeros((2, 1 + columns * (rows + 1)), np.bool_)
+    for line, marks in zip(lines, (found, source), strict=True):
+        line[1:].reshape(columns, rows + 1)[:, :-1] = marks.T
+    places, is_source = np.flatnonzero(lines[0]), lines[1]
+    if not places.size:
+        return np.zeros_like(found)
+    begins = np.flatnonzero(np.diff(places, prepend=-1) > 1)
+    ends = np.append(begins[1:], places.size) - 1
+    has_source = np.logical_or.reduceat(is_source[places], begins)
+    has_source |= is_source[places[begins] - 1] | is_source[places[ends] + 1]
+    lines[0, places] = np.repeat(has_source, ends - begins + 1)
+    return np.asarray(lines[0, 1:].reshape(columns, rows + 1)[:, :-1].T)
 
 
 def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> int:

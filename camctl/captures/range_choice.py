@@ -19,6 +19,7 @@ from camctl.captures.scene_range import (
 )
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
+from camctl.exposure.accuracy import TooInaccurateError
 from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.inverse import Posterior
@@ -216,9 +217,7 @@ def choose_range(
     best = max(range(top + 1), key=possible)
     try:
         return replace(choose(desired(best)), needed_levels=possible(top))
-    except UsageError as error:
-        if request.accuracy is None:
-            raise
+    except TooInaccurateError as error:
         raise UsageError(
             f"{error.what}, over any range up to {range_text(ladder[top])}",
             hint=f"over {range_text(ladder[best])} {error.hint}",

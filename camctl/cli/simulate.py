@@ -261,7 +261,7 @@ def _to_text(frame: _SimulatedFrame, *, explain: bool) -> str:
 _TABLE_NOTE = """\
 DN: brightness levels of the sensor. The bound is the largest change of any sample if this effect
 alone is left out; where wells overflow, the end of a streak of charge can change more.
-Times are those of a first frame, from the cost of each effect measured on one core."""
+Times are estimates for a first frame, from the cost of each effect measured on one core."""
 
 
 def _comparison_rows(comparison: Comparison, plan: FramePlan) -> list[tuple[str, str]]:
@@ -278,8 +278,9 @@ def _comparison_rows(comparison: Comparison, plan: FramePlan) -> list[tuple[str,
         ),
         (
             "time saved",
-            f"{format_number(saved, 3)} of {format_number(whole, 3)} ms{share} in a first frame; "
-            f"a later one takes {format_duration(comparison.seconds)} here, with every effect "
+            f"{format_number(saved, 3)} of {format_number(whole, 3)} ms{share} of a first frame, "
+            f"estimated from the costs of the effects; later frames, timed here once: "
+            f"{format_duration(comparison.seconds)}, with every effect "
             f"{format_duration(comparison.everything_s)}",
         ),
     ]

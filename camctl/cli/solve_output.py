@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 PROOF_GAP = 1.01e-4
 """Relative gap up to which a bound counts as a proof: the search for it stops at 1e-4."""
 
+_CHOSEN_BY = {
+    "accuracy": "accuracy with this camera's noise",
+    "xi": "missing levels (xi), without noise; shoot counts it, as --objective accuracy does",
+}
+
 
 @dataclass(frozen=True)
 class SettingsResult:
@@ -103,8 +108,8 @@ class SolveResult:
         best, restricted = self.best, self.restricted
         request = format_request(self.desired.name, self.desired.dynamic_range, len(best.exposures))
         rows = [("desired", request), ("camera", self.camera.response.name)]
-        if self.objective == "accuracy":
-            rows.append(("chosen by", "accuracy with this camera's noise"))
+        if self.noise_known:
+            rows.append(("chosen by", _CHOSEN_BY[self.objective]))
         if restricted is not None:
             rows.append(("settings", _settings_text(restricted)))
         rows += [

@@ -38,6 +38,10 @@ COUNTS: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
 """Numbers of exposures to choose from where none is given."""
 
 
+class TooInaccurateError(UsageError):
+    """No set of exposures has the requested accuracy; the hint says what the best one has."""
+
+
 @dataclass(frozen=True)
 class AccuracySolution(Solution):
     """Exposures found by their accuracy.
@@ -188,7 +192,7 @@ def _least_time(
         return min(found, key=_time_then_count)
     best = _most_accurate(search, counts, limit, 0.0, progress)
     numbers = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    raise UsageError(
+    raise TooInaccurateError(
         f"no set of {numbers} exposures has {accuracy:.6g} effective levels with this camera's "
         "noise",
         hint=f"the best has {best.levels:.4g} in {search.problem.available.duration(best.time)}; "

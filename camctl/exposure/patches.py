@@ -59,6 +59,7 @@ class LightScale:
         full: light at white
         level: mean width of a gap
         curvature: (white + 1,) float64, the second difference of `light`
+        exponent_error: that of the response
     """
 
     def __init__(self, real: CameraResponse, black: int) -> None:
@@ -72,6 +73,7 @@ class LightScale:
             self.light = np.concatenate((below, self.light[1:]))
             self.gap = np.concatenate((np.full(black + 1, step), self.gap[1:]))
         self.black, self.white = black, black + real.M
+        self.exponent_error = real.exponent_error
         self.full = float(self.light[-1])
         self.level = self.full / real.M
         self.curvature: FloatArray = np.concatenate(

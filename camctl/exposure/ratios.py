@@ -5,7 +5,8 @@ exposure, that of the patch's irradiance, and the error b of the black level.  A
 patch is well exposed count, not only neighbours.  The model is fitted by weighted least squares;
 patches in which something moved lose their weight (Tukey's biweight).  A patch counts in a frame if
 its mean is away from black and from saturation by four times the scatter of its samples: choosing
-by the noisy value of a single sample would bias the ratio.
+by the noisy value of a single sample would bias the ratio.  The exponent of a measured response has
+an error that no frame shows: it stretches all x alike.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import DataError
 from camctl.exposure.patches import LightScale, Patches, shared_rounding
+from camctl.exposure.ratio_fit import RatioFit
 from camctl.noise_model import FrameNoise
 from camctl.response.camera import FloatArray
 
@@ -32,16 +34,10 @@ _LARGEST_BIAS = 5e-4
 _LEAST_PATCHES = 12
 #: Relative error of a patch that neither noise nor rounding explain.
 _FLOOR = 1e-3
-#: Standard deviation of the black level's error, levels.
-_BLACK_LEVELS = 0.25
 #: Noise of a camera that does not state it, levels: more than rounding alone.
 _UNKNOWN_NOISE = FrameNoise(math.inf, 1.0)
-#: Tukey's constant, in standard deviations, and the number of reweighting steps.
-_TUKEY, _STEPS = 4.685, 20
-#: The frame is divided into this number of blocks for the confidence intervals.
-_BLOCKS = 16
-#: 97.5 % quantile of Student's distribution with `_BLOCKS` - 1 degrees of freedom.
-_QUANTILE = 2.131
+#: 97.5 % quantiles: normal distribution, and Student's with `BLOCKS` - 1 degrees of freedom.
+_NORMAL_QUANTILE, _QUANTILE = 1.96, 2.131
 #: A patch is lost if its robust weight is below the first share of its weight; something moved
 #: if more than the second share of the patches are lost.
 _LOST, _MOST_LOST = 0.1, 0.4
@@ -60,6 +56,8 @@ class RatioEstimates:
         reference: the frame that the others are compared with; its interval is empty
         moved: share of the patches that lost their weight, since something moved in them
         patches: number of patches that each frame shares with others
+        half_widths: of the intervals of the logarithms, without the error of the exponent
+        exponent_error: half the interval of the logarithm of a ratio of e, from the response's
     """
 
     exposures: tuple[float, ...]
@@ -68,6 +66,8 @@ class RatioEstimates:
     reference: int
     moved: float
     patches: tuple[int, ...]
+    half_widths: tuple[float, ...]
+    exponent_error: float
 
 
 def estimate_ratios(
@@ -102,7 +102,7 @@ def estimate_ratios(
     total = np.maximum(weights.sum(axis=1), 1e-300)
     predicted = np.exp(((logs - start) * weights).sum(axis=1) / total)[:, None] * np.exp(start)
     weights = seen.weights(predicted)
-    fit = _Fit(
+    fit = RatioFit(
         logs + seen.variance(predicted) / (2 * np.square(predicted)),
         weights,
         scale.level / predicted,
@@ -119,7 +119,9 @@ def estimate_ratios(
     moved = float(np.mean((robust < _LOST * weights)[fit.used]))
     if moved > _MOST_LOST or fit.scatter > _MOST_SCATTER:
         raise differ
-    half = _QUANTILE * fit.standard_errors(x, robust)
+    own = _QUANTILE * fit.standard_errors(robust)
+    exponent = _NORMAL_QUANTILE * scale.exponent_error
+    half = np.hypot(own, exponent * x)
     label = labels[reference]
     return RatioEstimates(
         exposures=tuple((label * np.exp(x)).tolist()),
@@ -128,6 +130,8 @@ def estimate_ratios(
         reference=reference,
         moved=moved,
         patches=tuple(np.count_nonzero(robust, axis=0).tolist()),
+        half_widths=tuple(own.tolist()),
+        exponent_error=exponent,
     )
 
 
@@ -263,102 +267,3 @@ def _connect(
         x[other] = x[one] + float(np.median(logs[both, other] - logs[both, one]))
         connected.append(other)
     return reference, x
-
-
-class _Fit:
-    """Weighted least squares for x and b; each patch's irradiance is eliminated.
-
-    Args:
-        logs: logarithm of light, (patches, frames)
-        weights: 1 / variance, 0 where a patch does not count
-        slopes: derivative of `logs` by the error of the black level in levels
-        reference: frame whose x is 0
-
-    Attributes:
-        used: where a patch counts that several frames show
-        scatter: of the patches over their predicted errors, at least 1; set by `robust`
-    """
-
-    def __init__(
-        self, logs: FloatArray, weights: FloatArray, slopes: FloatArray, reference: int
-    ) -> None:
-        several = np.count_nonzero(weights, axis=1) > 1
-        self._logs, self._slopes = logs, slopes
-        self._weights = weights * several[:, None]
-        self.used = self._weights > 0
-        self._free = [k for k in range(logs.shape[1]) if k != reference]
-        # Contiguous patches form a block, since they follow each other row by row.
-        self._block = np.arange(len(logs)) * _BLOCKS // len(logs)
-
-    def robust(self, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return x and the final weights, from a first estimate of x."""
-        x, black = start, 0.0
-        for _ in range(_STEPS):
-            residual = self._residuals(x, black, self._weights)
-            size = np.abs(residual) * np.sqrt(self._weights)
-            self.scatter = max(1.0, 1.4826 * float(np.median(size[self._weights > 0])))
-            keep = np.square(np.clip(1 - np.square(size / (_TUKEY * self.scatter)), 0, None))
-            weights = self._weights * keep
-            before = x
-            x, black = self._solve(self._sums(weights).sum(axis=0))
-            if np.max(np.abs(x - before)) < 1e-9:
-                break
-        return x, weights
-
-    def standard_errors(self, x: FloatArray, weights: FloatArray) -> FloatArray:
-        """Return standard errors of x: the model's, or the jackknife's where it is larger."""
-        sums = self._sums(weights)
-        total = sums.sum(axis=0)
-        normal = self._normal(total)
-        model = np.sqrt(np.diag(np.linalg.inv(normal)))[:-1]
-        left_out = np.array([self._solve(total - block)[0] for block in sums])[:, self._free]
-        centre = left_out.mean(axis=0)
-        jackknife = np.sqrt((len(sums) - 1) / len(sums) * np.square(left_out - centre).sum(axis=0))
-        errors = np.zeros_like(x)
-        errors[self._free] = np.maximum(model, jackknife)
-        return errors
-
-    def _residuals(self, x: FloatArray, black: float, weights: FloatArray) -> FloatArray:
-        values = self._logs - x - black * self._slopes
-        total = weights.sum(axis=1, keepdims=True)
-        mean = (weights * values).sum(axis=1, keepdims=True) / np.maximum(total, 1e-300)
-        return np.asarray(values - mean)
-
-    def _sums(self, weights: FloatArray) -> FloatArray:
-        """Return the normal equations of each block, (blocks, n + 1, n + 2), for n frames and b."""
-        count = weights.shape[1]
-        total = np.maximum(weights.sum(axis=1), 1e-300)
-        columns = np.concatenate(
-            (
-                weights,
-                (weights * self._slopes).sum(axis=1, keepdims=True),
-                (weights * self._logs).sum(axis=1, keepdims=True),
-            ),
-            axis=1,
-        )
-        result = np.zeros((_BLOCKS, count + 1, count + 2))
-        for block in range(_BLOCKS):
-            here = self._block == block
-            W, S, Y = weights[here], self._slopes[here], self._logs[here]
-            part = result[block]
-            part[np.arange(count), np.arange(count)] = W.sum(axis=0)
-            part[:count, count] = part[count, :count] = (W * S).sum(axis=0)
-            part[:count, count + 1] = (W * Y).sum(axis=0)
-            part[count, count] = (W * S * S).sum()
-            part[count, count + 1] = (W * S * Y).sum()
-            C = columns[here]
-            part -= C[:, : count + 1].T @ (C / total[here, None])
-        return result
-
-    def _normal(self, sums: FloatArray) -> FloatArray:
-        keep = [*self._free, sums.shape[0] - 1]
-        normal = sums[np.ix_(keep, keep)] / self.scatter**2
-        normal[-1, -1] += 1 / _BLACK_LEVELS**2
-        return np.asarray(normal)
-
-    def _solve(self, sums: FloatArray) -> tuple[FloatArray, float]:
-        keep = [*self._free, sums.shape[0] - 1]
-        solved = np.linalg.solve(self._normal(sums), sums[keep, -1] / self.scatter**2)
-        x = np.zeros(sums.shape[0] - 1)
-        x[self._free] = solved[:-1]
-        return x, float(solved[-1])

@@ -31,6 +31,8 @@ class CameraResponse:
             lie
         name: name shown to people
         notes: repairs made to a measured curve, one line each
+        exponent_error: standard deviation of the exponent of a measured curve: where it is e, all
+            ratios r of irradiances may be wrong by the same power, r^(1 + e)
 
     Raises:
         DataError: the levels are not a non-empty, finite, ascending list of numbers >= 0
@@ -39,6 +41,7 @@ class CameraResponse:
     levels: FloatArray
     name: str
     notes: tuple[str, ...] = ()
+    exponent_error: float = 0.0
 
     def __post_init__(self) -> None:
         levels = np.array(self.levels, dtype=np.float64)

@@ -175,13 +175,19 @@ def _decision(
     own = bounds.joint((name,), moves_streaks=False) if bounds.overflows else alone
     change = bounds.changes[name]
     milliseconds = effect.cost * effect.samples(shot) * 1e-6
+    range_dn = 2.0**shot.sensor.bits
+    size = f"{own:.3g} DN"
+    if alone > 1.01 * own:
+        size += (
+            f" ({min(alone, range_dn):.3g} DN where full wells overflow and a streak of charge ends"
+            " a row earlier)"
+        )
     if name in chosen:
-        together = f" alone, {joint:.2g} DN with all others left out" if len(chosen) > 1 else ""
-        why = f"changes at most {alone:.2g} DN{together}"
+        together = f" alone, {joint:.3g} DN with all others left out" if len(chosen) > 1 else ""
+        why = f"changes at most {size}{together}"
         if alone == 0:
             why = change.nothing or "changes nothing in this frame"
         return Decision(name, alone, own, False, why, milliseconds=milliseconds)
-    range_dn = 2.0**shot.sensor.bits
     if change.never:
         why = change.never
     elif change.only_below_well and math.isinf(alone):
@@ -189,15 +195,10 @@ def _decision(
         why = f"charge can reach {bounds.peak_e:.3g} e-, above the full well of {well:.3g} e-"
     elif own >= range_dn:
         why = "can change a sample by the whole range of the ADC"
-    elif alone > 1.01 * own and alone > tolerance_dn:
-        why = (
-            f"can change {own:.3g} DN, and {min(alone, range_dn):.0f} DN where full wells overflow"
-            " and a streak of charge ends a row earlier"
-        )
     elif tolerance_dn == 0:
-        why = "simulated, because the tolerance is 0 and it changes the frame"
+        why = f"can change {size}, and the tolerance is 0"
     elif alone > tolerance_dn:
-        why = f"can change {alone:.3g} DN, more than the tolerance of {tolerance_dn:g} DN"
+        why = f"can change {size}, more than the tolerance of {tolerance_dn:g} DN"
     else:
-        why = f"can change {alone:.2g} DN, too much together with the effects left out"
+        why = f"can change {size}, too much together with the effects left out"
     return Decision(name, alone, own, True, why, milliseconds=milliseconds)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from camctl.calibration.pixel_pattern import View, sensitivity_pattern
-from camctl.calibration.single_steps import StepOptions, pattern_step
+from camctl.calibration.single_steps import PatternSteps, StepOptions
 from camctl.camera import Camera
 from camctl.controls import ExposureControls, Layout
 from camctl.errors import DataError
 from camctl.exposure_record import exposure_mode
-from camctl.noise_record import Figure, GainNoise, NoiseRecord
+from camctl.noise_record import DarkRecord, Figure, GainNoise, NoiseRecord
 from camctl.profile import Profile, change_profile
 from camctl.response.camera import FloatArray, linear_response
 from sim.camera import SimulatedCamera
@@ -42,13 +42,32 @@ def texture(rng: np.random.Generator) -> FloatArray:
     return np.asarray(np.exp(light - light.max()))
 
 
-def view(light: FloatArray, pattern: FloatArray, rng: np.random.Generator, kind: Layout) -> View:
+def view(
+    light: FloatArray,
+    pattern: FloatArray,
+    rng: np.random.Generator,
+    kind: Layout,
+    dark_e: FloatArray | float = 0.0,
+) -> View:
+    """Return a view of frames of 1 s with a dark signal, at 20,000 electrons of full scale."""
     found = View(controls(kind))
     for _ in range(4):
         charge = 20_000 * light[: SHAPE[0], : SHAPE[1]] * pattern
-        noisy = rng.normal(charge, np.sqrt(charge)) / 20_000 * 4096
-        found.add(np.clip(noisy, 0, 4095).astype(np.uint16))
+        noisy = (rng.normal(charge, np.sqrt(charge)) + dark_e) / 20_000 * 4096
+        found.add(np.clip(noisy, 0, 4095).astype(np.uint16), 1.0)
     return found
+
+
+def noise_record(full_e: float, dark: DarkRecord | None = None) -> NoiseRecord:
+    one = Figure(value=1.0, low=1.0, high=1.0)
+    gain = GainNoise(gain=1.0, conversion_e_per_dn=one, read_noise_e=one, patches=1, misfit=1.0)
+    return NoiseRecord(
+        gains=(gain,),
+        full_well_e=one.scaled(full_e),
+        saturates=True,
+        dark=dark,
+        measured_at="today",
+    )
 
 
 @pytest.mark.parametrize("prnu", [0.0, 0.005, 0.02])
@@ -56,25 +75,47 @@ def view(light: FloatArray, pattern: FloatArray, rng: np.random.Generator, kind:
 def test_the_pattern_is_found_before_a_scene_with_contrast(prnu: float, layout: Layout) -> None:
     rng = np.random.default_rng(1)
     light, pattern = texture(rng), 1 + prnu * rng.normal(size=SHAPE)
-    views = [view(light[by:, by:], pattern, rng, layout) for by in (0, 14)]
-    found = sensitivity_pattern(*views)
+    first, second = (view(light[by:, by:], pattern, rng, layout) for by in (0, 14))
+    found = sensitivity_pattern(first, second)
     assert found.low <= prnu <= found.high
     assert found.value == pytest.approx(prnu, rel=0.1, abs=0.002)
+
+
+@pytest.mark.parametrize("layout", [Layout.MONO, Layout.RGGB])
+def test_the_patterns_of_the_dark_signal_are_no_part_of_it(layout: Layout) -> None:
+    rng = np.random.default_rng(1)
+    light, pattern = texture(rng), 1 + 0.005 * rng.normal(size=SHAPE)
+    dark_e = rng.normal(0, 80, SHAPE) + rng.normal(0, 120, SHAPE)
+    first, second = (view(light[by:, by:], pattern, rng, layout, dark_e) for by in (0, 14))
+    one = Figure(value=1.0, low=1.0, high=1.0)
+    dark = DarkRecord(
+        gain=1.0,
+        times_s=(0.0, 2.0),
+        dark_current_e_s=one,
+        dsnu_e=one.scaled(80),
+        dcnu_e_s=one.scaled(120),
+        black_dn=0.0,
+        hot_pixels=(),
+        measured_at="today",
+    )
+    assert sensitivity_pattern(first, second).low > 0.006
+    found = sensitivity_pattern(first, second, noise_record(20_000, dark))
+    assert found.low <= 0.005 <= found.high < 0.006
 
 
 def test_two_equal_views_are_refused() -> None:
     rng = np.random.default_rng(1)
     light, pattern = texture(rng), np.ones(SHAPE)
-    views = [view(light, pattern, rng, Layout.MONO) for _ in range(2)]
+    first, second = (view(light, pattern, rng, Layout.MONO) for _ in range(2))
     with pytest.raises(DataError, match="both views show the same"):
-        sensitivity_pattern(*views)
+        sensitivity_pattern(first, second)
 
 
 def test_dark_views_are_refused() -> None:
     rng = np.random.default_rng(1)
-    views = [view(np.full(SHAPE, 0.01), np.ones(SHAPE), rng, Layout.MONO) for _ in range(2)]
+    first, second = (view(np.full(SHAPE, 0.01), np.ones(SHAPE), rng, Layout.MONO) for _ in range(2))
     with pytest.raises(DataError, match="only 0 of"):
-        sensitivity_pattern(*views)
+        sensitivity_pattern(first, second)
 
 
 @pytest.mark.parametrize("is_turned", [True, False])
@@ -89,9 +130,7 @@ def test_the_step_keeps_what_the_turned_camera_shows(
         Scene("tiles", np.ascontiguousarray(light[by : by + SHAPE[0], by : by + SHAPE[1]]))
         for by in (0, 13)
     ]
-    one = Figure(value=1.0, low=1.0, high=1.0)
-    gain = GainNoise(gain=1.0, conversion_e_per_dn=one, read_noise_e=one, patches=1, misfit=1.0)
-    record = NoiseRecord(gains=(gain,), full_well_e=one, saturates=True, measured_at="today")
+    record = noise_record(1.0)
     camera: Camera
     with SimulatedCamera(scenes[0], sensor) as camera:
         mode = exposure_mode(camera.controls)
@@ -101,7 +140,9 @@ def test_the_step_keeps_what_the_turned_camera_shows(
             camera._renderer = Renderer(SceneView.of(scenes[1], sensor), sensor)
             return is_turned
 
-        found = pattern_step(camera, StepOptions(longest_s=0.5, turn=turn), None)
+        steps, options = PatternSteps(), StepOptions(longest_s=0.5, turn=turn)
+        steps.first_view(camera, options, None)
+        found = steps.second_view(camera, options, None)
     assert (found is not None) == is_turned
     if found is not None:
         profile = Profile.model_construct(noises={mode: record})

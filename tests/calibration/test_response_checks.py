@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from camctl.calibration.response import estimate_response
+from camctl.calibration.response_checks import KEPT, widest_interval
 from camctl.calibration.response_series import Series
 from camctl.controls import Layout
 from camctl.errors import DataError
@@ -44,9 +48,11 @@ def shades() -> FloatArray:
     return np.asarray(np.exp(logs - np.quantile(logs, 0.98)))
 
 
-def series_of(frames: list[NDArray[np.uint8]]) -> Series:
+def series_of(
+    frames: list[NDArray[np.uint8]], exposures: tuple[float, ...] | None = None
+) -> Series:
     series = Series(Layout.MONO, 8, levels_are_stated=True)
-    for k, (frame, exposure) in enumerate(zip(frames, STOPS, strict=True)):
+    for k, (frame, exposure) in enumerate(zip(frames, exposures or STOPS, strict=True)):
         series.add(frame, exposure, f"frame {k}")
     return series
 
@@ -64,8 +70,68 @@ def test_a_camera_that_moved_is_not_taken_for_wrong_exposures() -> None:
 def test_a_frame_is_darker_by_less_than_all_of_its_light() -> None:
     wrong = [exposure / (1.8 if k == 3 else 1) for k, exposure in enumerate(STOPS)]
     frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(wrong)]
-    with pytest.raises(DataError, match=r"frame 3 is [3-9]\d% darker than its exposure says"):
+    with pytest.raises(DataError, match=r"frame 3 is 44% darker than its exposure 1 says"):
         estimate_response(series_of(frames))
+
+
+@pytest.mark.parametrize("wrong", [0, 2, 5])
+@pytest.mark.parametrize("factor", [1.6, 1 / 1.6])
+def test_one_wrong_label_is_named_with_what_its_pixels_say(wrong: int, factor: float) -> None:
+    """Not as movement, also where it is the first or the last exposure."""
+    labels = tuple(exposure / (factor if k == wrong else 1) for k, exposure in enumerate(STOPS))
+    frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(STOPS)]
+    said = rf"frame {wrong} is .* than its exposure {labels[wrong]:.4g} says: .* (\S+) times"
+    with pytest.raises(DataError, match=said) as caught:
+        estimate_response(series_of(frames, labels))
+    found = re.search(said, str(caught.value))
+    assert found is not None
+    assert float(found[1]) == pytest.approx(factor, rel=0.01)
+
+
+def test_one_label_that_is_a_little_wrong_does_not_bend_the_curve() -> None:
+    frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(STOPS)]
+    labels = (*STOPS[:-1], 1.2 * STOPS[-1])
+    right, wrong = (estimate_response(series_of(frames, each)) for each in (STOPS, labels))
+    assert "frame 5 is 17% darker than its exposure 4.8 says" in wrong.notes[0]
+    channels = [each.record.main_channel for each in (right, wrong)]
+    curves = [np.interp(0.1, each.brightness, each.irradiance) for each in channels]
+    assert curves[1] == pytest.approx(curves[0], rel=0.005)  # 10 % with the trend of all labels
+
+
+def test_flicker_is_called_flicker_and_widens_the_interval() -> None:
+    light = (1.03, 0.97, 1.08, 0.94, 1.05, 0.96)
+    lamps = [
+        shoot(shades(), t * gain, k) for k, (t, gain) in enumerate(zip(STOPS, light, strict=True))
+    ]
+    flickering = estimate_response(series_of(lamps))
+    assert "the light flickers, or the shutter varies: frames differ" in flickering.notes[0]
+    steady = [shoot(shades(), exposure, k) for k, exposure in enumerate(STOPS)]
+    widths = [
+        widest_interval(each.record) for each in (estimate_response(series_of(steady)), flickering)
+    ]
+    assert widths[0] is not None
+    assert widths[1] is not None
+    assert widths[0][0] < KEPT < widths[1][0]
+
+
+@pytest.mark.parametrize("count", [3, 4, 6])
+@pytest.mark.parametrize("labels", [np.linspace, np.geomspace])
+def test_times_that_are_wrong_throughout_are_refused(
+    count: int, labels: Callable[[float, float, int], FloatArray]
+) -> None:
+    true = np.geomspace(1, 16, count) / 4
+    frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(true)]
+    with pytest.raises(DataError, match=r"contradict the pixels, which say about 1, .*") as caught:
+        estimate_response(series_of(frames, tuple(labels(1, 3, count))))
+    assert "--estimate-ratios" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_curve_that_is_known_no_better_than_without_a_measurement_is_refused() -> None:
+    true = (0.25, 1.6, 4.0)  # of three exposures each one may be the wrong one
+    frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(true)]
+    with pytest.raises(DataError, match=r"contradict the pixels by .* known to \+-\d+% only"):
+        estimate_response(series_of(frames, (0.25, 1.2, 4.0)))
 
 
 def test_a_sharp_shoulder_is_followed() -> None:

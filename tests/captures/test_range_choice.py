@@ -51,6 +51,15 @@ def test_an_accuracy_beyond_all_ranges_names_the_range_with_most() -> None:
     assert plan.effective_levels >= levels * 0.98
 
 
+def test_a_budget_too_short_for_any_exposure_names_no_range() -> None:
+    request = CaptureRequest("log", "auto", accuracy=120.0, time_budget_s=0.05)
+    with pytest.raises(camctl.UsageError) as found:
+        planned(request)
+    assert str(found.value) == (
+        "one exposure takes 0.1 s at least, more than the 0.05 s allowed; allow more time"
+    )
+
+
 def _numbers(hint: str) -> tuple[str, str]:
     """Return the range and the levels of: over 1:256 the best has 121 in 3.4 s; ..."""
     words = hint.split()

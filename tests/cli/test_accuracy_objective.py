@@ -23,6 +23,9 @@ def test_text_of_solve_says_how_the_exposures_were_chosen(run: Run) -> None:
     ran = run("solve", "--electrons", "40", "--read-noise", "0.1", "--objective", "accuracy")
     assert "chosen by            accuracy with this camera's noise\n" in ran.out
     assert " with noise, " in ran.out
+    by_xi = run("solve", "--sensor", "standard").out
+    assert "chosen by            missing levels (xi), without noise; shoot counts it, as " in by_xi
+    assert "chosen by" not in run("solve").out  # no noise is known
 
 
 def test_solve_on_settings_and_gains_within_a_time(run: Run) -> None:

@@ -202,13 +202,23 @@ def test_patches_of_a_file_are_measured(run: Run) -> None:
     assert "--method debevec cannot use a chart; use --method camctl" in other.error
 
 
-def test_a_chart_before_a_camera_is_measured(run: Run) -> None:
-    ran = run(
+def test_what_is_not_exact_enough_is_kept_on_request_only(run: Run) -> None:
+    """Four frames of a chart before a camera are few."""
+    line = (
         *("calibrate", "response", "--scene", "colour-chart", "--sensor", "consumer"),
         *("--size", "320x240", "-n", "4", "--chart", "macbeth", "--json"),
     )
+    ran = run(*line)
     assert ran.status == 0, ran.err
+    assert ran.json["file"] is None
+    assert list_profiles() == []
+    assert "not kept in the camera's profile: at " in ran.err
+    assert ", and +-7% is needed; add frames of exposure " in ran.err
+    assert run(*line, "--keep").json["file"] is not None
     assert len(list_profiles()) == 1
+    photographs = run("calibrate", "response", *write(pictures()), "--times", "1,4,16", "--keep")
+    assert photographs.status == 2
+    assert "--keep: photographs name no camera" in photographs.error
 
 
 def test_photographs_without_times_are_measured_with_a_warning(run: Run) -> None:

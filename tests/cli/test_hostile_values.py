@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Iterator
+from contextlib import chdir
 from pathlib import Path
 
 import click
@@ -144,7 +145,8 @@ def places(tmp_path: Path) -> Iterator[tuple[str, ...]]:
         (folder / f"endless{suffix}").symlink_to("/dev/zero")
     (folder / "loop.json").symlink_to(folder / "loop.json")
     with socket.socket(socket.AF_UNIX) as server:
-        server.bind(str(folder / "socket.json"))
+        with chdir(folder):  # the name of a socket has at most 107 characters
+            server.bind("socket.json")
         yield (
             *(str(path) for path in sorted(folder.iterdir())),
             *("/", ".", "missing", "missing.json", "x" * 300 + ".json", "a/" * 3000 + "b.hdr"),

@@ -160,7 +160,17 @@ def test_signal_while_an_error_is_reported_changes_nothing(run: Run, at_call: At
     assert ran.error.startswith("invalid value for --exposures: 77")
 
 
+@pytest.fixture
+def quick_collections() -> Iterator[None]:
+    """Leave what earlier tests left in memory out of the collection of garbage."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_collections")
 # Libraries leave files open where they are interrupted.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

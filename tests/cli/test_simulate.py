@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -114,10 +115,35 @@ def test_explain_shows_each_effect_with_bound_and_reason(run: Run) -> None:
         assert text in out
 
 
+@pytest.mark.parametrize(
+    "arguments", [("night-street", "4", "0.5"), ("night-street", "4", "0"), ("room", "0.01", "0.5")]
+)
+def test_explain_has_one_number_in_bound_and_reason(run: Run, arguments: tuple[str, ...]) -> None:
+    scene, time_s, tolerance = arguments
+    out = run(
+        *("simulate", "--scene", scene, "--time", time_s, "--tolerance", tolerance),
+        *("--sensor", "complete", *SMALL, "--explain"),
+    ).out
+    rows = [re.split(r" {2,}", line) for line in out.splitlines()]
+    found = [
+        (row[2], number[1])
+        for row in rows
+        if (number := re.search(r"(?:can change|changes at most) ([\d.e-]+) DN", row[-1]))
+    ]
+    assert len(found) >= 6
+    assert all(column == sentence for column, sentence in found), found
+
+
 def test_explain_states_time_and_measured_change(run: Run) -> None:
     arguments = ("simulate", "--size", "320x240", "--scene", "ramp", "--time", "0.01", "--explain")
     out = run(*arguments).out
-    for text in ("measured change", "the mean of the frame by", "time saved", "saved, ms"):
+    for text in (
+        "measured change",
+        "the mean of the frame by",
+        "time saved",
+        "estimated",
+        "saved, ms",
+    ):
         assert text in out
     assert "none hits this frame" in out
     data = run(*arguments, "--json").json

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from datetime import datetime
@@ -245,5 +246,9 @@ def test_result_shows_what_is_darker_than_the_range(tmp_path: Path) -> None:
         assert np.mean(shown < 16) < 0.1
     (Path(shot.folder) / "preview.png").write_bytes(b"")
     with pytest.raises(DataError, match="PNG"):
+        job.look(past)
+    # Three bytes for each of 2560 x 2560 pixels, and a third more.
+    os.truncate(Path(shot.folder) / "preview.png", 4 * 2560**2 + 1)
+    with pytest.raises(DataError, match=r"preview\.png: it is larger than 25 MiB"):
         job.look(past)
     job.close()

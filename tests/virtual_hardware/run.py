@@ -37,8 +37,8 @@ HELPERS = REPOSITORY / "tests" / "helpers"
 BENCH = REPOSITORY / "tests" / "bench"
 BENCHES = ("bench_discovery.py", "bench_v4l2.py", "bench_v4l2_cpu.py", "bench_ptp.py")
 # Two guests, and the files in guest/ that the first one runs: so both take about as long.
-GUESTS = ("webcams", "others")
-WEBCAM_FILES = ("test_v4l2_backend.py",)
+GUESTS = ("first", "second")
+FIRST_FILES = ("test_gphoto2_client.py", "test_same_picture.py", "test_v4l2_backend.py")
 DISPLAY = "display"
 BACKENDS = ("v4l2", "ptp", "coolpix", "gphoto2")
 # Limits that only catch what hangs: of a guest in the host's time, of a test in the guest's.
@@ -224,6 +224,7 @@ def _parser() -> argparse.ArgumentParser:
 def _compile() -> None:
     """Write the byte code of modules and tests on the host: in a guest that takes a minute."""
     folders = [str(REPOSITORY / package) for package in PACKAGES]
+    inherited = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     for command in (
         [sys.executable, "-m", "compileall", "-q", *folders, str(HELPERS)],
         [*PYTEST, "--collect-only", str(HERE / "guest")],  # pytest changes the code of tests
@@ -231,7 +232,7 @@ def _compile() -> None:
         subprocess.run(
             command,
             cwd=REPOSITORY,
-            env={**os.environ, **ENVIRONMENT},
+            env={**inherited, **ENVIRONMENT},
             check=False,
             stdout=subprocess.DEVNULL,
         )
@@ -250,7 +251,7 @@ def _tests(arguments: argparse.Namespace, guest: str) -> list[str]:
     files = [
         str(path)
         for path in sorted((HERE / "guest").glob("test_*.py"))
-        if (path.name in WEBCAM_FILES) == (guest == "webcams")
+        if (path.name in FIRST_FILES) == (guest == "first")
     ]
     return [*PYTEST, *(("-k", selected) if selected else ()), *files]
 

@@ -36,13 +36,14 @@ _GUIDANCE = (
 
 #: How a pattern of the pixels, which stays, is separated from the scene, which does not.
 _TURN = (
-    "Turn the camera a little, by about a tenth of the picture, and fix it again. What then stays "
-    "in the pictures is how the pixels differ. Answer n if it cannot be turned."
+    "Last step: uncover the lens, turn the camera a little, by about a tenth of the picture, and "
+    "fix it again. What then stays in the pictures is how the pixels differ. Answer n if it cannot "
+    "be turned."
 )
 #: What the pixels collect without light.
 _COVER = (
-    "Last step: cover the lens, with its cap or a dark cloth. What the pictures then show is the "
-    "dark signal and hot pixels. Answer n if it cannot be covered."
+    "Cover the lens, with its cap or a dark cloth. What the pictures then show is the dark signal "
+    "and hot pixels. Answer n if it cannot be covered."
 )
 #: What depends on the picture, so that no calibration can predict it.
 _NEVER = "smear, blooming and glare"
@@ -73,9 +74,9 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
     Point the camera at a scene that does not move, with dark and bright parts and many shades
     between, in steady light. Each result is kept in the camera's profile, which later captures use
     without being asked. What cannot be measured is named with what to do; the rest is measured all
-    the same. At the end, in a terminal, you are asked to turn the camera a little (one view cannot
-    show how the pixels differ, two can), and then to cover the lens, for the dark signal. Otherwise
-    measure these with camctl calibrate noise --flat and --dark.
+    the same. At the end, in a terminal, you are asked to cover the lens, for the dark signal, and
+    then to uncover it and to turn the camera a little (one view cannot show how the pixels differ,
+    two can). Otherwise measure these with camctl calibrate noise --flat and --dark.
     """
     from camctl.calibration.single_steps import StepOptions
     from camctl.calibration.steps import calibrate
@@ -105,9 +106,9 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
 
             return ask if is_interactive else None
 
-        turn = asked(_TURN, "Has the camera been turned?")
         cover = asked(_COVER, "Is the lens covered?")
-        how = StepOptions(longest_s, begin, print_warning, turn, cover)
+        turn = asked(_TURN, "Is the lens uncovered, and has the camera been turned?")
+        how = StepOptions(longest_s, begin, print_warning, cover, turn)
         for step in calibrate(lambda parts: camera.open(profile=parts), how):
             bars.close()
             done.append(step)

@@ -120,6 +120,11 @@ _estimate_options = option_group(
     help="Longest shutter time to use.",
 )
 @_estimate_options
+@click.option(
+    "--keep",
+    is_flag=True,
+    help="Keep the result in the camera's profile though it is not exact enough.",
+)
 @click.option("-o", "output", type=PATH, metavar="FILE", help="Write the curve for --curve.")
 @options.as_json
 def response(
@@ -128,6 +133,7 @@ def response(
     count: int,
     longest_s: float,
     how: EstimateOptions,
+    keep: bool,
     output: Path | None,
     as_json: bool,
 ) -> None:
@@ -135,9 +141,9 @@ def response(
 
     The scene must not move and its light must be steady; it should have dark and bright parts and
     many shades between. No chart is needed. With --camera (or without FILES) a series is shot that
-    suits the light, and the result is kept in the camera's profile; FILES are photographs, or the
-    folder of a complete capture. With --chart or --patches one photograph is enough; with several,
-    what they say is added.
+    suits the light, and the result is kept in the camera's profile if it is exact enough (7 %);
+    FILES are photographs, or the folder of a complete capture. With --chart or --patches one
+    photograph is enough; with several, what they say is added.
     """
     context = click.get_current_context()
     names = options.given(context)
@@ -155,12 +161,17 @@ def response(
         if how.method != "camctl":
             raise UsageError(f"--method {how.method} needs FILES", hint="name photographs")
         info, mode, series, frames = _from_camera(camera, count, longest_s, how)
+    if keep and (info is None or how.method != "camctl"):
+        raise UsageError(
+            "--keep: photographs name no camera whose profile could keep the response",
+            hint="give the folder of a capture, or a camera; or write the curve with -o",
+        )
     estimate = _estimate(series, frames, how)
     for note in estimate.notes:
         print_warning(note)
     record = estimate.record
     file = None
-    if info is not None and how.method == "camctl":
+    if info is not None and how.method == "camctl" and (keep or _is_exact(series, record)):
         file = _keep(info, mode, record)
     if output is not None:
         _write_curve(output, record)
@@ -202,7 +213,7 @@ def _needs_times(source: SeriesOptions, how: EstimateOptions) -> bool:
 def _from_camera(
     camera: CameraOptions, count: int, longest_s: float, how: EstimateOptions
 ) -> tuple[CameraInfo, str, Series, list[NDArray[Any]]]:
-    from camctl.calibration.response import measure_response
+    from camctl.calibration.response_shooting import measure_response
     from camctl.exposure_record import exposure_mode
 
     with (
@@ -247,6 +258,21 @@ def _estimate(series: Series, frames: list[NDArray[Any]], how: EstimateOptions) 
     return ResponseEstimate(record=record, exposures=relative, residual=None)
 
 
+def _is_exact(series: Series, record: ResponseRecord) -> bool:
+    """Return whether a response is exact enough for the profile; warn where it is not."""
+    from camctl.calibration.response_checks import KEPT, helpful_exposures, widest_interval
+
+    widest = widest_interval(record)
+    if widest is None or widest[0] <= KEPT:
+        return True
+    print_warning(
+        f"not kept in the camera's profile: at {widest[1]:.0%} of full scale the response is known "
+        f"to +-{widest[0]:.0%}, and +-{KEPT:.0%} is needed; "
+        f"{helpful_exposures(series.exposures, widest[1])}, or keep it with --keep"
+    )
+    return False
+
+
 def _keep(info: CameraInfo, mode: str, record: ResponseRecord) -> Path:
     from camctl.profile import Profile, change_profile
 
@@ -258,12 +284,15 @@ def _keep(info: CameraInfo, mode: str, record: ResponseRecord) -> Path:
 
 def _write_curve(path: Path, record: ResponseRecord) -> None:
     """Write the curve of a channel, green where there are three, in two columns."""
+    import numpy as np
+
     from camctl.files import write_bytes
 
-    channel = record.main_channel
-    lines = [f"# irradiance and brightness, channel {channel.name}"]
-    pairs = zip(channel.irradiance, channel.brightness, strict=True)
-    lines += [f"{irradiance:.9g} {brightness:.9g}" for irradiance, brightness in pairs]
+    levels = record.camera_response().levels
+    brightness = (np.arange(1, levels.size + 1) - record.phase) / (levels.size + 1)
+    lines = [f"# irradiance and brightness, channel {record.main_channel.name}", "0 0"]
+    lines += [f"{each:.9g} {at:.9g}" for each, at in zip(levels, brightness, strict=True)]
+    lines.append("1 1")
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 

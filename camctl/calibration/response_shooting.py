@@ -1,0 +1,99 @@
+"""An exposure series that suits the light before a camera, for its response."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.calibration.response_series import Series
+from camctl.camera import Camera
+from camctl.controls import ExposureSetting
+from camctl.errors import CaptureError
+
+FRAMES = 8
+#: Longest shutter time that is used unless another one is asked for, s.
+LONGEST_S = 2.0
+#: Time for the bracket: from the first probe in which this share of the pixels reaches half of full
+#: scale, to the first in which all but this share is saturated.
+_FEW = 0.01
+_PROBE_STEP = 4.0
+
+
+def measure_response(
+    camera: Camera,
+    *,
+    count: int = FRAMES,
+    longest_s: float = LONGEST_S,
+    frames: list[NDArray[Any]] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Series:
+    """Shoot an exposure series that suits the light before the camera; return it.
+
+    The exposures are the true ones where the camera's controls know them, else those stated.
+
+    Args:
+        camera: an open camera
+        count: number of frames, at least 2
+        longest_s: longest shutter time, s
+        frames: a list to which the frames are added
+        progress: called with the share that is done, 0 to 1
+
+    Raises:
+        CaptureError: the scene is too dark or too bright for the camera's shutter times
+        CameraError: as `Camera.shoot` raises
+    """
+    controls = camera.controls
+    gain = controls.gain.nearest(1.0)
+    settings = [ExposureSetting(time_s, gain) for time_s in _bracket(camera, count, longest_s)]
+    series = Series(
+        controls.layout,
+        controls.bits,
+        controls.black,
+        controls.white,
+        phase=controls.phase,
+        levels_are_stated=True,
+    )
+    for frame in camera.shoot(settings):
+        exposure = controls.exposure(frame.applied)
+        series.add(frame.pixels, exposure, f"the frame of {frame.applied.time_s:.4g} s")
+        if frames is not None:
+            frames.append(frame.pixels)
+        if progress is not None:
+            progress(len(series.names) / len(settings))
+    return series
+
+
+def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:
+    """Return up to `count` shutter times from dark frames to nearly saturated ones."""
+    controls = camera.controls
+    gain = controls.gain.nearest(1.0)
+    shortest = controls.time_s.minimum
+    longest = max(shortest, min(controls.time_s.maximum, longest_s))
+    probes = 1 + max(1, math.ceil(math.log(longest / shortest, _PROBE_STEP)))
+    times = sorted(
+        {controls.time_s.nearest(float(each)) for each in np.geomspace(shortest, longest, probes)}
+    )
+    first, last = None, times[-1]
+    half = controls.black + (controls.white - controls.black) / 2
+    for frame in camera.shoot([ExposureSetting(time_s, gain) for time_s in times]):
+        if first is None and np.mean(frame.pixels >= half) >= _FEW:
+            first = frame.applied.time_s / _PROBE_STEP
+        if np.mean(frame.pixels >= controls.white) >= 1 - 2 * _FEW:
+            last = frame.applied.time_s
+            break
+    if first is None:
+        raise CaptureError(
+            f"the scene is too dark: it does not reach half of full scale at {times[-1]:.4g} s",
+            hint="take the lens cap off, light the scene, or allow longer times (--longest)",
+        )
+    if last == times[0]:
+        raise CaptureError(
+            f"the scene is too bright: it is white even at {times[0]:.4g} s",
+            hint="close the aperture, or put a filter in front of the lens",
+        )
+    wanted = np.geomspace(max(first, shortest), last, count)
+    return sorted({controls.time_s.nearest(float(each)) for each in wanted})
