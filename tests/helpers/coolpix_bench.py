@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from typing import Any
 
+from camctl.camera import Camera, Frame
+from camctl.controls import Choices, Control, ExposureSetting
 from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
 from sim.devices.clock import DeviceClock, VirtualDeviceClock
 from sim.devices.sierra.device import SierraDevice, make
 
 SCENERY = {"scene": "ramp", "sensor": "standard", "seed": 3, "size": "32x24", "repeat_noise": True}
+SETTINGS = [ExposureSetting(0.002), ExposureSetting(0.008)]
 
 
 @contextmanager
@@ -34,3 +37,37 @@ def coolpix_on(device: SierraDevice, url: str | None = None, **arguments: Any) -
     options = CoolpixOptions.parse({"format": "tiff", "response": "linear", **arguments})
     camera = CoolpixCamera(url or device.line.path, options, clock=device.clock, **own)
     return camera.open()
+
+
+def shoot(camera: Camera, settings: Sequence[ExposureSetting] = SETTINGS) -> list[Frame]:
+    with closing(camera.shoot(settings)) as frames:
+        return list(frames)
+
+
+def learn_format(camera: Camera) -> None:
+    """Make the camera learn the format of its files, so that the next picture is a frame."""
+    assert camera.controls.shape == (24, 32)
+
+
+def do_once(camera: CoolpixCamera, method: str, argument: int, act: Callable[[], object]) -> None:
+    """Call `act` just before the next call of `method` of the session with this argument."""
+    sierra: Any = camera._body.sierra
+    plain = getattr(sierra, method)
+
+    def patched(first: int, *others: Any, **named: Any) -> Any:
+        if first == argument:
+            setattr(sierra, method, plain)
+            act()
+        return plain(first, *others, **named)
+
+    setattr(sierra, method, patched)
+
+
+def choices(control: Control | None) -> tuple[float, ...]:
+    assert isinstance(control, Choices)
+    return control.values
+
+
+def data_of(frame: Frame) -> bytes:
+    assert frame.original is not None
+    return frame.original.data

@@ -20,7 +20,6 @@ from camctl.backends import open_camera
 from camctl.camera import Camera, StreamingCamera
 from camctl.captures.frame_record import FrameRecord
 from camctl.controls import ExposureSetting
-from camctl.errors import CamctlError
 from camctl.profile import DelayRecord, change_profile, load_profile
 from sim.devices.hub import Hub
 from sim.devices.hub import main as hub_main
@@ -356,13 +355,6 @@ def frame_cost(hub: Hub, device: Device) -> FrameCost:
         by_timestamps=round((stamps[-1] - begin_s) / interval_s),
         slots=slots,
     )
-
-
-def one_line(error: CamctlError) -> str:
-    """Return the text of an error that is one line with a next step."""
-    assert error.hint
-    assert "\n" not in str(error)
-    return str(error)
 
 
 def completed_frames(directory: str) -> list[FrameRecord]:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import serial
+from error_lines import one_line
 
 from camctl.clock import RealClock
 from camctl.errors import (
@@ -60,13 +61,6 @@ def scripted(parts: list[bytes], monkeypatch: pytest.MonkeyPatch) -> tuple[Seria
 
     monkeypatch.setattr(serial, "serial_for_url", open_line)
     return SerialLink("scripted", 19200), given["timeout"]
-
-
-def one_line(error: CameraError | UsageError) -> str:
-    """Return the text of an error, which is one line with a hint."""
-    assert error.hint
-    assert "\n" not in str(error)
-    return str(error)
 
 
 class TestOpening:

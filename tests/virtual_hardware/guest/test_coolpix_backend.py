@@ -12,6 +12,7 @@ import guest_processes as guest
 import pytest
 import virtual_devices as rig
 from device_conformance import DeviceConformance
+from error_lines import one_line
 
 from camctl import read_report
 from camctl.camera import Frame
@@ -92,7 +93,7 @@ class TestFaults:
             self.fault("clamp", max_s=0.005)
             with pytest.raises(CameraError) as caught, closing(camera.shoot(settings)) as frames:
                 list(frames)
-        assert rig.one_line(caught.value) == (
+        assert one_line(caught.value) == (
             "the camera cannot set time_s to 0.008; the nearest it can do is 0.004"
         )
 

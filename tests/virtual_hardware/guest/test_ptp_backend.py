@@ -13,6 +13,7 @@ import guest_processes as guest
 import pytest
 import virtual_devices as rig
 from device_conformance import DeviceConformance
+from error_lines import one_line
 
 from camctl import read_report
 from camctl.camera import Frame
@@ -146,7 +147,7 @@ class TestFaults:
             r"the camera cannot set time_s to 0\.016; taken and not fetched: the picture of "
             r"0\.008 s \(VIRT\d+\.TIF\); the nearest it can do is 0\.01"
         )
-        assert re.fullmatch(message, rig.one_line(caught.value)), caught.value
+        assert re.fullmatch(message, one_line(caught.value)), caught.value
 
     def test_a_wrong_exposure_is_found_and_shot_again(self, camctl: RunCamctl) -> None:
         with guest.once_a_frame_is_kept(

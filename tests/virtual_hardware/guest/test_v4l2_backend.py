@@ -15,6 +15,7 @@ import pytest
 import virtual_devices as rig
 from calibrated_webcam import calibrate_and_shoot
 from device_conformance import DeviceConformance
+from error_lines import one_line
 
 from camctl import CaptureRequest, capture, read_report
 from camctl.controls import ExposureSetting
@@ -207,7 +208,7 @@ class TestFaults:
                 self.fault(verb)
                 with pytest.raises(CameraError) as caught:
                     list(frames)
-        return rig.one_line(caught.value)
+        return one_line(caught.value)
 
     @pytest.mark.parametrize("verb", FAULTS_OF_A_STREAM)
     def test_fault_after_the_first_frame(self, verb: str) -> None:
@@ -246,7 +247,7 @@ class TestFaults:
             setting = rig.setting(camera, 0.04)
             with pytest.raises(CameraError) as caught, closing(camera.shoot([setting])) as frames:
                 list(frames)
-        assert rig.one_line(caught.value) == (
+        assert one_line(caught.value) == (
             "the camera cannot set time_s to 0.04; the nearest it can do is 0.02"
         )
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import virtual_devices as rig
+from error_lines import one_line
 from guest_processes import wait_for
 from numpy.typing import NDArray
 
@@ -171,7 +172,7 @@ def test_a_node_without_exposure_time_is_refused_by_name(path: str) -> None:
     with pytest.raises(CameraError) as caught:
         V4l2Camera(path).open()
     assert not isinstance(caught.value, UsageError)
-    assert rig.one_line(caught.value).startswith(f"{path} has no control for the exposure time, so")
+    assert one_line(caught.value).startswith(f"{path} has no control for the exposure time, so")
 
 
 def test_structures_have_the_size_that_the_kernel_accepts(node: Node) -> None:
