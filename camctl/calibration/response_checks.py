@@ -103,8 +103,8 @@ def _check_order(series: Series, exposures: FloatArray) -> None:
             raise DataError(
                 f"{series.names[short]} is brighter than {series.names[long]}, though its exposure "
                 "is shorter",
-                hint="check the order of the exposures and of the frames, and that the light is "
-                "steady",
+                hint="check the order of the exposures and of the frames, that the light is "
+                "steady, and that no file is damaged",
             )
 
 

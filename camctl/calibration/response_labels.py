@@ -19,6 +19,7 @@ from camctl.calibration.exponent import expected_exponent
 from camctl.calibration.response_fit import ResponseFit
 from camctl.errors import DataError
 from camctl.response.camera import FloatArray
+from camctl.response_record import Z_95
 
 #: Relative errors of the exposures from which there is a note, and from which there is no result:
 #: film at long exposures (reciprocity failure) can be 25 % darker.
@@ -31,6 +32,8 @@ _SMOOTH, _LEAST_SMOOTH = 0.85, 5
 #: Flatness of responses: the exponent that makes them as steep as that of sRGB.  3000 random film
 #: and camera responses have 0.78 to 2.14, a linear one has 1.85.
 _STEEPNESS = (0.4, 2.2)
+#: Degrees of freedom that three frames count as: they have one, which would refuse nearly all.
+_LEAST_FREEDOM = 2
 #: Exposures that are printed.
 _MOST_PRINTED = 8
 _ESTIMATE = "correct them, or leave --times out and use --estimate-ratios"
@@ -81,9 +84,9 @@ def check_labels(
     worst = np.abs(errors).argmax(axis=0)
     error = errors[worst, np.arange(logs.size)]
     size = np.abs(error)
-    if not size.max() > _NOTED:
-        return LabelCheck(np.ones(errors.shape))
     shown = np.any(judged, axis=0)
+    if not size.max() > _NOTED:
+        return LabelCheck(np.ones(errors.shape), _standard_error(logs[shown], error[shown]))
     order = np.argsort(-size)
     first = int(order[0])
     is_single = shown.sum() > 3 and size[order[1]] <= max(_NOTED, _OTHERS * size[first])
@@ -103,7 +106,9 @@ def check_labels(
     elif is_smooth or size[first] > math.log1p(_REFUSED):
         text = _contradiction(exposures, edges, fits)
         hint = _ESTIMATE
-    else:
+    else:  # of errors at random the line of least squares is the better one
+        errors = np.array([_scatter(logs, *each) for each in zip(found, judged, strict=True)])
+        error = errors[worst, np.arange(logs.size)]
         text = _flicker(names, error)
         hint = "use daylight or a lamp that does not flicker, or --estimate-ratios"
     if size[first] > math.log1p(_REFUSED):
@@ -139,6 +144,14 @@ def _errors(logs: FloatArray, found: FloatArray, judged: NDArray[np.bool_]) -> F
     return errors
 
 
+def _scatter(logs: FloatArray, found: FloatArray, judged: NDArray[np.bool_]) -> FloatArray:
+    """Return the like of `_errors` from a line of least squares."""
+    if judged.sum() < 2:
+        return np.zeros(logs.size)
+    slope, start = np.polyfit(logs[judged], found[judged], 1)
+    return np.asarray(((found - start) / slope - logs) * judged)
+
+
 def _bow(logs: FloatArray, errors: FloatArray) -> float:
     """Return how the slope of the labels changes (standard deviation) where errors are a parabola.
 
@@ -154,12 +167,15 @@ def _bow(logs: FloatArray, errors: FloatArray) -> float:
 
 
 def _standard_error(logs: FloatArray, errors: FloatArray) -> float:
-    """Return the standard error of the slope of the labels."""
+    """Return the standard error of the slope of the labels, for 95 % intervals of few frames."""
     spread = float(np.sum(np.square(logs - logs.mean())))
     if logs.size < 3 or spread == 0:
         return 0.0
     scatter = float(np.sum(np.square(errors - np.polyval(np.polyfit(logs, errors, 1), logs))))
-    return math.sqrt(scatter / (logs.size - 2) / spread)
+    few = max(_LEAST_FREEDOM, logs.size - 2)
+    # Student's quantile over the normal one (Cornish-Fisher).
+    wider = 1 + (Z_95**2 + 1) / (4 * few) + (5 * Z_95**4 + 16 * Z_95**2 + 3) / (96 * few**2)
+    return wider * math.sqrt(scatter / (logs.size - 2) / spread)
 
 
 def _wrong_label(name: str, exposure: float, error: float, where: str) -> str:

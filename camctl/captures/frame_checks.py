@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from camctl.camera import Camera, Pixels
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side
+from camctl.captures.movement import bands_of
 from camctl.captures.frame_record import ExposureRatio, RatioCheck, StoredFrame
 from camctl.captures.picture_details import thumbnail
 from camctl.captures.report import UnfinishedCapture
@@ -26,6 +27,7 @@ class FrameChecks:
 
     Attributes:
         thumbnails: small pictures of the frames that have arrived, by position
+        bands: parts of them, to measure movement where the camera's noise is unknown
 
     Args:
         camera: that shoots it
@@ -40,6 +42,7 @@ class FrameChecks:
         )
         self._log = ShotLog(capture.plan.settings)
         self.thumbnails: dict[int, NDArray[np.uint8]] = {}
+        self.bands: dict[int, Pixels] = {}
 
     def begin(self, positions: Sequence[int]) -> None:
         """Record that the frames at `positions` are shot now, in one sequence."""
@@ -49,6 +52,8 @@ class FrameChecks:
         """Compare the frame at `position` with its neighbours that have arrived."""
         self._check.add(position, pixels)
         self.thumbnails[position] = thumbnail(pixels, self._controls)
+        if not self._controls.noise:
+            self.bands[position] = bands_of(pixels)
         for later in (position, position + 1):
             if self._check.has(later):
                 before, after = (

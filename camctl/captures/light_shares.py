@@ -9,13 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.pictures import DARK, GOOD, SATURATED, STRIP_SAMPLES, Tables
+from camctl.captures.pictures import DARK, GOOD, SATURATED, Tables
 from camctl.controls import Layout
 from camctl.response.desired import DesiredResponse
 
 BINS = 40
 """Bins of the histogram: a line of a terminal holds them beside two numbers."""
 
+#: Samples that are counted at a time.
+_COUNTED = 1 << 20
 #: Range of the histogram where the picture's is infinite.
 _WIDEST = 2.0**20
 
@@ -69,7 +71,7 @@ def light_shares(
 def _counts(plane: NDArray[np.unsignedinteger], values: int) -> NDArray[np.int64]:
     """Return how often each value below `values` occurs, some rows at a time."""
     counts = np.zeros(values, np.int64)
-    rows = max(1, STRIP_SAMPLES // (plane.size // plane.shape[0]))
+    rows = max(1, _COUNTED // (plane.size // plane.shape[0]))
     for start in range(0, plane.shape[0], rows):
         counts += np.bincount(plane[start : start + rows].ravel(), minlength=values)
     return counts

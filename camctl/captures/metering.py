@@ -110,7 +110,7 @@ class MeteringFrames:
             if self._reference is not None and self._stays_at(self._reference, frame):
                 reference, frame = self._shoot(self._reference.requested), self._shoot(setting)
                 if stays_s := self._stays_at(reference, frame):
-                    raise _not_following(reference.applied, frame.applied, stays_s)
+                    raise self._not_following(reference.applied, frame.applied, stays_s)
             if self._reference is None or self._factor(self._reference, frame) >= _COMPARED_FACTOR:
                 self._reference = frame
             self.last, self._frame = setting, frame
@@ -140,16 +140,22 @@ class MeteringFrames:
         with closing(self.camera.shoot([setting])) as frames:
             return next(frames)
 
-
-def _not_following(before: ExposureSetting, after: ExposureSetting, stays_s: float) -> CaptureError:
-    shown = [time_text(time_s) for time_s in (before.time_s, after.time_s, stays_s)]
-    end = "no longer" if after.exposure > before.exposure else "no shorter"
-    return CaptureError(
-        f"the camera does not follow its exposure: {shown[0]} and {shown[1]} give nearly the same "
-        f"brightness, as if it were {end} than {shown[2]}",
-        hint="turn its automatic exposure off; if it has none, give exposures that it can make, "
-        "with --base and --ratios",
-    )
+    def _not_following(
+        self, before: ExposureSetting, after: ExposureSetting, stays_s: float
+    ) -> CaptureError:
+        shown = [time_text(time_s) for time_s in (before.time_s, after.time_s, stays_s)]
+        end = "no longer" if after.exposure > before.exposure else "no shorter"
+        has_delay, name = self.camera.controls.delay_frames is not None, self.camera.info.id
+        again = (
+            f"measure its control delay again (camctl calibrate delay --camera {name}), or "
+        )
+        return CaptureError(
+            f"the camera does not follow its exposure: {shown[0]} and {shown[1]} give nearly the "
+            f"same brightness, as if it were {end} than {shown[2]}",
+            hint=f"{again if has_delay else ''}"
+            "turn its automatic exposure off; if it has none, give exposures that it can make, "
+            "with --base and --ratios",
+        )
 
 
 def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from camctl.camera import Pixels
 from camctl.captures.frame_pairs import Limits, Pair
 from camctl.captures.light_spread import ACROSS, LightSpread, Lines
 from camctl.picture_operations import AREA, connected_parts, dilated
+from camctl.threads import in_threads
 
 FALSE_ALARMS = 0.002
 """Share of the samples of a scene without movement that noise alone puts outside."""
@@ -47,9 +47,7 @@ _BAND, _BANDS_PIXELS = 64, 1_000_000
 #: Places that are named at most, the largest first.
 _MOST_PLACES = 5
 #: Samples that are compared at a time.
-_STRIP_SAMPLES = 1 << 20
-#: Areas of a frame that are compared at once.
-_THREADS = 2
+_STRIP_SAMPLES = 1 << 19
 
 _Floats = NDArray[np.float64]
 
@@ -107,7 +105,16 @@ class Movement:
         return found.reshape(-1, *self.shape[1:])
 
 
-def find_movement(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> Movement | None:
+def bands_of(pixels: Pixels) -> Pixels:
+    """Return bands of columns of a frame, all over it, of about a million pixels together."""
+    rows, columns = pixels.shape[:2]
+    step = _BAND * -(-rows * columns // _BANDS_PIXELS)
+    return np.ascontiguousarray(pixels[:, np.arange(columns) % step < _BAND])
+
+
+def find_movement(
+    frame: Callable[[int], Pixels], pairs: Sequence[Pair], bands: Callable[[int], Pixels]
+) -> Movement | None:
     """Return where the frames of a capture contradict each other; None with a single frame.
 
     Two frames are in memory at a time.
@@ -115,15 +122,16 @@ def find_movement(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> Move
     Args:
         frame: returns the samples of a frame by its position, black included
         pairs: frames neighbouring in exposure, from the shortest on
+        bands: returns `bands_of` a frame likewise; called where the noise is unknown
     """
     if not pairs:
         return None
     if all(pair.is_known for pair in pairs):
         return _marked(frame, pairs, FALSE_ALARMS)
-    return _marked(frame, pairs, _corrected_total(_bands(frame), pairs))
+    return _marked(frame, pairs, _corrected_total(bands, pairs))
 
 
-def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> float:
+def _corrected_total(bands: Callable[[int], Pixels], pairs: Sequence[Pair]) -> float:
     """Return the share of false alarms to set limits for, so that the share in frames is right.
 
     Unknown noise is larger at contours and beside saturated pixels, of which patches have few.
@@ -131,7 +139,7 @@ def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> f
     most = _MOST_RATE * FALSE_ALARMS
     total, low, high, tries = FALSE_ALARMS, 0.0, math.inf, []
     for _ in range(1 + _TRIES):
-        alarms = _marked(frame, pairs, total).found.false_alarms
+        alarms = _marked(bands, pairs, total, in_memory=True).found.false_alarms
         tries.append((abs(alarms / FALSE_ALARMS - 1), total))
         too_few = alarms < FALSE_ALARMS
         if not alarms or min(tries)[0] < _NEAR_RATE or (too_few and total == most):
@@ -143,37 +151,40 @@ def _corrected_total(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> f
     return min(tries)[1]
 
 
-def _bands(frame: Callable[[int], Pixels]) -> Callable[[int], Pixels]:
-    """Return a function that returns bands of columns of each frame, which are kept in memory."""
+def _marked(
+    frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float, *, in_memory: bool = False
+) -> Movement:
+    """Return what contradicts by limits that are set for this share of false alarms.
 
-    @cache
-    def bands(position: int) -> Pixels:
+    Frames that are `in_memory` are compared two pairs at a time.
+    """
+
+    @lru_cache(maxsize=1)  # the shorter frame of a pair is the longer one of the pair before
+    def load(position: int) -> tuple[Pixels, Lines]:
         pixels = frame(position)
-        rows, columns = pixels.shape[:2]
-        step = _BAND * -(-rows * columns // _BANDS_PIXELS)
-        return pixels[:, np.arange(columns) % step < _BAND]
+        return pixels, Lines.of(pixels)
 
-    return bands
+    def compare(work: tuple[Pair, tuple[Limits, float]]) -> tuple[NDArray[np.uint8], float, bool]:
+        pair, (limits, rate) = work
+        short, short_lines = load(pair.short.position)
+        long, long_lines = load(pair.long.position)
+        spread = LightSpread.of(limits, pair, short_lines, long_lines)
+        rows, columns = shape[:2]
+        marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
+        mark = partial(_mark, marks, limits, spread, short, long)
+        areas = _areas(rows, columns, channels, spread)
+        compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas))
+        return marks, rate * compared / short.size, spread.is_any
 
-
-def _marked(frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float) -> Movement:
-    """Return what contradicts by limits that are set for this share of false alarms."""
-    short = frame(pairs[0].short.position)
-    short_lines = Lines.of(short)
-    shape, (rows, columns) = short.shape, short.shape[:2]
-    channels = short.size // (rows * columns)
-    marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
-    alarms, does_spread = 0.0, False
-    with ThreadPoolExecutor(_THREADS) as threads:
-        for pair, (limits, rate) in zip(pairs, _calibrated(pairs, total), strict=True):
-            long = frame(pair.long.position)
-            long_lines = Lines.of(long)
-            spread = LightSpread.of(limits, pair, short_lines, long_lines)
-            does_spread |= spread.is_any
-            mark = partial(_mark, marks, limits, spread, short, long)
-            compared = sum(threads.map(mark, _areas(rows, columns, channels, spread)))
-            alarms += rate * compared / short.size
-            short, short_lines = long, long_lines
+    shape = load(pairs[0].short.position)[0].shape
+    channels = shape[2] if len(shape) == 3 else 1
+    work = zip(pairs, _calibrated(pairs, total), strict=True)
+    results = in_threads(compare, work) if in_memory else map(compare, work)
+    marks, alarms, does_spread = next(results)
+    for each, share, spreads in results:
+        marks |= each
+        alarms += share
+        does_spread |= spreads
     is_known = all(pair.is_known for pair in pairs)
     movement, at_rest = _mapped(shape, marks, alarms, is_known=is_known)
     if is_known and not (does_spread and at_rest < alarms):

@@ -27,6 +27,7 @@ from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.inverse import Posterior
 from camctl.exposure.objective import Objective
+from camctl.free_memory import return_free_memory
 from camctl.noise_model import MeasuredNoise
 
 #: A picture with more than this share of its samples saturated gets a warning.
@@ -83,10 +84,9 @@ def complete(
     gains = [setting.gain for setting in applied]
     measured = measure_noise(controls.levels, desired, checks.samples, exposures, noise, gains)
     no_light = _no_light(total, unfinished.black_total, controls.levels.M, outside.saturated)
-    movement = find_movement(
-        store.frame,
-        checks.pairs(exposures, noise if controls.noise else None),
-    )
+    pairs = checks.pairs(exposures, noise if controls.noise else None)
+    movement = find_movement(store.frame, pairs, checks.bands.__getitem__)
+    return_free_memory()
     rendering = Rendering(
         controls.layout, tables, desired, full_scale_exposure, controls.hot_pixels, movement
     )

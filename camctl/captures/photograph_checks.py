@@ -20,17 +20,6 @@ from camctl.picture_operations import reduced_by_area, required_opencv
 
 #: Longest side of the grey copies in which alignment is measured, pixels.
 _SIDE = 1024
-#: Tiles on each side of a picture, of which each has a shift of its own.
-_TILES = 3
-#: A shift counts from so many pixels of the grey copy, where its correlation is at least this much
-#: and above that without a shift by this share.
-_SHIFTED, _SURE, _BETTER = 1.0, 0.25, 1.15
-#: Tiles with a sure result that are needed, and the share of them that must be shifted.
-_LEAST_TILES, _SHIFTED_SHARE = 2, 0.4
-#: No shift, as columns and rows.
-_ALIGNED = (0.0, 0.0)
-#: Brightness that is compared, as shares of full scale.
-_DARKEST, _BRIGHTEST = 0.04, 0.96
 #: A median brightness lower by this share of full scale contradicts a longer exposure.
 _DARKER = 0.02
 #: Exposures that differ by less than this factor have no order.
@@ -149,111 +138,6 @@ def check_order(photographs: Sequence[Photograph], patches: Sequence[Patches], w
         + (" and others" if len(names) > 4 else ""),
         hint=hint,
     )
-
-
-def misaligned(sights: Sequence[Sight]) -> list[str]:
-    """Return a line for each photograph that is shifted or turned against its neighbour."""
-    order = sorted(range(len(sights)), key=lambda k: sights[k].photograph.exposure)
-    shifts = [_shift(sights[one].grey, sights[other].grey) for one, other in pairwise(order)]
-    found: dict[str, str] = {}
-    for place, shift in enumerate(shifts):
-        if shift is None or shift == _ALIGNED:
-            continue
-        one, other = order[place], order[place + 1]
-        # The shorter one is the shifted one if the longer one fits the photograph before it.
-        if place and _shift(sights[order[place - 1]].grey, sights[other].grey) == _ALIGNED:
-            one, other, shift = other, one, (-shift[0], -shift[1])
-        columns, rows = (each * sights[one].scale for each in shift)
-        name = sights[other].photograph.name
-        found.setdefault(
-            name,
-            f"{name} is shifted against {sights[one].photograph.name} by about {columns:+.0f} "
-            f"columns and {rows:+.0f} rows, and the picture will be blurred: align the "
-            "photographs first",
-        )
-    return list(found.values())
-
-
-def _shift(before: NDArray[np.float32], after: NDArray[np.float32]) -> tuple[float, float] | None:
-    """Return by how much `after` is shifted, (columns, rows); None: nothing can be said."""
-    shifts, sure = [], 0
-    for rows, columns in _tiles(before.shape):
-        result = _tile_shift(before[rows, columns], after[rows, columns])
-        if result is None:
-            continue
-        sure += 1
-        if np.hypot(*result) >= _SHIFTED:
-            shifts.append(result)
-    if sure < _LEAST_TILES:
-        return None
-    if len(shifts) < max(_LEAST_TILES, _SHIFTED_SHARE * sure):
-        return _ALIGNED
-    # A tile may have contours of one direction only; a picture that is turned has no common shift.
-    whole = _tile_shift(before, after)
-    if whole is not None and np.hypot(*whole) >= _SHIFTED:
-        return whole
-    columns, rows = np.median(shifts, axis=0).tolist()
-    return columns, rows
-
-
-def _tiles(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
-    edges = [np.linspace(0, length, _TILES + 1).astype(int).tolist() for length in shape]
-    return [
-        (slice(top, bottom), slice(left, right))
-        for top, bottom in pairwise(edges[0])
-        for left, right in pairwise(edges[1])
-    ]
-
-
-def _tile_shift(
-    before: NDArray[np.float32], after: NDArray[np.float32]
-) -> tuple[float, float] | None:
-    """Return the shift of one tile, (columns, rows); None where it shows too little.
-
-    Both are turned into ranks of brightness, which do not depend on the exposure, of what neither
-    saturates; the shift is the one of the best phase correlation, and it counts where the tiles
-    then agree clearly better.
-    """
-    import cv2
-
-    if min(before.shape) < 24:
-        return None
-    usable = (np.minimum(before, after) > _DARKEST) & (np.maximum(before, after) < _BRIGHTEST)
-    if np.mean(usable) < 0.3:
-        return None
-    one, other = (_detail(each, usable) for each in (before, after))
-    window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
-    (columns, rows), _ = cv2.phaseCorrelate(one, other, window)
-    limit = min(before.shape) / 4
-    still = _correlation(one, other, 0, 0)
-    if max(abs(columns), abs(rows)) > limit:
-        return (0.0, 0.0) if still > _SURE else None
-    moved = _correlation(one, other, round(columns), round(rows))
-    if max(moved, still) < _SURE:
-        return None
-    return (columns, rows) if moved > _BETTER * max(still, 0.0) else (0.0, 0.0)
-
-
-def _detail(grey: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the fine structure of a tile in ranks of brightness; 0 where it is not usable."""
-    import cv2
-
-    values = np.sort(grey[usable])
-    ranks = np.searchsorted(values, grey).astype(np.float32) / values.size
-    fine = ranks - cv2.GaussianBlur(ranks, (0, 0), 4)
-    eroded = cv2.erode(usable.astype(np.uint8), np.ones((5, 5), np.uint8))
-    return np.asarray(np.where(eroded > 0, fine, 0), np.float32)
-
-
-def _correlation(
-    one: NDArray[np.float32], other: NDArray[np.float32], columns: int, rows: int
-) -> float:
-    """Return the correlation of one tile with the other shifted back."""
-    height, width = one.shape
-    ours = one[max(0, -rows) : height - max(0, rows), max(0, -columns) : width - max(0, columns)]
-    theirs = other[max(0, rows) : height + min(0, rows), max(0, columns) : width + min(0, columns)]
-    norm = float(np.sqrt(np.sum(ours**2) * np.sum(theirs**2)))
-    return float(np.sum(ours * theirs)) / norm if norm else 0.0
 
 
 def wrong_exposures(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from importlib import import_module
@@ -26,13 +27,15 @@ from camctl.captures.pictures import Rendering, Strip
 from camctl.captures.preview import PREVIEW_SIDE, LightReducer, tone_map
 from camctl.errors import DataError, OutOfMemoryError, UsageError
 from camctl.files import atomic_file, storage_error, write_bytes
+from camctl.free_memory import return_free_memory
 from camctl.input_files import check_regular, read_own_file
 from camctl.interrupts import uninterrupted
 from camctl.library_output import exr_source, quiet_libraries
 from camctl.picture_operations import opencv, png
+from camctl.threads import THREADS
 
-#: Threads that compress the radiance of a picture of at least so many pixels.
-_THREADS, _LARGE = 2, 4_000_000
+#: Several threads compress the radiance of a picture of at least so many pixels.
+_LARGE = 4_000_000
 
 SUM, IMAGE, RADIANCE = "sum.tiff", "image.tiff", "radiance.exr"
 PREVIEW, CONTACT = "preview.png", "contact.png"
@@ -42,6 +45,8 @@ PREVIEW, CONTACT = "preview.png", "contact.png"
 _LARGEST_PREVIEW = 4 * PREVIEW_SIDE**2
 
 _MASK_PREFIX, _DEVIATION_PREFIX = "mask.", "sd."
+#: The values of a mask in float16.
+_HALVES = np.arange(256).astype(np.float16)
 _LIBRARIES = ("OpenEXR", "tifffile")
 """Modules that write pictures; the packages that hold them have the same names."""
 _SHOOT_AGAIN = "shoot the capture again"
@@ -61,23 +66,23 @@ def write_picture_files(
     import tifffile
 
     tags = tiff_tags(details)
-    with atomic_file(directory / SUM) as part:
-        tifffile.imwrite(
-            part, total, photometric="rgb" if total.ndim == 3 else "minisblack", **tags
-        )
     height, width = total.shape[:2]
     reducer = LightReducer(height, width, rendering.unlit, rendering.full)
     with ExitStack() as stack:
+        threads = stack.enter_context(ThreadPoolExecutor(THREADS))
+        sum_file = threads.submit(_write_sum, directory / SUM, total, tags)
         exr = stack.enter_context(
             _radiance_file(directory / RADIANCE, width, height, rendering.channels, details)
         )
         tiff = stack.enter_context(atomic_file(directory / IMAGE))
 
         def codes() -> Iterator[NDArray[np.uint16]]:
-            for strip in rendering.strips(total):
-                exr.write(strip)
-                reducer.add(strip)
+            strips = rendering.converted_strips(total, lambda strip: (strip, exr.channels(strip)))
+            for strip, channels in strips:
+                reduced = threads.submit(reducer.add, strip)
+                exr.write(channels, len(strip.mask))
                 yield strip.code
+                reduced.result()
 
         tifffile.imwrite(
             tiff,
@@ -88,6 +93,8 @@ def write_picture_files(
             photometric="minisblack" if rendering.channels == "Y" else "rgb",
             **tags,
         )
+        sum_file.result()
+    return_free_memory()
     light = reducer.light()
     preview = tone_map(light)
     write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))
@@ -101,6 +108,14 @@ def write_picture_files(
         "preview": PREVIEW,
         "contact": CONTACT,
     }
+
+
+def _write_sum(path: Path, total: NDArray[np.unsignedinteger], tags: dict[str, Any]) -> None:
+    import tifffile
+
+    photometric = "rgb" if total.ndim == 3 else "minisblack"
+    with atomic_file(path) as part:
+        tifffile.imwrite(part, total, photometric=photometric, **tags)
 
 
 def read_tiff(path: Path) -> NDArray[Any]:
@@ -192,7 +207,7 @@ def _radiance_file(
 
     with atomic_file(path) as part:
         if width * height >= _LARGE:
-            OpenEXR.set_global_thread_count(_THREADS)
+            OpenEXR.set_global_thread_count(THREADS)
         try:
             file = _RadianceFile(part, path, width, height, names)
             try:
@@ -214,10 +229,11 @@ def _exr_header(width: int, height: int, names: str) -> dict[str, Any]:
     import Imath
     import OpenEXR
 
+    pixels = Imath.PixelType
     kinds = {
-        "": Imath.PixelType.FLOAT,
-        _DEVIATION_PREFIX: Imath.PixelType.FLOAT,
-        _MASK_PREFIX: Imath.PixelType.UINT,
+        "": pixels.FLOAT,
+        _DEVIATION_PREFIX: pixels.FLOAT,
+        _MASK_PREFIX: pixels.HALF,
     }
     channels = {
         prefix + name: Imath.Channel(Imath.PixelType(kind))
@@ -234,9 +250,10 @@ def _exr_header(width: int, height: int, names: str) -> dict[str, Any]:
 
 
 class _RadianceFile:
-    """An OpenEXR file written strip by strip: masks in uint32, the other channels in float32.
+    """An OpenEXR file written strip by strip: masks in float16, the other channels in float32.
 
-    It is written at `path` and will be called `final`, which errors name.
+    The time to compress a channel follows its bytes.  The file is written at `path` and will be
+    called `final`, which errors name.
     """
 
     def __init__(self, path: Path, final: Path, width: int, height: int, names: str) -> None:
@@ -249,23 +266,23 @@ class _RadianceFile:
         self._file = uninterrupted(OpenEXR.OutputFile)(os.fsencode(path), header)
         self.close = self._file.close
 
-    def write(self, strip: Strip) -> None:
-        """Append a strip."""
+    def channels(self, strip: Strip) -> dict[str, bytes]:
+        """Return the channels of a strip by name, as the file has them."""
         parts: dict[str, NDArray[Any]] = {
             "": strip.irradiance,
             _DEVIATION_PREFIX: strip.deviation,
-            _MASK_PREFIX: strip.mask.astype(np.uint32),
+            _MASK_PREFIX: _HALVES.take(strip.mask),
         }
-        channels = {
-            prefix + name: np.ascontiguousarray(part[..., index] if part.ndim == 3 else part)
+        return {
+            prefix + name: (part[..., index] if part.ndim == 3 else part).tobytes()
             for prefix, part in parts.items()
             for index, name in enumerate(self._names)
         }
+
+    def write(self, channels: dict[str, bytes], rows: int) -> None:
+        """Append the channels of a strip of so many rows."""
         try:
-            uninterrupted(self._file.writePixels)(
-                {name: part.tobytes() for name, part in channels.items()},
-                strip.irradiance.shape[0],
-            )
+            uninterrupted(self._file.writePixels)(channels, rows)
         except OSError as error:
             # Converted here: the TIFF file is written around this call, and would be named instead.
             raise storage_error(self._final, error) from error

@@ -128,12 +128,20 @@ class LightReducer:
         flags = (saturated, (mask & DARK) != 0, light <= self._unlit, white)
         parts = (light, deviation, *(flag.view(np.uint8) * np.uint8(ALL) for flag in flags))
         if self._rest:
+            missing = self._step - len(self._rest[0])
             pairs = zip(self._rest, parts, strict=True)
-            parts = tuple(np.concatenate(pair) for pair in pairs)
-        rows = parts[0].shape[0] // self._step
-        self._rest = tuple(part[rows * self._step :].copy() for part in parts)
-        if rows:
-            self._reduce(parts, rows)
+            self._add(tuple(np.concatenate((rest, part[:missing])) for rest, part in pairs))
+            parts = tuple(part[missing:] for part in parts)
+        if not self._rest:
+            self._add(parts)
+
+    def _add(self, parts: tuple[NDArray[Any], ...]) -> None:
+        """Reduce the rows of these parts that are whole, and keep the rest."""
+        whole = len(parts[0]) // self._step
+        used = whole * self._step
+        self._rest = tuple(part[used:].copy() for part in parts) if used < len(parts[0]) else ()
+        if whole:
+            self._reduce(parts, whole)
 
     def light(self) -> Light:
         """Return the light of all strips."""
@@ -180,7 +188,7 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     largest = _largest(logs).copy()
     logs -= largest[..., np.newaxis]
     colours = np.exp2(logs, out=logs)  # relative to the largest
-    pixel_noise = noise[..., 0] if noise.shape[2] == 1 else noise.mean(axis=2)
+    pixel_noise = reduce(np.add, _channels(noise)) / np.float32(noise.shape[2])
     exposure, white = _exposure(largest, colours, pixel_noise, light)
     # The operator, x (1 + S / white^2) / (1 + S) for light x in the surround S, in logarithms.
     surround = _surround(largest)
@@ -189,19 +197,22 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     largest += exposure
     shown = np.exp2(largest, out=largest)
     shown *= 1 + surround / white**2
-    shown /= 1 + surround
+    surround += 1
+    shown /= surround
+    del surround
     np.minimum(shown, 1, out=shown)
     darkest = _UNLIT if (light.unlit < ALL).any() else 0.0
     shown *= 1 + (darkest - 1) * unlit * unlit
     # A pixel of which one channel is saturated keeps the colour of its neighbours that are not.
     full = light.white / np.float32(ALL)
     shown += full * (1 - shown)
-    around = box_means(pixel_noise, 2)
-    # Where a channel shows no light, the colour is not known.
-    colourful = (1 - full) * (1 - np.sqrt(unlit)) / (1 + around * around)
-    colours -= 1
-    colours *= colourful[..., np.newaxis]
-    colours += 1
+    if colours.shape[2] > 1:
+        around = box_means(pixel_noise, 2)
+        # Where a channel shows no light, the colour is not known.
+        colourful = (1 - full) * (1 - np.sqrt(unlit)) / (1 + around * around)
+        colours -= 1
+        colours *= colourful[..., np.newaxis]
+        colours += 1
     colours *= shown[..., np.newaxis]
     starts = range(0, len(colours), _ROWS)
     codes = np.concatenate([srgb_codes(colours[start : start + _ROWS]) for start in starts])
@@ -250,24 +261,46 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
         # Beside samples without light the noise of the others decides which of them have some.
         doubt = _largest(noise)
         if has_unlit:
-            doubt = doubt * (1 + _UNLIT_DOUBT * box_means(unlit, radius))
+            factor = box_means(unlit, radius)
+            factor *= np.float32(_UNLIT_DOUBT)
+            factor += 1
+            doubt = np.multiply(doubt, factor, out=factor)
         if doubt.max() <= low:
             break
-        hidden = np.clip((doubt - low) / (high - low), 0, 1)
-        counts = np.clip((doubt - least) / (low - least), 0, 1)
-        area = np.maximum(box_means(counts, radius), _LEAST_VARIANCE)
-        samples = area * (2 * radius + 1) ** 2
+        hidden, counts = _share(doubt, low, high), _share(doubt, least, low)
+        area = box_means(counts, radius)
+        np.maximum(area, _LEAST_VARIANCE, out=area)
         for place in range(noise.shape[2]):
             values, errors = irradiance[..., place], noise[..., place]
             # Sums over windows are running ones, and may round to just below 0.
-            variance = np.maximum(box_means((values * errors) ** 2 * counts, radius), 0) / area
-            average = np.maximum(box_means(values * counts, radius) / area, _NO_LIGHT)
-            error = np.sqrt(variance / samples) / average
-            values += (average - values) * hidden
-            errors += (np.minimum(error, errors) - errors) * hidden
+            error = values * errors
+            error *= error
+            error *= counts
+            error = box_means(error, radius)
+            np.maximum(error, 0, out=error)
+            error /= area
+            average = box_means(values * counts, radius)
+            average /= area
+            np.maximum(average, _NO_LIGHT, out=average)
+            error /= area * (2 * radius + 1) ** 2  # the samples
+            np.sqrt(error, out=error)
+            error /= average
+            values += np.multiply(np.subtract(average, values, out=average), hidden, out=average)
+            np.minimum(error, errors, out=error)
+            error -= errors
+            error *= hidden
+            errors += error
         if has_unlit:
             unlit += (box_means(unlit * counts, radius) / area - unlit) * hidden
+        del doubt, hidden, counts, area  # memory for the next ones
     return irradiance, noise, np.clip(unlit, 0, 1)
+
+
+def _share(values: Floats, low: np.float32, high: np.float32) -> Floats:
+    """Return how far values are on the way from `low` to `high`, 0 to 1."""
+    found = values - low
+    found /= high - low
+    return np.clip(found, 0, 1, out=found)
 
 
 def _largest(values: NDArray[Any]) -> NDArray[Any]:

@@ -144,15 +144,18 @@ def show(name: str, plot: Path | None, force: bool, as_json: bool) -> None:
 def _measurements(found: Profile) -> list[tuple[str, str]]:
     """Return name and value of each record."""
     rows = []
+    known = {*found.responses, *found.exposures, *found.noises}
     for mode, delay in found.delays.items():
-        rows.append((f"delay in {mode}", f"{format_delay(delay)}; {delay.trials} trials"))
+        name = _mode_of_delay(mode, known)
+        rows.append((f"delay in {name}", f"{format_delay(delay)}; {delay.trials} trials"))
         rows.append(("", f"measured {delay.measured_at}"))
     for kind, still in found.stills.items():
         size = f"{still.columns} x {still.rows}, {still.layout}, {still.bits} bits"
         rows.append((f"{kind} files", f"{size}, black {still.black}, white {still.white}"))
     for mode, exposures in found.exposures.items():
         wrong = sum(each.contradicts_label for each in (*exposures.times, *exposures.gains))
-        measured = f"{len(exposures.times)} times, {len(exposures.gains)} gains"
+        times, gains = len(exposures.times), len(exposures.gains)
+        measured = f"{times} time{'s' * (times != 1)}, {gains} gain{'s' * (gains != 1)}"
         rows.append((f"exposures in {mode}", f"{measured}; {wrong} contradict the stated ones"))
         rows.append(("", f"measured {exposures.measured_at}"))
     for mode, response in found.responses.items():
@@ -176,6 +179,23 @@ def _measurements(found: Profile) -> list[tuple[str, str]]:
         rows.append(("", f"full well {noise.full_well_e.value:.4g} electrons{hot}"))
         rows.append(("", f"measured {noise.measured_at}"))
     return rows
+
+
+def _mode_of_delay(mode: str, known: Iterable[str]) -> str:
+    """Return the mode of a control delay as that of the other measurements, with its frame rate.
+
+    A stream's mode ends in the frame rate, theirs in the white level: it is itself where none or
+    several of theirs have its format and size.
+    """
+    picture, _, rate = mode.rpartition("-")
+    kind, _, size = picture.rpartition("-")
+    kinds = {kind, kind.rstrip("0123456789")}
+    fits = [
+        each
+        for each in known
+        if (parts := each.split("-")) and kinds & set(parts[:-2]) and parts[-2] == size
+    ]
+    return f"{fits[0]}, {rate} frames/s" if len(fits) == 1 else mode
 
 
 def _transfer(noise: GainNoise) -> list[str]:

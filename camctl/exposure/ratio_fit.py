@@ -36,7 +36,8 @@ class RatioFit:
         self._logs, self._slopes = logs, slopes
         self._weights = weights * several[:, None]
         self.used = self._weights > 0
-        self._free = [k for k in range(logs.shape[1]) if k != reference]
+        # The exposures of the other frames, and the error of the black level.
+        self._unknown = [k for k in range(logs.shape[1] + 1) if k != reference]
         # Contiguous patches form a block, since they follow each other row by row.
         self._block = np.arange(len(logs)) * BLOCKS // len(logs)
 
@@ -55,18 +56,15 @@ class RatioFit:
                 break
         return x, weights
 
-    def standard_errors(self, x: FloatArray, weights: FloatArray) -> FloatArray:
+    def standard_errors(self, weights: FloatArray) -> FloatArray:
         """Return standard errors of x: the model's, or the jackknife's where it is larger."""
         sums = self._sums(weights)
         total = sums.sum(axis=0)
-        normal = self._normal(total)
-        model = np.sqrt(np.diag(np.linalg.inv(normal)))[:-1]
-        left_out = np.array([self._solve(total - block)[0] for block in sums])[:, self._free]
-        centre = left_out.mean(axis=0)
-        jackknife = np.sqrt((len(sums) - 1) / len(sums) * np.square(left_out - centre).sum(axis=0))
-        errors = np.zeros_like(x)
-        errors[self._free] = np.maximum(model, jackknife)
-        return errors
+        model = np.zeros(len(total))
+        model[self._unknown] = np.sqrt(np.diag(np.linalg.inv(self._normal(total))))
+        left_out = np.array([self._solve(total - block)[0] for block in sums])
+        jackknife = np.sqrt(len(sums) - 1) * left_out.std(axis=0)
+        return np.asarray(np.maximum(model[:-1], jackknife))
 
     def _residuals(self, x: FloatArray, black: float, weights: FloatArray) -> FloatArray:
         values = self._logs - x - black * self._slopes
@@ -77,38 +75,26 @@ class RatioFit:
     def _sums(self, weights: FloatArray) -> FloatArray:
         """Return the normal equations of each block, (blocks, n + 1, n + 2), for n frames and b."""
         count = weights.shape[1]
-        total = np.maximum(weights.sum(axis=1), 1e-300)
-        columns = np.concatenate(
-            (
-                weights,
-                (weights * self._slopes).sum(axis=1, keepdims=True),
-                (weights * self._logs).sum(axis=1, keepdims=True),
-            ),
-            axis=1,
-        )
+        total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
+        weighted = weights[:, :, None] * np.stack((self._slopes, self._logs), axis=2)
+        columns = np.concatenate((weights, weighted.sum(axis=1)), axis=1)
         result = np.zeros((BLOCKS, count + 1, count + 2))
-        for block in range(BLOCKS):
+        for block, part in enumerate(result):
             here = self._block == block
-            W, S, Y = weights[here], self._slopes[here], self._logs[here]
-            part = result[block]
-            part[np.arange(count), np.arange(count)] = W.sum(axis=0)
-            part[:count, count] = part[count, :count] = (W * S).sum(axis=0)
-            part[:count, count + 1] = (W * Y).sum(axis=0)
-            part[count, count] = (W * S * S).sum()
-            part[count, count + 1] = (W * S * Y).sum()
-            C = columns[here]
-            part -= C[:, : count + 1].T @ (C / total[here, None])
+            part[:count, :count] = np.diag(weights[here].sum(axis=0))
+            part[:count, count:] = weighted[here].sum(axis=0)
+            part[count, :count] = part[:count, count]
+            part[count, count:] = np.tensordot(self._slopes[here], weighted[here])
+            part -= columns[here, :-1].T @ (columns[here] / total[here])
         return result
 
     def _normal(self, sums: FloatArray) -> FloatArray:
-        keep = [*self._free, sums.shape[0] - 1]
-        normal = sums[np.ix_(keep, keep)] / self.scatter**2
+        normal = sums[np.ix_(self._unknown, self._unknown)] / self.scatter**2
         normal[-1, -1] += 1 / _BLACK_LEVELS**2
         return np.asarray(normal)
 
     def _solve(self, sums: FloatArray) -> tuple[FloatArray, float]:
-        keep = [*self._free, sums.shape[0] - 1]
-        solved = np.linalg.solve(self._normal(sums), sums[keep, -1] / self.scatter**2)
-        x = np.zeros(sums.shape[0] - 1)
-        x[self._free] = solved[:-1]
-        return x, float(solved[-1])
+        x = np.zeros(len(sums))
+        equations, values = self._normal(sums), sums[self._unknown, -1] / self.scatter**2
+        x[self._unknown] = np.linalg.solve(equations, values)
+        return x[:-1], float(x[-1])

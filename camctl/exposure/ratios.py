@@ -119,7 +119,7 @@ def estimate_ratios(
     moved = float(np.mean((robust < _LOST * weights)[fit.used]))
     if moved > _MOST_LOST or fit.scatter > _MOST_SCATTER:
         raise differ
-    own = _QUANTILE * fit.standard_errors(x, robust)
+    own = _QUANTILE * fit.standard_errors(robust)
     exponent = _NORMAL_QUANTILE * scale.exponent_error
     half = np.hypot(own, exponent * x)
     label = labels[reference]

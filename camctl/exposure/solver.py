@@ -304,8 +304,7 @@ class _Search:
         """Return the sets; those whose sum exceeds the limit are scaled towards 1."""
         if math.isinf(self.limit):
             return sets
-        high = np.ones((*sets.shape[:-1], 1))
-        low = np.zeros_like(high)
+        low, high = np.zeros((*sets.shape[:-1], 1)), np.ones((*sets.shape[:-1], 1))
         over = np.exp(sets).sum(axis=-1, keepdims=True) > self.limit
         for _ in range(40):
             middle = (low + high) / 2
@@ -316,8 +315,7 @@ class _Search:
     def _finish(self, logs: FloatArray) -> tuple[tuple[float, ...], float]:
         """Coordinate steps of 1e-4 down to 1e-8 in ln e with the exact objective."""
         current, value = logs.copy(), self._exact(logs)
-        last = self.score.evaluations + self.final_evaluations
-        step = 1e-4
+        step, last = 1e-4, self.score.evaluations + self.final_evaluations
         while step > 1e-8 and self.score.evaluations < last:
             improved = False
             for index in range(1, len(current)):

@@ -80,12 +80,12 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     """
     from camctl.calibration.response_series import Series
     from camctl.captures.exposure_check import NeighbourCheck
+    from camctl.captures.photograph_alignment import misaligned
     from camctl.captures.photograph_camera import PhotographCamera
     from camctl.captures.photograph_checks import (
         Sight,
         check_order,
         duplicates,
-        misaligned,
         unstated,
         wrong_exposures,
     )

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from small_cameras import WrappedCamera, small_camera
 
-from camctl.camera import FrameStream
+from camctl.backends import open_camera
+from camctl.calibration.delay import measure_delay
+from camctl.camera import FrameStream, StreamingCamera
 from camctl.captures.metering import OUTLIER_SHARE, MeteringFrames, light_histogram, meter
 from camctl.captures.scene_range import SceneLight
 from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
+from camctl.profile import change_profile
 from sim.camera import Faults
 
 
@@ -106,6 +110,24 @@ def test_a_camera_that_does_not_follow_its_exposure_is_an_error(longest_s: float
     ):
         histogram(MeteringFrames(camera))
     assert "no longer than" in str(found.value)
+
+
+@pytest.mark.parametrize("wrong_by", [-1, 1])
+def test_a_stale_control_delay_is_said_to_be_the_possible_cause(
+    wrong_by: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path))
+    options = {"scene": "ramp", "size": "160x120", "unknown": True}
+    with open_camera("sim", options) as camera:
+        assert isinstance(camera, StreamingCamera)
+        record, mode = measure_delay(camera, trials=4), camera.mode
+        assert record.frames is not None
+        frames = record.frames + wrong_by
+        stale = record.model_copy(update=dict.fromkeys(("frames", "smallest", "largest"), frames))
+        change_profile(camera.info, lambda profile: profile.delays.update({mode: stale}))
+    with open_camera("sim", options) as camera, pytest.raises(CaptureError) as found:
+        histogram(MeteringFrames(camera))
+    assert "camctl calibrate delay --camera sim" in found.value.hint
 
 
 def histogram(source: MeteringFrames) -> SceneLight:

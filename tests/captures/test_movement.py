@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import camctl
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side, outside
-from camctl.captures.movement import FALSE_ALARMS, find_movement
+from camctl.captures.movement import FALSE_ALARMS, bands_of, find_movement
 from camctl.response.camera import standard_response
 
 Floats = NDArray[np.float64]
@@ -179,7 +179,7 @@ def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: 
         Pair(check.scale, Side(k, 4.0**k, None), Side(k + 1, 4.0 ** (k + 1), None), 4.0, both, 3)
         for k, both in enumerate(pairwise(samples))
     ]
-    movement = find_movement(frames.__getitem__, pairs)
+    movement = find_movement(frames.__getitem__, pairs, lambda place: bands_of(frames[place]))
     assert movement is not None
     share, stated = movement.found.share, movement.found.false_alarms
     assert 0.6 * FALSE_ALARMS < stated < 1.1 * FALSE_ALARMS  # files have whole codes

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camctl.captures.photograph_checks import Sight, misaligned, unstated
+from camctl.captures.photograph_alignment import misaligned
+from camctl.captures.photograph_checks import Sight, unstated
 from camctl.captures.photographs import Photograph
 
 
@@ -37,3 +38,28 @@ def test_what_only_some_photographs_state_is_named() -> None:
         "c states no ISO speed, and others do: ISO 100 is assumed",
         "d states no f-number, and others do: f/1 is assumed",
     ]
+
+
+def bracket(shifted: int | None, columns: int = 9) -> list[Sight]:
+    """Return a bracket of a scene with few lights, in which noise hides most of the rest."""
+    rng = np.random.default_rng(2)
+    scene = np.exp(rng.normal(0, 1, (45, 60)).repeat(8, 0).repeat(8, 1)) * 8
+    sights = []
+    for k, time_s in enumerate((1.0, 2.0, 4.0, 8.0)):
+        light = np.roll(scene, columns, 1) if k == shifted else scene
+        noisy = np.clip(np.rint(light * time_s / 4 + 13 + rng.normal(0, 2, scene.shape)), 0, 255)
+        sights.append(Sight.of(Photograph(f"p{k}", time_s), noisy.astype(np.uint8), 255))
+    return sights
+
+
+@pytest.mark.parametrize("shifted", [0, 1, 2, 3])
+def test_the_photograph_that_is_not_where_the_others_are_is_named(shifted: int) -> None:
+    pytest.importorskip("cv2", reason="OpenCV is blocked")
+    (line,) = misaligned(bracket(shifted))
+    assert line.startswith(f"p{shifted} is shifted against p")
+    assert "by about +9 columns" in line
+
+
+def test_noise_is_no_shift() -> None:
+    pytest.importorskip("cv2", reason="OpenCV is blocked")
+    assert misaligned(bracket(None)) == []

@@ -86,7 +86,7 @@ def test_channels_of_radiance_exr(layout: Layout, tmp_path: Path) -> None:
     with OpenEXR.File(str(tmp_path / "radiance.exr"), separate_channels=True) as file:
         types = {name: channel.pixels.dtype for name, channel in file.channels().items()}
     names = "Y" if layout is Layout.MONO else "RGB"
-    expected: dict[str, type[np.generic]] = {f"mask.{name}": np.uint32 for name in names}
+    expected: dict[str, type[np.generic]] = {f"mask.{name}": np.float16 for name in names}
     for name in names:
         expected |= {name: np.float32, f"sd.{name}": np.float32}
     assert types == expected

@@ -105,6 +105,41 @@ def test_a_capture_with_two_frames_of_each_exposure_is_measured(run: Run) -> Non
     assert ran.status == 0, ran.err
     assert ran.json["conversion_e_per_dn"]["value"] == pytest.approx(6.0, rel=0.05)
     assert list_profiles()[0].noises
+    whole = ran.json["gains"]
+    frames = sorted(Path("hall", "frames").glob("*.npy"))
+    assert len(frames) == 6
+    assert run("calibrate", "noise", "hall/frames", "--json").json["gains"] == whole
+    assert run("calibrate", "noise", *frames, "--json").json["gains"] == whole
+    ran = run("calibrate", "noise", *frames[2:], "--json")
+    assert ran.json["conversion_e_per_dn"]["value"] == pytest.approx(6.0, rel=0.05)
+
+
+def test_the_measured_response_of_its_camera_is_used_for_a_capture(run: Run) -> None:
+    camera = ("--sensor", "consumer", "--scene", "tile-floor", *SIZE)
+    measured = run("calibrate", "response", *camera)
+    assert measured.status == 0, measured.err
+    run("shoot", *camera, "--ratios", "1,1,4,4,16,16", "-o", "hall")
+    ran = run("calibrate", "noise", "hall", "--json")
+    assert ran.status == 0, ran.err
+    assert ran.json["conversion_e_per_dn"]["value"] == pytest.approx(12000 / 256, rel=0.05)
+    ran = run("calibrate", "exposure", "--from", "hall/frames", "--json")
+    assert [each["factor"] for each in ran.json["times"]] == pytest.approx([1.0] * 3, rel=0.01)
+
+
+def test_frames_that_belong_to_no_capture_are_refused(run: Run) -> None:
+    np.save("dark.npy", np.zeros((8, 8), np.uint16))
+    ran = run("calibrate", "noise", "dark.npy")
+    assert ran.status == 1
+    assert "holds no capture" in ran.error
+    run("shoot", "--sensor", "phone", *SIZE, "--ratios", "1,1", "-o", "hall")
+    ran = run("calibrate", "noise", "hall/frames/frame-03.npy")
+    assert "is no frame of the capture" in ran.error
+
+
+def test_the_frames_of_a_camera_without_a_response_are_taken_for_linear(run: Run) -> None:
+    run("shoot", "--sensor", "webcam", *SIZE, "--ratios", "1,2", "-o", "hall")
+    ran = run("calibrate", "exposure", "--from", "hall")
+    assert "taken for linear; give --response" in ran.err
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from camctl.cli.output import (
     without_stage,
 )
 from camctl.cli.parameter_types import PATH, Seconds, WholeNumber
+from camctl.errors import DataError
 
 if TYPE_CHECKING:
     from camctl.camera import CameraInfo
@@ -189,8 +190,8 @@ def _consequence(record: DelayRecord) -> str:
 @click.option(
     "--response",
     metavar="NAME",
-    default="linear",
-    help="Response of the camera of --from: linear, srgb, rec709, or power:GAMMA.",
+    help="Response of the camera of --from: linear, srgb, rec709, or power:GAMMA.  [default: the "
+    "measured one, else linear]",
 )
 @options.as_json
 def exposure(
@@ -198,7 +199,7 @@ def exposure(
     repeats: int,
     longest_s: float,
     folder: Path | None,
-    response: str,
+    response: str | None,
     as_json: bool,
 ) -> None:
     """Measure the true exposure of each setting against the stated one.
@@ -256,27 +257,23 @@ def _measure(
         return opened.info, exposure_mode(opened.controls), record
 
 
-def _from_capture(folder: Path, response: str) -> tuple[CameraInfo, str, ExposureRecord]:
+def _from_capture(folder: Path, response: str | None) -> tuple[CameraInfo, str, ExposureRecord]:
     from camctl.calibration.exposures import record_of_frames
-    from camctl.captures.folder_store import read_report
+    from camctl.cli.calibrate.exposure_series import SeriesOptions, stored_capture
     from camctl.exposure.patches import LightScale, sample_patches
-    from camctl.exposure_record import mode_name
-    from camctl.response.camera import linear_response, named_response
 
-    report = read_report(folder)
-    white, black = report.white, report.frames[0].black
-    levels, bits = white - black, white.bit_length()
-    real = named_response(response, bits, levels) or linear_response(
-        bits, phase=0.5 if black else 0.0, levels=levels
-    )
-    frames = [report.frame(position) for position in range(len(report.frames))]
+    stored = stored_capture(SeriesOptions((folder,)))
+    if stored is None:
+        raise DataError(f"{folder} holds no capture", hint="name the folder of a capture")
+    report = stored.report
+    channels = list(stored.responses(response).values())
+    frames = [report.frame(position) for position in stored.positions]
     record = record_of_frames(
-        [sample_patches(report.layout.planes(frame), white) for frame in frames],
-        [frame.applied for frame in report.frames],
-        LightScale(real, black),
+        [sample_patches(report.layout.planes(frame), report.white) for frame in frames],
+        [report.frames[position].applied for position in stored.positions],
+        LightScale(channels[len(channels) // 2], stored.black),
     )
-    mode = mode_name(report.layout, frames[0].shape, white, report.pixel_format)
-    return report.camera, mode, record
+    return report.camera, stored.mode, record
 
 
 def _exposure_table(record: ExposureRecord) -> str:

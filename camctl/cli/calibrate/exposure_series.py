@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from camctl.captures.report_file import FRAMES, REPORT
 from camctl.cli.options import option_group
+from camctl.cli.output import print_warning
 from camctl.cli.parameter_types import PATH
 from camctl.cli.photograph_options import BLACK_OPTION, TIMES_OPTION, WHITE_OPTION
+from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
 from camctl.merging.photograph_files import check_times, read_photograph, unknown_time
 
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
 
     from camctl.calibration.response_series import Series
     from camctl.camera import CameraInfo
+    from camctl.captures.report import CaptureReport
+    from camctl.response.camera import CameraResponse
     from drivers.common.still_file import Still
 
 
@@ -30,9 +35,9 @@ class SeriesOptions:
     """Where the frames come from, beside a camera."""
 
     files: tuple[Path, ...]
-    times: tuple[float, ...] | None
-    black: int | None
-    white: int | None
+    times: tuple[float, ...] | None = None
+    black: int | None = None
+    white: int | None = None
 
 
 series_options = option_group(
@@ -54,9 +59,8 @@ def series_of_files(
         UsageError: `needs_times`, and a file does not say its exposure time
         DataError: a file cannot be read, or the files differ in format
     """
-    if len(source.files) == 1 and source.files[0].is_dir():
-        refuse_for_capture(source)
-        return _from_capture(source.files[0], keep=keep)
+    if (stored := stored_capture(source)) is not None:
+        return _from_capture(stored, keep=keep)
     series: Series | None = None
     frames = []
     for path, still, time_s in read_stills(source, needs_times=needs_times):
@@ -78,13 +82,109 @@ def series_of_files(
     return None, "", series, frames
 
 
-def refuse_for_capture(source: SeriesOptions) -> None:
-    """Raise `UsageError` where options of photographs are given for a capture."""
+@dataclass(frozen=True)
+class StoredCapture:
+    """Frames of a capture in a folder, with what its report says of them.
+
+    Attributes:
+        report: of the capture
+        positions: of the frames that are used
+    """
+
+    report: CaptureReport
+    positions: tuple[int, ...]
+
+    @property
+    def mode(self) -> str:
+        """The camera's mode, as its profile names it."""
+        from camctl.exposure_record import mode_name
+
+        shape = self.report.frame(self.positions[0]).shape
+        return mode_name(self.report.layout, shape, self.report.white, self.report.pixel_format)
+
+    @property
+    def black(self) -> int:
+        """Brightness without light, DN."""
+        return self.report.frames[0].black
+
+    def responses(self, name: str | None) -> dict[str, CameraResponse]:
+        """Return the response of each channel: the named one, else the measured one, else linear.
+
+        Raises:
+            UsageError: there is no response of that name
+        """
+        from camctl.calibration.noise_pairs import channel_names
+        from camctl.profile import load_profile
+
+        white = self.report.white
+        if name is None:
+            record = load_profile(self.report.camera).responses.get(self.mode)
+            levels = {(each.black, each.white) for each in record.channels} if record else None
+            if record is not None and levels == {(self.black, white)}:
+                return {each.name: record.camera_response(each.name) for each in record.channels}
+            if self.report.layout in (Layout.MONO, Layout.RGB):  # a raw mosaic is linear
+                print_warning(
+                    f"the response of the camera in the mode {self.mode} was not measured: its "
+                    "frames are taken for linear; give --response if they are not"
+                )
+        real = response_named(name or "linear", white.bit_length(), self.black, white)
+        return dict.fromkeys(channel_names(self.report.layout), real)
+
+
+def response_named(name: str, bits: int, black: int, white: int) -> CameraResponse:
+    """Return a response by its name, for files with these levels."""
+    from camctl.response.camera import linear_response, named_response
+
+    return named_response(name, bits, white - black) or linear_response(
+        bits, phase=0.5 if black else 0.0, levels=white - black
+    )
+
+
+def stored_capture(source: SeriesOptions) -> StoredCapture | None:
+    """Return the capture whose folder, folder of frames, or frames are given; None: photographs.
+
+    Raises:
+        DataError: the folder holds no complete capture, or frames belong to none
+        UsageError: options of photographs are given for a capture
+    """
+    if len(source.files) == 1 and source.files[0].is_dir():
+        folder, names = source.files[0], None
+        if folder.resolve().name == FRAMES and not (folder / REPORT).exists():
+            folder = folder.resolve().parent
+    elif source.files and all(path.suffix == ".npy" for path in source.files):
+        folder = source.files[0].resolve().parent.parent
+        names = {path.resolve() for path in source.files}
+    else:
+        return None
     if source.times or source.black is not None or source.white is not None:
         raise UsageError(
             "--times, --black and --white belong to photographs",
             hint="leave them out: the report of a capture says them",
         )
+    return StoredCapture(report := _read_report(folder), _positions(report, folder, names))
+
+
+def _read_report(folder: Path) -> CaptureReport:
+    from camctl.captures.folder_store import read_report
+
+    return read_report(folder)
+
+
+def _positions(report: CaptureReport, folder: Path, names: set[Path] | None) -> tuple[int, ...]:
+    """Return the positions of the frames in these files; None: of all frames."""
+    stored = {
+        (folder / frame.file).resolve(): position
+        for position, frame in enumerate(report.frames)
+        if frame.file is not None
+    }
+    if names is None:
+        return tuple(range(len(report.frames)))
+    for path in sorted(names - stored.keys()):
+        raise DataError(
+            f"{path} is no frame of the capture in {folder}",
+            hint="give the folder of a capture, or frames of one capture",
+        )
+    return tuple(sorted(stored[path] for path in names))
 
 
 def levels_of(source: SeriesOptions, still: Still) -> tuple[int, int]:
@@ -138,14 +238,11 @@ def read_stills(
 
 
 def _from_capture(
-    folder: Path, *, keep: bool
+    stored: StoredCapture, *, keep: bool
 ) -> tuple[CameraInfo, str, Series, list[NDArray[Any]]]:
     from camctl.calibration.response_series import Series
-    from camctl.captures.folder_store import read_report
-    from camctl.exposure_record import mode_name
 
-    report = read_report(folder)
-    black = report.frames[0].black
+    report, black = stored.report, stored.black
     series = Series(
         report.layout,
         report.white.bit_length(),
@@ -155,12 +252,9 @@ def _from_capture(
         levels_are_stated=True,
     )
     frames = []
-    shape: tuple[int, ...] = ()
-    for position, record in enumerate(report.frames):
-        pixels = report.frame(position)
-        shape = pixels.shape
+    for position in stored.positions:
+        record, pixels = report.frames[position], report.frame(position)
         series.add(pixels, record.exposure, record.file or f"frame {position}")
         if keep:
             frames.append(pixels)
-    mode = mode_name(report.layout, shape, report.white, report.pixel_format)
-    return report.camera, mode, series, frames
+    return report.camera, stored.mode, series, frames

@@ -11,11 +11,13 @@ import click
 from camctl.cli import options
 from camctl.cli.calibrate.exposure_series import (
     SeriesOptions,
+    StoredCapture,
     check_levels,
     levels_of,
     read_stills,
-    refuse_for_capture,
+    response_named,
     series_options,
+    stored_capture,
 )
 from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions
@@ -32,7 +34,6 @@ from camctl.cli.parameter_types import Seconds, WholeNumber
 from camctl.errors import DataError, UsageError
 
 if TYPE_CHECKING:
-    from camctl.calibration.noise_frames import NoiseFrames
     from camctl.camera import CameraInfo
     from camctl.noise_record import DarkRecord, Figure, NoiseRecord
     from camctl.profile import Profile
@@ -83,8 +84,8 @@ if TYPE_CHECKING:
 @click.option(
     "--response",
     metavar="NAME",
-    help="Response of FILES: linear, srgb, rec709, or power:GAMMA.  [default: srgb for JPEG, else "
-    "linear]",
+    help="Response of FILES: linear, srgb, rec709, or power:GAMMA.  [default: of a capture the "
+    "measured one of its camera; srgb for JPEG; else linear]",
 )
 @options.as_json
 def noise(
@@ -173,10 +174,10 @@ def _dark(camera: CameraOptions, longest_s: float | None) -> tuple[CameraInfo, s
 def _from_files(
     source: SeriesOptions, response: str | None, is_flat: bool
 ) -> tuple[CameraInfo | None, str, NoiseRecord]:
-    from camctl.calibration.noise_frames import estimate_noise
+    from camctl.calibration.noise_frames import NoiseFrames, estimate_noise, same_response
 
-    if len(source.files) == 1 and source.files[0].is_dir():
-        return _from_capture(source, response, is_flat)
+    if (stored := stored_capture(source)) is not None:
+        return _from_capture(stored, response, is_flat)
     from camctl.controls import ExposureSetting
 
     frames: NoiseFrames | None = None
@@ -184,7 +185,11 @@ def _from_files(
         if frames is None:
             is_jpeg = path.suffix.lower() in (".jpg", ".jpeg")
             name = response or ("srgb" if is_jpeg else "linear")
-            frames = _frames(still.layout, (still.bits, *levels_of(source, still)), name, is_flat)
+            black, white = levels_of(source, still)
+            check_levels(still.bits, black, white)
+            real = response_named(name, still.bits, black, white)
+            responses = same_response(real, still.layout)
+            frames = NoiseFrames(still.layout, black, white, responses, is_flat)
             frames.note_format(path.suffix)
         elif still.layout != frames.layout:
             raise DataError(
@@ -197,36 +202,15 @@ def _from_files(
 
 
 def _from_capture(
-    source: SeriesOptions, response: str | None, is_flat: bool
+    stored: StoredCapture, response: str | None, is_flat: bool
 ) -> tuple[CameraInfo, str, NoiseRecord]:
-    from camctl.calibration.noise_frames import estimate_noise
-    from camctl.captures.folder_store import read_report
-    from camctl.exposure_record import mode_name
+    from camctl.calibration.noise_frames import NoiseFrames, estimate_noise
 
-    refuse_for_capture(source)
-    report = read_report(source.files[0])
-    limits = (report.white.bit_length(), report.frames[0].black, report.white)
-    frames = _frames(report.layout, limits, response or "linear", is_flat)
-    shape: tuple[int, ...] = ()
-    for position, stored in enumerate(report.frames):
-        pixels = report.frame(position)
-        shape = pixels.shape
-        frames.add(pixels, stored.applied)
-    mode = mode_name(report.layout, shape, report.white, report.pixel_format)
-    return report.camera, mode, estimate_noise(frames)
-
-
-def _frames(layout: Any, limits: tuple[int, int, int], name: str, is_flat: bool) -> NoiseFrames:
-    """Return frames to be added, of bits, black and white, with the response of that name."""
-    from camctl.calibration.noise_frames import NoiseFrames, same_response
-    from camctl.response.camera import linear_response, named_response
-
-    bits, black, white = limits
-    check_levels(bits, black, white)
-    real = named_response(name, bits, white - black) or linear_response(
-        bits, phase=0.5 if black else 0.0, levels=white - black
-    )
-    return NoiseFrames(layout, black, white, same_response(real, layout), is_flat)
+    report, responses = stored.report, stored.responses(response)
+    frames = NoiseFrames(report.layout, stored.black, report.white, responses, is_flat)
+    for position in stored.positions:
+        frames.add(report.frame(position), report.frames[position].applied)
+    return report.camera, stored.mode, estimate_noise(frames)
 
 
 def _keep(info: CameraInfo, mode: str, record: NoiseRecord) -> Path:

@@ -51,6 +51,11 @@ def _explanation(study: CaptureStudy) -> str:
         f"L: effective levels, (12 mean square error)^(-1/2) in the desired brightness, {noise}.",
         "*: no other line has more levels, by over 0.5 %, in no more time.",
     ]
+    if not {"accuracy", "quick"}.isdisjoint(study.methods):
+        lines.append(
+            "accuracy, quick: of sets within 0.5 % of the most levels predicted, the one of least "
+            "time: another line may have up to 0.5 % more."
+        )
     if points[0].effective_levels_each:
         lines += [
             "measured: median of the captures, and their spread.",
