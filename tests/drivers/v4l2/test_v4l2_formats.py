@@ -10,11 +10,7 @@ from v4l2_bench import one_frame, open_model, opening_error
 from v4l2_model import COLUMNS, ROWS, Model, brightness
 
 from camctl.controls import Layout
-from camctl.errors import (
-    CameraError,
-    CameraProtocolError,
-    UsageError,
-)
+from camctl.errors import CameraError, CameraProtocolError, UsageError
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 

@@ -10,11 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from camctl.errors import (
-    CameraError,
-    CameraNotFoundError,
-    UsageError,
-)
+from camctl.errors import CameraError, CameraNotFoundError, UsageError
 from drivers.v4l2.backend import V4l2Backend
 from drivers.v4l2.camera import V4l2Camera, V4l2Options
 

@@ -16,9 +16,7 @@ from v4l2_model import Model, ticks_of
 from camctl.camera import Camera
 from camctl.clock import VirtualClock
 from camctl.controls import ExposureSetting
-from camctl.errors import (
-    CameraProtocolError,
-)
+from camctl.errors import CameraProtocolError
 from camctl.testing.conformance import CameraConformance
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
