@@ -1,4 +1,4 @@
-"""Whatever a bad line makes of the answers of a Sierra camera ends in time, with data or an error."""
+"""What a bad line makes of the answers of a Sierra camera ends in time, with data or an error."""
 
 from __future__ import annotations
 
