@@ -25,6 +25,7 @@ from camctl.clock import Clock
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import DataError
 from camctl.exposure_record import exposure_mode
+from camctl.interrupts import entering
 from camctl.noise_record import DarkRecord
 from camctl.profile import Profile, load_profile
 from camctl.response_record import ResponseRecord
@@ -219,6 +220,7 @@ class CalibratedCamera:
         """Disconnect from the camera; a second call does nothing."""
         self._camera.close()
 
+    @entering
     def __enter__(self) -> Self:
         """Open the camera where it is not open, and return this one."""
         self._camera.__enter__()

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from camctl.clock import Clock
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CameraBusyError, CameraDisconnectedError
-from camctl.interrupts import uninterrupted
+from camctl.interrupts import entering, uninterrupted
 
 Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -234,6 +234,7 @@ class CameraBase(ABC):
         """The clock of the timestamps."""
         return self._clock
 
+    @entering
     def open(self) -> Self:
         """Connect to the device and return the camera; an open camera stays as it is."""
         if not self._is_open:
@@ -257,6 +258,7 @@ class CameraBase(ABC):
             self._is_open = False
             self._close()
 
+    @entering
     def __enter__(self) -> Self:
         """Open the camera and return it."""
         return self.open()

@@ -106,6 +106,13 @@ class Bounds:
         return {name: self.joint((name,)) for name in self.changes}
 
     @cached_property
+    def own(self) -> dict[str, float]:
+        """As `single`, without the streaks of charge that end elsewhere; see `joint`."""
+        if not self.overflows:
+            return self.single
+        return {name: self.joint((name,), moves_streaks=False) for name in self.changes}
+
+    @cached_property
     def _factors(self) -> dict[str, Change]:
         """The changes that have a factor of their own."""
         return {name: change for name, change in self.changes.items() if not change.within}

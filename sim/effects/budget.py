@@ -104,7 +104,11 @@ def check_tolerance(tolerance_dn: float) -> float:
 
 
 def plan_frame(
-    shot: Shot, tolerance_dn: float, *, left_out: Collection[str] | None = None
+    shot: Shot,
+    tolerance_dn: float,
+    *,
+    left_out: Collection[str] | None = None,
+    bounds: Bounds | None = None,
 ) -> FramePlan:
     """Decide which effects a frame leaves out.
 
@@ -113,12 +117,13 @@ def plan_frame(
         tolerance_dn: largest allowed change of any sample before the ADC; 0 leaves out only what
             changes no bit
         left_out: names of the effects to leave out instead, whatever that changes
+        bounds: those of `shot`, where the caller has them
 
     Raises:
         UsageError: an invalid tolerance; an unknown effect in `left_out`
     """
     check_tolerance(tolerance_dn)
-    bounds = Bounds(shot)
+    bounds = bounds or Bounds(shot)
     if left_out is not None:
         chosen: tuple[str, ...] = tuple(n for n in check_names(left_out) if n in bounds.changes)
     elif tolerance_dn == 0:
@@ -172,7 +177,7 @@ def _decision(
     if name not in bounds.changes:
         return Decision(name, 0.0, 0.0, False, "neither scene nor sensor has it", is_present=False)
     alone = bounds.single[name]
-    own = bounds.joint((name,), moves_streaks=False) if bounds.overflows else alone
+    own = bounds.own[name]
     change = bounds.changes[name]
     milliseconds = effect.cost * effect.samples(shot) * 1e-6
     range_dn = 2.0**shot.sensor.bits

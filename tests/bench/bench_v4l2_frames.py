@@ -19,12 +19,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "helpers"))
 
-from v4l2_model import PATH, Model, ticks_of
-
-from camctl.camera import CameraInfo
-from camctl.controls import ExposureSetting
-from camctl.profile import DelayRecord, Profile, save_profile
-from drivers.v4l2.camera import V4l2Camera, V4l2Options
+from v4l2_bench import exposures, open_streaming, save_delay, settings
+from v4l2_model import Model
 
 LISTS, FAULTY_LISTS, COUNT = 8, 3, 16
 FAULTS = {"flag": "error flag", "damage": "short frame", "lose": "lost frame"}
@@ -36,7 +32,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["CAMCTL_PROFILES"] = folder
         for delay in range(6):
-            _save_delay(delay)
+            save_delay(delay)
             used = {_slots(delay, seed, None) for seed in range(LISTS)}
             wrong += used != {COUNT + delay}
             faulty = {
@@ -53,30 +49,13 @@ def _slots(delay: int, seed: int, fault: str | None) -> int:
     draw = random.Random(seed)
     ticks = [draw.choice((10, 11, 20, 40, 80, 160, 320)) for _ in range(COUNT)]
     model = Model(delay=delay, lateness_s=draw.choice((0.002, 0.03, 0.065, 0.13)))
-    options = V4l2Options(response="linear", fps=10)
-    with V4l2Camera(PATH, options, kernel=model, clock=model.clock).open() as camera:
-        frames = camera.shoot([ExposureSetting(each / 10_000) for each in ticks])
+    with open_streaming(model) as camera:
+        frames = camera.shoot(settings(ticks))
         if fault is not None:
             model.advance()
             getattr(model, fault).add(model.slot + 1 + delay + COUNT // 3)
-        assert [ticks_of(frame.pixels) for frame in frames] == ticks
+        assert exposures(frames) == ticks
     return model.used[-1] - model.written_in[0]
-
-
-def _save_delay(frames: int) -> None:
-    record = DelayRecord(
-        frames=frames, smallest=frames, largest=frames, trials=12, measured_at="2026-01-01T00:00:00"
-    )
-    info = CameraInfo(f"v4l2:{PATH}", "uvcvideo", "A webcam", "", "v4l2")
-    save_profile(
-        Profile(
-            driver=info.driver,
-            make=info.make,
-            model=info.model,
-            serial=info.serial,
-            delays={"yuyv-8x6-10": record},
-        )
-    )
 
 
 if __name__ == "__main__":

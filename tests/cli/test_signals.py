@@ -10,13 +10,14 @@ import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
-from types import FrameType
+from types import FrameType, FunctionType
 from typing import Any
 
 import pytest
 from command_line import Run
 from crash_sweep import checked
 
+from camctl.camera import CameraBase
 from camctl.interrupts import run_interruptible
 from sim.camera import SimulatedCamera
 
@@ -160,6 +161,34 @@ def test_signal_while_an_error_is_reported_changes_nothing(run: Run, at_call: At
     assert ran.error.startswith("invalid value for --exposures: 77")
 
 
+def deliver(number: signal.Signals, frame: FrameType) -> None:
+    """Call the handler of a signal as the interpreter does where it finds the signal in `frame`."""
+    handler = signal.getsignal(number)
+    assert callable(handler)
+    handler(number, frame)
+
+
+@pytest.mark.parametrize("function", [CameraBase.__enter__, CameraBase.open])
+def test_signal_while_an_open_camera_is_entered_closes_it(
+    run: Run, cameras: Cameras, function: FunctionType
+) -> None:
+    """The signal finds the function's own code, between opening and the body of ``with``."""
+
+    def interrupt(frame: FrameType, event: str, _argument: object) -> None:
+        if event == "call" and cameras.opened and frame.f_code is function.__code__:
+            sys.setprofile(None)
+            deliver(signal.SIGTERM, frame)
+
+    sys.setprofile(interrupt)
+    try:
+        ran = run(*SHOOT.split())
+    finally:
+        sys.setprofile(None)
+    assert ran.status == 143
+    assert ran.error.startswith("interrupted by SIGTERM")
+    assert (cameras.opened, cameras.closed) == (1, 1)
+
+
 @pytest.fixture
 def quick_collections() -> Iterator[None]:
     """Leave what earlier tests left in memory out of the collection of garbage."""
@@ -207,7 +236,7 @@ def run_until(run: Run, folder: Path, k: int, number: signal.Signals) -> int:
             calls += 1
             if calls > k:
                 sys.setprofile(None)
-                os.kill(os.getpid(), number)
+                deliver(number, frame)
 
     sys.setprofile(count)
     try:

@@ -12,21 +12,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import serial
-from coolpix_bench import (
-    SETTINGS,
-    coolpix_on,
-    learn_format,
-    shoot,
-    virtual_coolpix,
-)
+from coolpix_bench import SETTINGS, coolpix_on, learn_format, shoot, virtual_coolpix
 from error_lines import one_line
 
-from camctl.errors import (
-    CameraBusyError,
-    CameraDisconnectedError,
-    CameraNotFoundError,
-    UsageError,
-)
+from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraNotFoundError, UsageError
 from drivers.coolpix.backend import CoolpixBackend, probe_lines
 from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
 from sim.devices.clock import RealDeviceClock

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, cast
+from collections.abc import Callable
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
+from sierra_model import (
+    ACK,
+    DC1,
+    END,
+    NAK,
+    PICTURE,
+    Camera,
+    closed_session,
+    line_of,
+    line_to,
+    session,
+)
 
-from camctl.clock import VirtualClock
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError, UsageError
-from drivers.common.serial_link import SerialLink
 from drivers.coolpix.sierra.packets import (
     Action,
     RefusedCommandError,
@@ -22,156 +30,6 @@ from drivers.coolpix.sierra.packets import (
     command_packet,
     receive,
 )
-from drivers.coolpix.sierra.session import Sierra
-
-ACK, NAK, ENQ, DC1, END = b"\x06", b"\x15", b"\x05", b"\x11", b"\xff"
-CODES = {1: 9600, 2: 19200, 3: 38400, 4: 57600, 5: 115200}
-
-
-Act = TypeVar("Act")
-
-
-class Line:
-    """A line in virtual time, in place of a `SerialLink`: silence passes at once."""
-
-    url = "test://"
-    has_speed = True
-
-    def __init__(self, camera: Camera, clock: VirtualClock) -> None:
-        self.camera, self.clock, self.speed = camera, clock, 19200
-        self.buffer = bytearray()
-        self.read_bytes = 0
-
-    def write(self, data: bytes) -> None:
-        self.buffer += self.camera.receive(data, self.speed)
-
-    def read(self, count: int, silence_s: float) -> bytes:
-        data = bytes(self.buffer[:count])
-        del self.buffer[:count]
-        self.read_bytes += len(data)
-        if len(data) < count:
-            self.clock.sleep_until(self.clock.now() + silence_s)
-            self.camera.forget_incomplete()
-        return data
-
-    def read_waiting(self, limit: int) -> bytes:
-        data = bytes(self.buffer[:limit])
-        del self.buffer[:limit]
-        return data
-
-
-class Camera:
-    """A camera of the protocol with integer registers and registers of data.
-
-    Tests replace the methods `receive`, `command`, `packets` and `transmit`.
-    """
-
-    def __init__(self, speeds: Sequence[int] = (1, 2, 3, 4, 5)) -> None:
-        self.speed, self.in_session = 19200, False
-        self.numbers = {1: 0x13, 3: 0, 4: 0, 5: 0, 10: 0}
-        self.data = {27: b"COOLPIX990\0"}
-        self.speeds = speeds
-        self.taken = 0
-        self.outgoing: list[bytes] = []
-        self.incoming = bytearray()
-        self.commands: list[tuple[int, bytes]] = []
-        self.receive: Callable[[bytes, int], bytes] = self._receive
-        self.command: Callable[[int, bytes, bytes], bytes] = self._command
-        self.packets: Callable[[bytes], bytes] = self._packets
-        self.transmit: Callable[[bytes], bytes] = lambda answer: answer
-
-    def forget_incomplete(self) -> None:
-        self.incoming.clear()
-
-    def restart(self) -> None:
-        self.speed, self.in_session, self.outgoing = 19200, False, []
-
-    def _receive(self, data: bytes, speed: int) -> bytes:
-        if speed != self.speed:
-            return b""
-        self.incoming += data
-        answer = b""
-        while self.incoming:
-            kind = self.incoming[0]
-            if kind == 0x1B:
-                if len(self.incoming) < 4:
-                    break
-                length = struct.unpack_from("<H", self.incoming, 2)[0]
-                if len(self.incoming) < length + 6:
-                    break
-                packet = bytes(self.incoming[: length + 6])
-                del self.incoming[: length + 6]
-                answer += self.command(packet[1], packet[4:-2], packet[-2:])
-                continue
-            del self.incoming[0]
-            if kind == 0x00 and not self.in_session:
-                self.in_session = True
-                answer += NAK
-            elif kind == 0x06 and self.outgoing:
-                self.outgoing.pop(0)
-                answer += self.outgoing[0] if self.outgoing else b""
-            elif kind == 0x15 and self.outgoing:
-                answer += self.outgoing[0]
-        return self.transmit(answer)
-
-    def _command(self, subtype: int, payload: bytes, tail: bytes) -> bytes:
-        if not self.in_session or int.from_bytes(tail, "little") != sum(payload):
-            return NAK
-        self.commands.append((subtype, payload))
-        what, where = payload[0], payload[1]
-        self.outgoing = []
-        if what == 0:
-            value = int.from_bytes(payload[2:], "little")
-            if where == 17:
-                if value not in self.speeds:
-                    return DC1
-                self.speed = CODES[value]
-            elif where not in self.numbers:
-                return DC1
-            else:
-                self.numbers[where] = value
-            return ACK
-        if what == 1 and where in self.numbers:
-            return self.packets(struct.pack("<I", self.numbers[where]))
-        if what == 4 and where in self.data:
-            return self.packets(self.data[where])
-        if what == 2 and where == 2:
-            self.taken += 1
-            return ACK + ENQ
-        if what == 2 and where == 4:
-            self.restart()
-            return ACK
-        return DC1
-
-    def _packets(self, data: bytes) -> bytes:
-        parts = [data[at : at + 2048] for at in range(0, len(data), 2048)] or [b""]
-        for number, part in enumerate(parts):
-            kind = 3 if number == len(parts) - 1 else 2
-            head = struct.pack("<BBH", kind, number % 256, len(part))
-            self.outgoing.append(head + part + struct.pack("<H", sum(part) & 0xFFFF))
-        return self.outgoing[0]
-
-
-def line_to(camera: Camera) -> tuple[Line, SerialLink, VirtualClock]:
-    """Return a line, the same as the driver takes it, and its clock."""
-    clock = VirtualClock()
-    line = Line(camera, clock)
-    return line, cast(SerialLink, line), clock
-
-
-def closed_session(camera: Camera, **arguments: Any) -> tuple[Sierra, VirtualClock]:
-    _, link, clock = line_to(camera)
-    return Sierra(link, clock, **arguments), clock
-
-
-def session(camera: Camera, **arguments: Any) -> tuple[Sierra, VirtualClock]:
-    sierra, clock = closed_session(camera, **arguments)
-    sierra.open()
-    return sierra, clock
-
-
-def line_of(sierra: Sierra) -> Line:
-    return cast(Line, sierra.link)
 
 
 def first_time(condition: Callable[[bytes], bool]) -> Callable[[bytes], bool]:
@@ -186,9 +44,6 @@ def first_time(condition: Callable[[bytes], bool]) -> Callable[[bytes], bool]:
 
 def is_second_packet(answer: bytes) -> bool:
     return answer[:2] == b"\x02\x01"
-
-
-PICTURE = bytes(range(256)) * 20
 
 
 class TestPackets:
@@ -478,82 +333,3 @@ class TestCommands:
         with pytest.raises(CameraProtocolError, match="more than 5000 bytes"):
             sierra.read(Register.PICTURE_DATA, 5000)
         assert line_of(sierra).read_bytes < 20_000
-
-
-Damage = tuple[str, bytes]
-
-
-@st.composite
-def damages(draw: st.DrawFn) -> list[Damage]:
-    """What a bad line does to one answer after another."""
-    kinds = st.sampled_from(["keep", "drop", "cut", "flip", "twice", "noise", "before", "after"])
-    return draw(st.lists(st.tuples(kinds, st.binary(min_size=1, max_size=40)), max_size=12))
-
-
-def damaging(steps: Sequence[Damage]) -> Callable[[bytes], bytes]:
-    """Return a `Camera.transmit` that does these damages in turn, and then none."""
-    left = iter(steps)
-
-    def transmit(answer: bytes) -> bytes:
-        kind, noise = next(left, ("keep", b""))
-        if not answer or kind == "keep":
-            return answer
-        at = noise[0] % len(answer)
-        return {
-            "drop": b"",
-            "cut": answer[:at],
-            "flip": answer[:at] + bytes((answer[at] ^ (noise[0] | 1),)) + answer[at + 1 :],
-            "twice": answer * 2,
-            "noise": noise,
-            "before": noise + answer,
-            "after": answer + noise,
-        }[kind]
-
-    return transmit
-
-
-def outcome(act: Callable[[], Act]) -> tuple[Act | None, CameraError | None]:
-    """Return what `act` returns, or its typed error, which is one line."""
-    try:
-        return act(), None
-    except CameraError as error:
-        caught = error
-    assert "\n" not in str(caught)
-    return None, caught
-
-
-class TestBadLines:
-    @settings(max_examples=300)
-    @given(damages())
-    def test_data_is_correct_or_a_typed_error(self, steps: list[Damage]) -> None:
-        camera = Camera()
-        camera.data[14] = PICTURE
-        sierra, clock = session(camera)
-        camera.transmit = damaging(steps)
-        before = clock.now()
-        data, error = outcome(lambda: sierra.read(Register.PICTURE_DATA, len(PICTURE), picture=3))
-        assert error is None or error.hint
-        assert data is None or len(data) <= len(PICTURE)
-        if data is not None and all(kind in ("keep", "drop", "cut", "twice") for kind, _ in steps):
-            assert data == PICTURE
-        assert clock.now() - before < 200
-        assert line_of(sierra).read_bytes < 300_000
-
-    @settings(max_examples=100)
-    @given(st.binary(min_size=1, max_size=3000))
-    def test_a_device_that_always_answers_the_same_is_given_up(self, answer: bytes) -> None:
-        camera = Camera()
-        sierra, clock = session(camera)
-        camera.receive = lambda data, speed: answer
-        before = clock.now()
-        acts: list[Callable[[], object]] = [
-            lambda: sierra.get(Register.PICTURES),
-            lambda: sierra.set(Register.SHUTTER_US, 1),
-            lambda: sierra.read(Register.PICTURE_DATA, 1 << 16, picture=1),
-            lambda: sierra.act(Action.TAKE_PICTURE),
-            sierra.open,
-        ]
-        for act in acts:
-            outcome(act)
-        assert clock.now() - before < 300
-        assert line_of(sierra).read_bytes < 10_000_000

@@ -163,13 +163,18 @@ class Case:
         return largest, int(np.abs(after.astype(int) - full_after).max())
 
     @cached_property
+    def bounds(self) -> Bounds:
+        """The bounds of the exposure."""
+        return Bounds(self.shot)
+
+    @cached_property
     def full(self) -> tuple[Light, Pixels]:
         """The frame with every effect, before and after the ADC."""
         return self.rendered(())
 
     def rendered(self, left_out: tuple[str, ...]) -> tuple[Light, Pixels]:
         """Return a frame before and after the ADC; before it is 0 for a sensor with a curve."""
-        plan = plan_frame(self.shot, 0.0, left_out=left_out)
+        plan = plan_frame(self.shot, 0.0, left_out=left_out, bounds=self.bounds)
         if self.sensor.response is not None:
             pixels = self.renderer.expose(self.shot, plan)
             return np.zeros(pixels.shape, np.float32), pixels
@@ -213,7 +218,7 @@ def test_leaving_effects_out_changes_no_sample_by_more_than_the_bound(
     tightest: dict[str, float] = {}
     for number in range(cases):
         case = a_case(random)
-        bounds = Bounds(case.shot)
+        bounds = case.bounds
         names = list(bounds.changes)
         one = (str(random.choice(names)),)
         several = tuple(name for name in names if random.random() < random.random())

@@ -1,0 +1,203 @@
+"""Streams at another rate than announced, with an unknown or wrong control delay, or that fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from v4l2_bench import TICKS, exposures, open_streaming, save_delay, settings
+from v4l2_model import PATH, Model, ticks_of
+
+from camctl.calibration.delay import measure_delay
+from camctl.captures.request import CaptureRequest
+from camctl.captures.sequencer import capture
+from camctl.errors import (
+    CameraDisconnectedError,
+    CameraProtocolError,
+    CameraTimeoutError,
+    RefusedSettingError,
+)
+from drivers.v4l2.abi import ControlId
+
+pytestmark = pytest.mark.usefixtures("own_profiles")
+
+
+def test_frame_rate_lower_than_announced_is_noted() -> None:
+    save_delay(2)
+    model = Model(announced_s=0.1, interval_s=0.2)
+    with open_streaming(model) as camera:
+        assert camera.controls.frame_interval_s == pytest.approx(0.2)
+        note = "the camera announces 10 frames a second and sends 5"
+        assert note in camera.controls.notes
+        assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
+
+
+@pytest.mark.parametrize("interval_s", [0.05, 0.0667, 0.12, 0.2])
+def test_frame_rate_other_than_announced(interval_s: float) -> None:
+    save_delay(1)
+    model = Model(delay=1, announced_s=0.1, interval_s=interval_s, lateness_s=0.001)
+    with open_streaming(model) as camera:
+        assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
+        assert camera.controls.time_s.maximum <= min(0.1, interval_s) + 1e-9
+        assert camera.controls.frame_interval_s == pytest.approx(interval_s)
+
+
+@pytest.mark.parametrize(
+    "offsets_s", [(0.03, 0.015, 0, 0), (0.09, 0.07, 0.05, 0.03), (0.5, 0, 0, 0)]
+)
+def test_irregular_first_frames_are_not_another_rate(offsets_s: tuple[float, ...]) -> None:
+    save_delay(2)
+    offset_s = dict(enumerate(offsets_s, start=1))
+    model = Model(jitter_s=lambda slot: offset_s.get(slot, 0.0))
+    with open_streaming(model) as camera:
+        assert camera.controls.frame_interval_s == 0.1
+        assert not any("announces" in note for note in camera.controls.notes)
+        assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
+
+
+class TestSettling:
+    @pytest.mark.parametrize("delay", range(6))
+    def test_without_a_measured_delay(self, delay: int) -> None:
+        model = Model(delay=delay)
+        with open_streaming(model) as camera:
+            assert camera.controls.delay_frames is None
+            note = (
+                "control delay not measured: the stream settles after each exposure; run camctl "
+                f"calibrate delay --camera v4l2:{PATH}"
+            )
+            assert note in camera.controls.notes
+            assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_with_a_delay_that_is_not_constant(self, seed: int) -> None:
+        save_delay(None, 1, 3)
+        random = np.random.default_rng(seed)
+        model = Model(delays=lambda write: int(random.integers(1, 4)))
+        with open_streaming(model) as camera:
+            assert camera.controls.delay_frames is None
+            note = (
+                "the control delay is not constant (1 to 3 frames): the stream settles after each "
+                "exposure"
+            )
+            assert note in camera.controls.notes
+            shown = []
+            for frame in camera.shoot(settings(TICKS)):
+                shown.append(ticks_of(frame.pixels))
+                model.clock.sleep_until(model.clock.now() + float(random.uniform(0, 0.5)))
+            assert shown == list(TICKS)
+
+    def test_flickering_light_does_not_settle(self) -> None:
+        model = Flickering()
+        with (
+            open_streaming(model) as camera,
+            pytest.raises(CameraProtocolError, match="the brightness does not settle"),
+        ):
+            list(camera.shoot(settings([100])))
+
+
+class Flickering(Model):
+    """Every other frame has half the light."""
+
+    def finish(self) -> None:
+        super().finish()
+        if self.waiting and self.waiting[-1].slot % 2:
+            bright = self.waiting.pop()
+            self.waiting.append(replace(bright, ticks=bright.ticks // 2))
+
+
+class TestStep:
+    @pytest.mark.parametrize("delay", range(6))
+    def test_frame_d_is_the_first_with_the_new_exposure(self, delay: int) -> None:
+        before, after = settings([160, 40])
+        with open_streaming(Model(delay=delay)) as camera:
+            for _ in range(4):
+                frames = camera.step(before, after, 8)
+                assert exposures(frames) == [160] * delay + [40] * (8 - delay)
+
+    @pytest.mark.parametrize("delay", range(6))
+    def test_the_delay_is_measured(self, delay: int) -> None:
+        with open_streaming(Model(delay=delay)) as camera:
+            record = measure_delay(camera)
+            assert (record.frames, record.smallest, record.largest) == (delay, delay, delay)
+
+    def test_a_step_with_a_lost_frame_is_repeated(self) -> None:
+        before, after = settings([160, 40])
+        with open_streaming(Model(lose={25, 45, 46})) as camera:
+            for _ in range(4):
+                assert exposures(camera.step(before, after, 5)) == [160, 160, 40, 40, 40]
+
+
+class TestFaults:
+    @pytest.mark.parametrize("delay", [0, 2, 5])
+    @pytest.mark.parametrize("place", range(8))
+    def test_frames_before_a_refused_setting_are_yielded(self, delay: int, place: int) -> None:
+        save_delay(delay)
+        model = Model(delay=delay)
+        ticks = [*TICKS[:place], 450, *TICKS[place:]]
+        shown: list[int] = []
+        with open_streaming(model) as camera:
+            model.controls[ControlId.EXPOSURE_ABSOLUTE].clamp = 400
+            with pytest.raises(RefusedSettingError) as caught:
+                shown.extend(ticks_of(frame.pixels) for frame in camera.shoot(settings(ticks)))
+        assert shown == list(TICKS[:place])
+        assert caught.value.nearest == pytest.approx(0.04)
+
+    def test_frozen_camera_times_out(self) -> None:
+        save_delay(2)
+        model = Model()
+        with open_streaming(model) as camera, closing(camera.shoot(settings(TICKS))) as frames:
+            next(frames)
+            model.frozen = True
+            model.waiting.clear()
+            began_s = model.clock.now()
+            with pytest.raises(CameraTimeoutError, match=rf"no frame from {PATH} for 10 s"):
+                list(frames)
+            assert model.clock.now() - began_s < 12
+
+    def test_unplugged_camera(self) -> None:
+        save_delay(2)
+        model = Model()
+        with open_streaming(model) as camera, closing(camera.shoot(settings(TICKS))) as frames:
+            next(frames)
+            model.unplugged = True
+            with pytest.raises(CameraDisconnectedError, match=f"{PATH} was unplugged"):
+                list(frames)
+
+    def test_camera_closed_during_a_sequence(self) -> None:
+        save_delay(2)
+        with open_streaming(Model()) as camera, closing(camera.shoot(settings(TICKS))) as frames:
+            next(frames)
+            camera.close()
+            with pytest.raises(CameraDisconnectedError, match=f"{PATH} is not open"):
+                next(frames)
+
+    @pytest.mark.parametrize(
+        ("stamp_s", "message"),
+        [
+            (lambda end_s: end_s + 1.7e9, "not on the system's monotonic clock"),
+            (lambda end_s: 1000.5, "frames are lost, damaged, or arrive at irregular times"),
+        ],
+        ids=["another clock", "constant"],
+    )
+    def test_unusable_timestamps(self, stamp_s: Callable[[float], float], message: str) -> None:
+        model = Model()
+        model.stamp_s = stamp_s
+        with pytest.raises(CameraProtocolError, match=message):
+            open_streaming(model)
+        assert model.descriptors == 0
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_stale_delay_makes_a_capture_untrustworthy(delay: int) -> None:
+    save_delay(delay)
+    request = CaptureRequest("log", 1000.0, ratios=(1.0, 2.5, 9.0), base_s=0.004)
+    with open_streaming(Model(delay=2)) as camera:
+        report = capture(camera, request)
+    assert not report.trustworthy
+    assert f"calibrate delay --camera v4l2:{PATH}" in (report.untrustworthy_because or "")
+    save_delay(2)
+    with open_streaming(Model(delay=2)) as camera:
+        assert capture(camera, request).trustworthy
