@@ -96,7 +96,7 @@ frame_settings = options.option_group(
         ("camctl simulate --scene night-street --time 4 --explain", "nearly all effects, and why"),
         ("camctl simulate --scene ramp --time 0.001 --explain", "most effects make no difference"),
         ("camctl simulate --sensor ideal-6 -o floor.tiff", "without noise, 6 bits"),
-        ("camctl simulate --scene room --bracket 1,4,16 -o room.png", "room-1.png to room-3.png"),
+        ("camctl simulate --scene room --bracket 1,16,256 -o room.png", "room-1.png to room-3.png"),
     )
 )
 @options.scene_options(DEFAULT_SENSOR)
