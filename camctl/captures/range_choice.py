@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from camctl.captures.capture_plan import Metering, relative_exposures
-from camctl.captures.pictures import DARK, SATURATED, sum_mask
+from camctl.captures.pictures import DARK, sum_mask
 from camctl.captures.request import AUTO, CaptureRequest, build_desired
 from camctl.captures.scene_range import (
     PlannedLight,
@@ -42,7 +42,7 @@ and the table that is part of camctl has these."""
 
 #: Relative difference up to which two ranges are the same, and by which a range may be too small.
 _SAME, _MARGIN = 1e-9, 1.02
-#: Irradiances at which the shares outside of the range are computed: 20 in each of 20 stops.
+#: Irradiances at which the share below the range is computed: 20 in each of 20 stops.
 _NODES = 400
 #: Share of the levels that are enough from which, by the estimate, a range may have them.
 _NEARLY = 0.95
@@ -102,14 +102,13 @@ class Metered:
         if self.light is None:
             return None
         end = self._upper_end(chosen.settings[0].exposure)
-        clips, dark = _outside(self.light.relative_to(end), chosen, controls)
         return PlannedLight(
             span=self.light.brightest / self.light.seen_shadows,
             is_open=self.light.is_open,
             unseen=self.light.unseen,
-            clips=clips,
+            clips=self.light.share_above(end),
             clips_stops=max(0.0, math.log2(self.light.brightest / end)),
-            dark=dark,
+            dark=_dark_share(self.light.relative_to(end), chosen, controls),
             needed=self.light.needed_range(end),
             needed_levels=chosen.needed_levels,
         )
@@ -121,28 +120,20 @@ class Metered:
         return setting.exposure * self.metering.limit_s / setting.time_s / exposure
 
 
-def _outside(light: SceneLight, chosen: Chosen, controls: ExposureControls) -> tuple[float, float]:
-    """Return the shares of the light that the masks of the pictures will say is outside the range.
+def _dark_share(light: SceneLight, chosen: Chosen, controls: ExposureControls) -> float:
+    """Return the share of the light that the masks of the pictures will say is too dark.
 
     Args:
         light: E = 1 just saturates the shortest exposure
         chosen: the exposures
         controls: of the camera
-
-    Returns:
-        the share that every frame will saturate, and the share that will be too dark
     """
     settings = chosen.settings
     camera = EffectiveCamera.of(controls.levels, relative_exposures(settings))
     posterior = Posterior(camera, chosen.desired, controls.frame_noise(settings))
-    mask = sum_mask(posterior)
     E = np.geomspace(light.irradiance[0], light.irradiance[-1], _NODES)
-
-    def share(value: int) -> float:
-        found = np.interp(light.irradiance, E, posterior.shares(E, mask == value))
-        return float(found @ light.shares)
-
-    return share(SATURATED), share(DARK)
+    dark = posterior.shares(E, sum_mask(posterior) == DARK)
+    return float(np.interp(light.irradiance, E, dark) @ light.shares)
 
 
 def choose_range(
