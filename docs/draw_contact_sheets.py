@@ -2,11 +2,13 @@
 
 Each is the contact.png of one simulated capture, reduced in size and in colours.  The picture
 room-responses.png is that of ``camctl shoot --preview-only``, and previews.png shows each scene as
-image.tiff, by three tone mappers of OpenCV, and as preview.png.
+image.tiff, by three tone mappers of OpenCV, and as preview.png.  Where $CAMCTL_DATA/memorial holds
+Debevec and Malik's photographs, memorial.png is that of ``camctl merge`` with all of them.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,8 @@ from numpy.typing import NDArray
 import camctl
 from camctl.captures.drawing import MARGIN, SMALL_TEXT, Drawing
 from camctl.captures.response_preview import preview_responses
+from camctl.merging.merge import merge
+from camctl.merging.photograph_set import PhotographOptions
 from sim.scenes.scene import scene_names
 
 SENSORS = {"outdoor-sun": "security", "pwm-lamp": "security", "stars": "ccd"}
@@ -46,11 +50,23 @@ def main() -> None:
             write(sheets / f"{name}.png", read(out / "contact.png"))
             shown = read(out / "preview.png")
             rows[name] = [(report.image() >> 8).astype(np.uint8), *rivals(report.radiance()), shown]
+    if data := os.environ.get("CAMCTL_DATA"):
+        write(sheets / "memorial.png", memorial(Path(data, "memorial")))
     with camctl.open_camera("sim", scene="room") as camera:
         shown = preview_responses(camera, camctl.CaptureRequest(dynamic_range="auto")).picture
         write(folder / "room-responses.png", shown)
     titles = ["image.tiff (log)", "Drago", "Reinhard", "Mantiuk", "preview.png"]
     write(folder / "previews.png", table(titles, rows), PREVIEWS_BYTES)
+
+
+def memorial(photographs: Path) -> NDArray[np.uint8]:
+    """Return the contact sheet of Debevec and Malik's photographs."""
+    rows = [line.split() for line in (photographs / "image_list.txt").read_text().splitlines()]
+    found = [(photographs / row[0], float(row[1])) for row in rows if row and row[0] != "#"]
+    files, times = zip(*((file, time_s) for file, time_s in found if file.exists()), strict=True)
+    with tempfile.TemporaryDirectory() as place:
+        merge(files, path=Path(place) / "memorial", options=PhotographOptions(times=times))
+        return read(Path(place) / "memorial" / "contact.png")
 
 
 def rivals(radiance: NDArray[np.float32]) -> list[NDArray[np.uint8]]:

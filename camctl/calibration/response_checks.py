@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations, pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,8 @@ _JUDGED = (0.05, 0.95)
 #: Half the 95 % interval of irradiance, relative, up to which a response is kept: it changes a
 #: logarithmic picture over 1:1,000 by 1 % of its range.
 KEPT = 0.07
-#: The same from which a response is refused: random film and camera responses differ by as much
-#: from sRGB (root mean square over 3000), which needs no measurement.
+#: Root mean square of these from which a response is refused: random film and camera responses
+#: differ by as much from sRGB (root mean square over 3000), which needs no measurement.
 USELESS = 0.4
 #: Steps of exposures, as factors, that are wide; and exposures in between that are proposed.
 _WIDE_STEP, _MOST_ADDED = 2.5, 4
@@ -166,19 +167,35 @@ def _between(exposures: FloatArray) -> str:
     return f"exposure {', '.join(f'{each:.3g}' for each in steps)}"
 
 
-def widest_interval(record: ResponseRecord) -> tuple[float, float] | None:
-    """Return the widest 95 % interval of irradiance, relative, and its brightness, a share.
+class Intervals(NamedTuple):
+    """Halves of the 95 % intervals of irradiance, relative, of a response.
 
-    Between `_JUDGED` of full scale, where the frames show it; None where the method gives none.
+    Attributes:
+        widest: the largest of them
+        brightness: where it is, a share of full scale
+        mean: root mean square
     """
-    widest = (0.0, 0.0)
+
+    widest: float
+    brightness: float
+    mean: float
+
+
+def intervals_of(record: ResponseRecord) -> Intervals | None:
+    """Return the intervals between `_JUDGED` of full scale, where the frames show the response.
+
+    Of the channel with the widest one; None where the method gives none.
+    """
+    found = []
     for channel in record.channels:
         if channel.deviation is None:
             return None
-        brightness = np.linspace(*np.clip(channel.measured, *_JUDGED), 181)
-        found = Z_95 * np.interp(brightness, channel.brightness, channel.deviation)
-        widest = max(widest, (float(found.max()), float(brightness[found.argmax()])))
-    return widest
+        low, high = np.clip(channel.measured, *_JUDGED).tolist()
+        brightness = np.linspace(low, high, 181)
+        half = Z_95 * np.interp(brightness, channel.brightness, channel.deviation)
+        mean = float(np.sqrt(np.mean(np.square(half))))
+        found.append(Intervals(float(half.max()), float(brightness[half.argmax()]), mean))
+    return max(found)
 
 
 def check_interval(record: ResponseRecord, exposures: Sequence[float], labels: LabelCheck) -> None:
@@ -187,13 +204,13 @@ def check_interval(record: ResponseRecord, exposures: Sequence[float], labels: L
     Raises:
         DataError: it is not; says why, and what would help
     """
-    widest = widest_interval(record)
-    if widest is None or widest[0] <= USELESS:
+    intervals = intervals_of(record)
+    if intervals is None or intervals.mean <= USELESS:
         return
-    known = f"the response would be known to +-{widest[0]:.0%} only"
+    known = f"the response would be known to +-{intervals.mean:.0%} only"
     if labels.problem:
         raise DataError(f"{labels.problem}: {known}", hint=labels.hint)
-    raise DataError(known, hint=helpful_exposures(exposures, widest[1]))
+    raise DataError(known, hint=helpful_exposures(exposures, intervals.brightness))
 
 
 def helpful_exposures(exposures: Sequence[float], brightness: float) -> str:

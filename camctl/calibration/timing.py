@@ -33,8 +33,10 @@ def measure_stream_timing(camera: StreamingCamera) -> FrameTiming:
             "the times of the camera's frames do not ascend",
             hint="report this camera and its driver",
         )
-    interval_s = median(steps)
-    slots = [max(1, round(step / interval_s)) for step in steps]
+    usual_s = median(steps)
+    slots = [max(1, round(step / usual_s)) for step in steps]
+    # The median itself is wrong where most frames come early and few of them late.
+    interval_s = sum(steps) / sum(slots)
     jitters = [step - slot * interval_s for step, slot in zip(steps, slots, strict=True)]
     arrivals = [
         camera.clock.now() - frame.timestamp_s for frame in camera.shoot([setting] * _ARRIVED)

@@ -184,8 +184,8 @@ class CaptureFolder:
         file, length = open_own_file(self.directory / name, _LARGEST_FRAME)
         with file:
             data = np.empty(length, np.uint8)  # unlike a bytearray, it is not filled first
-            data = data[: file.readinto(data)]
-        if checksum is not None and hashlib.sha256(data).hexdigest() != checksum:
+            data = data[: file.readinto(data.data)]
+        if checksum is not None and hashlib.sha256(data.data).hexdigest() != checksum:
             raise ValueError("its content has changed since it was shot (wrong checksum)")
         stream = io.BytesIO(data[:1024].tobytes())  # the header of such an array has 128 bytes
         if np.lib.format.read_magic(stream) != (1, 0):

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from camctl.camera import Camera, Pixels
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side
-from camctl.captures.movement import bands_of
 from camctl.captures.frame_record import ExposureRatio, RatioCheck, StoredFrame
+from camctl.captures.movement import bands_of
 from camctl.captures.picture_details import thumbnail
 from camctl.captures.report import UnfinishedCapture
 from camctl.captures.true_exposures import choose_exposures, estimate_exposures

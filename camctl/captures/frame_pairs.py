@@ -297,14 +297,14 @@ def outside(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
         low, high = low[:, codes], np.where(high == white, 255, high)[:, codes]
         least, span = low.astype(np.uint8), (high - low).astype(np.uint8)
         # Tables that differ from channel to channel are slower than planes.
-        planes = [(short, long)] if len(low) == 1 else zip(cv2.split(short), cv2.split(long))
+        planes = [[short], [long]] if len(low) == 1 else [cv2.split(short), cv2.split(long)]
         found = []
-        for (before, after), *tables in zip(planes, least, span, strict=True):
+        for before, after, *tables in zip(*planes, least, span, strict=True):
             lowest, widest = (cv2.LUT(after, table) for table in tables)
             np.subtract(before, lowest, out=lowest)
             found.append(np.greater(lowest, widest, out=widest.view(np.bool_)))
         if len(found) == 1:
-            return found[0]
+            return np.asarray(found[0])
         return np.asarray(cv2.merge([each.view(np.uint8) for each in found])).view(np.bool_)
     short, long = (np.minimum(each, low.shape[1] - 1) for each in (short, long))
     if len(low) == 1:

@@ -57,8 +57,7 @@ class Lines:
     def of(cls, frame: Pixels) -> Lines:
         """Take them from a frame."""
         down, across = (-(-length // _MOST_LINES) for length in frame.shape[:2])
-        columns, rows = frame[:, ::across], frame[::down]
-        return cls(np.ascontiguousarray(columns), np.ascontiguousarray(rows), (across, down))
+        return cls(frame[:, ::across].copy(), frame[::down].copy(), (across, down))
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class LightSpread:
             streaks = along > _LEAST_STREAKS and lost < _LOST * along
         if streaks:
             found &= ~_connected_runs(found, source)
-        return cls(white, _reach(found, source), streaks)
+        return cls(white, _reach(found, source), bool(streaks))
 
     def outside(
         self, limits: Limits, short: Pixels, long: Pixels

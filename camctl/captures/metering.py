@@ -146,9 +146,7 @@ class MeteringFrames:
         shown = [time_text(time_s) for time_s in (before.time_s, after.time_s, stays_s)]
         end = "no longer" if after.exposure > before.exposure else "no shorter"
         has_delay, name = self.camera.controls.delay_frames is not None, self.camera.info.id
-        again = (
-            f"measure its control delay again (camctl calibrate delay --camera {name}), or "
-        )
+        again = f"measure its control delay again (camctl calibrate delay --camera {name}), or "
         return CaptureError(
             f"the camera does not follow its exposure: {shown[0]} and {shown[1]} give nearly the "
             f"same brightness, as if it were {end} than {shown[2]}",

@@ -109,7 +109,7 @@ def bands_of(pixels: Pixels) -> Pixels:
     """Return bands of columns of a frame, all over it, of about a million pixels together."""
     rows, columns = pixels.shape[:2]
     step = _BAND * -(-rows * columns // _BANDS_PIXELS)
-    return np.ascontiguousarray(pixels[:, np.arange(columns) % step < _BAND])
+    return pixels[:, np.arange(columns) % step < _BAND].copy()
 
 
 def find_movement(

@@ -77,10 +77,9 @@ def write_picture_files(
         tiff = stack.enter_context(atomic_file(directory / IMAGE))
 
         def codes() -> Iterator[NDArray[np.uint16]]:
-            strips = rendering.converted_strips(total, lambda strip: (strip, exr.channels(strip)))
-            for strip, channels in strips:
+            for strip in rendering.strips(total):
                 reduced = threads.submit(reducer.add, strip)
-                exr.write(channels, len(strip.mask))
+                exr.write(strip)
                 yield strip.code
                 reduced.result()
 
@@ -266,23 +265,20 @@ class _RadianceFile:
         self._file = uninterrupted(OpenEXR.OutputFile)(os.fsencode(path), header)
         self.close = self._file.close
 
-    def channels(self, strip: Strip) -> dict[str, bytes]:
-        """Return the channels of a strip by name, as the file has them."""
+    def write(self, strip: Strip) -> None:
+        """Append a strip."""
         parts: dict[str, NDArray[Any]] = {
             "": strip.irradiance,
             _DEVIATION_PREFIX: strip.deviation,
             _MASK_PREFIX: _HALVES.take(strip.mask),
         }
-        return {
+        channels = {
             prefix + name: (part[..., index] if part.ndim == 3 else part).tobytes()
             for prefix, part in parts.items()
             for index, name in enumerate(self._names)
         }
-
-    def write(self, channels: dict[str, bytes], rows: int) -> None:
-        """Append the channels of a strip of so many rows."""
         try:
-            uninterrupted(self._file.writePixels)(channels, rows)
+            uninterrupted(self._file.writePixels)(channels, len(strip.mask))
         except OSError as error:
             # Converted here: the TIFF file is written around this call, and would be named instead.
             raise storage_error(self._final, error) from error

@@ -6,9 +6,9 @@ mosaic becomes irradiance first and is interpolated afterwards, in linear light.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from camctl.controls import Layout
 from camctl.exposure.inverse import Posterior
 from camctl.picture_operations import correlated, dilated
 from camctl.response.desired import DesiredResponse
-from camctl.threads import in_threads
 
 #: Values of a mask: within the range, light below the range, saturated in every frame.
 GOOD, DARK, SATURATED = 0, 1, 2
@@ -31,8 +30,6 @@ FULL_CODE = 65535
 STRIP_SAMPLES = 1 << 21
 #: Rows of a strip at most: radiance.exr is compressed in blocks of 32, two of them at once.
 _STRIP_ROWS = 64
-
-_Result = TypeVar("_Result")
 
 _LETTERS = "RGB"
 #: Bilinear weights: every second pixel is green, every fourth one red or blue.
@@ -233,61 +230,43 @@ class Rendering:
 
     def strips(self, total: NDArray[np.unsignedinteger]) -> Iterator[Strip]:
         """Yield the pictures of a sum from top to bottom, `strip_rows` rows at a time."""
-        return self.converted_strips(total, lambda strip: strip)
-
-    def converted_strips(
-        self, total: NDArray[np.unsignedinteger], convert: Callable[[Strip], _Result]
-    ) -> Iterator[_Result]:
-        """Yield what `convert` returns for each of the `strips`; several threads call it."""
         height, rows = total.shape[0], self.strip_rows(total)
         shown, hot = self._without_hot_pixels(total)
-
-        def result(start: int) -> _Result:
-            return convert(self._strip(total, shown, hot, start, min(start + rows, height)))
-
-        return in_threads(result, range(0, height, rows))
-
-    def _strip(
-        self,
-        total: NDArray[np.unsignedinteger],
-        shown: NDArray[np.unsignedinteger],
-        hot: NDArray[np.uint8] | None,
-        start: int,
-        stop: int,
-    ) -> Strip:
-        """Return rows of the pictures of a sum, with what `_without_hot_pixels` returns for it."""
-        # A mosaic is interpolated from its neighbouring rows, too.
-        border = 2 if self.layout.is_mosaic else 0
-        first, last = max(0, start - border), min(total.shape[0], stop + border)
-        sums = total[first:last]
-        irradiance = light = self._look_up("irradiance", sums)
-        if hot is not None:
-            light = self._look_up("irradiance", shown[first:last])
-        deviation = self._look_up("deviation", sums)
-        mask = self._look_up("mask", sums)
-        marks = None if hot is None else hot[first:last]
-        if self.movement is not None:
-            moved = self.movement.rows(first, last) * np.uint8(CONTRADICTING)
-            mask = mask if self.layout.is_mosaic else mask | moved
-        if not self.layout.is_mosaic:
-            mask = mask if marks is None else mask | marks
-            code = self._look_up("code", shown[first:last])
-            return Strip(irradiance, light, deviation, code, mask)
-        inner = slice(start - first, stop - first)
-        mask = demosaic_mask(mask)
-        if self.movement is not None:
-            mask |= demosaic_mask(moved)
-        if marks is not None:
-            mask |= demosaic_mask(marks)
-        coded = demosaic(self._look_up("shown", shown[first:last]), self.layout, first)
-        irradiance = demosaic(irradiance, self.layout, first)[inner]
-        return Strip(
-            irradiance,
-            irradiance if hot is None else demosaic(light, self.layout, first)[inner],
-            demosaic_deviation(deviation, self.layout, first)[inner],
-            encode(self.desired, coded[inner]),
-            mask[inner],
-        )
+        for start in range(0, height, rows):
+            stop = min(start + rows, height)
+            # A mosaic is interpolated from its neighbouring rows, too.
+            border = 2 if self.layout.is_mosaic else 0
+            first, last = max(0, start - border), min(height, stop + border)
+            sums = total[first:last]
+            irradiance = light = self._look_up("irradiance", sums)
+            if hot is not None:
+                light = self._look_up("irradiance", shown[first:last])
+            deviation = self._look_up("deviation", sums)
+            mask = self._look_up("mask", sums)
+            marks = None if hot is None else hot[first:last]
+            if self.movement is not None:
+                moved = self.movement.rows(first, last) * np.uint8(CONTRADICTING)
+                mask = mask if self.layout.is_mosaic else mask | moved
+            if not self.layout.is_mosaic:
+                mask = mask if marks is None else mask | marks
+                code = self._look_up("code", shown[first:last])
+                yield Strip(irradiance, light, deviation, code, mask)
+                continue
+            inner = slice(start - first, stop - first)
+            mask = demosaic_mask(mask)
+            if self.movement is not None:
+                mask |= demosaic_mask(moved)
+            if marks is not None:
+                mask |= demosaic_mask(marks)
+            coded = demosaic(self._look_up("shown", shown[first:last]), self.layout, first)
+            irradiance = demosaic(irradiance, self.layout, first)[inner]
+            yield Strip(
+                irradiance,
+                irradiance if hot is None else demosaic(light, self.layout, first)[inner],
+                demosaic_deviation(deviation, self.layout, first)[inner],
+                encode(self.desired, coded[inner]),
+                mask[inner],
+            )
 
     def _look_up(self, name: str, sums: NDArray[np.unsignedinteger]) -> NDArray[Any]:
         """Return the values of a table for sums; in a mosaic they begin at an even row."""

@@ -188,7 +188,7 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     largest = _largest(logs).copy()
     logs -= largest[..., np.newaxis]
     colours = np.exp2(logs, out=logs)  # relative to the largest
-    pixel_noise = reduce(np.add, _channels(noise)) / np.float32(noise.shape[2])
+    pixel_noise = np.asarray(sum(_channels(noise)) / np.float32(noise.shape[2]), np.float32)
     exposure, white = _exposure(largest, colours, pixel_noise, light)
     # The operator, x (1 + S / white^2) / (1 + S) for light x in the surround S, in logarithms.
     surround = _surround(largest)
@@ -290,8 +290,14 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
             error -= errors
             error *= hidden
             errors += error
+            del error, average
         if has_unlit:
-            unlit += (box_means(unlit * counts, radius) / area - unlit) * hidden
+            around = box_means(unlit * counts, radius)
+            around /= area
+            around -= unlit
+            around *= hidden
+            unlit += around
+            del around
         del doubt, hidden, counts, area  # memory for the next ones
     return irradiance, noise, np.clip(unlit, 0, 1)
 

@@ -21,7 +21,7 @@ import numpy as np
 import camctl
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side
-from camctl.captures.movement import find_movement
+from camctl.captures.movement import bands_of, find_movement
 from camctl.noise_model import FrameNoise
 from camctl.response.camera import linear_response
 from sim.scenes.scene import scene_names
@@ -69,7 +69,9 @@ def print_movement(megapixels: float) -> None:
         for short, long in pairwise(sides)
     ]
     began = time.perf_counter()
-    find_movement(lambda place: frames[place][..., 0], pairs, {}.__getitem__)
+    find_movement(
+        lambda place: frames[place][..., 0], pairs, lambda place: bands_of(frames[place][..., 0])
+    )
     ours_s = time.perf_counter() - began
     three = [np.repeat(frame, 3, axis=2) for frame in frames]
     began = time.perf_counter()

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.calibration.response import estimate_response
-from camctl.calibration.response_checks import KEPT, widest_interval
+from camctl.calibration.response_checks import KEPT, intervals_of
 from camctl.calibration.response_series import Series
 from camctl.controls import Layout
 from camctl.errors import DataError
@@ -107,11 +107,11 @@ def test_flicker_is_called_flicker_and_widens_the_interval() -> None:
     assert "the light flickers, or the shutter varies: frames differ" in flickering.notes[0]
     steady = [shoot(shades(), exposure, k) for k, exposure in enumerate(STOPS)]
     widths = [
-        widest_interval(each.record) for each in (estimate_response(series_of(steady)), flickering)
+        intervals_of(each.record) for each in (estimate_response(series_of(steady)), flickering)
     ]
     assert widths[0] is not None
     assert widths[1] is not None
-    assert widths[0][0] < KEPT < widths[1][0]
+    assert widths[0].widest < KEPT < widths[1].widest
 
 
 @pytest.mark.parametrize("count", [3, 4, 6])

@@ -63,6 +63,13 @@ def test_jitter_and_lost_frames_are_measured() -> None:
     assert timing.readout_s == pytest.approx(0.012)
 
 
+def test_interval_of_frames_of_which_each_third_comes_late() -> None:
+    times = [0.04 * k + 0.006 * (k % 3) / 2 for k in range(32)]  # two steps of 43 ms, one of 34 ms
+    timing = measure(times)
+    assert timing.frame_interval_s == pytest.approx(0.04, rel=0.003)
+    assert timing.lost == 0
+
+
 def test_times_that_do_not_ascend_are_refused() -> None:
     with pytest.raises(CameraProtocolError, match="do not ascend"):
         measure([0.04 * (k % 5) for k in range(32)])

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import camctl
+from camctl.camera import Pixels
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side, outside
 from camctl.captures.movement import FALSE_ALARMS, bands_of, find_movement
@@ -191,3 +192,40 @@ def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: 
     assert 190 <= first.top < first.bottom <= 270
     assert 290 <= first.left < first.right <= 390
     assert share > 3 * stated
+
+
+def test_bands_are_parts_of_a_large_frame_from_all_over_it() -> None:
+    frame = np.arange(1000 * 2100).reshape(1000, 2100).astype(np.uint16)
+    bands = bands_of(frame)
+    begins = range(0, 2100, 3 * 64)  # 2.1 million pixels: every third band
+    assert np.array_equal(bands, np.hstack([frame[:, start : start + 64] for start in begins]))
+    small = frame[:, :1000]
+    assert np.array_equal(bands_of(small), small)
+
+
+def test_false_alarms_of_large_photographs_are_set_on_their_bands() -> None:
+    """Contours, where unknown noise is larger, are in the bands as in the whole frames."""
+    rng = np.random.default_rng(0)
+    light = np.exp(np.linspace(-5, 0, 2000)) * rng.choice([0.6, 1.0], (125, 1))
+    light = np.repeat(light, 8, axis=0)
+    frames = []
+    for exposure in (1.0, 4.0):
+        E = light * exposure + np.sqrt(light * exposure / 5000) * rng.normal(size=light.shape)
+        codes = np.searchsorted(standard_response("srgb", 8).levels, E, side="right")
+        frames.append(codes.astype(np.uint8))
+    check = NeighbourCheck(standard_response("srgb", 8), 0)
+    both = check.sample(frames[0]), check.sample(frames[1])
+    pair = Pair(check.scale, Side(0, 1.0, None), Side(1, 4.0, None), 4.0, both)
+    bands, whole = [bands_of(frame) for frame in frames], []
+
+    def frame(place: int) -> Pixels:
+        whole.append(place)
+        return frames[place]
+
+    movement = find_movement(frame, [pair], bands.__getitem__)
+    assert movement is not None
+    assert whole == [0, 1]  # limits were set without the whole frames
+    assert bands[0].shape == (1000, 1024)
+    assert movement.found.places == ()
+    assert movement.found.share == pytest.approx(movement.found.false_alarms, rel=0.1)
+    assert 0.6 * FALSE_ALARMS < movement.found.share < 1.1 * FALSE_ALARMS

@@ -260,15 +260,15 @@ def _estimate(series: Series, frames: list[NDArray[Any]], how: EstimateOptions) 
 
 def _is_exact(series: Series, record: ResponseRecord) -> bool:
     """Return whether a response is exact enough for the profile; warn where it is not."""
-    from camctl.calibration.response_checks import KEPT, helpful_exposures, widest_interval
+    from camctl.calibration.response_checks import KEPT, helpful_exposures, intervals_of
 
-    widest = widest_interval(record)
-    if widest is None or widest[0] <= KEPT:
+    intervals = intervals_of(record)
+    if intervals is None or intervals.widest <= KEPT:
         return True
     print_warning(
-        f"not kept in the camera's profile: at {widest[1]:.0%} of full scale the response is known "
-        f"to +-{widest[0]:.0%}, and +-{KEPT:.0%} is needed; "
-        f"{helpful_exposures(series.exposures, widest[1])}, or keep it with --keep"
+        f"not kept in the camera's profile: at {intervals.brightness:.0%} of full scale the "
+        f"response is known to +-{intervals.widest:.0%}, and +-{KEPT:.0%} is needed; "
+        f"{helpful_exposures(series.exposures, intervals.brightness)}, or keep it with --keep"
     )
     return False
 
