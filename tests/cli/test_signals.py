@@ -184,7 +184,7 @@ def test_signal_while_an_open_camera_is_entered_closes_it(
         ran = run(*SHOOT.split())
     finally:
         sys.setprofile(None)
-    # The signal waits 0.1 s; a capture in virtual time may have ended, and printed its end, by then.
+    # The signal waits 0.1 s; a capture in virtual time may have printed its end by then.
     assert ran.status == 143
     assert ran.err.startswith("camctl: interrupted by SIGTERM")
     assert ran.err.count("\n") == 1
