@@ -273,10 +273,7 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
         for place in range(noise.shape[2]):
             values, errors = irradiance[..., place], noise[..., place]
             # Sums over windows are running ones, and may round to just below 0.
-            error = values * errors
-            error *= error
-            error *= counts
-            error = box_means(error, radius)
+            error = box_means(np.square(values * errors) * counts, radius)
             np.maximum(error, 0, out=error)
             error /= area
             average = box_means(values * counts, radius)
@@ -292,12 +289,7 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
             errors += error
             del error, average
         if has_unlit:
-            around = box_means(unlit * counts, radius)
-            around /= area
-            around -= unlit
-            around *= hidden
-            unlit += around
-            del around
+            unlit += (box_means(unlit * counts, radius) / area - unlit) * hidden
         del doubt, hidden, counts, area  # memory for the next ones
     return irradiance, noise, np.clip(unlit, 0, 1)
 
