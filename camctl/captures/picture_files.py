@@ -66,11 +66,11 @@ def write_picture_files(
     import tifffile
 
     tags = tiff_tags(details)
+    _write_sum(directory / SUM, total, tags)
     height, width = total.shape[:2]
     reducer = LightReducer(height, width, rendering.unlit, rendering.full)
     with ExitStack() as stack:
-        threads = stack.enter_context(ThreadPoolExecutor(THREADS))
-        sum_file = threads.submit(_write_sum, directory / SUM, total, tags)
+        threads = stack.enter_context(ThreadPoolExecutor(1))
         exr = stack.enter_context(
             _radiance_file(directory / RADIANCE, width, height, rendering.channels, details)
         )
@@ -92,7 +92,6 @@ def write_picture_files(
             photometric="minisblack" if rendering.channels == "Y" else "rgb",
             **tags,
         )
-        sum_file.result()
     return_free_memory()
     light = reducer.light()
     preview = tone_map(light)

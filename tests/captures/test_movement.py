@@ -204,7 +204,7 @@ def test_bands_are_parts_of_a_large_frame_from_all_over_it() -> None:
 
 
 def test_false_alarms_of_large_photographs_are_set_on_their_bands() -> None:
-    """Unknown noise that is larger in a third of the rows, which the patches miss, is in the bands."""
+    """Unknown noise that is larger in a third of the rows is in the bands, not in the patches."""
     rng = np.random.default_rng(0)
     light = np.broadcast_to(np.exp(np.linspace(-5, -1.4, 2000)), (1000, 2000))
     noise = np.where(np.arange(1000)[:, np.newaxis] % 12 < 4, 1.2, 1.0)
