@@ -200,10 +200,11 @@ def test_signal_at_the_ends_of_a_with_block_frees_the_folder(
     code, left = getattr(type(owned), name).__code__, [signal.SIGTERM]
 
     def interrupt(frame: FrameType, happened: str, _argument: object) -> None:
-        if happened == event and frame.f_code is code:
-            if frame.f_locals["self"].gen.gi_code is owned.gen.gi_code:
-                sys.setprofile(None)
-                deliver(left.pop(), frame)
+        if happened != event or frame.f_code is not code:
+            return
+        if frame.f_locals["self"].gen.gi_code is owned.gen.gi_code:
+            sys.setprofile(None)
+            deliver(left.pop(), frame)
 
     sys.setprofile(interrupt)
     try:
