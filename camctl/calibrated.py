@@ -25,7 +25,7 @@ from camctl.clock import Clock
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import DataError
 from camctl.exposure_record import exposure_mode
-from camctl.interrupts import entering
+from camctl.interrupts import entering, uninterrupted
 from camctl.noise_record import DarkRecord
 from camctl.profile import Profile, load_profile
 from camctl.response_record import ResponseRecord
@@ -216,6 +216,7 @@ class CalibratedCamera:
         frames: FrameStream = self._camera.shoot(settings)
         return frames
 
+    @uninterrupted
     def close(self) -> None:
         """Disconnect from the camera; a second call does nothing."""
         self._camera.close()
@@ -226,6 +227,7 @@ class CalibratedCamera:
         self._camera.__enter__()
         return self
 
+    @uninterrupted
     def __exit__(
         self,
         kind: type[BaseException] | None,
