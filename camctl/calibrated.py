@@ -113,9 +113,7 @@ def response_changes(controls: ExposureControls, record: ResponseRecord) -> dict
         "responses": found if different else (),
         "phase": record.phase,
         # What a driver says of a response that it only assumes is no longer true.
-        "notes": tuple(
-            note for note in controls.notes if not ("response" in note and "assumed" in note)
-        ),
+        "notes": tuple(note for note in controls.notes if note not in controls.response_notes),
     }
 
 

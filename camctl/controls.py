@@ -276,6 +276,11 @@ class ExposureControls:
             return self.response
         return linear_response(self.bits, phase=self.phase, levels=self.white - self.black)
 
+    @property
+    def response_notes(self) -> tuple[str, ...]:
+        """The notes that say that the response is only assumed; none where it is known."""
+        return tuple(note for note in self.notes if "response" in note and "assumed" in note)
+
     def exposure(self, setting: ExposureSetting) -> float:
         """Return the true exposure of a setting, in the unit of `ExposureSetting.exposure`."""
         correction = (

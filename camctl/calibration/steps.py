@@ -132,11 +132,14 @@ class _Calibration:
         self._unsaturated_s = _unsaturated(camera, series)
         try:
             estimate = estimate_response(series)
-        except DataError:  # in a scene with few shades more frames may help
-            series = measure_response(
-                camera, count=_MORE_FRAMES, longest_s=options.longest_s, progress=progress
-            )
-            estimate = estimate_response(series)
+        except DataError as reason:  # in a scene with few shades more frames may help
+            try:
+                series = measure_response(
+                    camera, count=_MORE_FRAMES, longest_s=options.longest_s, progress=progress
+                )
+                estimate = estimate_response(series)
+            except (CaptureError, DataError):
+                raise reason from None
         for note in estimate.notes:
             options.warn(note)
         self._residual = estimate.residual or 0.0
@@ -185,17 +188,25 @@ class _Calibration:
         return None
 
     def _measure_exposures(self, camera: Camera, options: StepOptions, progress: Progress) -> Found:
+        if camera.controls.response_notes:
+            raise DataError(
+                "the response was not measured, and the pixels do not say the exposures without it",
+                hint="measure the response first",
+            )
         try:
             record = measure_exposures(
                 camera, longest_s=options.longest_s, progress=progress, warn=options.warn
             )
-        except (CaptureError, DataError):
+        except (CaptureError, DataError) as reason:
             # A saturated frame may leave charge in the next one: times without saturation are left.
             if not self._unsaturated_s:
                 raise
-            record = measure_exposures(
-                camera, longest_s=self._unsaturated_s, progress=progress, warn=options.warn
-            )
+            try:
+                record = measure_exposures(
+                    camera, longest_s=self._unsaturated_s, progress=progress, warn=options.warn
+                )
+            except (CaptureError, DataError):
+                raise reason from None
         mode = exposure_mode(camera.controls)
         wrong = max(abs(each.factor - 1) for each in (*record.times, *record.gains))
         self._change, self._exposures = _change(self._exposures, record), record
