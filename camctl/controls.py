@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Protocol, TypeAlias
 
@@ -338,3 +338,16 @@ class ExposureControls:
             nearest = control.nearest(requested)
             if abs(nearest - requested) > self.tolerance * requested:
                 raise RefusedSettingError(name, requested, nearest)
+
+
+def resting_setting(
+    controls: ExposureControls, settings: Sequence[ExposureSetting]
+) -> ExposureSetting | None:
+    """Return the setting in which a stream rests after `settings`; None: as after the last one.
+
+    After frames that take longer than the usual interval it has a time below that.
+    """
+    usual_s = controls.frame_interval_s
+    if not settings or settings[-1].time_s <= usual_s:
+        return None
+    return replace(settings[-1], time_s=controls.time_s.nearest(usual_s / 2))
