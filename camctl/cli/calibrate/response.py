@@ -173,8 +173,8 @@ def response(
             raise
         raise DataError(
             error.what,
-            hint=f"{error.hint}; if the measured exposures in the camera's profile are wrong, leave "
-            "them out with --no-profile",
+            hint=f"{error.hint}; if the measured exposures in the camera's profile are wrong, "
+            "leave them out with --no-profile",
         ) from error
     for note in estimate.notes:
         print_warning(note)
