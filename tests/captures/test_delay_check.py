@@ -88,7 +88,7 @@ def test_one_wrong_frame_is_not_an_error_of_the_delay() -> None:
         ("standard", 3, 2, True),
         ("standard", 3, 3, False),
         ("standard", 3, 4, False),
-        ("standard", 4, -1, True),
+        ("standard", 4, -1, False),
         ("standard", 4, 3, True),
         ("webcam", 4, 4, True),
     ],
