@@ -17,6 +17,8 @@ Z_95 = 1.96
 
 #: Logarithm of the ratio of irradiances from which their deviation shows the exponent's.
 _LEAST_DISTANCE = 1.0
+#: Standard deviation of the slope with which a curve is continued where it was not measured.
+_CONTINUED = 0.25
 #: A level of a 16-bit camera for each number, and both ends.
 _Curve = Annotated[tuple[FiniteFloat, ...], Field(max_length=65538)]
 
@@ -86,6 +88,30 @@ class ChannelResponse(BaseModel):
         ratios = np.array(self.deviation[1:])[counts] / distance[counts]
         return float(ratios.min()) if ratios.size else 0.0
 
+    @property
+    def scale_error(self) -> float:
+        """Standard deviation of ln(irradiance) at the end of the curve, as `deviation`.
+
+        Where the curve is continued, its slope is uncertain, however uncertain what was measured.
+        """
+        if self.deviation is None:
+            return 0.0
+        ends = np.interp(self.measured, self.brightness, self.irradiance)
+        continued = _CONTINUED * float(np.log(1 / ends[1]))
+        highest = float(np.interp(self.measured[1], self.brightness, self.deviation))
+        return float(min(np.hypot(highest, continued), self.deviation[-1]))
+
+    def level_deviation(self, phase: float) -> FloatArray | None:
+        """Return `deviation` of each level, infinite outside `measured`; None if unknown."""
+        if self.deviation is None:
+            return None
+        count = self.white - self.black
+        brightness = (np.arange(1.0, count + 1) - phase) / (count + 1)
+        found = np.interp(brightness, self.brightness, self.deviation)
+        # The ends of the measured range are levels, to rounding.
+        low, high = self.measured[0] - 0.5 / count, self.measured[1] + 0.5 / count
+        return np.where((brightness >= low) & (brightness <= high), found, np.inf)
+
     @model_validator(mode="after")
     def _agree(self) -> Self:
         if not self.black < self.white:
@@ -147,4 +173,10 @@ class ResponseRecord(BaseModel):
             name=f"measured response, {channel}",
         )
         # The curve is smooth and its points are close enough: that lines join them is no repair.
-        return replace(response, notes=(), exponent_error=found.exponent_error)
+        return replace(
+            response,
+            notes=(),
+            exponent_error=found.exponent_error,
+            deviation=found.level_deviation(self.phase),
+            scale_error=found.scale_error,
+        )

@@ -18,6 +18,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.calibration.noise_pairs import PairPatches
 from camctl.response.camera import CameraResponse, FloatArray
@@ -34,6 +35,9 @@ _LEAST_LEVEL = 2.0
 #: Noise beside rounding below which a patch is not used, and from which it counts in full, DN: with
 #: less, the variance depends on where in a level the light is.
 _HIDDEN = (0.3, 0.5)
+#: Standard deviation of ln(irradiance) above which a part of a measured response is not used, and
+#: parts of the response whose errors are taken for independent.
+_MOST_DEVIATION, _KNOTS = 0.05, 8
 
 LEAST_VARIANCE = 1e-6
 """Least variance that counts, DN squared."""
@@ -49,6 +53,7 @@ class NoiseCurve:
 
     def __init__(self, response: CameraResponse, black: int) -> None:
         self.full = response.M + 1.0
+        self.response = response
         self._black = black
         levels, counts = np.unique(response.levels * self.full, return_counts=True)
         height = np.cumsum(counts).astype(np.float64)
@@ -107,6 +112,38 @@ class NoiseCurve:
             -4 * math.pi**2 * np.multiply.outer(np.clip(variance, 0, 9), _TERMS**2)
         ) @ (1 / (2 * math.pi**2 * _TERMS**2))
         return np.maximum.accumulate(mean), variance + (inside @ self._weight) * rounding
+
+    def is_known(self, brightness: FloatArray) -> NDArray[np.bool_]:
+        """Return where the response is known well enough for the noise to be measured."""
+        deviation = self.response.deviation
+        if deviation is None:
+            return np.ones(brightness.shape, np.bool_)
+        level = np.clip(np.round(brightness).astype(int), 1, self.response.M)
+        return np.asarray(deviation[level - 1] <= _MOST_DEVIATION)
+
+    def varied(self) -> list[NoiseCurve]:
+        """Return the curves with each independent error of the response, one deviation large.
+
+        They are an exponent, and shifts of `_KNOTS` parts of the curve; none if it is exact.
+        """
+        real = self.response
+        if real.deviation is None:
+            return []
+        level = np.arange(1.0, self.full)
+        light = np.maximum(real.levels, real.levels[-1] * 1e-9)
+        distance = np.log(light / np.interp(self.full / 2, level, light))
+        exponent = real.exponent_error * distance
+        deviation = np.minimum(real.deviation, _MOST_DEVIATION)
+        rest = np.sqrt(np.maximum(deviation**2 - exponent**2, 0.0))
+        knots = np.linspace(math.log(min(2.0, self.full / 4)), math.log(self.full), _KNOTS)
+        parts = [np.interp(np.log(level), knots, each) for each in np.eye(_KNOTS)]
+        return [
+            NoiseCurve(
+                CameraResponse(np.maximum.accumulate(real.levels * np.exp(error)), real.name),
+                self._black,
+            )
+            for error in (exponent, *(rest * part for part in parts))
+        ]
 
     def shape(self, inverse_k: float, read_squared: float) -> TransferCurve:
         """Return variance against brightness, and its derivatives by both parameters."""

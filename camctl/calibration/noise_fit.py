@@ -36,6 +36,8 @@ _LEAST_PATCHES, _LEAST_RANGE = 100, 3.0
 _GROUPS = 20
 #: Mean square deviation of the groups, over its expectation, from which the intervals are widened.
 _MISFIT = 1.8
+#: The same from which nothing is measured through a measured response.
+_MOST_MISFIT = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,8 @@ class NoiseFit:
     Attributes:
         inverse_k: levels per electron
         read_squared: squared read noise, levels squared; noise can make it negative
-        covariance: (2, 2) of both
+        covariance: (2, 2) of both, errors of the response included
+        shifts: (errors, 2) of both by each independent error of the response, one deviation large
         misfit: mean square deviation of groups of brightness from the fit, over its expectation
         patches: number used
         moved_share: share of the patches left out because their variance is too large
@@ -57,6 +60,7 @@ class NoiseFit:
     inverse_k: float
     read_squared: float
     covariance: FloatArray
+    shifts: FloatArray
     misfit: float
     patches: int
     moved_share: float
@@ -89,7 +93,10 @@ class NoiseFit:
 
 
 def combine_fits(fits: Sequence[NoiseFit]) -> NoiseFit:
-    """Return the weighted mean of independent fits of the channels of one gain."""
+    """Return the weighted mean of the fits of the channels of one gain.
+
+    Their noise is independent; the errors of their responses are taken for the same.
+    """
     inverses = [np.linalg.inv(fit.covariance) for fit in fits]
     covariance = np.linalg.inv(np.sum(inverses, axis=0))
     values = [
@@ -97,6 +104,17 @@ def combine_fits(fits: Sequence[NoiseFit]) -> NoiseFit:
         for inverse, fit in zip(inverses, fits, strict=True)
     ]
     inverse_k, read_squared = covariance @ np.sum(values, axis=0)
+    weights = [covariance @ inverse for inverse in inverses]
+    shifts = np.sum(
+        [fit.shifts @ weight.T for weight, fit in zip(weights, fits, strict=True)], axis=0
+    )
+    covariance = shifts.T @ shifts + np.sum(
+        [
+            weight @ (fit.covariance - fit.shifts.T @ fit.shifts) @ weight.T
+            for weight, fit in zip(weights, fits, strict=True)
+        ],
+        axis=0,
+    )
     joined = [
         np.concatenate([getattr(fit, name) for fit in fits])
         for name in ("means", "variances", "expected")
@@ -106,6 +124,7 @@ def combine_fits(fits: Sequence[NoiseFit]) -> NoiseFit:
         float(inverse_k),
         float(read_squared),
         covariance,
+        shifts,
         max(fit.misfit for fit in fits),
         sum(fit.patches for fit in fits),
         max(fit.moved_share for fit in fits),
@@ -124,6 +143,7 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
     Raises:
         DataError: too few patches are usable, or show no photon noise
     """
+    patches = patches.part(curve.is_known(patches.mean))
     found = _start(curve, patches, white)
     # The medians of groups of brightness are a start that moving objects do not disturb.
     medians = _medians(patches.part(patches.mean < _BRIGHT * white))
@@ -144,14 +164,34 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
     misfit, groups = _groups(part, expected, weight, shape.share_used(part) >= 1)
     if misfit > _MISFIT:
         covariance = covariance * misfit
+    if curve.response.deviation is not None and misfit > _MOST_MISFIT:
+        raise DataError(
+            f"the noise does not follow the measured response (misfit {misfit:.0f})",
+            hint="measure the response again (camctl calibrate response), with more frames or a "
+            "scene with more shades",
+        )
+    # What the noise contradicts by more than its scatter is a response worse than stated.
+    shifts = _shifts(curve, part, found)
+    shifts[1:] *= math.sqrt(misfit) if misfit > _MISFIT else 1.0
     return NoiseFit(
         found[0],
         found[1],
-        covariance,
+        covariance + shifts.T @ shifts,
+        shifts,
         misfit,
         int(np.count_nonzero(used)),
         float(np.count_nonzero(moved) / np.count_nonzero(used | moved)),
         *groups,
+    )
+
+
+def _shifts(curve: NoiseCurve, patches: PairPatches, found: tuple[float, float]) -> FloatArray:
+    """Return how the errors of the response change the parameters, and that of its scale."""
+    here, _ = _round(curve.shape(*found), patches, found)
+    moved = [_round(each.shape(*found), patches, found)[0] for each in curve.varied()]
+    scale = curve.response.scale_error
+    return np.array(
+        [(scale * found[0], 2 * scale * found[1]), *(np.subtract(each, here) for each in moved)]
     )
 
 

@@ -222,6 +222,7 @@ def _fit_gain(
     """
     fits: dict[str, NoiseFit] = {}
     failure = None
+    left_out: list[str] = []
     for name in dict.fromkeys(channel_names(frames.layout)) if channel is None else (channel,):
         curve = NoiseCurve(frames.responses[name], frames.black)
         patches = PairPatches.joined([_spread(pair.channels[name]) for pair in pairs])
@@ -229,9 +230,12 @@ def _fit_gain(
             fits[name] = fit_noise(curve, patches, float(frames.white - frames.black))
         except DataError as error:
             failure = failure or error
+            left_out.append(f"channel {name} is left out: {error.what}")
     if not fits:
         assert failure is not None
         raise failure
+    if notes is not None:
+        notes += left_out
     if len(fits) == 1:
         return next(iter(fits.values())), channel
     joined = combine_fits(list(fits.values()))

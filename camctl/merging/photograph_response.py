@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -24,6 +25,7 @@ from camctl.response.measured import read_curve
 if TYPE_CHECKING:
     from camctl.calibration.response_series import Series
     from camctl.merging.photograph_files import PhotographFiles
+    from camctl.profile import Profile
     from camctl.response_record import ResponseRecord
 
 #: Mean brightness of the patches that are compared, as shares of full scale.
@@ -69,13 +71,25 @@ def known_controls(
         return controls, "linear, as raw files are"
     mode = mode_name(files.format.layout, files.format.shape, series.white)
     levels_now = (series.black, series.white)
-    _, model, _ = files.taken_by
-    for profile in list_profiles():
-        record = profile.responses.get(mode)
-        if record is None or not model or profile.model != model:
-            continue
-        if (record.main_channel.black, record.main_channel.white) == levels_now:
-            return _measured(controls, record), f"measured, from the profile {profile.name}"
+    fitting = [
+        profile
+        for profile in profiles_of(files.taken_by)
+        if (record := profile.responses.get(mode)) is not None
+        and (record.main_channel.black, record.main_channel.white) == levels_now
+    ]
+    if any(files.taken_by[2] and each.serial for each in fitting):  # better than without a serial
+        fitting = [each for each in fitting if each.serial]
+    if len(fitting) == 1:
+        found = fitting[0]
+        return _measured(
+            controls, found.responses[mode]
+        ), f"measured, from the profile {found.name}"
+    if fitting:
+        names = " and ".join(each.name for each in fitting)
+        notes.append(
+            f"the profiles {names} fit the photographs equally, and none is used: remove one "
+            "(camctl profile remove), or give --curve"
+        )
     response = standard_response("srgb", series.bits, phase=series.phase, levels=levels)
     standard = replace(controls, response=response)
     try:
@@ -91,6 +105,31 @@ def known_controls(
     if errors[0] <= _FITS or errors[0] <= _AS_WELL * errors[1] < math.inf:
         return standard, "srgb, which fits the photographs"
     return estimated, "estimated from the photographs"
+
+
+def profiles_of(taken_by: tuple[str, str, str]) -> list[Profile]:
+    """Return the profiles that do not contradict a make, model and serial number.
+
+    Of a make the first word counts: the same maker is "NIKON CORPORATION" and "Nikon".
+    """
+    make, model, serial = taken_by
+
+    def agree(*texts: str) -> bool:
+        return not all(texts) or len(set(texts)) == 1
+
+    return [
+        each
+        for each in list_profiles()
+        if model
+        and each.model == model
+        and agree(_maker(each.make), _maker(make))
+        and agree(each.serial.strip().lstrip("0"), serial.strip().lstrip("0"))
+    ]
+
+
+def _maker(make: str) -> str:
+    first = re.search(r"\w+", make.casefold())
+    return first[0] if first else ""
 
 
 def fit_error(series: Series, controls: ExposureControls) -> float:

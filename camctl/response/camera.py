@@ -33,6 +33,9 @@ class CameraResponse:
         notes: repairs made to a measured curve, one line each
         exponent_error: standard deviation of the exponent of a measured curve: where it is e, all
             ratios r of irradiances may be wrong by the same power, r^(1 + e)
+        deviation: (M,) standard deviation of ln(E_k) of a measured curve, relative to that at half
+            the brightness; infinite where the curve only continues what was measured; None: exact
+        scale_error: the same of E = 1
 
     Raises:
         DataError: the levels are not a non-empty, finite, ascending list of numbers >= 0
@@ -42,6 +45,8 @@ class CameraResponse:
     name: str
     notes: tuple[str, ...] = ()
     exponent_error: float = 0.0
+    deviation: FloatArray | None = None
+    scale_error: float = 0.0
 
     def __post_init__(self) -> None:
         levels = np.array(self.levels, dtype=np.float64)

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.backends import open_camera
-from camctl.camera import PreviewingCamera
+from camctl.calibrated import with_profile
+from camctl.camera import Camera, PreviewingCamera
 from camctl.captures.capture_plan import CapturePlan, relative_exposures
 from camctl.captures.plan import meter_light
 from camctl.captures.request import CaptureRequest
@@ -69,7 +70,8 @@ class CaptureRun:
         base_s: longest shutter time of the shortest exposure, s
         lens: simulate blur, vignetting and glare of the lens, too
         seeds: one capture with each
-        profile: parts of the profile of a real camera that are applied; see `camctl.open_camera`
+        profile: parts of the camera's profile that are applied; see `camctl.open_camera`
+        options: further ones of the camera, as (name, value)
         metered_s: shutter time of the last metering frame, for which a stream may have to wait, s;
             None: the light was not metered
     """
@@ -87,6 +89,7 @@ class CaptureRun:
     lens: bool = False
     seeds: tuple[int, ...] = (0,)
     profile: str = "all"
+    options: tuple[tuple[str, str], ...] = ()
     metered_s: float | None = None
 
     @property
@@ -159,13 +162,26 @@ def simulated_camera(run: CaptureRun, seed: int) -> SimulatedCamera:
     """Return the simulated camera of a run."""
     chosen = {"scene": run.scene, "sensor": run.sensor, "size": run.size}
     given = {name: value for name, value in chosen.items() if value is not None}
-    camera = open_camera(SIMULATED, given, profile="none")
+    further = dict(run.options)
+    if wrong := sorted(further.keys() - {"unknown"}):
+        raise UsageError(
+            f"the simulated camera of a study has no option '{wrong[0]}'",
+            hint="it has unknown=yes only; scene, sensor, size and seed have options of their own",
+        )
+    camera = open_camera(SIMULATED, given | further, profile="none")
     assert isinstance(camera, SimulatedCamera)
     sensor, lens = camera.sensor, camera.sensor.lens
     if not run.lens:
         ideal = Lens(f_number=lens.f_number, transmission=lens.transmission)
         sensor = sensor.model_copy(update={"lens": ideal})
-    return SimulatedCamera(camera.scene, sensor, seed=seed)
+    is_unknown = camera.controls.response is None
+    return SimulatedCamera(camera.scene, sensor, seed=seed, is_unknown=is_unknown)
+
+
+def _opened(run: CaptureRun, seed: int) -> Camera:
+    """Return the simulated camera of a run with what its profile says of it, where that counts."""
+    camera = simulated_camera(run, seed)
+    return camera if run.profile == "none" else with_profile(camera)
 
 
 def metered(run: CaptureRun) -> CaptureRun:
@@ -178,7 +194,9 @@ def metered(run: CaptureRun) -> CaptureRun:
     """
     simulated = run.camera == SIMULATED
     opened = (
-        simulated_camera(run, seed=0) if simulated else open_camera(run.camera, profile=run.profile)
+        _opened(run, seed=0)
+        if simulated
+        else open_camera(run.camera, {"profile": run.profile, **dict(run.options)})
     )
     with opened as camera:
         if not isinstance(camera, PreviewingCamera):
@@ -191,9 +209,11 @@ def metered(run: CaptureRun) -> CaptureRun:
 
 
 @lru_cache(maxsize=4)
-def _controls(camera_id: str, profile: str) -> ExposureControls:
+def _controls(
+    camera_id: str, profile: str, further: tuple[tuple[str, str], ...]
+) -> ExposureControls:
     """Return what a real camera can set."""
-    with open_camera(camera_id, profile=profile) as camera:
+    with open_camera(camera_id, {"profile": profile, **dict(further)}) as camera:
         return camera.controls
 
 
@@ -208,7 +228,11 @@ def rate(run: CaptureRun) -> CapturePoint:
     """
     simulated = run.camera == SIMULATED
     camera = simulated_camera(run, run.seeds[0]) if simulated else None
-    controls = camera.controls if camera is not None else _controls(run.camera, run.profile)
+    controls = (
+        _opened(run, run.seeds[0]).controls
+        if camera is not None
+        else _controls(run.camera, run.profile, run.options)
+    )
     try:
         bracket = Bracket(controls, run.request, run.base_s, run.before)
         settings = bracket_settings(run.method, bracket)
@@ -220,10 +244,11 @@ def rate(run: CaptureRun) -> CapturePoint:
         return point
     levels, taken, decades = [], [], []
     for seed in run.seeds:
-        with simulated_camera(run, seed) as camera:
+        with _opened(run, seed) as shooting:
             if run.before is not None and not (controls.timing and controls.timing.rests):
-                camera.preview(run.before)  # whose end the capture waits for
-            report = capture(camera, run.request, plan=_plan(run, camera.controls, settings))
+                assert isinstance(shooting, PreviewingCamera)
+                shooting.preview(run.before)  # whose end the capture waits for
+            report = capture(shooting, run.request, plan=_plan(run, shooting.controls, settings))
         E = truth * _smallest(settings)
         u = native_samples(report)
         levels.append(measured_levels(run.desired, E, u))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -222,3 +223,42 @@ def test_variance_of_brightness_agrees_with_random_electrons(
             expected.append(np.interp(brightness.mean(), mean, variance))
         error = math.sqrt(2 / (24 * 40_000))
         assert np.mean(found) == pytest.approx(np.mean(expected), rel=4 * error + 0.004)
+
+
+def through_curve(error: float, deviation: float, scale_error: float) -> NoiseRecord:
+    """Return the noise of a linear camera whose measured curve is wrong by a share of its light.
+
+    The error is at the darker levels: it changes the slope, and with it electrons per level.
+    """
+    real = linear_response(8)
+    wrong = real.levels * np.exp(error * np.interp(np.log(real.levels), [-4.0, -1.0], [1.0, 0.0]))
+    found = replace(real, levels=wrong, deviation=np.full(255, deviation), scale_error=scale_error)
+    frames = bare_frames(ramp_pairs())
+    frames.responses = same_response(found, Layout.MONO)
+    return estimate_noise(frames)
+
+
+def test_the_error_of_a_measured_response_is_in_the_intervals() -> None:
+    exact = through_curve(0.0, 0.0, 0.0).reference.conversion_e_per_dn
+    known = through_curve(0.06, 0.03, 0.0)
+    assert contains(known.reference.conversion_e_per_dn, 20.0, reach=1)
+    assert contains(known.reference.read_noise_e, 16.0, reach=1)
+    scale = through_curve(0.0, 0.0, 0.05)
+    of_scale = scale.reference.conversion_e_per_dn
+    assert (of_scale.high - of_scale.low) / exact.value == pytest.approx(0.196, rel=0.1)
+    full = scale.full_well_e
+    assert (full.high - full.low) / full.value == pytest.approx(0.196, rel=0.1)
+
+
+def test_parts_where_the_response_is_not_known_are_left_out() -> None:
+    real = linear_response(8)
+    levels = np.where(real.levels > 0.5, 0.5 + 2 * (real.levels - 0.5), real.levels)
+    deviation = np.where(real.levels > 0.5, np.inf, 0.001)
+    frames = bare_frames(ramp_pairs())
+    frames.responses = same_response(replace(real, levels=levels, deviation=deviation), Layout.MONO)
+    assert contains(estimate_noise(frames).reference.conversion_e_per_dn, 20.0)
+
+
+def test_noise_that_contradicts_a_measured_response_is_refused() -> None:
+    with pytest.raises(DataError, match="the noise does not follow the measured response"):
+        through_curve(0.8, 0.01, 0.0)

@@ -331,17 +331,40 @@ def test_a_profile_of_the_camera_in_the_exif_data_is_used(run: Run) -> None:
     def keep(profile: Profile) -> None:
         profile.responses["rgb-320x240-255"] = record
 
+    # Another maker's camera has the same model name, and comes first.
+    change_profile(CameraInfo("ptp", "Amaker", "X-T0", "1", "ptp"), keep)
     change_profile(CameraInfo("ptp", "Maker", "X-T0", "1", "ptp"), keep)
     names = []
     for k, time_s in enumerate((1 / 64, 1 / 8, 1)):
         E = np.clip(SCENE / 4 * time_s, 0, 1)
         tags = [(33434, 5, 1, (int(1000 * time_s * 64), 64000), True), (272, 2, 0, "X-T0", True)]
+        tags.append((271, 2, 0, "MAKER CORPORATION", True))
         pixels = np.minimum(np.sqrt(E) * 256, 255).astype(np.uint8)
         tifffile.imwrite(f"p{k}.tif", pixels, photometric="rgb", extratags=tags)
         names.append(f"p{k}.tif")
     found = run("merge", *names, "-o", "hall", "--json").json
-    assert "from the profile" in found["response_from"]
+    assert "from the profile ptp-maker-" in found["response_from"]
     assert error_of("hall") < 0.02
+    change_profile(CameraInfo("ptp", "Maker", "X-T0", "2", "ptp"), keep)
+    ran = run("merge", *names, "-o", "two")
+    assert "fit the photographs equally, and none is used: remove one" in ran.err
+    assert ran.err.count("ptp-maker-x-t0-") == 2
+
+
+def test_a_profile_with_another_serial_number_is_not_that_of_the_photographs() -> None:
+    from camctl.camera import CameraInfo
+    from camctl.merging.photograph_response import profiles_of
+    from camctl.profile import change_profile
+
+    for make, serial in (("Nikon Corporation", "0001"), ("Nikon", "2"), ("Nikon", "")):
+        change_profile(CameraInfo("ptp", make, "D1", serial, "ptp"), lambda _profile: None)
+
+    def serials(make: str, serial: str) -> list[str]:
+        return sorted(each.serial for each in profiles_of((make, "D1", serial)))
+
+    assert serials("NIKON CORPORATION", "1") == ["", "0001"]
+    assert serials("NIKON CORPORATION", "") == serials("", "") == ["", "0001", "2"]
+    assert serials("Canon", "1") == []
 
 
 def test_json_of_the_folder_is_a_report(run: Run, series: Series) -> None:

@@ -24,6 +24,13 @@ def test_rows_can_be_run_again(run: Run, tmp_path: Path) -> None:
     assert run("tradeoff", "capture", "--again", str(file), "--workers", "1", "--json").json == rows
 
 
+def test_a_camera_with_unknown_properties_is_one_with_a_profile(run: Run) -> None:
+    row = (*ROW, "-O", "unknown=yes", "--methods", "xi", "-n", "2", "--json")
+    (found,) = run(*row).json
+    assert not found["noise_known"]
+    assert found["options"] == [["unknown", "yes"]]
+
+
 def test_the_table_and_the_plot(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")
     plot = tmp_path / "plot.svg"
@@ -49,6 +56,8 @@ def test_the_table_says_which_methods_prefer_the_shorter_set(run: Run) -> None:
     [
         (("-n", "17"), "from 1 to 16"),
         (("--methods", "paper", "-n", "1"), "the paper's table has linear"),
+        (("-O", "time=real"), "the simulated camera of a study has no option 'time'"),
+        (("-O", "unknown=yes", "--methods", "accuracy"), "noise"),
         (("--methods", "best"), "unknown method 'best'"),
         (("--gamma", "2", "--response", "linear"), "--gamma cannot be combined"),
         (("--base", "3600"), "beyond the camera"),

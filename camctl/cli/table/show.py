@@ -105,9 +105,7 @@ def show(
         found = ExposureTable((*found.entries, *_chosen_by_accuracy(camera)))
     if real is not None and all(entry.camera != real.fingerprint for entry in found.entries):
         name = "the built-in table" if path is None else f"table {path}"
-        raise DataError(
-            f"{name} has no row for {real.name}", hint="build one with camctl table build"
-        )
+        raise DataError(f"{name} has no row for {real.name}", hint=_other_ways(noise))
     entries = [
         entry
         for entry in found.entries
@@ -144,6 +142,16 @@ def show(
             else _rows_text(entries, levels, noise_known=noise_known)
         )
         print_text(f"{text}\n{_hint(entries, camera)}" if path is None else text)
+
+
+def _other_ways(noise: NoiseOptions) -> str:
+    """Return what to do where a table has no row for a camera."""
+    if noise.camera_id is None:
+        return "build one with camctl table build"
+    return (
+        f"find exposures with camctl solve --camera {noise.camera_id}, or give camctl table build "
+        "and show the --curve that camctl calibrate response -o has written"
+    )
 
 
 def _chosen_by_accuracy(camera: KnownCamera) -> list[TableEntry]:

@@ -40,6 +40,7 @@ class Brackets:
     """Which brackets are compared, for which camera and scene."""
 
     camera: str
+    camera_settings: tuple[tuple[str, str], ...]
     scene: str
     sensor: str
     size: str
@@ -72,7 +73,7 @@ class Brackets:
                     hint="leave one of them out",
                 )
             response = "gamma"
-        is_simulated = self.camera == SIMULATED
+        is_simulated, settings = self.camera == SIMULATED, self.camera_settings
         first = CaptureRun(
             method=self.methods[0],
             n=self.counts[0],
@@ -81,12 +82,14 @@ class Brackets:
             base_s=self.base_s or 1.0,
             gamma=self.gamma,
             camera=self.camera,
+            options=settings,
             scene=self.scene if is_simulated else None,
             sensor=self.sensor if is_simulated else None,
             size=self.size if is_simulated else None,
             lens=self.lens,
             seeds=tuple(range(self.seed, self.seed + self.repeats)) if is_simulated else (),
-            profile="none" if self.no_profile or is_simulated else "all",
+            # A simulated camera states all that a profile could say, unless it has options.
+            profile="none" if self.no_profile or (is_simulated and not settings) else "all",
         )
         if self.base_s is None:
             first = metered(first)
@@ -115,6 +118,7 @@ bracket_options = options.option_group(
         help="Camera; only the pictures of the simulated one are measured, of others accuracy and "
         "time are predicted.",
     ),
+    options.camera_settings,
     click.option(
         "--scene",
         type=SCENE,
