@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Camera, Pixels
+from camctl.camera import PHOTOGRAPHS, Camera, Pixels
 from camctl.captures.delay_check import ShotLog
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side
@@ -67,7 +67,12 @@ class FrameChecks:
         self._check.remove(position)
 
     def suspects(self) -> list[int]:
-        """Return the positions of the frames that are probably wrong and were shot once."""
+        """Return the positions of the frames that are probably wrong and were shot once.
+
+        Photographs cannot be shot again.
+        """
+        if self._capture.camera.driver == PHOTOGRAPHS:
+            return []
         checks = [frame.ratio for frame in self._frames]
         self._log.find(checks)
         return [k for k in suspects(checks) if self._frame(k).attempts == 1]
