@@ -25,7 +25,7 @@ from camctl.clock import Clock
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import DataError
 from camctl.exposure_record import exposure_mode
-from camctl.interrupts import entering
+from camctl.interrupts import entering, uninterrupted
 from camctl.noise_record import DarkRecord
 from camctl.profile import Profile, load_profile
 from camctl.response_record import ResponseRecord
@@ -113,9 +113,7 @@ def response_changes(controls: ExposureControls, record: ResponseRecord) -> dict
         "responses": found if different else (),
         "phase": record.phase,
         # What a driver says of a response that it only assumes is no longer true.
-        "notes": tuple(
-            note for note in controls.notes if not ("response" in note and "assumed" in note)
-        ),
+        "notes": tuple(note for note in controls.notes if note not in controls.response_notes),
     }
 
 
@@ -216,6 +214,7 @@ class CalibratedCamera:
         frames: FrameStream = self._camera.shoot(settings)
         return frames
 
+    @uninterrupted
     def close(self) -> None:
         """Disconnect from the camera; a second call does nothing."""
         self._camera.close()
@@ -226,6 +225,7 @@ class CalibratedCamera:
         self._camera.__enter__()
         return self
 
+    @uninterrupted
     def __exit__(
         self,
         kind: type[BaseException] | None,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Protocol, TypeAlias
 
@@ -276,6 +276,11 @@ class ExposureControls:
             return self.response
         return linear_response(self.bits, phase=self.phase, levels=self.white - self.black)
 
+    @property
+    def response_notes(self) -> tuple[str, ...]:
+        """The notes that say that the response is only assumed; none where it is known."""
+        return tuple(note for note in self.notes if "response" in note and "assumed" in note)
+
     def exposure(self, setting: ExposureSetting) -> float:
         """Return the true exposure of a setting, in the unit of `ExposureSetting.exposure`."""
         correction = (
@@ -333,3 +338,16 @@ class ExposureControls:
             nearest = control.nearest(requested)
             if abs(nearest - requested) > self.tolerance * requested:
                 raise RefusedSettingError(name, requested, nearest)
+
+
+def resting_setting(
+    controls: ExposureControls, settings: Sequence[ExposureSetting]
+) -> ExposureSetting | None:
+    """Return the setting in which a stream rests after `settings`; None: as after the last one.
+
+    After frames that take longer than the usual interval it has a time below that.
+    """
+    usual_s = controls.frame_interval_s
+    if not settings or settings[-1].time_s <= usual_s:
+        return None
+    return replace(settings[-1], time_s=controls.time_s.nearest(usual_s / 2))

@@ -9,7 +9,8 @@ Within `run_interruptible` a signal raises `Interrupt` in the main thread, so th
 
 A signal that finds a function decorated with `entering` at its own code, such as ``__enter__`` of a
 camera that is open already, waits 0.1 s: raised there, `Interrupt` would come before the ``with``
-statement is bound to close the camera.
+statement is bound to close the camera.  So does a signal that finds contextlib at its own code: the
+generator of a context manager would stay at its ``yield``, with what it holds, such as a lock.
 
 All of this follows from the frames and the exception that the signal finds, and not from a counter:
 there is no moment in between at which a signal would get through.
@@ -21,12 +22,12 @@ with SIGINT for commands in the background.  The library installs no handlers by
 from __future__ import annotations
 
 import _thread
+import contextlib
 import functools
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from types import CodeType, FrameType
 from typing import Any, ParamSpec, TypeVar
 
@@ -52,7 +53,7 @@ class Interrupt(KeyboardInterrupt):
         self.number = number
 
 
-@contextmanager
+@contextlib.contextmanager
 def signal_handlers() -> Iterator[None]:
     """Handle the signals while the block runs; do nothing in a thread other than the main one."""
     global _last, _ended
@@ -143,8 +144,13 @@ def _handle(number: int, frame: FrameType | None) -> None:
         _waiting = number
         return
     interrupt = _arrived(number)
-    if frame is None or frame.f_code not in _entering:
+    if frame is None or not _is_between(frame):
         raise interrupt
+
+
+def _is_between(frame: FrameType) -> bool:
+    """Return whether `frame` is at the beginning or end of a ``with`` block, outside of it."""
+    return frame.f_code in _entering or frame.f_globals is vars(contextlib)
 
 
 def _raise_waiting(frame: FrameType | None) -> None:

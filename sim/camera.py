@@ -107,7 +107,7 @@ class SimulatedCamera(CameraBase):
                 self._delay.timing(0.0 if isinstance(self._clock, VirtualClock) else 0.5),
                 rests=self._delay.frames is not None,
             ),
-            notes=(*scene.notes, *self._delay.notes("sim")),
+            notes=(*scene.notes, *self._delay.notes("sim"), *_response_notes(controls, is_unknown)),
         )
         self._renderer = Renderer(
             View.of(scene, sensor), sensor, seed=seed, tolerance_dn=tolerance_dn
@@ -277,6 +277,13 @@ class SimulatedCamera(CameraBase):
         self._exposure = exposure
         self._plan = self._renderer.plan(exposure, share=self._tolerance_share)
         return self._renderer.expose(exposure, self._plan)
+
+
+def _response_notes(controls: ExposureControls, is_unknown: bool) -> tuple[str, ...]:
+    """Return that the response is not known; the samples of a mosaic are raw, and so linear."""
+    if not is_unknown or controls.layout.is_mosaic:
+        return ()
+    return ("the response is assumed to be linear until it is measured",)
 
 
 def _mode(controls: ExposureControls, sensor: Sensor) -> str:

@@ -13,12 +13,12 @@ from datetime import UTC, datetime
 import numpy as np
 
 from camctl.camera import Camera
-from camctl.controls import Choices, Control, ExposureSetting, Steps
-from camctl.errors import CaptureError
+from camctl.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
+from camctl.errors import CaptureError, DataError
 from camctl.exposure.patches import LightScale, Patches, sample_patches
 from camctl.exposure.ratios import RatioEstimates, comparable_frames, estimate_ratios
 from camctl.exposure_record import Correction, ExposureRecord
-from camctl.response.camera import FloatArray
+from camctl.response.camera import CameraResponse, FloatArray
 
 REPEATS = 3
 #: Longest shutter time that is measured unless another one is asked for, s.
@@ -39,6 +39,7 @@ def measure_exposures(
     *,
     repeats: int = REPEATS,
     longest_s: float = LONGEST_S,
+    response: CameraResponse | None = None,
     progress: Callable[[float], None] | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> ExposureRecord:
@@ -51,16 +52,24 @@ def measure_exposures(
         camera: an open camera
         repeats: frames of each setting, at least 2
         longest_s: longest shutter time to measure, s
+        response: of the camera; None: that of its controls
         progress: called with the share that is done, 0 to 1
         warn: called with one line for each irregularity
 
     Raises:
         CaptureError: the scene is too dark or too bright, or its light is not steady
-        DataError: the frames cannot be compared: see `estimate_ratios`
+        DataError: the response is not known, or the frames cannot be compared: see
+            `estimate_ratios`
         CameraError: as `Camera.shoot` raises
     """
     controls = camera.controls
-    scale = LightScale(controls.levels, controls.black)
+    if response is None and controls.response_notes:
+        raise DataError(
+            f"the response of {camera.info.make} {camera.info.model} is not known, and its pixels "
+            "do not say the exposures without it",
+            hint="measure it first with camctl calibrate response, or state it with --response",
+        )
+    scale = LightScale(controls.levels if response is None else response, controls.black)
     times = _useful_times(camera, _candidates(controls.time_s, longest_s), scale)
     base = controls.gain.nearest(1.0)
     span = times[-1] / times[0]
@@ -73,7 +82,9 @@ def measure_exposures(
         shown.append(sample_patches(controls.layout.planes(frame.pixels), scale.white))
         if progress is not None:
             progress(len(shown) / len(order))
-    settings, order, shown = _comparable(camera, settings, order, shown, warn or (lambda _: None))
+    settings, order, shown = _comparable(
+        controls, scale, settings, order, shown, warn or (lambda _: None)
+    )
     times = [setting.time_s for setting in settings if setting.gain == base]
     used = [settings[k] for k in order]
     noise = None if controls.noise is None else controls.frame_noise(used)
@@ -135,7 +146,8 @@ def record_of_frames(
 
 
 def _comparable(
-    camera: Camera,
+    controls: ExposureControls,
+    scale: LightScale,
     settings: list[ExposureSetting],
     order: list[int],
     shown: list[Patches],
@@ -145,8 +157,6 @@ def _comparable(
 
     Gains are compared at the shortest time: they are left out with it.
     """
-    controls = camera.controls
-    scale = LightScale(controls.levels, controls.black)
     noise = controls.frame_noise([settings[k] for k in order]) if controls.noise else None
     good = comparable_frames(shown, scale, noise)
     lost = {setting for place, setting in enumerate(order) if place not in good}

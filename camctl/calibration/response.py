@@ -197,7 +197,9 @@ def _check_scene(
     for name, fit in zip(series.channels, fits, strict=True):
         check_patches(series, name, edges, fit)
     judged = np.array([shows_exposure(series, name) for name in series.channels])
-    return check_labels(series.names, exposures, edges, series.channels, fits, judged)
+    return check_labels(
+        series.names, exposures, edges, series.channels, fits, judged, is_shot=series.is_shot
+    )
 
 
 def _kept(edges: FloatArray) -> NDArray[np.intp]:

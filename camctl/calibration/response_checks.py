@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.response_fit import ChartSamples, ResponseFit
-from camctl.calibration.response_labels import LabelCheck
+from camctl.calibration.response_labels import STEADY, LabelCheck
 from camctl.calibration.response_matches import Matches
 from camctl.calibration.response_series import Series
 from camctl.errors import DataError
@@ -83,7 +83,11 @@ def check_frames(series: Series, *, has_chart: bool = False, is_scene_checked: b
         if exposures[first] != exposures[second]:
             raise DataError(
                 f"{same}, but their exposures differ",
-                hint="leave one of them out, or correct its exposure",
+                hint=(
+                    "use a scene with dark and bright parts and many shades"
+                    if series.is_shot
+                    else "leave one of them out, or correct its exposure"
+                ),
             )
         series.notes.append(f"{same}: a copy says nothing more; leave one of them out")
     _check_order(series, exposures)
@@ -104,8 +108,12 @@ def _check_order(series: Series, exposures: FloatArray) -> None:
             raise DataError(
                 f"{series.names[short]} is brighter than {series.names[long]}, though its exposure "
                 "is shorter",
-                hint="check the order of the exposures and of the frames, that the light is "
-                "steady, and that no file is damaged",
+                hint=(
+                    STEADY
+                    if series.is_shot
+                    else "check the order of the exposures and of the frames, that the light is "
+                    "steady, and that no file is damaged"
+                ),
             )
 
 

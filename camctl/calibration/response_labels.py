@@ -36,6 +36,11 @@ _STEEPNESS = (0.4, 2.2)
 _LEAST_FREEDOM = 2
 #: Exposures that are printed.
 _MOST_PRINTED = 8
+#: What to do where camctl has shot the frames: the user has given no labels.
+STEADY = (
+    "use daylight or a lamp that does not flicker, before a scene that does not move, or camctl "
+    "calibrate response --estimate-ratios"
+)
 _ESTIMATE = "correct them, or leave --times out and use --estimate-ratios"
 
 
@@ -63,6 +68,8 @@ def check_labels(
     channels: Sequence[str],
     fits: Sequence[ResponseFit],
     judged: NDArray[np.bool_],
+    *,
+    is_shot: bool = False,
 ) -> LabelCheck:
     """Compare the stated exposures of frames with those that the pixels say.
 
@@ -73,13 +80,14 @@ def check_labels(
         channels: names of the channels
         fits: of each channel, when the exposures are estimated, too
         judged: (channels, J) whether a channel shows the exposure of a frame
+        is_shot: camctl has shot the frames: there are no labels of the user's to correct
 
     Raises:
         DataError: the labels contradict the pixels; says which, and what the pixels say
     """
     logs = np.log(exposures)
     found = np.log([fit.exposures for fit in fits])
-    _check_steepness(exposures, edges, fits)
+    _check_steepness(exposures, edges, fits, STEADY if is_shot else _ESTIMATE)
     errors = np.array([_errors(logs, *each) for each in zip(found, judged, strict=True)])
     worst = np.abs(errors).argmax(axis=0)
     error = errors[worst, np.arange(logs.size)]
@@ -111,6 +119,8 @@ def check_labels(
         error = errors[worst, np.arange(logs.size)]
         text = _flicker(names, error)
         hint = "use daylight or a lamp that does not flicker, or --estimate-ratios"
+    if is_shot:
+        hint = STEADY
     if size[first] > math.log1p(_REFUSED):
         raise DataError(text, hint=hint)
     right = shown & (size <= _NOTED) if is_single else shown
@@ -118,14 +128,16 @@ def check_labels(
     return LabelCheck(np.exp(errors), spread, text, hint)
 
 
-def _check_steepness(exposures: FloatArray, edges: FloatArray, fits: Sequence[ResponseFit]) -> None:
+def _check_steepness(
+    exposures: FloatArray, edges: FloatArray, fits: Sequence[ResponseFit], hint: str
+) -> None:
     for fit in fits:
         steepness = expected_exponent(fit, edges).value
         if not _STEEPNESS[0] <= steepness <= _STEEPNESS[1]:
             raise DataError(
                 f"{_contradiction(exposures, edges, fits)}: by the stated ones the response would "
                 f"be {steepness:.1f} times as flat as sRGB, as no camera's is",
-                hint=_ESTIMATE,
+                hint=hint,
             )
 
 

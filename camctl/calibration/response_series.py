@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,9 @@ class Series:
         levels_are_stated: black and white are known; else `find_limits` looks for them
         exposures_are_stated: the exposures are known, at least roughly; else `guess_exposures`
             replaces them
+        is_shot: camctl has shot the frames itself: no file or label of the user's can be wrong
+        measured_exposures: whether the exposures are those of the camera's profile; "ignored": it
+            has some, but they were measured without a known response
         names: of the frames in messages
         exposures: of the frames, in any common unit
         patches: of each frame: (patches, samples), channel by channel as `Layout.planes`
@@ -54,6 +57,8 @@ class Series:
     phase: float = 0.0
     levels_are_stated: bool = False
     exposures_are_stated: bool = True
+    is_shot: bool = False
+    measured_exposures: Literal["none", "used", "ignored"] = "none"
     names: list[str] = field(default_factory=list)
     exposures: list[float] = field(default_factory=list)
     patches: list[Patches] = field(default_factory=list)

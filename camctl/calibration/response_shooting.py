@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from camctl.calibration.response_series import Series
 from camctl.camera import Camera
 from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError
+from camctl.exposure_record import exposure_mode
+from camctl.profile import load_profile
 
 FRAMES = 8
 #: Longest shutter time that is used unless another one is asked for, s.
@@ -21,6 +24,11 @@ LONGEST_S = 2.0
 #: scale, to the first in which all but this share is saturated.
 _FEW = 0.01
 _PROBE_STEP = 4.0
+_IGNORED = (
+    "the exposures in the camera's profile were measured while its response was not known: they "
+    "are not used, and no longer kept once the response is; measure them again with camctl "
+    "calibrate exposure"
+)
 
 
 def measure_response(
@@ -33,7 +41,8 @@ def measure_response(
 ) -> Series:
     """Shoot an exposure series that suits the light before the camera; return it.
 
-    The exposures are the true ones where the camera's controls know them, else those stated.
+    The exposures are the true ones where the camera's controls know them, else those stated; also
+    where they were measured while the response was not known.
 
     Args:
         camera: an open camera
@@ -56,7 +65,13 @@ def measure_response(
         controls.white,
         phase=controls.phase,
         levels_are_stated=True,
+        is_shot=True,
+        measured_exposures="none" if controls.true_exposures is None else "used",
     )
+    if series.measured_exposures == "used" and _has_unknown_response(camera):
+        series.measured_exposures = "ignored"
+        series.notes.append(_IGNORED)
+        controls = replace(controls, true_exposures=None)
     for frame in camera.shoot(settings):
         exposure = controls.exposure(frame.applied)
         series.add(frame.pixels, exposure, f"the frame of {frame.applied.time_s:.4g} s")
@@ -65,6 +80,14 @@ def measure_response(
         if progress is not None:
             progress(len(series.names) / len(settings))
     return series
+
+
+def _has_unknown_response(camera: Camera) -> bool:
+    """Return whether the camera's response was neither stated nor measured so far."""
+    mode = exposure_mode(camera.controls)
+    if not camera.controls.response_notes:
+        return False
+    return mode not in load_profile(camera.info).responses
 
 
 def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:

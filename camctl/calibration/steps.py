@@ -40,9 +40,10 @@ from camctl.exposure_record import ExposureRecord, exposure_mode
 from camctl.profile import Profile, change_profile, load_profile
 from camctl.response_record import ResponseRecord
 
-#: Response and exposures are measured in turn until the exposures change by less than this: each
-#: round about halves the errors that wrong labels leave in both.
-_NOTABLE_CHANGE, _MOST_ROUNDS = 0.005, 5
+#: Response and exposures are measured in turn if the exposures differ by this from their labels,
+#: until they change by less than the second number: each round about halves the errors that wrong
+#: labels leave in both, and the irradiance of dark levels has ten times those of the exposures.
+_NOTABLE_CHANGE, _SETTLED, _MOST_ROUNDS = 0.005, 0.001, 5
 #: Factor of the disagreement of the frames from which measured exposures are worse than stated, and
 #: the factor up to which a change may be that of the round before: else the response is wrong.
 _WORSE, _SHRINKS = 1.25, 1.0
@@ -91,7 +92,7 @@ class _Calibration:
         yield from self._step("response", "none", self._measure_response)
         yield from self._step("exposures", RESPONSE, self._measure_exposures)
         for number in range(2, _MOST_ROUNDS + 1):
-            if self._change < _NOTABLE_CHANGE:
+            if self._change < (_NOTABLE_CHANGE if number == 2 else _SETTLED):
                 break
             before, change = self._residual, self._change
             self._change = 0.0
@@ -131,11 +132,14 @@ class _Calibration:
         self._unsaturated_s = _unsaturated(camera, series)
         try:
             estimate = estimate_response(series)
-        except DataError:  # in a scene with few shades more frames may help
-            series = measure_response(
-                camera, count=_MORE_FRAMES, longest_s=options.longest_s, progress=progress
-            )
-            estimate = estimate_response(series)
+        except DataError as reason:  # in a scene with few shades more frames may help
+            try:
+                series = measure_response(
+                    camera, count=_MORE_FRAMES, longest_s=options.longest_s, progress=progress
+                )
+                estimate = estimate_response(series)
+            except (CaptureError, DataError):
+                raise reason from None
         for note in estimate.notes:
             options.warn(note)
         self._residual = estimate.residual or 0.0
@@ -184,17 +188,25 @@ class _Calibration:
         return None
 
     def _measure_exposures(self, camera: Camera, options: StepOptions, progress: Progress) -> Found:
+        if camera.controls.response_notes:
+            raise DataError(
+                "the response was not measured, and the pixels do not say the exposures without it",
+                hint="measure the response first",
+            )
         try:
             record = measure_exposures(
                 camera, longest_s=options.longest_s, progress=progress, warn=options.warn
             )
-        except (CaptureError, DataError):
+        except (CaptureError, DataError) as reason:
             # A saturated frame may leave charge in the next one: times without saturation are left.
             if not self._unsaturated_s:
                 raise
-            record = measure_exposures(
-                camera, longest_s=self._unsaturated_s, progress=progress, warn=options.warn
-            )
+            try:
+                record = measure_exposures(
+                    camera, longest_s=self._unsaturated_s, progress=progress, warn=options.warn
+                )
+            except (CaptureError, DataError):
+                raise reason from None
         mode = exposure_mode(camera.controls)
         wrong = max(abs(each.factor - 1) for each in (*record.times, *record.gains))
         self._change, self._exposures = _change(self._exposures, record), record

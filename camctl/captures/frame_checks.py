@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Camera, Pixels
+from camctl.captures.delay_check import ShotLog
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side
 from camctl.captures.frame_record import ExposureRatio, RatioCheck, StoredFrame
@@ -16,7 +17,7 @@ from camctl.captures.movement import bands_of
 from camctl.captures.picture_details import thumbnail
 from camctl.captures.report import UnfinishedCapture
 from camctl.captures.true_exposures import choose_exposures, estimate_exposures
-from camctl.captures.verdict import ShotLog, judge, suspects
+from camctl.captures.verdict import judge, suspects
 from camctl.controls import Layout
 from camctl.exposure.patches import Patches
 from camctl.noise_model import FrameNoise
@@ -36,11 +37,11 @@ class FrameChecks:
 
     def __init__(self, camera: Camera, capture: UnfinishedCapture) -> None:
         self._controls, self._capture = camera.controls, capture
-        self._delay_of = None if self._controls.delay_frames is None else camera.info.id
         self._check = NeighbourCheck(
             self._controls.levels, self._controls.black, self._controls.layout
         )
-        self._log = ShotLog(capture.plan.settings)
+        self._log = ShotLog(capture.plan.settings, self._controls)
+        self._delay_of = camera.info.id if self._log.has_delay else None
         self.thumbnails: dict[int, NDArray[np.uint8]] = {}
         self.bands: dict[int, Pixels] = {}
 
@@ -68,7 +69,7 @@ class FrameChecks:
     def suspects(self) -> list[int]:
         """Return the positions of the frames that are probably wrong and were shot once."""
         checks = [frame.ratio for frame in self._frames]
-        self._log.shift(checks)
+        self._log.find(checks)
         return [k for k in suspects(checks) if self._frame(k).attempts == 1]
 
     def judge(self) -> list[ExposureRatio]:
@@ -76,7 +77,7 @@ class FrameChecks:
         frames = self._frames
         checks = [frame.ratio for frame in frames]
         disagree = any(check is not None and not check.agrees for check in checks)
-        shift = self._log.shift(checks) if disagree else None
+        error = self._log.find(checks) if disagree else None
         estimates = None
         if self._capture.request.estimate_ratios and len(frames) > 1:
             estimates, warnings = estimate_exposures(
@@ -89,7 +90,7 @@ class FrameChecks:
                 self._compare(k, chosen[k].exposure / chosen[k - 1].exposure)
                 for k in range(1, len(frames))
             ]
-        judge(self._capture, checks, shift, self._delay_of)
+        judge(self._capture, checks, error, self._delay_of)
         return chosen
 
     @property

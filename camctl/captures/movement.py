@@ -42,8 +42,9 @@ _DENSE, _CONNECTED_UNKNOWN = 0.15, 4
 #: The limits are set again where false alarms differ by this share, how often at most, and for
 #: how many times as many at most.
 _NEAR_RATE, _TRIES, _MOST_RATE = 0.05, 4, 2.0
-#: Width of the bands in which they are set again, and pixels of all bands of a frame, about.
-_BAND, _BANDS_PIXELS = 64, 1_000_000
+#: Width of the bands in which they are set again, and pixels of all bands of a frame, about: by
+#: chance the share of their false alarms differs by 3 %.
+_BAND, _BANDS_PIXELS = 64, 500_000
 #: Places that are named at most, the largest first.
 _MOST_PLACES = 5
 #: Samples that are compared at a time.

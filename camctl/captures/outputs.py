@@ -208,7 +208,8 @@ def _no_light(
     Read noise around a black level lifts half of the samples above it: only those count as lit that
     are above it by `BLACK_SHARE` of one frame's levels.
     """
-    lit = np.count_nonzero(total > black_total + BLACK_SHARE * levels) / total.size
+    # A comparison of integers: with a fraction, a copy in float64 would be made.
+    lit = np.count_nonzero(total > int(black_total + BLACK_SHARE * levels)) / total.size
     if lit <= OUTLIER_SHARE:
         return [
             "the picture is black in every exposure; take the lens cap off, or expose longer "

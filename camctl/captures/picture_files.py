@@ -72,7 +72,7 @@ def write_picture_files(
     with ExitStack() as stack:
         threads = stack.enter_context(ThreadPoolExecutor(1))
         exr = stack.enter_context(
-            _radiance_file(directory / RADIANCE, width, height, rendering.channels, details)
+            _radiance_file(directory / RADIANCE, (width, height), rendering, details)
         )
         tiff = stack.enter_context(atomic_file(directory / IMAGE))
 
@@ -146,8 +146,8 @@ def read_mask(path: Path) -> NDArray[np.uint8]:
 
 
 def read_deviation(path: Path) -> NDArray[np.float32]:
-    """Return the standard deviation in radiance.exr, likewise."""
-    return _read_channels(path, _DEVIATION_PREFIX)
+    """Return the standard deviation in radiance.exr, float32, likewise."""
+    return _read_channels(path, _DEVIATION_PREFIX).astype(np.float32, copy=False)
 
 
 def _read_channels(path: Path, prefix: str) -> NDArray[Any]:
@@ -199,26 +199,26 @@ def _readable(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _radiance_file(
-    path: Path, width: int, height: int, names: str, details: PictureDetails
+    path: Path, size: tuple[int, int], rendering: Rendering, details: PictureDetails
 ) -> Iterator[_RadianceFile]:
     import OpenEXR
 
     with atomic_file(path) as part:
-        if width * height >= _LARGE:
+        if size[0] * size[1] >= _LARGE:
             OpenEXR.set_global_thread_count(THREADS)
         try:
-            file = _RadianceFile(part, path, width, height, names)
+            file = _RadianceFile(part, path, size, rendering)
             try:
                 yield file
             finally:
                 file.close()
         finally:
             OpenEXR.set_global_thread_count(0)
-        fill_exr_header(part, exr_attributes(details, names), details.summary)
+        fill_exr_header(part, exr_attributes(details, rendering.channels), details.summary)
 
 
 @lru_cache(maxsize=8)
-def _exr_header(width: int, height: int, names: str) -> dict[str, Any]:
+def _exr_header(size: tuple[int, int], names: str, halves: bool) -> dict[str, Any]:
     """Return the header of an OpenEXR file.
 
     The library never releases the values of a header: files of one size share theirs, so that a
@@ -230,7 +230,7 @@ def _exr_header(width: int, height: int, names: str) -> dict[str, Any]:
     pixels = Imath.PixelType
     kinds = {
         "": pixels.FLOAT,
-        _DEVIATION_PREFIX: pixels.FLOAT,
+        _DEVIATION_PREFIX: pixels.HALF if halves else pixels.FLOAT,
         _MASK_PREFIX: pixels.HALF,
     }
     channels = {
@@ -239,7 +239,7 @@ def _exr_header(width: int, height: int, names: str) -> dict[str, Any]:
         for name in names
     }
     return {
-        **OpenEXR.Header(width, height),
+        **OpenEXR.Header(*size),
         # Without loss; for noisy light half the time of ZIP, and smaller files.
         "compression": Imath.Compression(Imath.Compression.PIZ_COMPRESSION),
         "channels": channels,
@@ -248,17 +248,21 @@ def _exr_header(width: int, height: int, names: str) -> dict[str, Any]:
 
 
 class _RadianceFile:
-    """An OpenEXR file written strip by strip: masks in float16, the other channels in float32.
+    """An OpenEXR file written strip by strip.
 
-    The time to compress a channel follows its bytes.  The file is written at `path` and will be
-    called `final`, which errors name.
+    The time to compress a channel follows its bytes: masks are float16, and so are standard
+    deviations where that has all of them exactly; the rest is float32.  The file is written at
+    `path` and will be called `final`, which errors name.
     """
 
-    def __init__(self, path: Path, final: Path, width: int, height: int, names: str) -> None:
+    def __init__(
+        self, path: Path, final: Path, size: tuple[int, int], rendering: Rendering
+    ) -> None:
         import OpenEXR
 
-        header = _exr_header(width, height, names)
-        self._names, self._final = names, final
+        self._names, self._final = rendering.channels, final
+        self._halves = rendering.deviations_are_halves
+        header = _exr_header(size, self._names, self._halves)
         # It takes bytes, too.  A str that is not UTF-8 ends the process, as does an exception in
         # the Python code that it calls.
         self._file = uninterrupted(OpenEXR.OutputFile)(os.fsencode(path), header)
@@ -268,7 +272,7 @@ class _RadianceFile:
         """Append a strip."""
         parts: dict[str, NDArray[Any]] = {
             "": strip.irradiance,
-            _DEVIATION_PREFIX: strip.deviation,
+            _DEVIATION_PREFIX: strip.deviation.astype(np.float16 if self._halves else np.float32),
             _MASK_PREFIX: _HALVES.take(strip.mask),
         }
         channels = {

@@ -215,6 +215,17 @@ class Rendering:
         return min(table.full for table in self.tables)
 
     @property
+    def deviations_are_halves(self) -> bool:
+        """Whether float16 has all standard deviations of the pictures exactly.
+
+        It has no very small and very large ones.  In a mosaic they are interpolated.
+        """
+        found = np.concatenate([table.deviation for table in self.tables])
+        with np.errstate(over="ignore"):
+            halves = found.astype(np.float16)
+        return not self.layout.is_mosaic and np.array_equal(halves, found)
+
+    @property
     def channels(self) -> str:
         """Names of the channels: "Y" or "RGB"."""
         return "Y" if self.layout is Layout.MONO else _LETTERS

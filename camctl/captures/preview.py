@@ -61,7 +61,7 @@ _LARGEST_NOISE = 2.0
 #: Of a natural logarithm's deviation that of a logarithm to the base 2.
 _LOG2_E = np.float32(1 / np.log(2))
 #: Rows that are encoded at once.
-_ROWS = 256
+_ROWS = 32
 #: Least variance of log2 of the light, less than that of any picture.
 _LEAST_VARIANCE = np.float32(1e-9)
 #: Light that counts as none; a sum without light has an irradiance of more than this.
@@ -190,32 +190,26 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     colours = np.exp2(logs, out=logs)  # relative to the largest
     pixel_noise = np.asarray(sum(_channels(noise)) / np.float32(noise.shape[2]), np.float32)
     exposure, white = _exposure(largest, colours, pixel_noise, light)
-    # The operator, x (1 + S / white^2) / (1 + S) for light x in the surround S, in logarithms.
     surround = _surround(largest)
-    surround += exposure
-    np.exp2(surround, out=surround)
-    largest += exposure
-    shown = np.exp2(largest, out=largest)
-    shown *= 1 + surround / white**2
-    surround += 1
-    shown /= surround
-    del surround
-    np.minimum(shown, 1, out=shown)
-    darkest = _UNLIT if (light.unlit < ALL).any() else 0.0
-    shown *= 1 + (darkest - 1) * unlit * unlit
-    # A pixel of which one channel is saturated keeps the colour of its neighbours that are not.
-    full = light.white / np.float32(ALL)
-    shown += full * (1 - shown)
-    if colours.shape[2] > 1:
-        around = box_means(pixel_noise, 2)
-        # Where a channel shows no light, the colour is not known.
-        colourful = (1 - full) * (1 - np.sqrt(unlit)) / (1 + around * around)
-        colours -= 1
-        colours *= colourful[..., np.newaxis]
-        colours += 1
-    colours *= shown[..., np.newaxis]
-    starts = range(0, len(colours), _ROWS)
-    codes = np.concatenate([srgb_codes(colours[start : start + _ROWS]) for start in starts])
+    around = box_means(pixel_noise, 2) if colours.shape[2] > 1 else pixel_noise
+    darkest = np.float32(_UNLIT if (light.unlit < ALL).any() else 0.0)
+    codes: NDArray[np.uint8] = np.empty(colours.shape, np.uint8)
+    for start in range(0, len(codes), _ROWS):  # some rows at a time: what is made of them is small
+        rows = slice(start, start + _ROWS)
+        # The operator, x (1 + S / white^2) / (1 + S) for light x in the surround S.
+        shown, near = np.exp2(largest[rows] + exposure), np.exp2(surround[rows] + exposure)
+        shown *= (1 + near / white**2) / (1 + near)
+        np.minimum(shown, 1, out=shown)
+        shown *= 1 + (darkest - 1) * np.square(unlit[rows])
+        # A pixel of which one channel is saturated keeps the colour of its neighbours that are not.
+        full = light.white[rows] / np.float32(ALL)
+        shown += full * (1 - shown)
+        colour = colours[rows]
+        if colour.shape[2] > 1:
+            # Where a channel shows no light, the colour is not known.
+            known = (1 - full) * (1 - np.sqrt(unlit[rows])) / (1 + np.square(around[rows]))
+            colour = 1 + (colour - 1) * known[..., np.newaxis]
+        codes[rows] = srgb_codes(colour * shown[..., np.newaxis])
     return codes[..., 0] if codes.shape[-1] == 1 else codes
 
 

@@ -13,11 +13,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import Generic, TypeVar
 
-from camctl.controls import ExposureControls, ExposureSetting
+from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError
 from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay, DelayOrigin
 from camctl.streaming.source import NumberedSource, irregular_frames
@@ -294,16 +294,3 @@ def _write_again(pending: deque[_Pending], count: int, unwritten: list[int]) -> 
     """Put the first `count` settings that were written back among those to be written."""
     for _ in range(count):
         heappush(unwritten, pending.popleft().index)
-
-
-def resting_setting(
-    controls: ExposureControls, settings: Sequence[ExposureSetting]
-) -> ExposureSetting | None:
-    """Return the setting in which a stream rests after `settings`; None: as after the last one.
-
-    After frames that take longer than the usual interval it has a time below that.
-    """
-    usual_s = controls.frame_interval_s
-    if not settings or settings[-1].time_s <= usual_s:
-        return None
-    return replace(settings[-1], time_s=controls.time_s.nearest(usual_s / 2))

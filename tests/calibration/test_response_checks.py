@@ -57,6 +57,20 @@ def series_of(
     return series
 
 
+@pytest.mark.parametrize("is_shot", [True, False])
+@pytest.mark.parametrize("is_same", [True, False])
+def test_only_those_who_gave_the_frames_can_correct_them(is_shot: bool, is_same: bool) -> None:
+    """The same picture twice; else frames in the wrong order."""
+    first, second = (shoot(shades(), exposure, 0) for exposure in (1.0, 0.25))
+    series = series_of([first, first if is_same else second], (1.0, 2.0))
+    series.is_shot = is_shot
+    with pytest.raises(DataError) as caught:
+        estimate_response(series)
+    words = ("leave one of them out", "check the order of the exposures")
+    assert any(word in caught.value.hint for word in words) == (not is_shot)
+    assert caught.value.hint
+
+
 def test_a_camera_that_moved_is_not_taken_for_wrong_exposures() -> None:
     """Even where histograms stay as they are: what leaves at an edge comes in at the other."""
     frames = [

@@ -50,9 +50,9 @@ def own_profiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path / "profiles"))
 
 
-def kept() -> tuple[Profile, str]:
+def kept(**options: Any) -> tuple[Profile, str]:
     """Return the profile of the camera, and its mode."""
-    with open_camera("sim", UNKNOWN, profile="none") as camera:
+    with open_camera("sim", {**UNKNOWN, **options}, profile="none") as camera:
         return load_profile(camera.info), exposure_mode(camera.controls)
 
 
@@ -122,8 +122,12 @@ def test_a_step_that_fails_does_not_keep_the_others_from_running() -> None:
     response = results["response"]
     assert response.result is None
     assert response.problem is not None
+    assert "only from" in response.problem  # of the first try, not of that with more frames
     assert response.hint
-    assert "exposures" in results
+    exposures = results["exposures"]
+    assert exposures.result is None
+    assert "the response was not measured" in (exposures.problem or "")
+    assert not kept(size="64x48")[0].exposures
 
 
 @pytest.mark.usefixtures("own_profiles")

@@ -80,16 +80,29 @@ def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -
     assert np.array_equal(folder.sum(), total)
 
 
+@pytest.mark.parametrize(("full_scale", "halves"), [(2.0, True), (2e7, False), (2e-7, False)])
 @pytest.mark.parametrize("layout", list(Layout))
-def test_channels_of_radiance_exr(layout: Layout, tmp_path: Path) -> None:
-    write_picture_files(random_sum(layout), rendering(layout), details(), tmp_path)
+def test_channels_of_radiance_exr(
+    layout: Layout, full_scale: float, halves: bool, tmp_path: Path
+) -> None:
+    """Deviations are float16 where that has them exactly: neither tiny nor huge, no mosaic."""
+    how = rendering(layout)
+    desired, posterior = how.desired, Posterior(EFFECTIVE, how.desired, NOISE)
+    how = Rendering(layout, (Tables.of(posterior, full_scale),), desired, full_scale)
+    total = random_sum(layout)
+    write_picture_files(total, how, details(), tmp_path)
     with OpenEXR.File(str(tmp_path / "radiance.exr"), separate_channels=True) as file:
         types = {name: channel.pixels.dtype for name, channel in file.channels().items()}
     names = "Y" if layout is Layout.MONO else "RGB"
     expected: dict[str, type[np.generic]] = {f"mask.{name}": np.float16 for name in names}
+    deviation = np.float16 if halves and not layout.is_mosaic else np.float32
     for name in names:
-        expected |= {name: np.float32, f"sd.{name}": np.float32}
+        expected |= {name: np.float32, f"sd.{name}": deviation}
     assert types == expected
+    found = FolderStore(tmp_path).standard_deviation()
+    assert found.dtype == np.float32
+    if not layout.is_mosaic:
+        assert np.array_equal(found, how.tables[0].deviation[total])
 
 
 def test_preview_is_made_from_reduced_light(

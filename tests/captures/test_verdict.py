@@ -13,8 +13,7 @@ from camctl.captures.frame_record import RatioCheck
 from camctl.captures.report import CaptureReport
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
-from camctl.captures.verdict import ShotLog, suspects
-from camctl.controls import ExposureSetting
+from camctl.captures.verdict import suspects
 from sim.camera import Faults
 
 MAINS = CaptureRequest("log", 1000.0, ratios=(1.0, 2.0, 4.0), mains_hz=50)
@@ -137,7 +136,9 @@ def test_wrong_control_delay_makes_a_capture_untrustworthy(
         # Metering may end with an exposure so long that two late frames are white altogether.
         report = capture(camera, CaptureRequest(ratios=ratios, base_s=0.01))
     assert not report.trustworthy
-    assert "again with camctl calibrate delay --camera sim" in (report.untrustworthy_because or "")
+    assert "measure the control delay with camctl calibrate delay --camera sim" in (
+        report.untrustworthy_because or ""
+    )
 
 
 @pytest.mark.parametrize("late", [2, 3])
@@ -152,37 +153,10 @@ def test_wrong_control_delay_is_noticed_where_all_frames_are_white(late: int) ->
     assert min(frame.saturated_fraction for frame in report.frames) > 0.9
     assert not report.trustworthy
     assert "of frame 1 is white" in (report.untrustworthy_because or "")
-    assert "again with camctl calibrate delay --camera sim" in (report.untrustworthy_because or "")
+    assert "measure the control delay with camctl calibrate delay --camera sim" in (
+        report.untrustworthy_because or ""
+    )
     assert shot(Faults()).trustworthy
-
-
-@pytest.mark.parametrize("late", [-2, -1, 1, 2, 3])
-def test_wrong_control_delay_is_recognised(late: int) -> None:
-    settings = [ExposureSetting(time) for time in (0.01, 0.02, 0.05, 0.15, 0.6, 3.0)]
-    log = ShotLog(settings)
-    log.begin(range(6))
-    had = [settings[min(max(k - late, 0), 5)].exposure for k in range(6)]
-    checks: list[RatioCheck | None] = [None]
-    for k in range(1, 6):
-        expected, measured = settings[k].exposure / settings[k - 1].exposure, had[k] / had[k - 1]
-        # What was set before the capture is unknown.
-        unknown = k - 1 < late
-        agrees = abs(measured / expected - 1) < 0.03
-        checks.append(check_of(expected, 1.7 if unknown else measured, agrees=agrees))
-    assert log.shift(checks) == late
-    true = [check and check_of(check.expected, check.expected, agrees=True) for check in checks]
-    log = ShotLog(settings)
-    log.begin(range(6))
-    assert log.shift(true) is None
-
-
-def test_few_samples_do_not_show_a_wrong_control_delay() -> None:
-    settings = [ExposureSetting(time) for time in (0.01, 0.02, 0.05)]
-    for compared, shift in ((0.5, 1), (0.01, None)):
-        log = ShotLog(settings)
-        log.begin(range(3))
-        checks = [None, None, check_of(2.5, 2, agrees=False, compared=compared)]
-        assert log.shift(checks) == shift
 
 
 @pytest.mark.parametrize(
@@ -202,11 +176,3 @@ def test_noise_near_saturation_does_not_contradict(seed: int) -> None:
         report = capture(camera, CaptureRequest(ratios=(1.0, 8.9, 80.0), base_s=5.5))
     assert report.trustworthy
     assert not any("do not trust" in warning for warning in report.warnings)
-
-
-def test_one_wrong_frame_is_not_a_wrong_control_delay() -> None:
-    settings = [ExposureSetting(time) for time in (0.01, 0.02, 0.05, 0.15)]
-    log = ShotLog(settings)
-    log.begin(range(4))
-    checks = [None, check_of(2, 1, agrees=False), check_of(2.5, 5, agrees=False)]
-    assert log.shift([*checks, check_of(3, 3, agrees=True)]) is None

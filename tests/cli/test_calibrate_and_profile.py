@@ -6,12 +6,14 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import Run
 
 from camctl import backends
 from camctl.camera import Camera, CameraInfo
 from camctl.controls import Layout
+from camctl.exposure_record import Correction, ExposureRecord, exposure_mode
 from camctl.profile import StillRecord, change_profile
 from camctl.profile_folder import list_profiles
 
@@ -182,12 +184,63 @@ def test_exposures_are_measured_in_a_capture_that_is_done(run: Run) -> None:
     assert found["camera"]["model"] == "simulated phone"
 
 
+CURVED_OPTIONS = {"sensor": "consumer", "scene": "ramp", "size": "160x120", "unknown": True}
+CURVED = ("--sensor", "consumer", "--scene", "ramp", "--size", "160x120", "-O", "unknown=yes")
+
+
+def test_exposures_are_not_measured_without_a_response(run: Run) -> None:
+    ran = run("calibrate", "exposure", *CURVED, "--longest", "0.1")
+    assert ran.status == 1
+    assert "the response of camctl simulated consumer is not known" in ran.error
+    assert "camctl calibrate response, or state it with --response" in ran.error
+    assert list_profiles() == []
+    line = ("calibrate", "exposure", *CURVED, "--response", "srgb", "--repeats", "2", "--json")
+    times = run(*line).json["times"]
+    assert [each["factor"] for each in times] == pytest.approx([1] * len(times), abs=0.02)
+
+
+def wrong_exposures(value: float) -> None:
+    """Keep exposures that are wrong by a smooth curve, as an unknown response makes them."""
+    with backends.open_camera("sim", {**CURVED_OPTIONS, "profile": "none"}) as camera:
+        mode, info = exposure_mode(camera.controls), camera.info
+    record = ExposureRecord(
+        times=tuple(
+            Correction(value=time_s, factor=factor, low=factor, high=factor)
+            for time_s in np.geomspace(1e-4, 4, 40).tolist()
+            for factor in [float(time_s**value)]
+        ),
+        gains=(Correction(value=1.0, factor=1.0, low=1.0, high=1.0),),
+        interpolates=True,
+        measured_at="2026-11-22",
+    )
+    change_profile(info, lambda profile: profile.exposures.update({mode: record}))
+
+
+def test_a_response_does_not_use_exposures_that_were_measured_without_one(run: Run) -> None:
+    wrong_exposures(-0.6)
+    ran = run("calibrate", "response", *CURVED)
+    assert ran.status == 0, ran.err
+    assert "were measured while its response was not known" in ran.err
+    (kept,) = list_profiles()
+    assert kept.responses
+    assert not kept.exposures
+
+
+def test_measured_exposures_are_named_where_they_contradict_the_pixels(run: Run) -> None:
+    assert run("calibrate", "response", *CURVED).status == 0
+    wrong_exposures(-0.9)
+    ran = run("calibrate", "response", *CURVED)
+    assert ran.status == 1
+    assert "measured exposures in the camera's profile" in ran.error
+    assert run("calibrate", "response", *CURVED, "--no-profile").status == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
         (("--from", "nowhere"), "nowhere holds no capture"),
         (("--from", "here", "--repeats", "3"), "--from cannot be combined with --repeats"),
-        (("--response", "srgb"), "--camera cannot be combined with --response"),
+        (("--response", "rgb"), "unknown camera response 'rgb'"),
         (("--repeats", "1"), "invalid"),
         (("--scene", "stars", "--longest", "0.01"), "the scene is too dark"),
     ],

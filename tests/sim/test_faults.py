@@ -11,9 +11,8 @@ import pytest
 from camctl.camera import Frame
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
-from camctl.controls import ExposureSetting
+from camctl.controls import ExposureSetting, resting_setting
 from camctl.errors import UsageError
-from camctl.streaming.pipeline import resting_setting
 from sim.backend import SimulatedOptions
 from sim.camera import SimulatedCamera
 from sim.faults import FAULT_FORMS, Faults

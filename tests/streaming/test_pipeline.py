@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
+from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps, resting_setting
 from camctl.errors import CameraProtocolError, CameraTimeoutError, RefusedSettingError
 from camctl.profile import DelayRecord
 from camctl.streaming import (
@@ -18,7 +18,6 @@ from camctl.streaming import (
     ExposurePipeline,
     FrameStamp,
     Written,
-    resting_setting,
 )
 
 POWER_ON_S = 0.5

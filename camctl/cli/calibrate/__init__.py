@@ -190,8 +190,8 @@ def _consequence(record: DelayRecord) -> str:
 @click.option(
     "--response",
     metavar="NAME",
-    help="Response of the camera of --from: linear, srgb, rec709, or power:GAMMA.  [default: the "
-    "measured one, else linear]",
+    help="Response of the camera: linear, srgb, rec709, or power:GAMMA.  [default: the measured "
+    "one, else that which the camera states; with --from else linear]",
 )
 @options.as_json
 def exposure(
@@ -205,7 +205,8 @@ def exposure(
     """Measure the true exposure of each setting against the stated one.
 
     First point the camera at a scene with light and dark parts that neither moves nor changes
-    brightness; a tripod and daylight are best. The settings that suit the light are shot several
+    brightness; a tripod and daylight are best. Its response must be known: measure it first with
+    camctl calibrate response. The settings that suit the light are shot several
     times each; for others, change the light and measure again: settings measured earlier are kept
     where they are not measured now. Later captures use the result in place of the stated exposures.
     """
@@ -213,8 +214,7 @@ def exposure(
 
     context = click.get_current_context()
     if folder is None:
-        options.refuse_together(context, "--camera", {"response"}, "it is an option of --from")
-        info, mode, record = _measure(camera, repeats, longest_s)
+        info, mode, record = _measure(camera, repeats, longest_s, response)
     else:
         others = options.given(context) - {"folder", "response", "as_json"}
         options.refuse_together(context, "--from", others)
@@ -238,19 +238,25 @@ def exposure(
 
 
 def _measure(
-    camera: CameraOptions, repeats: int, longest_s: float
+    camera: CameraOptions, repeats: int, longest_s: float, response: str | None
 ) -> tuple[CameraInfo, str, ExposureRecord]:
     from camctl.calibration.exposures import measure_exposures
+    from camctl.cli.calibrate.exposure_series import response_named
     from camctl.exposure_record import exposure_mode
 
     with (
         camera.open(profile="response,noise") as opened,
         progress_bar("shooting each setting") as bar,
     ):
+        stated = None
+        if response is not None:
+            controls = opened.controls
+            stated = response_named(response, controls.bits, controls.black, controls.white)
         record = measure_exposures(
             opened,
             repeats=repeats,
             longest_s=longest_s,
+            response=stated,
             progress=without_stage(bar),
             warn=print_warning,
         )

@@ -24,7 +24,7 @@ from camctl.cli.output import (
     without_stage,
 )
 from camctl.cli.parameter_types import PATH, Name, Seconds, WholeNumber
-from camctl.errors import UsageError
+from camctl.errors import DataError, UsageError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -166,13 +166,22 @@ def response(
             "--keep: photographs name no camera whose profile could keep the response",
             hint="give the folder of a capture, or a camera; or write the curve with -o",
         )
-    estimate = _estimate(series, frames, how)
+    try:
+        estimate = _estimate(series, frames, how)
+    except DataError as error:
+        if series.measured_exposures != "used":
+            raise
+        raise DataError(
+            error.what,
+            hint=f"{error.hint}; if the measured exposures in the camera's profile are wrong, "
+            "leave them out with --no-profile",
+        ) from error
     for note in estimate.notes:
         print_warning(note)
     record = estimate.record
     file = None
     if info is not None and how.method == "camctl" and (keep or _is_exact(series, record)):
-        file = _keep(info, mode, record)
+        file = _keep(info, mode, record, series)
     if output is not None:
         _write_curve(output, record)
     if as_json:
@@ -273,11 +282,13 @@ def _is_exact(series: Series, record: ResponseRecord) -> bool:
     return False
 
 
-def _keep(info: CameraInfo, mode: str, record: ResponseRecord) -> Path:
+def _keep(info: CameraInfo, mode: str, record: ResponseRecord, series: Series) -> Path:
     from camctl.profile import Profile, change_profile
 
     def keep(profile: Profile) -> None:
         profile.responses[mode] = record
+        if series.measured_exposures == "ignored":
+            profile.exposures.pop(mode, None)
 
     return change_profile(info, keep)
 
