@@ -95,6 +95,7 @@ class SimulatedCamera(CameraBase):
             is_coloured=scene.is_coloured,
             photons_per_unit=photons_per_unit(scene, sensor),
         )
+        self.is_unknown = is_unknown
         if is_unknown:
             controls = replace(controls, response=None, noise=None, sensitivity=None)
             delays = load_profile(self._info).delays

@@ -142,7 +142,10 @@ def read_radiance(path: Path) -> NDArray[np.float32]:
 
 def read_mask(path: Path) -> NDArray[np.uint8]:
     """Return the mask in radiance.exr, in the shape of the irradiance; raises as that does."""
-    return _read_channels(path, _MASK_PREFIX).astype(np.uint8)
+    found = _read_channels(path, _MASK_PREFIX)
+    if not ((found >= 0) & (found <= 255)).all():
+        raise DataError(f"cannot read {path}: its masks hold no bits", hint=_SHOOT_AGAIN)
+    return found.astype(np.uint8)
 
 
 def read_deviation(path: Path) -> NDArray[np.float32]:

@@ -174,8 +174,7 @@ def simulated_camera(run: CaptureRun, seed: int) -> SimulatedCamera:
     if not run.lens:
         ideal = Lens(f_number=lens.f_number, transmission=lens.transmission)
         sensor = sensor.model_copy(update={"lens": ideal})
-    is_unknown = camera.controls.response is None
-    return SimulatedCamera(camera.scene, sensor, seed=seed, is_unknown=is_unknown)
+    return SimulatedCamera(camera.scene, sensor, seed=seed, is_unknown=camera.is_unknown)
 
 
 def _opened(run: CaptureRun, seed: int) -> Camera:
