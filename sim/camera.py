@@ -62,7 +62,7 @@ class SimulatedCamera(CameraBase):
             is that of its profile
 
     Attributes:
-        scene, sensor: as given
+        scene, sensor, is_unknown: as given
         device: the simulated hardware
 
     Raises:
