@@ -75,7 +75,7 @@ class ChannelResponse(BaseModel):
         """Standard deviation of the exponent of the curve; 0 where no deviation is known.
 
         An exponent that is wrong by e changes ln(irradiance) by e times its distance from that at
-        half the brightness.  What is left of the curve's deviation are errors of single parts, so
+        half the brightness.  The rest of the curve's deviation is errors of single parts, so
         the smallest ratio of deviation and distance is the error of the exponent.
         """
         if self.deviation is None:

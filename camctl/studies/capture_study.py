@@ -177,9 +177,8 @@ def simulated_camera(run: CaptureRun, seed: int) -> SimulatedCamera:
     return SimulatedCamera(camera.scene, sensor, seed=seed, is_unknown=camera.is_unknown)
 
 
-def _opened(run: CaptureRun, seed: int) -> Camera:
-    """Return the simulated camera of a run with what its profile says of it, where that counts."""
-    camera = simulated_camera(run, seed)
+def _calibrated(run: CaptureRun, camera: SimulatedCamera) -> Camera:
+    """Return a simulated camera with what its profile says of it, where that counts in the run."""
     return camera if run.profile == "none" else with_profile(camera)
 
 
@@ -193,7 +192,7 @@ def metered(run: CaptureRun) -> CaptureRun:
     """
     simulated = run.camera == SIMULATED
     opened = (
-        _opened(run, seed=0)
+        _calibrated(run, simulated_camera(run, seed=0))
         if simulated
         else open_camera(run.camera, {"profile": run.profile, **dict(run.options)})
     )
@@ -228,7 +227,7 @@ def rate(run: CaptureRun) -> CapturePoint:
     simulated = run.camera == SIMULATED
     camera = simulated_camera(run, run.seeds[0]) if simulated else None
     controls = (
-        _opened(run, run.seeds[0]).controls
+        _calibrated(run, camera).controls
         if camera is not None
         else _controls(run.camera, run.profile, run.options)
     )
@@ -243,7 +242,7 @@ def rate(run: CaptureRun) -> CapturePoint:
         return point
     levels, taken, decades = [], [], []
     for seed in run.seeds:
-        with _opened(run, seed) as shooting:
+        with _calibrated(run, simulated_camera(run, seed)) as shooting:
             if run.before is not None and not (controls.timing and controls.timing.rests):
                 assert isinstance(shooting, PreviewingCamera)
                 shooting.preview(run.before)  # whose end the capture waits for

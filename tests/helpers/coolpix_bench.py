@@ -6,8 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from typing import Any
 
+import pytest
+from error_lines import one_line
+
 from camctl.camera import Camera, Frame
 from camctl.controls import Choices, Control, ExposureSetting
+from camctl.errors import CameraDisconnectedError
 from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
 from sim.devices.clock import DeviceClock, VirtualDeviceClock
 from sim.devices.sierra.device import SierraDevice, make
@@ -47,6 +51,18 @@ def shoot(camera: Camera, settings: Sequence[ExposureSetting] = SETTINGS) -> lis
 def learn_format(camera: Camera) -> None:
     """Make the camera learn the format of its files, so that the next picture is a frame."""
     assert camera.controls.shape == (24, 32)
+
+
+def check_unplugged(device: SierraDevice) -> None:
+    """Unplug a camera at its second frame; check the error."""
+    with coolpix_on(device) as camera:
+        learn_format(camera)
+        frames = camera.shoot(SETTINGS)
+        next(frames)
+        device.do("unplug")
+        with pytest.raises(CameraDisconnectedError) as caught:
+            next(frames)
+    one_line(caught.value)
 
 
 def do_once(camera: CoolpixCamera, method: str, argument: int, act: Callable[[], object]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -94,9 +95,9 @@ class StoredCapture:
     report: CaptureReport
     positions: tuple[int, ...]
 
-    @property
+    @cached_property
     def mode(self) -> str:
-        """The camera's mode, as its profile names it."""
+        """The camera's mode, as its profile names it; a frame is read for it."""
         from camctl.exposure_record import mode_name
 
         shape = self.report.frame(self.positions[0]).shape
@@ -147,6 +148,8 @@ def stored_capture(source: SeriesOptions) -> StoredCapture | None:
         DataError: the folder holds no complete capture, or frames belong to none
         UsageError: options of photographs are given for a capture
     """
+    from camctl.captures.folder_store import read_report
+
     if len(source.files) == 1 and source.files[0].is_dir():
         folder, names = source.files[0], None
         if folder.resolve().name == FRAMES and not (folder / REPORT).exists():
@@ -161,24 +164,19 @@ def stored_capture(source: SeriesOptions) -> StoredCapture | None:
             "--times, --black and --white belong to photographs",
             hint="leave them out: the report of a capture says them",
         )
-    return StoredCapture(report := _read_report(folder), _positions(report, folder, names))
-
-
-def _read_report(folder: Path) -> CaptureReport:
-    from camctl.captures.folder_store import read_report
-
-    return read_report(folder)
+    report = read_report(folder)
+    return StoredCapture(report, _positions(report, folder, names))
 
 
 def _positions(report: CaptureReport, folder: Path, names: set[Path] | None) -> tuple[int, ...]:
     """Return the positions of the frames in these files; None: of all frames."""
+    if names is None:
+        return tuple(range(len(report.frames)))
     stored = {
         (folder / frame.file).resolve(): position
         for position, frame in enumerate(report.frames)
         if frame.file is not None
     }
-    if names is None:
-        return tuple(range(len(report.frames)))
     for path in sorted(names - stored.keys()):
         raise DataError(
             f"{path} is no frame of the capture in {folder}",

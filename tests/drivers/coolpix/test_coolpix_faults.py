@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from coolpix_bench import (
     SETTINGS,
+    check_unplugged,
     coolpix_on,
     data_of,
     do_once,
@@ -157,14 +158,7 @@ class TestFaults:
 
 class TestDisconnection:
     def test_an_unplugged_line_is_reported(self, device: SierraDevice) -> None:
-        with coolpix_on(device) as camera:
-            learn_format(camera)
-            frames = camera.shoot(SETTINGS)
-            next(frames)
-            device.do("unplug")
-            with pytest.raises(CameraDisconnectedError) as caught:
-                next(frames)
-        one_line(caught.value)
+        check_unplugged(device)
 
     def test_a_picture_taken_before_the_disconnection_is_downloaded_after(
         self, device: SierraDevice

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import serial
-from coolpix_bench import SETTINGS, coolpix_on, learn_format, shoot, virtual_coolpix
+from coolpix_bench import SETTINGS, check_unplugged, coolpix_on, shoot, virtual_coolpix
 from error_lines import one_line
 
 from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraNotFoundError, UsageError
@@ -86,14 +86,7 @@ class TestRealTime:
         assert "1B 53" in capsys.readouterr().err
 
     def test_an_unplugged_line_is_reported(self, device: SierraDevice) -> None:
-        with coolpix_on(device) as camera:
-            learn_format(camera)
-            frames = camera.shoot(SETTINGS)
-            next(frames)
-            device.do("unplug")
-            with pytest.raises(CameraDisconnectedError) as caught:
-                next(frames)
-        one_line(caught.value)
+        check_unplugged(device)
 
     def test_a_second_program_is_refused(self, device: SierraDevice) -> None:
         with (
