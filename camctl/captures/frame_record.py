@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -36,7 +37,9 @@ class RatioCheck(ReportModel):
         moved: share of the compared samples that changed by another ratio than most
         compared: share of the frame's samples that were compared
         contradicting: share of them that contradict `expected`, all brighter or all darker
-        contradicts: whether most of many samples contradict it, by more than lamps can
+        contradicts: whether most of many samples contradict it, by more than lamps can or by more
+            than 10 %
+        lamps: factor by which lamps that flicker may change the ratio
     """
 
     expected: float
@@ -47,6 +50,14 @@ class RatioCheck(ReportModel):
     compared: float = 0.0
     contradicting: float = 0.0
     contradicts: bool = False
+    lamps: float = 1.0
+
+    @property
+    def factor(self) -> float:
+        """Factor between measured and expected ratio, at least 1; infinite where not measured."""
+        if self.measured is None:
+            return math.inf
+        return max(self.measured / self.expected, self.expected / self.measured)
 
     @property
     def is_certain(self) -> bool:
