@@ -258,12 +258,18 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
         f"{format_percent(movement.share)} of the samples differ between frames, "
         f"{format_percent(movement.false_alarms)} by noise alone"
     )
+    blocks = f"blocks of {movement.block} x {movement.block} pixels with"
+    spread = []
+    if movement.spread:
+        area = format_percent(movement.spread)
+        spread = [("", f"{blocks} light spread from saturated samples: {area} of the picture")]
     if not movement.places:
-        return [("movement", f"none ({shares})")]
+        return [("movement", f"none; {shares}"), *spread]
     area = format_percent(movement.area)
     first = movement.places[0]
     place = f"columns {first.left}-{first.right - 1}, rows {first.top}-{first.bottom - 1}"
-    return [("movement", f"in {area} of the picture, most in {place}"), ("", shares)]
+    moved = f"{blocks} more than noise: {area} of the picture, most in {place}"
+    return [("movement", shares), ("", moved), *spread]
 
 
 def _shortest_s(report: CaptureReport) -> float:

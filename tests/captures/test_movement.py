@@ -14,7 +14,8 @@ import camctl
 from camctl.camera import Pixels
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side, outside
-from camctl.captures.movement import FALSE_ALARMS, bands_of, find_movement
+from camctl.captures.movement import bands_of, find_movement
+from camctl.captures.movement_map import FALSE_ALARMS
 from camctl.response.camera import standard_response
 
 Floats = NDArray[np.float64]
