@@ -108,7 +108,8 @@ class FrameChecks:
         """Return the frames neighbouring in exposure, from the shortest on, to find movement.
 
         Where the whole of a frame does not fit its exposure, as under lamps that flicker, the pair
-        has the ratio of light that most patches show.
+        has the ratio of light that most patches show; not where things that moved are all that can
+        be compared.
 
         Args:
             exposures: relative exposures of the frames
@@ -126,7 +127,7 @@ class FrameChecks:
             ratio = long.exposure / short.exposure
             both = samples[short.position], samples[long.position]
             check = self._check.compare(*both, ratio)
-            if not check.agrees and check.measured is not None:
+            if check.is_one_ratio and not check.agrees and check.measured is not None:
                 ratio = check.measured
             found.append(Pair(self._check.scale, short, long, ratio, both, colours))
         return found

@@ -22,6 +22,9 @@ class ReportModel(BaseModel):
 #: exposure; with more, only parts of the picture disagree.
 _MOST_MOVED = 0.5
 
+#: A thing that covers less of a frame's samples is small.
+_SMALL_THING = 0.02
+
 #: Share of a frame's samples that must be compared before its exposure counts as contradicted.
 LEAST_COMPARED = 0.1
 
@@ -65,12 +68,17 @@ class RatioCheck(ReportModel):
         return self.compared >= LEAST_COMPARED
 
     @property
+    def is_one_ratio(self) -> bool:
+        """Whether most of what was compared changed by one ratio, and it is not a small thing."""
+        return self.moved <= _MOST_MOVED and self.compared >= _SMALL_THING
+
+    @property
     def is_of_whole_picture(self) -> bool:
         """Whether the exposures disagree, and not things that moved or light that spread.
 
         Then many samples were compared, and most of them changed by one ratio.
         """
-        return not self.agrees and self.is_certain and self.moved <= _MOST_MOVED
+        return not self.agrees and self.is_certain and self.is_one_ratio
 
 
 class ExposureRatio(ReportModel):

@@ -106,11 +106,14 @@ class LightSpread:
 
     def outside(
         self, limits: Limits, short: Pixels, long: Pixels
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which samples contradict, and which can: light did not spread to them."""
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_] | None]:
+        """Return which samples contradict, which can, and which do by light that spread to them.
+
+        The last is None where light does not spread.
+        """
         found, comparable = outside(limits, short, long), long < self.white
         if not self.is_any:
-            return found, comparable
+            return found, comparable, None
         source = _any_colour(~comparable & ~found)
         spread = np.zeros_like(source)
         if self.streaks:
@@ -119,7 +122,7 @@ class LightSpread:
             box = (2 * self.reach + 1, 2 * min(self.reach, ACROSS) + 1)
             spread |= dilated(source.view(np.uint8), box) > 0
         free = ~spread if found.ndim == 2 else ~spread[..., np.newaxis]
-        return found & free, comparable & free
+        return found & free, comparable & free, found & ~free
 
 
 def beside_white(limits: Limits, white: int, short: Pixels, long: Pixels) -> tuple[int, int, int]:

@@ -55,8 +55,9 @@ class FoundMovement:
         area: share of the picture's blocks of `block` x `block` pixels in which more contradict
             than by noise; larger than `share`, since not each sample of a block does
         block: side of a block of the map, pixels
-        spread: share of such blocks that are no places, since all that contradicts there is light
-            beside saturated samples that the longer exposure has more of (blooming)
+        spread: share of the samples that contradict and are no movement: in the longer exposure
+            they are brighter than expected, and beside saturated ones, from which light spreads.
+            Those that have no mark are not in `share`
     """
 
     share: float
@@ -152,7 +153,9 @@ def _marked(
         pixels = frame(position)
         return pixels, Lines.of(pixels)
 
-    def compare(work: tuple[Pair, tuple[Limits, float]]) -> tuple[NDArray[np.uint8], float, bool]:
+    def compare(
+        work: tuple[Pair, tuple[Limits, float]],
+    ) -> tuple[NDArray[np.uint8], float, float, bool]:
         pair, (limits, rate) = work
         short, short_lines = load(pair.short.position)
         long, long_lines = load(pair.long.position)
@@ -161,17 +164,19 @@ def _marked(
         marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
         mark = partial(_mark, marks, limits, spread, short, long)
         areas = _areas(rows, columns, channels, spread)
-        compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas))
-        return marks, rate * compared / short.size, spread.is_any
+        counts = list(map(mark, areas) if in_memory else in_threads(mark, areas))
+        compared, taken_out = (sum(each) / short.size for each in zip(*counts, strict=True))
+        return marks, rate * compared, taken_out, spread.is_any
 
     shape = load(pairs[0].short.position)[0].shape
     channels = shape[2] if len(shape) == 3 else 1
     work = list(zip(pairs, _calibrated(pairs, total), strict=True))
     results = in_threads(compare, work) if in_memory else map(compare, work)
-    marks, alarms, does_spread = next(results)
-    for each, share, spreads in results:
+    marks, alarms, taken_out, does_spread = next(results)
+    for each, share, spread_share, spreads in results:
         marks |= each
         alarms += share
+        taken_out += spread_share
         does_spread |= spreads
     is_known = all(pair.is_known for pair in pairs)
     cell, counts, moves = mapped(shape, marks, is_known=is_known)
@@ -183,6 +188,9 @@ def _marked(
         )
         spread = light_spread_cells(moves, cell, pictures)
     movement, at_rest = _summed(shape, marks, alarms, cell, counts, moves, spread)
+    movement = replace(
+        movement, found=replace(movement.found, spread=movement.found.spread + taken_out)
+    )
     if is_known and not (does_spread and at_rest < alarms):
         return movement
     # Light that spread is in the patches, too, and has been taken out of the picture.
@@ -208,18 +216,21 @@ def _mark(
     short: Pixels,
     long: Pixels,
     area: tuple[slice, slice],
-) -> int:
-    """Add what contradicts in an area to the packed marks; return how many samples can."""
+) -> tuple[int, int]:
+    """Add what contradicts in an area to the packed marks; return how many samples can.
+
+    Return how many contradict by light that spread, too.
+    """
     rows, columns = area
     part = slice(max(0, columns.start - ACROSS), columns.stop + ACROSS)
     inner = slice(columns.start - part.start, columns.stop - part.start)
-    found, comparable = (
-        each[:, inner] for each in spread.outside(limits, short[rows, part], long[rows, part])
-    )
+    marked, can, spilled = spread.outside(limits, short[rows, part], long[rows, part])
+    found, comparable = marked[:, inner], can[:, inner]
     packed = np.packbits(found.reshape(len(found), -1), axis=1)
     first = columns.start * (found[0, 0].size) // 8
     marks[rows, first : first + packed.shape[1]] |= packed
-    return int(np.count_nonzero(comparable))
+    taken_out = 0 if spilled is None else np.count_nonzero(spilled[:, inner])
+    return int(np.count_nonzero(comparable)), int(taken_out)
 
 
 def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float]]:
@@ -256,6 +267,11 @@ def _summed(
     moves = cells & ~spread
     named = places(moves, counts, (rows, columns), cell)
     found = FoundMovement(
-        share, false_alarms, named, float(moves.mean()), cell, float(spread.mean())
+        share,
+        false_alarms,
+        named,
+        float(moves.mean()),
+        cell,
+        float(counts[spread].sum() / size.sum()),
     )
     return Movement(shape, marks, found, cell, cells), at_rest
