@@ -58,7 +58,7 @@ def test_at_most_2_percent_lie_outside_the_range(tmp_path: Path) -> None:
     assert light.clips_stops > 8
 
 
-@pytest.mark.parametrize("sensor", ["phone", "ccd"])
+@pytest.mark.parametrize("sensor", ["phone", pytest.param("ccd", marks=pytest.mark.slow)])
 def test_lamps_that_flicker_are_the_second_exception_and_the_advice_mends_it(sensor: str) -> None:
     """The metering frames fell into darker parts of the lamps' period than the capture."""
 
