@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from camctl.captures.pictures import DARK, SATURATED, Strip
 from camctl.picture_operations import box_means, reduced_by_area
+from camctl.threads import in_threads
 
 PREVIEW_SIDE = 2560
 """Longest side of the preview, pixels."""
@@ -183,8 +184,9 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     irradiance, noise, unlit = _averaged_in_the_dark(light)
     logs = np.maximum(irradiance, _NO_LIGHT, out=irradiance)
     np.log2(logs, out=logs)
-    for channel in range(logs.shape[2]):
-        logs[..., channel] = _without_noise(logs[..., channel], noise[..., channel] * _LOG2_E)
+    planes = zip(_channels(logs), _channels(noise), strict=True)
+    for plane, found in zip(_channels(logs), in_threads(_without_noise, planes), strict=True):
+        plane[...] = found
     largest = _largest(logs).copy()
     logs -= largest[..., np.newaxis]
     colours = np.exp2(logs, out=logs)  # relative to the largest
@@ -310,8 +312,9 @@ def _channels(values: NDArray[Any]) -> list[NDArray[Any]]:
     return [values[..., channel] for channel in range(values.shape[2])]
 
 
-def _without_noise(logs: Floats, noise: Floats) -> Floats:
-    """Return log2 of the light with noise of this standard deviation filtered out."""
+def _without_noise(plane: tuple[Floats, Floats]) -> Floats:
+    """Return log2 of the light of a channel, given with its noise, with the noise filtered out."""
+    logs, noise = plane[0], plane[1] * _LOG2_E
     for radius, left in _NOISE_WINDOWS:
         mean, variance = _moments(logs, radius)
         kept = box_means(noise * noise, radius)
