@@ -68,12 +68,15 @@ def write_picture_files(
     tags = tiff_tags(details)
     height, width = total.shape[:2]
     reducer = LightReducer(height, width, rendering.unlit, rendering.full)
-    with ThreadPoolExecutor(2) as threads:
+    with (
+        ThreadPoolExecutor(2) as threads,
+        atomic_file(directory / RADIANCE) as radiance,
+        atomic_file(directory / IMAGE) as image,
+    ):
         summed = threads.submit(_write_sum, directory / SUM, total, tags)
-        with (
-            _radiance_file(directory / RADIANCE, (width, height), rendering, details) as exr,
-            atomic_file(directory / IMAGE) as tiff,
-        ):
+        with _radiance_file(
+            radiance, directory / RADIANCE, (width, height), rendering, details
+        ) as exr:
 
             def prepared(render: Callable[[], Strip]) -> tuple[Strip, dict[str, NDArray[Any]]]:
                 strip = render()
@@ -87,7 +90,7 @@ def write_picture_files(
                     reduced.result()
 
             tifffile.imwrite(
-                tiff,
+                image,
                 codes(),
                 shape=rendering.picture_shape(total),
                 dtype=np.uint16,
@@ -95,10 +98,10 @@ def write_picture_files(
                 photometric="minisblack" if rendering.channels == "Y" else "rgb",
                 **tags,
             )
-            summed.result()
-            return_free_memory()
-            light = reducer.light()
-            mapped = threads.submit(tone_map, light)  # while the disk takes the files
+        summed.result()
+        return_free_memory()
+        light = reducer.light()
+        mapped = threads.submit(tone_map, light)  # while the disk takes the files
         preview = mapped.result()
     write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))
     moved = None if rendering.movement is None else rendering.movement.cells
@@ -207,22 +210,22 @@ def _readable(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _radiance_file(
-    path: Path, size: tuple[int, int], rendering: Rendering, details: PictureDetails
+    path: Path, final: Path, size: tuple[int, int], rendering: Rendering, details: PictureDetails
 ) -> Iterator[_RadianceFile]:
+    """Open an OpenEXR file at `path`, complete at the end of the block; errors name `final`."""
     import OpenEXR
 
-    with atomic_file(path) as part:
-        if size[0] * size[1] >= _LARGE:
-            OpenEXR.set_global_thread_count(THREADS)
+    if size[0] * size[1] >= _LARGE:
+        OpenEXR.set_global_thread_count(THREADS)
+    try:
+        file = _RadianceFile(path, final, size, rendering)
         try:
-            file = _RadianceFile(part, path, size, rendering)
-            try:
-                yield file
-            finally:
-                file.close()
+            yield file
         finally:
-            OpenEXR.set_global_thread_count(0)
-        fill_exr_header(part, exr_attributes(details, rendering.channels), details.summary)
+            file.close()
+    finally:
+        OpenEXR.set_global_thread_count(0)
+    fill_exr_header(path, exr_attributes(details, rendering.channels), details.summary)
 
 
 @lru_cache(maxsize=8)
