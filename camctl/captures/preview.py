@@ -56,8 +56,9 @@ _HIDDEN = 0.1, 0.45, 0.9
 _UNLIT_DOUBT = 4.0
 #: Where no frame shows light the picture has this share of the brightness of the least light.
 _UNLIT = 0.15
-#: Light is read from samples whose noise is less than this share of it.
-_READABLE = 0.5
+#: Brightness is set by samples whose noise is less than this share of the light, of about so many
+#: rows and columns.
+_READABLE, _MOST_READ = 0.5, 1024
 #: The noise counts as this share of the light at most: its logarithm is no longer normal.
 _LARGEST_NOISE = 2.0
 #: Of a natural logarithm's deviation that of a logarithm to the base 2.
@@ -233,7 +234,9 @@ def _exposure(
     light stays dark.
     """
     weights = _LUMINANCE if colours.shape[2] == 3 else np.ones(1, np.float32)
-    readable = (noise < _READABLE) & (light.unlit < ALL)
+    some = (slice(None, None, max(1, max(noise.shape) // _MOST_READ)),) * 2
+    largest, colours = largest[some], colours[some]
+    readable = (noise[some] < _READABLE) & (light.unlit[some] < ALL)
     if not readable.any():
         readable = np.ones_like(readable)
     logs = (largest + np.log2(colours @ weights))[readable]
