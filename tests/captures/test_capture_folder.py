@@ -21,11 +21,11 @@ from small_cameras import WrappedCamera, gradient, small_camera, sum_of_frames
 
 from camctl.camera import Frame, FrameStream, OriginalFile
 from camctl.captures.folder_store import read_capture, read_report
-from camctl.captures.report_file import clean_suffix
+from camctl.captures.report_file import clean_suffix, read_report_file
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequence import Progress
 from camctl.captures.sequencer import capture, resume
-from camctl.controls import ExposureSetting
+from camctl.controls import ExposureSetting, ResponseOrigin
 from camctl.errors import (
     CameraDisconnectedError,
     CaptureError,
@@ -216,6 +216,15 @@ def test_report_of_another_version_is_refused_by_name_and_its_frames_stay_readab
 
 
 # --force trusts nothing
+
+
+def test_report_that_does_not_say_what_is_known_of_the_response_is_read(tmp_path: Path) -> None:
+    shoot(tmp_path / "a")
+    for folder in (tmp_path / "a", one_of_two(tmp_path / "b")):
+        assert read_report_file(folder).response_origin is ResponseOrigin.STATED
+        edit(folder, lambda report: report.pop("response_origin"))
+        assert read_report_file(folder).response_origin is None
+    complete(tmp_path / "b")
 
 
 def test_force_never_follows_a_link(tmp_path: Path) -> None:
