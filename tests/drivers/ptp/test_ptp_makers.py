@@ -18,7 +18,6 @@ from drivers.ptp.camera import PtpCamera
 from drivers.ptp.makers import NIKON, dialect_of
 from sim.devices.ptp.protocol import Reply
 
-
 pytestmark = pytest.mark.usefixtures("own_profiles")
 
 
