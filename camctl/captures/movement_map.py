@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.frame_pairs import Limits
+from camctl.captures.frame_pairs import Limits, Pair
 from camctl.captures.light_spread import BESIDE, LOST, beside_white
 from camctl.picture_operations import AREA, connected_parts, dilated
 
@@ -83,20 +83,20 @@ def mapped(
 
 
 def light_spread_cells(
-    cells: NDArray[np.bool_], cell: int, pairs: Iterable[tuple[Limits, int, Pixels, Pixels]]
+    cells: NDArray[np.bool_], cell: int, pairs: Iterable[tuple[Pair, Limits, tuple[Pixels, Pixels]]]
 ) -> NDArray[np.bool_]:
     """Return the cells whose connected part has no other marks than light that spread."""
     labels, boxes = connected_parts(cells)
     totals, noise = np.zeros((len(boxes), 3)), np.zeros(len(boxes))
     small = [k for k in range(1, len(boxes)) if boxes[k, 2] * boxes[k, 3] < _SMALL * cells.size]
-    for limits, white, short, long in pairs:
+    for pair, limits, (short, long) in pairs if small else ():
         for k in small:
             left, top, width, height = (boxes[k, :4] * cell).tolist()
             part = (
                 slice(max(0, top - BESIDE), top + height + BESIDE),
                 slice(max(0, left - BESIDE), left + width + BESIDE),
             )
-            totals[k] += beside_white(limits, white, short[part], long[part])
+            totals[k] += beside_white(limits, pair.saturated, short[part], long[part])
             noise[k] += FALSE_ALARMS / 2 * short[part].size
     found, beside, darker = totals.T
     spreads = (found > 0) & (beside > _MOST_BESIDE * found) & (darker < LOST * found + noise)

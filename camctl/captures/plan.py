@@ -79,7 +79,7 @@ def plan_capture(
         CaptureError: an exposure is beyond the camera's controls
     """
     controls, real = camera.controls, camera.controls.levels
-    warnings = [*controls.notes, *real.notes]
+    warnings = [*controls.response_warnings, *controls.notes, *real.notes]
     kind = objective_of(request, controls, has_table=table is not None)
     desired, ratios = request.desired, None
     if request.ratios is None and (desired is None or request.time_budget_s is not None):

@@ -11,7 +11,7 @@ from ptp_bench import Bench, bench, in_force
 from small_cameras import WrappedCamera
 
 from camctl.camera import Camera, Frame, FrameStream
-from camctl.controls import ExposureSetting
+from camctl.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import CameraDisconnectedError, CameraTimeoutError
 from camctl.testing.conformance import CameraConformance
 from sim.camera import SimulatedCamera
@@ -256,10 +256,28 @@ class StatesTheRequestedTime(Liar):
         return replace(setting, time_s=setting.time_s / 2)
 
 
+class AssumesTheResponseOfRawSamples(Liar):
+    @property
+    def controls(self) -> ExposureControls:
+        return replace(
+            self.camera.controls,
+            layout=Layout.RGGB,
+            response_origin=ResponseOrigin.ASSUMED,
+        )
+
+
+class StatesItsResponseInWords(Liar):
+    @property
+    def controls(self) -> ExposureControls:
+        return replace(self.camera.controls, response_origin="the response is assumed")  # type: ignore[arg-type]
+
+
 Suite = type[Honest] | type[HonestStill]
 # What a check raises: its own assertion, pytest's if an error did not come, or the liar's error.
 _FOUND = (AssertionError, pytest.fail.Exception, RuntimeError)
 RANGE, CONTROL = "test_light_follows_the_control_over_its_whole_range", "control"
+
+ORIGIN = "test_the_response_is_known_or_said_to_be_assumed"
 
 LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (IgnoresGain, HonestGain, RANGE, {CONTROL: "gain"}),
@@ -279,6 +297,8 @@ LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (HidesItsBlackLevel, Honest, RANGE, {CONTROL: "time_s"}),
     (RepeatsItsLastFrame, Honest, "test_unplugged_camera_raises_an_error_of_one_line", {}),
     (RepeatsItsLastFrame, Honest, "test_silent_camera_raises_an_error_after_a_limited_time", {}),
+    (AssumesTheResponseOfRawSamples, Honest, ORIGIN, {}),
+    (StatesItsResponseInWords, Honest, ORIGIN, {}),
     (StatesTheRequestedTime, HonestStill, "test_applied_is_what_the_device_itself_states", {}),
 ]
 
