@@ -34,8 +34,6 @@ LARGEST_TOLERANCE = 0.5
 _LEAST_SAMPLES, _FEW_SAMPLES = 32, 128
 #: Samples above this share of full scale are not compared: noise saturates some of them.
 _HIGHEST = 0.9
-#: Levels without which noise of a few electrons decides which samples are unsaturated.
-_FEWEST_LEVELS = 8
 #: Share of the light beyond saturation that flows to other samples (blooming), at most.
 _SPILLED = 0.05
 #: Share of the samples of a bright patch that must be compared: without a tenth of them, the mean
@@ -147,7 +145,7 @@ class NeighbourCheck:
         count[is_cut] = 0.0
         too_bright = self._wrongly_saturated(light, then, expected)
         too_dark = self._wrongly_saturated(then, light, 1 / expected)
-        if self.scale.white - self.scale.black < _FEWEST_LEVELS:
+        if self.scale.is_coarse:
             count[:] = too_bright = too_dark = 0.0
         # The geometric mean of both frames: neither alone decides which patches vote.
         darkest = self._dark / 2

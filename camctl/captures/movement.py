@@ -51,7 +51,8 @@ class FoundMovement:
     Attributes:
         share: of the samples that contradict
         false_alarms: share that does by noise, predicted from patches that do not move; with
-            unknown noise, and where light spreads, measured where the map shows no movement
+            unknown noise, fewer than 8 levels, and where light spreads, measured where the map
+            shows no movement
         places: the largest places where more contradict than by noise, those with most first
         area: share of the picture's blocks of `block` x `block` pixels in which more contradict
             than by noise; larger than `share`, since not each sample of a block does
@@ -190,7 +191,8 @@ def _marked(
     movement = replace(
         movement, found=replace(movement.found, spread=movement.found.spread + taken_out)
     )
-    if is_known and not (does_spread and at_rest < alarms):
+    is_coarse = pairs[0].scale.is_coarse  # its noise is not near a normal distribution
+    if is_known and not is_coarse and not (does_spread and at_rest < alarms):
         return movement
     # Light that spread is in the patches, too, and has been taken out of the picture.
     return replace(movement, found=replace(movement.found, false_alarms=at_rest))

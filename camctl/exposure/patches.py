@@ -18,6 +18,9 @@ from camctl.response.camera import CameraResponse, FloatArray
 #: Side of a patch in samples of one colour, and the number of patches of a frame, about.
 _SIDE, _PATCHES = 8, 4800
 
+#: With fewer levels the noise of a few electrons decides which samples are saturated.
+_FEWEST_LEVELS = 8
+
 #: Distances at which the samples of a patch are compared to see whether they are equal.
 _STEPS_APART = (1, 9, 27)
 
@@ -67,6 +70,7 @@ class LightScale:
         white: brightness from which samples are saturated, DN
         full: light at white
         level: mean width of a gap
+        is_coarse: whether there are so few levels that noise decides which samples are saturated
         curvature: (white + 1,) float64, the second difference of `light`
         exponent_error: that of the response
     """
@@ -85,6 +89,7 @@ class LightScale:
         self.exponent_error = real.exponent_error
         self.full = float(self.light[-1])
         self.level = self.full / real.M
+        self.is_coarse = real.M < _FEWEST_LEVELS
         self.curvature: FloatArray = np.concatenate(
             ([0.0], np.abs(np.diff(self.light, 2)), [0.0] * min(1, self.light.size - 1))
         )
