@@ -14,16 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.frame_record import LEAST_COMPARED, RatioCheck
+from camctl.captures.frame_record import LAMP_DEPTH, LEAST_COMPARED, RatioCheck
 from camctl.controls import Layout
 from camctl.exposure.patches import LightScale, Patches, sample_patches
 from camctl.response.camera import CameraResponse
 
 #: Relative difference of light that may have other causes than a wrong exposure.
 TOLERANCE = 0.015
-#: Relative depth of the flicker of sodium and fluorescent lamps.  They change the whole picture, as
-#: a wrong exposure does.
-LAMP_DEPTH = 0.4
 MOST_CHANGE = 1.1
 """Factor by which lamps may change a ratio before the picture is not trustworthy, either."""
 #: Slowest usual flicker, Hz: twice the frequency of the mains.
@@ -187,7 +184,6 @@ class NeighbourCheck:
             compared=compared,
             contradicting=share,
             contradicts=is_certain and beyond_lamps > 0.5,
-            lamps=lamps,
         )
 
     def _wrongly_saturated(self, dim: _Floats, bright: _Floats, ratio: float) -> float:

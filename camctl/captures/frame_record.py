@@ -22,6 +22,10 @@ class ReportModel(BaseModel):
 #: exposure; with more, only parts of the picture disagree.
 _MOST_MOVED = 0.5
 
+#: Relative depth of the flicker of sodium and fluorescent lamps.  They change the whole picture, as
+#: a wrong exposure does.
+LAMP_DEPTH = 0.4
+
 #: A thing that covers less of a frame's samples is small.
 _SMALL_THING = 0.02
 
@@ -42,7 +46,6 @@ class RatioCheck(ReportModel):
         contradicting: share of them that contradict `expected`, all brighter or all darker
         contradicts: whether most of many samples contradict it, by more than lamps can or by more
             than 10 %
-        lamps: factor by which lamps that flicker may change the ratio
     """
 
     expected: float
@@ -53,7 +56,6 @@ class RatioCheck(ReportModel):
     compared: float = 0.0
     contradicting: float = 0.0
     contradicts: bool = False
-    lamps: float = 1.0
 
     @property
     def factor(self) -> float:

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 
 from camctl.camera import PHOTOGRAPHS
 from camctl.captures.delay_check import DelayError
-from camctl.captures.frame_record import RatioCheck
+from camctl.captures.frame_record import LAMP_DEPTH, RatioCheck
 from camctl.captures.report import UnfinishedCapture
 
 #: A frame contradicts the metered light if this share of its samples is saturated, beyond those
 #: that were expected to be: less may be noise or blooming near saturation, or a lamp.
 _BEYOND_METERED = 0.6
+#: Largest factor between two frames that lamps may explain.
+_LAMPS = (1 + LAMP_DEPTH) / (1 - LAMP_DEPTH)
 #: What helps where the light of the whole picture changes.
 _MENDS = "--estimate-ratios computes the pictures with the light that the frames show"
 #: Exposures up to this factor count as the same.
@@ -55,7 +57,7 @@ def judge(
         )
     elif reasons:
         if not capture.request.estimate_ratios and all(
-            check.is_of_whole_picture and check.factor <= check.lamps for _, check in certain
+            check.is_of_whole_picture and check.factor <= _LAMPS for _, check in certain
         ):
             reasons.append(f"if lamps flicker, {_MENDS}")
         if delay_of:
