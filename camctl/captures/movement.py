@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +119,7 @@ def find_movement(
 ) -> Movement | None:
     """Return where the frames of a capture contradict each other; None with a single frame.
 
-    Two frames are in memory at a time.
+    Three frames are in memory at a time.
 
     Args:
         frame: returns the samples of a frame by its position, black included
@@ -160,29 +161,30 @@ def _marked(
     Frames that are `in_memory` are compared two pairs at a time.
     """
 
-    @lru_cache(maxsize=1)  # the shorter frame of a pair is the longer one of the pair before
     def load(position: int) -> tuple[Pixels, Lines]:
         pixels = frame(position)
         return pixels, Lines.of(pixels)
 
-    def compare(work: tuple[Pair, tuple[Limits, float]]) -> tuple[NDArray[np.uint8], float, bool]:
-        pair, (limits, rate) = work
-        short, short_lines = load(pair.short.position)
-        long, long_lines = load(pair.long.position)
+    def compare(
+        work: tuple[Pair, tuple[Limits, float], tuple[tuple[Pixels, Lines], tuple[Pixels, Lines]]],
+    ) -> tuple[NDArray[np.uint8], float, bool, tuple[int, ...]]:
+        pair, (limits, rate), ((short, short_lines), (long, long_lines)) = work
+        rows, columns = short.shape[:2]
+        channels = short.shape[2] if short.ndim == 3 else 1
         spread = LightSpread.of(limits, pair, short_lines, long_lines)
-        rows, columns = shape[:2]
         marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
         mark = partial(_mark, marks, limits, spread, short, long)
         areas = _areas(rows, columns, channels, spread)
         compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas))
-        return marks, rate * compared / short.size, spread.is_any
+        return marks, rate * compared / short.size, spread.is_any, short.shape
 
-    shape = load(pairs[0].short.position)[0].shape
-    channels = shape[2] if len(shape) == 3 else 1
-    work = zip(pairs, _calibrated(pairs, total), strict=True)
+    positions = [pairs[0].short.position, *(pair.long.position for pair in pairs)]
+    # The next frame is read while two are compared.
+    frames = map(load, positions) if in_memory else in_threads(load, positions, 1)
+    work = zip(pairs, _calibrated(pairs, total), pairwise(frames), strict=True)
     results = in_threads(compare, work) if in_memory else map(compare, work)
-    marks, alarms, does_spread = next(results)
-    for each, share, spreads in results:
+    marks, alarms, does_spread, shape = next(results)
+    for each, share, spreads, _ in results:
         marks |= each
         alarms += share
         does_spread |= spreads
@@ -235,7 +237,7 @@ def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float
     """
     rate, found = total / len(pairs), []
     for _ in range(_TRIES):
-        found = [pair.calibrated(rate) for pair in pairs]
+        found = list(in_threads(partial(Pair.calibrated, rate=rate), pairs))
         reached = sum(share * pair.compared for (_, share), pair in zip(found, pairs, strict=True))
         if reached > (1 - _NEAR_RATE) * total or rate >= total or not reached:
             break

@@ -176,8 +176,8 @@ def _light(camera: Camera, settings: tuple[ExposureSetting, ...]) -> tuple[Light
     rendering = Rendering(controls.layout, tables, desired, 1.0, controls.hot_pixels)
     rows, columns = total.total.shape[:2]
     reducer = LightReducer(rows, columns, rendering.unlit, rendering.full, 2 * PANEL_WIDTH)
-    for strip in rendering.strips(total.total):
-        reducer.add(strip)
+    for render in rendering.strips(total.total):
+        reducer.add(render())
     return reducer.light(), min(setting.exposure for setting in settings)
 
 

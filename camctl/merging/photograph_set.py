@@ -90,6 +90,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         wrong_exposures,
     )
     from camctl.captures.photograph_choice import darkest_light
+    from camctl.captures.photograph_contradictions import contradictions
     from camctl.captures.photographs import corrected_exposures
     from camctl.exposure.patches import LightScale
 
@@ -145,6 +146,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     )
     check = NeighbourCheck(controls.levels, controls.black, controls.layout)
     notes += wrong_exposures(photographs, patches, check)
+    planes = [each.shape for each in files.format.layout.planes(area(files.pixels(kept[0])))]
+    facts += contradictions(photographs, patches, check.scale, planes)
     return OpenedPhotographs(
         camera,
         darkest_light(camera, patches),

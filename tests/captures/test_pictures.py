@@ -59,6 +59,15 @@ def test_demosaic_is_exact_for_linear_light_inside(layout: Layout) -> None:
     assert np.allclose(found[1:-1, 1:-1], colours[1:-1, 1:-1], rtol=1e-6)
 
 
+@pytest.mark.parametrize("layout", MOSAICS)
+def test_demosaic_keeps_17_bits_of_the_fraction(layout: Layout) -> None:
+    """A pixel's own sample is not interpolated: only the rounding is left."""
+    mosaic = np.geomspace(1e-6, 1e6, 400, dtype=np.float32).reshape(20, 20)
+    own = mosaic_of(demosaic(mosaic, layout, 0), layout).astype(np.float64)
+    error = np.abs(own / mosaic - 1).max()
+    assert 2**-20 < error <= 2**-18
+
+
 def test_planes_hold_every_sample_once() -> None:
     frame = np.arange(24, dtype=np.uint8).reshape(4, 6)
     for layout in (Layout.MONO, *MOSAICS):
