@@ -105,7 +105,11 @@ def _interpolated(
 
 
 def demosaic_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a mosaic's mask as (rows, columns, 3): a mark covers all pixels it contributed to."""
+    """Return a mosaic's mask as (rows, columns, 3): a mark covers all pixels it contributed to.
+
+    The value of such a pixel depends on the marked sample, in at least one channel.  More pixels
+    than samples are marked: up to nine for one.
+    """
     return np.repeat(dilated(mask, (3, 3))[..., None], 3, axis=2)
 
 

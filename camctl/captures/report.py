@@ -199,6 +199,9 @@ class CaptureReport(_CaptureData):
     def mask(self) -> NDArray[np.uint8]:
         """Return 0 for good samples, 1 below the range, 2 saturated, 4 frames contradict, 8 hot.
 
+        In the shape of the radiance.  Of a mosaic it marks the pixels that a marked sample
+        contributed to, more than the samples that the shares in the report count.
+
         Raises:
             DataError: the capture's file is missing or damaged
         """

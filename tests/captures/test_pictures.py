@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.captures.pictures import (
+    CONTRADICTING,
     DARK,
     FULL_CODE,
     GOOD,
@@ -87,6 +88,23 @@ def test_mask_of_a_mosaic_covers_all_interpolated_pixels() -> None:
     wide = demosaic_mask(mask)
     assert wide.shape == (5, 5, 3)
     assert np.array_equal(wide[..., 0] == 2, np.pad(np.ones((3, 3), bool), 1))
+
+
+@pytest.mark.parametrize("place", [(4, 4), (4, 5), (5, 4), (5, 5)])
+def test_mask_of_a_mosaic_marks_the_pixels_whose_value_depends_on_a_sample(
+    place: tuple[int, int],
+) -> None:
+    """Users of a mask leave out pixels: each that a bad sample changed must be marked."""
+    light = np.random.default_rng(0).uniform(0.2, 0.5, (10, 10)).astype(np.float32)
+    changed = light.copy()
+    changed[place] = 0.9
+    mask = np.zeros((10, 10), np.uint8)
+    mask[place] = CONTRADICTING
+    depends = demosaic(light, Layout.RGGB, 0) != demosaic(changed, Layout.RGGB, 0)
+    marked = demosaic_mask(mask) == CONTRADICTING
+    # A green sample does not reach the corners of its 3 x 3 pixels: at most 4 of 9 are too many.
+    assert not (depends & ~marked).any()
+    assert 5 <= depends.any(axis=2).sum() <= marked.any(axis=2).sum() == 9
 
 
 def tables_of(desired: DesiredResponse, electrons: float = math.inf) -> Tables:
