@@ -72,10 +72,8 @@ _MOVED = (
     "something moved in up to {} of the picture from one frame to another: it is left out of the "
     "estimate of the response"
 )
-_MOVED_TOO_MUCH = (
-    "something moved in up to {} of the picture from one frame to another, and the rest does not "
-    "show the response: the estimate may be wrong"
-)
+_DOUBT = "and the rest does not show the response: the estimate may be wrong"
+_MOVED_TOO_MUCH = "something moved in up to {} of the picture from one frame to another, " + _DOUBT
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +88,7 @@ class ResponseEstimate:
         exponent_error: relative standard deviation of an exponent of the whole curve; None where it
             is unknown
         notes: what the user should know, one line each
+        is_doubtful: something moved that could not be left out
     """
 
     record: ResponseRecord
@@ -97,6 +96,7 @@ class ResponseEstimate:
     residual: float | None
     exponent_error: float | None = None
     notes: tuple[str, ...] = ()
+    is_doubtful: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +186,7 @@ def estimate_response(
         residual=max(fit.residual for fit in fits),
         exponent_error=None if exponent is None else exponent.error,
         notes=tuple(dict.fromkeys(notes)),
+        is_doubtful=any(note.endswith(_DOUBT) for note in notes),
     )
 
 

@@ -82,6 +82,9 @@ def plan_photographs(
     metering = plan_capture(camera, replace(request, count=1, ratios=None)).metering
     assert metering is not None  # no base exposure is given
     limit_s = metering.limit_s * 2.0**request.compensation_stops
+    if request.count is not None and request.base_s is None:
+        # So many were asked for: where too few are as long as the metered one, shorter ones serve.
+        limit_s = min(limit_s, sorted(camera.times_s)[-min(request.count, len(camera.times_s))])
     if darkest is not None:
         # The shortest photograph of a set is the longest one up to the limit.
         base_s = max((t for t in camera.times_s if t <= limit_s), default=min(camera.times_s))

@@ -31,8 +31,8 @@ def judge(
         delay_of: id of the camera where its settings take effect late
     """
     measure = f"measure the control delay with camctl calibrate delay --camera {delay_of}"
-    wrong = [(k, check) for k, check in enumerate(checks, start=1) if check and not check.agrees]
-    reasons = [difference_text(number, check) for number, check in wrong if check.contradicts]
+    wrong = [(k, check) for k, check in enumerate(checks) if check and not check.agrees]
+    reasons = [_difference_text(capture, k, check) for k, check in wrong if check.contradicts]
     if not reasons and delay_of and (brighter := _brighter_than_metered(capture)):
         reasons.append(brighter)
     if error and error.shift:
@@ -57,9 +57,9 @@ def judge(
     if capture.camera.driver == PHOTOGRAPHS:
         return  # their exposures are not exact, and were compared before
     capture.warnings += [
-        f"{difference_text(number, check)}: do not trust the parts that moved or whose light "
+        f"{_difference_text(capture, k, check)}: do not trust the parts that moved or whose light "
         "changed (if lamps flicker, see --mains)"
-        for number, check in wrong
+        for k, check in wrong
         if not check.contradicts
     ]
 
@@ -87,15 +87,25 @@ def _brighter_than_metered(capture: UnfinishedCapture) -> str | None:
     return None
 
 
-def difference_text(number: int, check: RatioCheck) -> str:
-    """Return how frame `number`, from 1, differs from the one before it."""
+def _names(capture: UnfinishedCapture, position: int) -> tuple[str, str]:
+    """Return what to call a frame and the one before it: photographs by their files."""
+    frames = [capture.frames[k] for k in (position, position - 1)]
+    one, before = ("" if each is None else str(each.details.get("file", "")) for each in frames)
+    if capture.camera.driver == PHOTOGRAPHS and one and before:
+        return one, before
+    return f"frame {position + 1}", "the frame before"
+
+
+def _difference_text(capture: UnfinishedCapture, position: int, check: RatioCheck) -> str:
+    """Return how a frame differs from the one before it."""
+    name, before = _names(capture, position)
     if check.measured is None:
         return (
-            f"the light in frame {number} does not fit its exposure, {check.expected:.4g} times "
-            f"that of the frame before"
+            f"the light in {name} does not fit its exposure, {check.expected:.4g} times "
+            f"that of {before}"
         )
     return (
-        f"frame {number} is {check.measured:.4g} times as bright as the frame before, and its "
+        f"{name} is {check.measured:.4g} times as bright as {before}, and its "
         f"exposure is {check.expected:.4g} times as long"
     )
 
