@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -111,8 +112,10 @@ def plan_photographs(
             chosen = settings
             break
     asked = replace(request, count=None, ratios=relative_exposures(chosen))
-    plan = plan_capture(camera, asked)
-    if plan.settings != chosen:  # the chosen set begins below the longest possible photograph
+    plan = None
+    with suppress(CaptureError):  # from the longest possible photograph on there are too few
+        plan = plan_capture(camera, asked)
+    if plan is None or plan.settings != chosen:  # the chosen set begins below that one
         base_s = chosen[0].time_s
         asked = replace(asked, base_s=base_s, compensation_stops=0.0, clip_percent=None)
         plan = plan_capture(camera, asked)
