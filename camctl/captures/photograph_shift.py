@@ -39,6 +39,8 @@ _RANKS = 1024
 _SAMPLE = 7
 #: Steps smaller than this end a fit, pixels.
 _SMALL_STEP = 0.01
+#: A fit that costs so many times as much as the best one is given up.
+_AS_GOOD = 1.1
 #: Residuals of this share of full scale count as noise where fits are compared.
 _COST_NOISE = 0.004
 #: Neighbouring pixels that have the same error, about.
@@ -94,7 +96,7 @@ def displacement(short: _Floats, long: _Floats) -> _Vector | None:
     for power in range(len(levels) - 1, -1, -1):
         fits = [_fitted(levels[power], place / 2**power, 2) for place in places]
         fits.sort(key=lambda fit: fit.cost)
-        places = [fit.place * 2**power for fit in fits[:2]]
+        places = [fit.place * 2**power for fit in fits[:2] if fit.cost <= _AS_GOOD * fits[0].cost]
     return _judged(levels[0], fits[0])
 
 
