@@ -1,4 +1,4 @@
-"""What drivers of still cameras share: options, records in the profile, times in their files."""
+"""What drivers of still cameras share: records in the profile, times in their files."""
 
 from __future__ import annotations
 
@@ -10,17 +10,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from statistics import median
-from typing import Annotated
 
-from pydantic import field_validator
-
-from camctl.backends import BackendOptions, LowerCase
 from camctl.camera import CameraInfo
 from camctl.clock import CaptureTiming
 from camctl.errors import DataError, StorageError
 from camctl.library_output import quiet_libraries
 from camctl.profile import Profile, StillRecord, TimingRecord, change_profile, load_profile
-from camctl.response.camera import named_response
 
 #: Exposures and files whose median times are kept, and by which share of the whole these may
 #: change until the profile is written again.
@@ -40,22 +35,6 @@ _CHANGED = 306  # when the file was made, where it does not say when the picture
 _EXIF_IFD = "ExifTag"
 _LARGEST_ISO = 65535  # of the tag; it stands for higher ones, too
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
-
-
-class StillOptions(BackendOptions):
-    """Options of all still cameras.
-
-    Attributes:
-        response: of JPEG and TIFF files: linear, srgb, rec709, power:GAMMA, or power (gamma 2.2)
-    """
-
-    response: Annotated[str, LowerCase] = "srgb"
-
-    @field_validator("response")
-    @classmethod
-    def _is_a_response(cls, word: str) -> str:
-        named_response(word, 8, 255)
-        return word
 
 
 def save_record(info: CameraInfo, file_format: str, record: StillRecord) -> str | None:
