@@ -74,7 +74,7 @@ def known_controls(
         return replace(controls, response=_named_curve(curve, series)), curve
     if files.format.is_raw:
         return controls, "linear, as raw files are"
-    mode = mode_name(files.format.layout, files.format.shape, series.white)
+    mode = mode_name(files.format.layout, files.format.shape_on_sensor, series.white)
     levels_now = (series.black, series.white)
     fitting = [
         profile

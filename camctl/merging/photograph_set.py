@@ -111,8 +111,12 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     ]
     same = duplicates(sights)
     notes = [
-        f"{photographs[k].name} is the same photograph as {photographs[earlier].name}, and left out"
-        for k, earlier in same.items()
+        *files.notes,
+        *(
+            f"{photographs[k].name} is the same photograph as {photographs[earlier].name}, and "
+            "left out"
+            for k, earlier in same.items()
+        ),
     ]
     empty = [k for k, each in enumerate(sights) if each.is_even]
     notes += [f"{photographs[k].name} is one colour everywhere, and left out" for k in empty]
@@ -186,6 +190,7 @@ def _with_labels(photographs: list[Photograph], labels: str) -> tuple[list[Photo
     ]
     if not pairs:
         return changed, []
+    pairs = list(dict.fromkeys(pairs))  # ISO or aperture brackets have one time
     more = "" if len(pairs) <= 3 else " and so on"
     return changed, [
         f"the times are taken for labels of a dial: {', '.join(pairs[:3])}{more} (else give "
