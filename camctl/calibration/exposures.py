@@ -180,8 +180,8 @@ def _candidates(control: Control, longest_s: float) -> list[float]:
         return [value for value in control.values if value <= longest_s] or [control.minimum]
     longest_s = max(control.minimum, min(control.maximum, longest_s))
     count = 1 + math.ceil(_TIMES_PER_STOP * math.log2(longest_s / control.minimum))
-    wanted = np.geomspace(control.minimum, longest_s, count)
-    return sorted({control.nearest(float(value)) for value in wanted})
+    requested = np.geomspace(control.minimum, longest_s, count)
+    return sorted({control.nearest(float(value)) for value in requested})
 
 
 def _gains(control: Control, base: float) -> list[float]:

@@ -110,8 +110,9 @@ def _settings(camera: Camera, count: int, longest_s: float) -> list[ExposureSett
     found = []
     for gain in _gains(controls.gain, base):
         scale = base / gain
-        wanted = np.geomspace(max(shortest, first * scale), max(shortest, seen[-1] * scale), count)
-        chosen = sorted({controls.time_s.nearest(float(each)) for each in wanted})
+        least, most = (max(shortest, each * scale) for each in (first, seen[-1]))
+        spread = np.geomspace(least, most, count)
+        chosen = sorted({controls.time_s.nearest(float(each)) for each in spread})
         if len(chosen) >= 3 or gain == base:
             found += [ExposureSetting(time_s, gain) for time_s in chosen]
     return found

@@ -43,7 +43,7 @@ _READABLE_LEVELS = 8
 #: Longest exposure for a histogram, s: the user waits for it, where so much is dark that the
 #: capture takes longer still.
 _LONGEST_HISTOGRAM_S = 4.0
-#: Share of the samples that need not be told apart from black.
+#: Share of the samples that need not be distinguished from black.
 _UNREAD_SHARE = 0.005
 #: Frames are compared whose exposures differ by this factor or more.  The pixels do not follow
 #: where their light changes by less than this power of it: an unknown gamma curve has 0.4.

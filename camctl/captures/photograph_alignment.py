@@ -64,14 +64,16 @@ def _misplaced(sights: Sequence[Sight], chain: Sequence[tuple[int, _Place]]) -> 
 
 def _described(place: _Place, shape: tuple[int, ...], scale: float, limit: float) -> list[str]:
     """Return in words how a photograph is displaced."""
-    columns, rows = place[:2] * scale
+    columns, rows = (np.rint(place[:2] * scale) + 0.0).tolist()  # no -0
     turn, growth = place[2:]
     half = max(shape) / 2
     how = []
     if abs(turn) * half > limit / 2:
-        how.append(f"turned by about {math.degrees(turn):+.1f} degrees")
+        sense = "clockwise" if turn > 0 else "anticlockwise"
+        how.append(f"turned by about {abs(math.degrees(turn)):.1f} degrees {sense}")
     if abs(growth) * half > limit / 2:
-        how.append(f"enlarged by about {100 * growth:+.1f} %")
-    if not how or math.hypot(columns, rows) / scale >= limit:
+        size = "enlarged" if growth > 0 else "reduced"
+        how.append(f"{size} by about {100 * abs(growth):.1f} %")
+    if not how or math.hypot(*place[:2]) >= limit:
         how.insert(0, f"shifted by about {columns:+.0f} columns and {rows:+.0f} rows")
     return how

@@ -23,6 +23,8 @@ from camctl.picture_operations import required_opencv
 
 #: Blocks along each side of a picture, and contour pixels of each that are compared at most.
 _BLOCKS, _POINTS = 8, 1000
+#: Pixels from which on only every second row is searched for contours.
+_MANY = 300_000
 #: Longest side of the copies in which every shift is tried, and the largest share of a side.
 _COARSE_SIDE, _LARGEST = 192, 0.25
 #: Brightness from which on a pixel may be saturated; below it, it is compared.
@@ -33,12 +35,14 @@ _BLUR = 1.0
 _CANDIDATES, _APART, _OVERLAP = 2, 3, 0.4
 #: Bins of brightness, in each of which the mean residual is left out.
 _BINS = 48
-#: Brightness values that are told apart where two histograms are compared.
+#: Brightness values that are distinguished where two histograms are compared.
 _RANKS = 1024
 #: Of the points every so manyth gives medians.
 _SAMPLE = 7
 #: Steps smaller than this end a fit, pixels.
 _SMALL_STEP = 0.01
+#: A fit that costs so many times as much as the best one is given up.
+_AS_GOOD = 1.1
 #: Residuals of this share of full scale count as noise where fits are compared.
 _COST_NOISE = 0.004
 #: Neighbouring pixels that have the same error, about.
@@ -59,9 +63,8 @@ _LEAST_POINTS = 200
 
 _Floats = NDArray[np.float32]
 _Vector = NDArray[np.float64]
-
-
 _Mask = NDArray[np.bool_]
+_Residuals = tuple[_Floats, _Mask]
 _Size = tuple[_Floats, _Floats, _Mask]
 
 
@@ -94,7 +97,7 @@ def displacement(short: _Floats, long: _Floats) -> _Vector | None:
     for power in range(len(levels) - 1, -1, -1):
         fits = [_fitted(levels[power], place / 2**power, 2) for place in places]
         fits.sort(key=lambda fit: fit.cost)
-        places = [fit.place * 2**power for fit in fits[:2]]
+        places = [fit.place * 2**power for fit in fits[:2] if fit.cost <= _AS_GOOD * fits[0].cost]
     return _judged(levels[0], fits[0])
 
 
@@ -204,14 +207,15 @@ class _Level:
         down = cv2.Sobel(template, cv2.CV_32F, 0, 1, scale=1 / 8)
         steep = np.where(usable, across**2 + down**2, -1)
         steep[[0, -1]] = steep[:, [0, -1]] = -1
-        height, width = (length // _BLOCKS for length in template.shape)
-        blocks = steep[: _BLOCKS * height, : _BLOCKS * width]
+        every = 2 if template.size > _MANY else 1  # of the rows: neighbours tell the same
+        height, width = steep.shape[0] // every // _BLOCKS, steep.shape[1] // _BLOCKS
+        blocks = steep[::every][: _BLOCKS * height, : _BLOCKS * width]
         blocks = blocks.reshape(_BLOCKS, height, _BLOCKS, width)
         blocks = blocks.transpose(0, 2, 1, 3).reshape(_BLOCKS**2, -1)
         count = min(_POINTS, blocks.shape[1])
         places = np.argpartition(blocks, blocks.shape[1] - count, axis=1)[:, -count:]
         tops, lefts = np.divmod(np.arange(_BLOCKS**2)[:, None], _BLOCKS)
-        rows, columns = places // width + tops * height, places % width + lefts * width
+        rows, columns = every * (places // width + tops * height), places % width + lefts * width
         x = np.asarray(columns - (template.shape[1] - 1) / 2, np.float32)
         y = np.asarray(rows - (template.shape[0] - 1) / 2, np.float32)
         across, down, values = (each[rows, columns] for each in (across, down, template))
@@ -239,7 +243,7 @@ class _Level:
         means = sums / np.maximum(np.bincount(bins, weights, _BINS + 1), 1e-9)
         return values - means.astype(np.float32)[self.bins]
 
-    def residuals(self, place: _Vector) -> tuple[_Floats, _Mask]:
+    def residuals(self, place: _Vector) -> _Residuals:
         """Return image minus template at the points, and which are valid.
 
         `place` is the displacement of the image: columns, rows, and perhaps turn and growth at the
@@ -298,12 +302,11 @@ def _fitted(level: _Level, start: _Vector, size: int) -> _Fit:
     return _Fit(place, errors, _cost(residuals, valid))
 
 
-def _votes(level: _Level, before: _Vector, after: _Vector) -> tuple[int, int]:
-    """Return how many blocks fit clearly better after, and how many before."""
-    tried = [level.residuals(place) for place in (after, before)]
-    use = tried[0][1] & tried[1][1]
-    noise = min(_noise(residuals, use) for residuals, _ in tried)
-    moved, still = (np.minimum((each / noise) ** 2, _MOST_SIGMAS**2) for each, _ in tried)
+def _carried(before: _Residuals, after: _Residuals) -> bool:
+    """Return whether of the blocks that fit clearly better before or after enough do after."""
+    use = after[1] & before[1]
+    noise = min(_noise(residuals, use) for residuals, _ in (before, after))
+    still, moved = (np.minimum((each / noise) ** 2, _MOST_SIGMAS**2) for each, _ in (before, after))
     count = np.maximum(np.count_nonzero(use, axis=1), 1)
     gains = np.where(use, still - moved, 0)
     mean = gains.sum(axis=1) / count
@@ -312,32 +315,21 @@ def _votes(level: _Level, before: _Vector, after: _Vector) -> tuple[int, int]:
     worse = np.where(use, np.maximum(still, moved), 0).sum(axis=1) / count
     is_sure = (np.abs(mean) > _VOTE_SIGMAS * error) & (np.abs(mean) > _VOTE_SHARE * worse)
     pro, contra = (int(np.count_nonzero(is_sure & (sign * mean > 0))) for sign in (1, -1))
-    return pro, contra
-
-
-def _carried(votes: tuple[int, int]) -> bool:
-    return votes[0] >= _LEAST_VOTES and votes[0] >= _VOTE_MAJORITY * sum(votes)
+    return pro >= _LEAST_VOTES and pro >= _VOTE_MAJORITY * (pro + contra)
 
 
 def _judged(level: _Level, fit: _Fit) -> _Vector | None:
     """Return the displacement of `fit` where enough blocks vote for it."""
-    votes = _votes(level, np.zeros(2), fit.place)
     whole = _fitted(level, fit.place, 4)
-    turn_votes = _votes(level, fit.place, whole.place)
-    if _carried(turn_votes) and _carried(_votes(level, np.zeros(2), whole.place)):
+    still, shifted, turned = map(level.residuals, (np.zeros(2), fit.place, whole.place))
+    if _carried(shifted, turned) and _carried(still, turned):
         return _known(whole) / (1, 1, level.half, level.half)
-    if _carried(votes):
+    if _carried(still, shifted):
         return np.append(_known(fit), (0, 0))
-    return np.zeros(4) if _is_at_rest(level) else None
-
-
-def _is_at_rest(level: _Level) -> bool:
-    """Return whether blocks vote against small displacements in all directions."""
-    still = np.zeros(2)
-    return all(
-        _carried(_votes(level, np.array(move), still))
-        for move in ((_SMALL, 0), (-_SMALL, 0), (0, _SMALL), (0, -_SMALL))
-    )
+    # It is at rest where blocks vote against small displacements in all directions.
+    moves = np.array(((_SMALL, 0), (-_SMALL, 0), (0, _SMALL), (0, -_SMALL)))
+    is_at_rest = all(_carried(level.residuals(move), still) for move in moves)
+    return np.zeros(4) if is_at_rest else None
 
 
 def _known(fit: _Fit) -> _Vector:

@@ -109,8 +109,8 @@ def plan_capture(
                 return accurate_settings(
                     controls, allowed, desired, limit_s, progress, before=before
                 )
-            wanted = ratios or _ratios_by_xi(controls, allowed, desired, limit_s, progress)
-            return _settings_by_xi(controls, allowed, desired, wanted, limit_s), wanted
+            requested = ratios or _ratios_by_xi(controls, allowed, desired, limit_s, progress)
+            return _settings_by_xi(controls, allowed, desired, requested, limit_s), requested
 
         by_shutter = (
             request if kind == ACCURACY else shutter_budget(controls, request, limit_s, before)

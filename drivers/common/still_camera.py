@@ -29,6 +29,8 @@ _ISO = (34855, "ISOSpeedRatings")  # so tifffile names it, as EXIF 2.2 did
 _MAKE, _MODEL = (271, "Make"), (272, "Model")
 _SERIAL = (42033, "BodySerialNumber")
 _DATE, _OFFSET = (36867, "DateTimeOriginal"), (36881, "OffsetTimeOriginal")
+_ORIENTATION = 274
+_QUARTER_TURNS = {1: 0, 3: 2, 6: 3, 8: 1}  # mirrored pictures are no camera's
 _CHANGED = 306  # when the file was made, where it does not say when the picture was taken
 _EXIF_IFD = "ExifTag"
 _LARGEST_ISO = 65535  # of the tag; it stands for higher ones, too
@@ -123,6 +125,7 @@ class StatedExposure:
         f_number: of the lens
         make, model, serial: of the camera
         taken_at: when the picture was taken; in the local zone where the file states none
+        quarter_turns: by which it must be turned anticlockwise to be upright, 0 to 3
     """
 
     time_s: float | None = None
@@ -132,6 +135,7 @@ class StatedExposure:
     model: str = ""
     serial: str = ""
     taken_at: datetime | None = None
+    quarter_turns: int = 0
 
 
 def stated_exposure(data: bytes) -> StatedExposure:
@@ -153,6 +157,7 @@ def stated_exposure(data: bytes) -> StatedExposure:
                 _text(top[tag].value if tag in top else exif.get(name))
                 for tag, name in (_MAKE, _MODEL, _SERIAL, _DATE, _OFFSET)
             )
+            turns = _QUARTER_TURNS.get(top[_ORIENTATION].value if _ORIENTATION in top else 1, 0)
             date = date or _text(top[_CHANGED].value if _CHANGED in top else None)
             time_s, f_number, iso = (
                 _number(top[tag].value if tag in top else exif.get(name))
@@ -161,7 +166,7 @@ def stated_exposure(data: bytes) -> StatedExposure:
     except Exception:  # a damaged tag can cause any error in tifffile
         return StatedExposure()
     gain = iso / 100 if iso is not None and iso < _LARGEST_ISO else None
-    return StatedExposure(time_s, gain, f_number, make, model, serial, _date(date, offset))
+    return StatedExposure(time_s, gain, f_number, make, model, serial, _date(date, offset), turns)
 
 
 def exposure_time_s(data: bytes) -> float | None:

@@ -108,9 +108,10 @@ def test_a_shift_of_a_smooth_photograph_is_named(shifted: int, columns: int, row
 @pytest.mark.parametrize(
     ("degrees", "zoom", "words"),
     [
-        (0.5, 1.0, "p2 is turned against p1 by about +0.5 degrees, and"),
-        (-1.0, 1.0, "p2 is turned against p1 by about -1.0 degrees, and"),
-        (0.0, 1.01, "p2 is enlarged against p1 by about +1.0 %, and"),
+        (0.5, 1.0, "p2 is turned against p1 by about 0.5 degrees clockwise, and"),
+        (-1.0, 1.0, "p2 is turned against p1 by about 1.0 degrees anticlockwise, and"),
+        (0.0, 1.01, "p2 is enlarged against p1 by about 1.0 %, and"),
+        (0.0, 0.98, "p2 is reduced against p1 by about 2.0 %, and"),
     ],
 )
 def test_a_turned_or_enlarged_photograph_is_named(degrees: float, zoom: float, words: str) -> None:

@@ -106,7 +106,7 @@ class Liar(WrappedCamera):
     ) -> Generator[Frame, None, None]:
         for frame, setting in zip(frames, settings, strict=True):
             type(self).count += 1
-            yield self.told(replace(frame, requested=setting, applied=setting))
+            yield self.returned(replace(frame, requested=setting, applied=setting))
 
     def possible(self, setting: ExposureSetting) -> ExposureSetting:
         return replace(setting, time_s=self.controls.time_s.nearest(setting.time_s))
@@ -114,7 +114,7 @@ class Liar(WrappedCamera):
     def changed(self, setting: ExposureSetting) -> ExposureSetting:
         return setting
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         return frame
 
 
@@ -138,7 +138,7 @@ class ExposesLongTimesTooLong(Liar):
 class RepeatsEveryThirtiethFrame(Liar):
     last: Frame | None = None
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         number, before = self.__dict__.get("number", 0) + 1, self.last
         self.__dict__["number"], self.last = number, frame
         if number % 30 == 0 and before is not None:
@@ -149,7 +149,7 @@ class RepeatsEveryThirtiethFrame(Liar):
 class MirrorsTheLowerHalf(Liar):
     """In every second frame."""
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         if frame.index % 2 == 0:
             return frame
         pixels = frame.pixels.copy()
@@ -176,7 +176,7 @@ class FailsOnLongLists(Liar):
 class AppliesTheFNumberOnce(Liar):
     """The light changes by the ratio of the f-numbers, not by its square."""
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         return frame
 
     def changed(self, setting: ExposureSetting) -> ExposureSetting:
@@ -195,7 +195,7 @@ class SetsFullStopsOnly(Liar):
 
 
 class ClipsBelowItsWhiteLevel(Liar):
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         top = frame.black + (frame.white - frame.black) * 4 // 5
         return replace(frame, pixels=np.minimum(frame.pixels, top).astype(np.uint8))
 
@@ -219,14 +219,14 @@ class SwapsPairsOfFrames(Liar):
 
 
 class InventsTimestamps(Liar):
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         return replace(frame, timestamp_s=frame.timestamp_s + 60.0)
 
 
 class HidesItsBlackLevel(Liar):
     """Adds a pedestal of 12 levels that it does not state."""
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         pixels = np.minimum(frame.pixels.astype(np.int64) + 12, frame.white)
         return replace(frame, pixels=pixels.astype(np.uint8))
 
