@@ -20,7 +20,7 @@ from sim.scenes.scene import scene_names
 from sim.sensors.sensor import sensor_names
 
 FACTORS = (0.1, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1, 1.25, 2.0, 10.0)
-_WARNING = "do not trust the parts"
+_WARNING = "do not trust"
 #: A bracket as it is computed for constant contrast, without the time to compute it.
 _REQUEST = camctl.CaptureRequest(ratios=(1.0, 8.9, 88.0))
 
