@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.response_matches import guess_exposures
+from camctl.calibration.response_matches import LARGEST_RATIO, guess_exposures
 from camctl.calibration.response_movement import moved_samples
 from camctl.calibration.spill import SampleGrid, grid_counts
 from camctl.controls import Layout
@@ -158,6 +158,8 @@ class Series:
         if not any(self._moved_between(*pair) is not None for pair in pairwise(order)):
             return
         for pair in combinations(order, 2):
+            if self.exposures[pair[1]] > LARGEST_RATIO * self.exposures[pair[0]]:
+                continue  # they are not matched
             if (moved := self._moved_between(*pair)) is not None:
                 for frame in pair:
                     self._moved[frame] = self._moved.get(frame, np.zeros_like(moved)) | moved
