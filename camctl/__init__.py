@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from camctl.controls import ExposureControls as ExposureControls
     from camctl.controls import ExposureSetting as ExposureSetting
     from camctl.controls import Layout as Layout
+    from camctl.controls import ResponseOrigin as ResponseOrigin
     from camctl.controls import Steps as Steps
     from camctl.errors import CamctlError as CamctlError
     from camctl.errors import CameraBusyError as CameraBusyError
@@ -111,7 +112,7 @@ _NAMES = {
     "captures.sequence": "Progress",
     "captures.sequencer": "capture resume",
     "clock": "CaptureTiming Clock RealClock VirtualClock",
-    "controls": "Choices ExposureControls ExposureSetting Layout Steps",
+    "controls": "Choices ExposureControls ExposureSetting Layout ResponseOrigin Steps",
     "errors": (
         "CamctlError CameraBusyError CameraDisconnectedError CameraError CameraNotFoundError "
         "CameraProtocolError CameraTimeoutError CaptureError DataError InterruptedCaptureError "

@@ -22,7 +22,7 @@ from camctl.camera import (
     StreamingCamera,
 )
 from camctl.clock import Clock
-from camctl.controls import ExposureControls, ExposureSetting
+from camctl.controls import ExposureControls, ExposureSetting, ResponseOrigin
 from camctl.errors import DataError
 from camctl.exposure_record import exposure_mode
 from camctl.interrupts import entering, uninterrupted
@@ -82,7 +82,7 @@ def calibrated(
     dates = {}
     if RESPONSE in parts and (response := profile.responses.get(mode)) is not None:
         _check_levels(controls, response, profile)
-        changes |= response_changes(controls, response)
+        changes |= response_changes(response)
         dates[RESPONSE] = response.measured_at
     if EXPOSURES in parts and (exposures := profile.exposures.get(mode)) is not None:
         changes["true_exposures"] = exposures
@@ -102,7 +102,7 @@ def calibrated(
     return replace(controls, **changes, profile=f"{profile.name}: {measured}")
 
 
-def response_changes(controls: ExposureControls, record: ResponseRecord) -> dict[str, Any]:
+def response_changes(record: ResponseRecord) -> dict[str, Any]:
     """Return the fields of the controls that a measured response replaces."""
     names = [channel.name for channel in record.channels]
     found = tuple(record.camera_response(name) for name in names)
@@ -112,8 +112,7 @@ def response_changes(controls: ExposureControls, record: ResponseRecord) -> dict
         "response": main,
         "responses": found if different else (),
         "phase": record.phase,
-        # What a driver says of a response that it only assumes is no longer true.
-        "notes": tuple(note for note in controls.notes if note not in controls.response_notes),
+        "response_origin": ResponseOrigin.MEASURED,
     }
 
 
@@ -187,7 +186,7 @@ class CalibratedCamera:
         if controls.profile is not None:
             _log.info("using the profile %s", controls.profile)
             return
-        if controls.response is not None and controls.noise is not None:
+        if not controls.has_assumed_response and controls.noise is not None:
             return  # the driver states what the profile would replace
         profile = self._profile
         modes = sorted({*profile.exposures, *profile.responses, *profile.noises})

@@ -8,16 +8,18 @@ the rounded labels of a dial (1/30 on a dial of third stops is 1/32 s).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
 from camctl.clock import CaptureTiming
-from camctl.errors import RefusedSettingError, UsageError
+from camctl.control_values import Choices as Choices
+from camctl.control_values import Control as Control
+from camctl.control_values import Steps as Steps
+from camctl.errors import DataError, RefusedSettingError, UsageError
 from camctl.noise_model import FrameNoise, MeasuredNoise, NoiseModel
 from camctl.response.camera import CameraResponse, linear_response
 
@@ -46,6 +48,14 @@ class Layout(StrEnum):
         return [pixels[row::2, column::2] for row in (0, 1) for column in (0, 1)]
 
 
+class ResponseOrigin(StrEnum):
+    """From where a camera's response is known."""
+
+    STATED = "stated"  # by the format, the maker or the user
+    MEASURED = "measured"
+    ASSUMED = "assumed"  # not known: a usual one is taken
+
+
 @dataclass(frozen=True)
 class ExposureSetting:
     """Settings of one exposure.
@@ -64,115 +74,6 @@ class ExposureSetting:
     def exposure(self) -> float:
         """Exposure, which is time x gain / f-number^2, in arbitrary but constant units."""
         return self.time_s * self.gain / (self.f_number or 1.0) ** 2
-
-
-def _ratio_distance(value: float) -> Callable[[float], float]:
-    return lambda choice: abs(math.log(choice / value))
-
-
-@dataclass(frozen=True)
-class Choices:
-    """A control with a list of settings.
-
-    Attributes:
-        values: the settings, different, ascending, > 0
-
-    Raises:
-        ValueError: `values` is empty or not ascending
-    """
-
-    values: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        if not self.values or list(self.values) != sorted(set(self.values)):
-            raise ValueError(f"invalid choices {self.values}: expected different ascending values")
-
-    @property
-    def minimum(self) -> float:
-        """The smallest setting."""
-        return self.values[0]
-
-    @property
-    def maximum(self) -> float:
-        """The largest setting."""
-        return self.values[-1]
-
-    def nearest(self, value: float) -> float:
-        """Return the setting nearest to `value` (> 0) as a ratio."""
-        return min(self.values, key=_ratio_distance(value))
-
-    def near(self, value: float, count: int) -> tuple[float, ...]:
-        """Return up to `count` settings nearest to `value` (> 0) as ratios, ascending.
-
-        >>> Choices((1.0, 3.0)).near(1.9, 1)
-        (3.0,)
-        """
-        ranked = sorted(self.values, key=_ratio_distance(value))
-        return tuple(sorted(ranked[:count]))
-
-    def between(self, low: float, high: float, count: int) -> tuple[float, ...]:
-        """Return up to `count` settings within [low, high], the largest ones, ascending."""
-        return tuple(value for value in self.values if low <= value <= high)[-count:]
-
-
-@dataclass(frozen=True)
-class Steps:
-    """A control that goes from `minimum` to `maximum` in equal steps.
-
-    Attributes:
-        minimum: smallest setting, > 0
-        maximum: largest setting
-        step: distance between neighbouring settings; 0: continuous
-
-    Raises:
-        ValueError: the values do not meet 0 < minimum <= maximum and step >= 0
-    """
-
-    minimum: float
-    maximum: float
-    step: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (0 < self.minimum <= self.maximum < math.inf and 0 <= self.step < math.inf):
-            raise ValueError(
-                f"invalid range {self.minimum:g} to {self.maximum:g} in steps of {self.step:g}: "
-                "expected 0 < minimum <= maximum and step >= 0"
-            )
-
-    @property
-    def _last(self) -> int:
-        return math.floor((self.maximum - self.minimum) / self.step * (1 + 1e-12) + 1e-9)
-
-    def _at(self, index: int) -> float:
-        return self.minimum + min(max(index, 0), self._last) * self.step
-
-    def nearest(self, value: float) -> float:
-        """Return the setting nearest to `value`."""
-        value = min(max(value, self.minimum), self.maximum)
-        return self._at(round((value - self.minimum) / self.step)) if self.step else value
-
-    def near(self, value: float, count: int) -> tuple[float, ...]:
-        """Return up to `count` settings nearest to `value`, ascending; one where continuous."""
-        value = min(max(value, self.minimum), self.maximum)
-        if self.step == 0:
-            return (value,)
-        first = round((value - self.minimum) / self.step - (count - 1) / 2)
-        first = max(0, min(first, self._last - count + 1))
-        return tuple(self._at(i) for i in range(first, min(first + count, self._last + 1)))
-
-    def between(self, low: float, high: float, count: int) -> tuple[float, ...]:
-        """Return up to `count` settings within [low, high], the largest ones, ascending."""
-        low, high = max(low, self.minimum), min(high, self.maximum)
-        if low > high:
-            return ()
-        if self.step == 0:
-            return tuple(float(v) for v in np.unique(np.geomspace(low, high, count)))
-        first = math.ceil((low - self.minimum) / self.step - 1e-9)
-        last = math.floor((high - self.minimum) / self.step + 1e-9)
-        return tuple(self._at(i) for i in range(max(first, last - count + 1), last + 1))
-
-
-Control: TypeAlias = Choices | Steps
 
 
 class ExposureCorrection(Protocol):
@@ -202,6 +103,9 @@ class TrueExposures(Protocol):
         ...
 
 
+_FIXED_GAIN = Choices((1.0,))
+
+
 @dataclass(frozen=True)
 class ExposureControls:
     """What a camera can set, and the properties of its frames.
@@ -217,8 +121,10 @@ class ExposureControls:
         white: white level: brightness from which a sample counts as saturated, DN
         phase: phase of the quantiser in levels: 0 truncates, 1/2 rounds; a black level that is not
             a whole number gives values between
-        response: the measured response, as levels between black and white; None: linear; where the
-            colours have responses of their own, that of green
+        response: as levels between black and white; None: linear; where the colours have responses
+            of their own, that of green
+        response_origin: whether the response is stated, measured or only assumed; every driver must
+            say it
         responses: the responses of R, G and B where they differ; else none
         delay_frames: frames from setting an exposure to the first frame that has it; None where
             this delay is not constant, so that the driver waits until each setting takes effect
@@ -243,7 +149,7 @@ class ExposureControls:
     shape: tuple[int, int]
     layout: Layout
     bits: int
-    gain: Control = Choices((1.0,))
+    gain: Control = _FIXED_GAIN
     f_number: Control | None = None
     black: int = 0
     white: int = 0
@@ -261,6 +167,7 @@ class ExposureControls:
     hot_pixels: tuple[tuple[int, int], ...] = ()
     profile: str | None = None
     pixel_format: str = ""
+    response_origin: ResponseOrigin = field(kw_only=True)
 
     def __post_init__(self) -> None:
         if not (1 <= self.bits <= 16 and 0 <= self.black < self.white < 2**self.bits):
@@ -277,9 +184,34 @@ class ExposureControls:
         return linear_response(self.bits, phase=self.phase, levels=self.white - self.black)
 
     @property
-    def response_notes(self) -> tuple[str, ...]:
-        """The notes that say that the response is only assumed; none where it is known."""
-        return tuple(note for note in self.notes if "response" in note and "assumed" in note)
+    def has_assumed_response(self) -> bool:
+        """Whether the response is only assumed."""
+        return self.response_origin is ResponseOrigin.ASSUMED
+
+    @property
+    def response_warnings(self) -> tuple[str, ...]:
+        """One line for people where the response is only assumed; none where it is known."""
+        if not self.has_assumed_response:
+            return ()
+        name = "linear" if self.response is None else self.response.name.partition(",")[0]
+        return (f"the response {name} is assumed until it is measured",)
+
+    def check_response(self, measured: str) -> None:
+        """Check that the response is known, without which `measured` cannot be measured.
+
+        Args:
+            measured: what is measured, as the command ``camctl calibrate`` names it
+
+        Raises:
+            DataError: the response is only assumed
+        """
+        if self.has_assumed_response:
+            raise DataError(
+                "the response of the camera is only assumed, and without the true one its "
+                f"{measured} cannot be measured",
+                hint="measure it first with camctl calibrate response, or give it: camctl "
+                f"calibrate {measured} --response NAME",
+            )
 
     def exposure(self, setting: ExposureSetting) -> float:
         """Return the true exposure of a setting, in the unit of `ExposureSetting.exposure`."""

@@ -1,16 +1,30 @@
-"""Memory that is free within the process, returned to the system."""
+"""Memory that is free within the process: shared by its threads, and returned to the system.
+
+Both are for the GNU C library; others have no such functions, and nothing is done.
+"""
 
 from __future__ import annotations
 
 import ctypes
 from contextlib import suppress
 
+#: `M_ARENA_MAX` of malloc.h.
+_MOST_POOLS = -8
+
+
+def share_free_memory() -> None:
+    """Let threads that begin from now on use what others have freed.
+
+    Otherwise each has a pool of its own, which keeps what it has freed.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).mallopt(_MOST_POOLS, 1)
+
 
 def return_free_memory() -> None:
-    """Return what the process has freed to the system, where its C library keeps that.
+    """Return what the process has freed to the system.
 
-    The GNU library does, for each thread: several large steps of work would take the sum of their
-    memory, and not the largest.
+    Several large steps of work would take the sum of their memory, and not the largest.
     """
-    with suppress(AttributeError, OSError, TypeError):  # other libraries have no such function
+    with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

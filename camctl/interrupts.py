@@ -56,10 +56,10 @@ class Interrupt(KeyboardInterrupt):
 @contextlib.contextmanager
 def signal_handlers() -> Iterator[None]:
     """Handle the signals while the block runs; do nothing in a thread other than the main one."""
-    global _last, _ended
+    global _last, _waiting, _ended
     previous: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        _last, _ended = None, threading.Event()
+        _last, _waiting, _ended = None, None, threading.Event()
         for number in _SIGNALS:
             handler = signal.getsignal(number)
             if handler not in (signal.SIG_IGN, None):  # None: installed by a library in C
@@ -93,6 +93,7 @@ def uninterrupted(function: Callable[_Arguments, _Result]) -> Callable[_Argument
         try:
             return function(*arguments, **named)
         finally:
+            is_over = True  # noqa: F841  # for `_region`: from here on a signal need not wait
             _raise_waiting(sys._getframe().f_back)
 
     return call
@@ -192,7 +193,7 @@ def _region(frame: FrameType | None) -> CodeType | None:
     while frame is not None:
         if frame.f_code is _INTERRUPTIBLE:
             return innermost or _INTERRUPTIBLE
-        if frame.f_code is _UNINTERRUPTED:
+        if frame.f_code is _UNINTERRUPTED and "is_over" not in frame.f_locals:
             innermost = _UNINTERRUPTED
         frame = frame.f_back
     return None

@@ -34,7 +34,7 @@ def resource_error(error: BaseException) -> ResourceError | None:
     """Return the error of camctl for what the system refused; None: `error` is something else.
 
     Python and libraries raise it as MemoryError, OSError and others.  An OSError counts only if it
-    names a file, or if its number alone tells what to do.
+    names a file, or if its number alone says what to do.
     """
     if isinstance(error, ResourceError):
         return error

@@ -88,7 +88,7 @@ def _first(pattern: str, text: str) -> str:
 def read_dump(path: Path, maker: str) -> dict[str, Any] | None:
     """Return the facts of one body; None if the file has no operations and no shutter time."""
     text = path.read_text(encoding="utf-8", errors="replace")
-    wanted = {*_STANDARD, *_OF_MAKER.get(maker, ())}
+    requested = {*_STANDARD, *_OF_MAKER.get(maker, ())}
     properties: dict[str, Any] = {}
     order: list[int] = []
     for line in text.splitlines():
@@ -98,7 +98,7 @@ def read_dump(path: Path, maker: str) -> dict[str, Any] | None:
         code, fact = found
         if code not in order:
             order.append(code)
-            if code in wanted:
+            if code in requested:
                 properties[f"{code:04X}"] = fact
     access = next(
         (
@@ -110,13 +110,13 @@ def read_dump(path: Path, maker: str) -> dict[str, Any] | None:
         None,
     )
     operations = sorted(set(_listed(text, _OPERATIONS)))
-    listed = [code for code in _listed(text, _PROPERTIES) if code in wanted]
+    listed = [code for code in _listed(text, _PROPERTIES) if code in requested]
     # What a maker's operation adds comes after the last codes of the device information.
     order = order or _listed(text, _PROPERTIES)
     last = max(
         (order.index(code) for code in (0xD303, 0xD406, 0xD407) if code in order), default=-1
     )
-    hidden = [f"{code:04X}" for code in order[last + 1 :] if last >= 0 and code in wanted]
+    hidden = [f"{code:04X}" for code in order[last + 1 :] if last >= 0 and code in requested]
     capabilities = _first(r"^\s*(.*Image Capture, .*)$", text)
     if maker == "canon":
         properties.update(_canon_dials(text))

@@ -22,6 +22,7 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
+from camctl.free_memory import return_free_memory
 from menu.capture_list import list_captures, next_folder
 from menu.data import (
     CameraEntry,
@@ -35,7 +36,6 @@ from menu.data import (
     Settings,
     Summary,
 )
-from menu.memory import return_free_memory
 from menu.remembered_previews import RememberedPreviews
 from menu.settings_file import load_settings, save_settings
 from menu.thumbnails import frame_histogram, frame_picture

@@ -24,9 +24,3 @@ def use_little_memory() -> None:
         library = ctypes.CDLL(None)
         library.mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
         library.mallopt(_M_ARENA_MAX, 1)
-
-
-def return_free_memory() -> None:
-    """Give memory that is free again back to the system."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)

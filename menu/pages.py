@@ -43,11 +43,11 @@ def idle(model: Model) -> Screen:
                 )
             )
         )
-    wanted = choice(model.settings, model.goal)
+    requested = choice(model.settings, model.goal)
     name = RESPONSES[model.settings.response].labels[-1]
-    wide = "auto" if wanted.dynamic_range is None else range_text(wanted.dynamic_range)
+    wide = "auto" if requested.dynamic_range is None else range_text(requested.dynamic_range)
     narrow = wide.replace(",", "")
-    count = "" if wanted.count is None else f" x{wanted.count}"
+    count = "" if requested.count is None else f" x{requested.count}"
     lines.append(Line((f"{name}, {wide},{count or ' auto'}", f"{name[:6]} {narrow}{count}"[:14])))
     if reading is not None:
         free = format_bytes(reading.free_bytes)

@@ -78,16 +78,16 @@ _AFTER_RESPONSE = {
 
 
 def _selection(model: Model) -> str:
-    wanted = choice(model.settings, model.goal)
-    if wanted.count is not None:
-        goal = f"{wanted.count} exposures"
-    elif wanted.time_budget_s is not None:
-        goal = f"{format_short_time(wanted.time_budget_s)} at most"
-    elif wanted.accuracy is not None:
-        goal = f"{format_levels(wanted.accuracy)} levels at least"
+    requested = choice(model.settings, model.goal)
+    if requested.count is not None:
+        goal = f"{requested.count} exposures"
+    elif requested.time_budget_s is not None:
+        goal = f"{format_short_time(requested.time_budget_s)} at most"
+    elif requested.accuracy is not None:
+        goal = f"{format_levels(requested.accuracy)} levels at least"
     else:
         goal = ""
-    span = "auto range" if wanted.dynamic_range is None else range_text(wanted.dynamic_range)
+    span = "auto range" if requested.dynamic_range is None else range_text(requested.dynamic_range)
     parts = (RESPONSES[model.settings.response].labels[0], span, goal)
     return ", ".join(filter(None, parts[: _AFTER_RESPONSE[model.state]]))
 

@@ -9,7 +9,7 @@ from statistics import median
 
 from camctl.camera import CameraBase, CameraInfo, Frame, Pixels
 from camctl.clock import Clock, VirtualClock
-from camctl.controls import ExposureControls, ExposureSetting
+from camctl.controls import ExposureControls, ExposureSetting, ResponseOrigin
 from camctl.errors import CameraBusyError, CameraTimeoutError, UsageError
 from camctl.profile import load_profile
 from camctl.streaming import (
@@ -97,7 +97,15 @@ class SimulatedCamera(CameraBase):
         )
         self.is_unknown = is_unknown
         if is_unknown:
-            controls = replace(controls, response=None, noise=None, sensitivity=None)
+            # The samples of a mosaic are raw, and so linear.
+            known = controls.layout.is_mosaic
+            controls = replace(
+                controls,
+                response=None,
+                response_origin=ResponseOrigin.STATED if known else ResponseOrigin.ASSUMED,
+                noise=None,
+                sensitivity=None,
+            )
             delays = load_profile(self._info).delays
             self._delay = ControlDelay.from_record(delays.get(_mode(controls, sensor)))
         self._controls = replace(
@@ -108,7 +116,7 @@ class SimulatedCamera(CameraBase):
                 self._delay.timing(0.0 if isinstance(self._clock, VirtualClock) else 0.5),
                 rests=self._delay.frames is not None,
             ),
-            notes=(*scene.notes, *self._delay.notes("sim"), *_response_notes(controls, is_unknown)),
+            notes=(*scene.notes, *self._delay.notes("sim")),
         )
         self._renderer = Renderer(
             View.of(scene, sensor), sensor, seed=seed, tolerance_dn=tolerance_dn
@@ -278,13 +286,6 @@ class SimulatedCamera(CameraBase):
         self._exposure = exposure
         self._plan = self._renderer.plan(exposure, share=self._tolerance_share)
         return self._renderer.expose(exposure, self._plan)
-
-
-def _response_notes(controls: ExposureControls, is_unknown: bool) -> tuple[str, ...]:
-    """Return that the response is not known; the samples of a mosaic are raw, and so linear."""
-    if not is_unknown or controls.layout.is_mosaic:
-        return ()
-    return ("the response is assumed to be linear until it is measured",)
 
 
 def _mode(controls: ExposureControls, sensor: Sensor) -> str:

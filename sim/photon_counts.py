@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 READ_NOISE_THAT_HIDES_COUNTS_E = 2.5
-"""Read noise, electrons, from which whole and continuous charge cannot be told apart: the peaks of
-single electrons then have a contrast below 1e-50 (``2 exp(-2 pi^2 R^2)``), and the difference of
+"""Read noise, electrons, from which whole and continuous charge cannot be distinguished: the peaks
+of single electrons then have a contrast below 1e-50 (``2 exp(-2 pi^2 R^2)``), and the difference of
 the distributions is below 0.006 e- (Wasserstein-1) at every mean."""
 
 LARGEST_COUNT_NOISE = NormalDist().inv_cdf(1 - 0.5 / 2**32) * 1.0001

@@ -4,7 +4,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout, Steps
+from camctl.controls import (
+    Choices,
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+    ResponseOrigin,
+    Steps,
+)
 from camctl.errors import RefusedSettingError, UsageError
 
 
@@ -53,7 +60,12 @@ def test_invalid_steps_are_refused(values: tuple[float, float, float]) -> None:
 
 
 CONTROLS = ExposureControls(
-    time_s=Choices((0.01, 0.1)), shape=(4, 6), layout=Layout.MONO, bits=8, white=255
+    time_s=Choices((0.01, 0.1)),
+    shape=(4, 6),
+    layout=Layout.MONO,
+    bits=8,
+    white=255,
+    response_origin=ResponseOrigin.STATED,
 )
 
 
@@ -97,4 +109,5 @@ def test_inconsistent_bit_depth_black_and_white_are_refused(
             bits=bits,
             black=black,
             white=white,
+            response_origin=ResponseOrigin.STATED,
         )

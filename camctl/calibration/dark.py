@@ -256,8 +256,8 @@ def measure_dark(
     )
     at = next(showing, record.gains[-1])
     longest = max(controls.time_s.minimum, min(controls.time_s.maximum, longest_s))
-    wanted = np.linspace(controls.time_s.minimum, longest, TIMES)
-    times = sorted({controls.time_s.nearest(float(each)) for each in wanted})
+    requested = np.linspace(controls.time_s.minimum, longest, TIMES)
+    times = sorted({controls.time_s.nearest(float(each)) for each in requested})
     frames = DarkFrames(controls.black, controls.white)
     settings = [ExposureSetting(time_s, at.gain) for time_s in times for _ in (0, 1)]
     for done, frame in enumerate(camera.shoot(settings)):

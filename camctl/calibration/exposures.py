@@ -14,7 +14,7 @@ import numpy as np
 
 from camctl.camera import Camera
 from camctl.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
-from camctl.errors import CaptureError, DataError
+from camctl.errors import CaptureError
 from camctl.exposure.patches import LightScale, Patches, sample_patches
 from camctl.exposure.ratios import RatioEstimates, comparable_frames, estimate_ratios
 from camctl.exposure_record import Correction, ExposureRecord
@@ -58,17 +58,13 @@ def measure_exposures(
 
     Raises:
         CaptureError: the scene is too dark or too bright, or its light is not steady
-        DataError: the response is not known, or the frames cannot be compared: see
+        DataError: the response is only assumed, or the frames cannot be compared: see
             `estimate_ratios`
         CameraError: as `Camera.shoot` raises
     """
     controls = camera.controls
-    if response is None and controls.response_notes:
-        raise DataError(
-            f"the response of {camera.info.make} {camera.info.model} is not known, and its pixels "
-            "do not say the exposures without it",
-            hint="measure it first with camctl calibrate response, or state it with --response",
-        )
+    if response is None:
+        controls.check_response("exposure")
     scale = LightScale(controls.levels if response is None else response, controls.black)
     times = _useful_times(camera, _candidates(controls.time_s, longest_s), scale)
     base = controls.gain.nearest(1.0)
@@ -184,8 +180,8 @@ def _candidates(control: Control, longest_s: float) -> list[float]:
         return [value for value in control.values if value <= longest_s] or [control.minimum]
     longest_s = max(control.minimum, min(control.maximum, longest_s))
     count = 1 + math.ceil(_TIMES_PER_STOP * math.log2(longest_s / control.minimum))
-    wanted = np.geomspace(control.minimum, longest_s, count)
-    return sorted({control.nearest(float(value)) for value in wanted})
+    requested = np.geomspace(control.minimum, longest_s, count)
+    return sorted({control.nearest(float(value)) for value in requested})
 
 
 def _gains(control: Control, base: float) -> list[float]:

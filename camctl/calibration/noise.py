@@ -12,6 +12,7 @@ from camctl.camera import Camera
 from camctl.controls import Control, ExposureSetting
 from camctl.errors import CaptureError
 from camctl.noise_record import NoiseRecord
+from camctl.response.camera import CameraResponse
 
 EXPOSURES = 12
 #: Longest shutter time that is used unless another one is asked for, s.
@@ -31,6 +32,7 @@ def measure_noise(
     is_flat: bool = False,
     exposures: int = EXPOSURES,
     longest_s: float = LONGEST_S,
+    response: CameraResponse | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> NoiseRecord:
     """Shoot pairs of frames from dark to saturated at some gains, and return the noise.
@@ -40,16 +42,20 @@ def measure_noise(
         is_flat: an evenly lit surface fills the picture
         exposures: pairs at each gain, at least 3
         longest_s: longest shutter time, s
+        response: of the camera; None: that of its controls
         progress: called with the share that is done, 0 to 1
 
     Raises:
         CaptureError: the scene is too dark or too bright for the camera's shutter times
-        DataError: the frames are not suitable; says why and what to do
+        DataError: the response is only assumed, or the frames are not suitable; says why and what
+            to do
         CameraError: as `Camera.shoot` raises
     """
     controls = camera.controls
-    responses = same_response(controls.levels, controls.layout)
-    if controls.responses:
+    if response is None:
+        controls.check_response("noise")
+    responses = same_response(response or controls.levels, controls.layout)
+    if controls.responses and response is None:
         responses = dict(zip("RGB", controls.responses, strict=True))
     frames = NoiseFrames(
         controls.layout,
@@ -104,8 +110,9 @@ def _settings(camera: Camera, count: int, longest_s: float) -> list[ExposureSett
     found = []
     for gain in _gains(controls.gain, base):
         scale = base / gain
-        wanted = np.geomspace(max(shortest, first * scale), max(shortest, seen[-1] * scale), count)
-        chosen = sorted({controls.time_s.nearest(float(each)) for each in wanted})
+        least, most = (max(shortest, each * scale) for each in (first, seen[-1]))
+        spread = np.geomspace(least, most, count)
+        chosen = sorted({controls.time_s.nearest(float(each)) for each in spread})
         if len(chosen) >= 3 or gain == base:
             found += [ExposureSetting(time_s, gain) for time_s in chosen]
     return found

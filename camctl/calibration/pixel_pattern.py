@@ -1,8 +1,9 @@
 """How much the sensitivity of the pixels differs (PRNU), from two views of any scene.
 
-In one view the pattern of the pixels cannot be told from the scene: both are in proportion to the
-light.  Where the camera has been turned a little, the pattern is where it was and the scene is not,
-so that what the deviations of both views from smooth shades have in common is the pattern alone.
+In one view the pattern of the pixels cannot be distinguished from the scene: both are in proportion
+to the light.  Where the camera has been turned a little, the pattern is where it was and the scene
+is not, so that what the deviations of both views from smooth shades have in common is the pattern
+alone.
 The patterns of offsets and of dark current (DSNU, DCNU) stay, too: where they are known, they are
 subtracted.
 """

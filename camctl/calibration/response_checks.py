@@ -32,7 +32,7 @@ _JUDGED = (0.05, 0.95)
 KEPT = 0.07
 #: Root mean square of these from which a response is refused: random film and camera responses
 #: differ by as much from sRGB (root mean square over 3000), which needs no measurement.
-USELESS = 0.4
+REFUSED = 0.4
 #: Steps of exposures, as factors, that are wide; and exposures in between that are proposed.
 _WIDE_STEP, _MOST_ADDED = 2.5, 4
 #: A frame's exposure is judged if this share of its pixels is between `_COMPARED`: errors of the
@@ -213,7 +213,7 @@ def check_interval(record: ResponseRecord, exposures: Sequence[float], labels: L
         DataError: it is not; says why, and what would help
     """
     intervals = intervals_of(record)
-    if intervals is None or intervals.mean <= USELESS:
+    if intervals is None or intervals.mean <= REFUSED:
         return
     known = f"the response would be known to +-{intervals.mean:.0%} only"
     if labels.problem:

@@ -68,7 +68,7 @@ def measure_response(
         is_shot=True,
         measured_exposures="none" if controls.true_exposures is None else "used",
     )
-    if series.measured_exposures == "used" and _has_unknown_response(camera):
+    if series.measured_exposures == "used" and _had_assumed_response(camera):
         series.measured_exposures = "ignored"
         series.notes.append(_IGNORED)
         controls = replace(controls, true_exposures=None)
@@ -82,12 +82,11 @@ def measure_response(
     return series
 
 
-def _has_unknown_response(camera: Camera) -> bool:
+def _had_assumed_response(camera: Camera) -> bool:
     """Return whether the camera's response was neither stated nor measured so far."""
-    mode = exposure_mode(camera.controls)
-    if not camera.controls.response_notes:
+    if not camera.controls.has_assumed_response:
         return False
-    return mode not in load_profile(camera.info).responses
+    return exposure_mode(camera.controls) not in load_profile(camera.info).responses
 
 
 def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:

@@ -188,11 +188,7 @@ class _Calibration:
         return None
 
     def _measure_exposures(self, camera: Camera, options: StepOptions, progress: Progress) -> Found:
-        if camera.controls.response_notes:
-            raise DataError(
-                "the response was not measured, and the pixels do not say the exposures without it",
-                hint="measure the response first",
-            )
+        camera.controls.check_response("exposure")
         try:
             record = measure_exposures(
                 camera, longest_s=options.longest_s, progress=progress, warn=options.warn

@@ -36,21 +36,21 @@ def objective_of(request: CaptureRequest, controls: ExposureControls, *, has_tab
     Raises:
         UsageError: accuracy is requested of a camera whose noise is unknown
     """
-    wanted = request.objective
+    requested = request.objective
     if request.accuracy is not None:
-        wanted = ACCURACY
-    if wanted == ACCURACY and controls.noise is None:
+        requested = ACCURACY
+    if requested == ACCURACY and controls.noise is None:
         raise UsageError(
             "the noise of this camera is unknown, so that exposures cannot be chosen by accuracy",
             hint="choose them by xi (--objective xi), without --accuracy",
         )
-    if wanted == ACCURACY and has_table:
+    if requested == ACCURACY and has_table:
         raise UsageError(
             "a table (--table) has exposures chosen by xi, not by accuracy",
             hint="leave one of them out",
         )
-    if wanted is not None:
-        return wanted
+    if requested is not None:
+        return requested
     only_xi = (
         request.tolerance is not None
         or request.levels_wanted is not None

@@ -24,6 +24,8 @@ TOLERANCE = 0.015
 #: Relative depth of the flicker of sodium and fluorescent lamps.  They change the whole picture, as
 #: a wrong exposure does.
 LAMP_DEPTH = 0.4
+MOST_CHANGE = 1.1
+"""Factor by which lamps may change a ratio before the picture is not trustworthy, either."""
 #: Slowest usual flicker, Hz: twice the frequency of the mains.
 _FLICKER_HZ = 100.0
 #: Tolerance of a comparison that was not made, and the largest contribution of scatter to one.
@@ -32,6 +34,10 @@ LARGEST_TOLERANCE = 0.5
 _LEAST_SAMPLES, _FEW_SAMPLES = 32, 128
 #: Samples above this share of full scale are not compared: noise saturates some of them.
 _HIGHEST = 0.9
+#: Levels without which noise of a few electrons decides which samples are unsaturated.
+_FEWEST_LEVELS = 8
+#: Share of the light beyond saturation that flows to other samples (blooming), at most.
+_SPILLED = 0.05
 #: Share of the samples of a bright patch that must be compared: without a tenth of them, the mean
 #: of the others lies 0.2 standard deviations of their noise too low; without 2 %, 0.05.
 _WHOLE = 0.98
@@ -86,6 +92,7 @@ class NeighbourCheck:
         expected: float,
         times_s: tuple[float, float],
         mains_hz: float | None,
+        most: float = MOST_CHANGE,
     ) -> RatioCheck:
         """Compare the frame at `position` with the one before it.
 
@@ -94,12 +101,14 @@ class NeighbourCheck:
             expected: ratio of the exposures, later over earlier
             times_s: their shutter times, s
             mains_hz: frequency of the mains that feeds the lamps; None: unknown
+            most: factor by which lamps may change the ratio at most
         """
         return self.compare(
             self._samples[position - 1],
             self._samples[position],
             expected,
             lamp_factor(times_s, mains_hz),
+            most,
         )
 
     def sample(self, pixels: Pixels) -> Patches:
@@ -116,6 +125,7 @@ class NeighbourCheck:
         after: Patches,
         expected: float,
         lamps: float = 1.0,
+        most: float = math.inf,
     ) -> RatioCheck:
         """Compare two samples on what is unsaturated in both, and not dark.
 
@@ -124,6 +134,7 @@ class NeighbourCheck:
             after: the same of the next frame
             expected: ratio of their exposures, after over before
             lamps: factor by which lamps may change it; see `lamp_factor`
+            most: factor by which they may before the picture is not trustworthy
         """
         light, then = self.scale.light[before], self.scale.light[after]
         usable = np.maximum(light, then) <= _HIGHEST * self.scale.full
@@ -136,6 +147,8 @@ class NeighbourCheck:
         count[is_cut] = 0.0
         too_bright = self._wrongly_saturated(light, then, expected)
         too_dark = self._wrongly_saturated(then, light, 1 / expected)
+        if self.scale.white - self.scale.black < _FEWEST_LEVELS:
+            count[:] = too_bright = too_dark = 0.0
         # The geometric mean of both frames: neither alone decides which patches vote.
         darkest = self._dark / 2
         both = np.maximum(first, darkest) * np.maximum(second / expected, darkest)
@@ -166,7 +179,7 @@ class NeighbourCheck:
             weights[-2:] = too_bright, too_dark
         measured = _quantile(votes, weights, 0.5)
         share = _share_outside(votes, weights, expected, 1 + tolerance)
-        beyond_lamps = _share_outside(votes, weights, expected, (1 + tolerance) * lamps)
+        beyond_lamps = _share_outside(votes, weights, expected, (1 + tolerance) * min(lamps, most))
         return RatioCheck(
             expected=expected,
             measured=measured if 0 < measured < math.inf else None,
@@ -176,13 +189,24 @@ class NeighbourCheck:
             compared=compared,
             contradicting=share,
             contradicts=is_certain and beyond_lamps > 0.5,
+            lamps=lamps,
         )
 
     def _wrongly_saturated(self, dim: _Floats, bright: _Floats, ratio: float) -> float:
-        """Return how many samples are saturated in `bright`, though `dim` x `ratio` is not."""
-        only = (dim <= _HIGHEST * self.scale.full) & (bright >= self.scale.full)
-        wrong = ratio * (_means(dim, only) + 2 * self._offset) <= _CERTAIN * self.scale.full
-        return float(np.count_nonzero(only[wrong]))
+        """Return how many samples are saturated in `bright`, though `dim` x `ratio` is not.
+
+        None is where light that flows out of others, saturated rightly, is enough for it.
+        """
+        full = self.scale.full
+        is_white = bright >= full
+        only = (dim <= _HIGHEST * full) & is_white
+        expected = ratio * (_means(dim, only) + 2 * self._offset)
+        wrong = expected <= _CERTAIN * full
+        number = np.count_nonzero(only[wrong])
+        needed = float(np.sum((full - expected) * np.count_nonzero(only, axis=1), where=wrong))
+        right = is_white & ~wrong[:, np.newaxis]
+        beyond = float(np.sum(np.maximum(ratio * dim - full, 0.0), where=right))
+        return float(number) if needed > _SPILLED * beyond else 0.0
 
     def _tolerance(self, first: _Floats, second: _Floats, expected: float, spread: float) -> float:
         """Return the relative error that the median of the patches' ratios may have.

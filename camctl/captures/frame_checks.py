@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import PHOTOGRAPHS, Camera, Pixels
 from camctl.captures.delay_check import ShotLog
-from camctl.captures.exposure_check import NeighbourCheck
+from camctl.captures.exposure_check import MOST_CHANGE, NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side
 from camctl.captures.frame_record import ExposureRatio, RatioCheck, StoredFrame
 from camctl.captures.movement import bands_of
@@ -107,7 +108,8 @@ class FrameChecks:
         """Return the frames neighbouring in exposure, from the shortest on, to find movement.
 
         Where the whole of a frame does not fit its exposure, as under lamps that flicker, the pair
-        has the ratio of light that most patches show.
+        has the ratio of light that most patches show; not where things that moved are all that can
+        be compared.
 
         Args:
             exposures: relative exposures of the frames
@@ -125,7 +127,7 @@ class FrameChecks:
             ratio = long.exposure / short.exposure
             both = samples[short.position], samples[long.position]
             check = self._check.compare(*both, ratio)
-            if not check.agrees and check.measured is not None:
+            if check.is_one_ratio and not check.agrees and check.measured is not None:
                 ratio = check.measured
             found.append(Pair(self._check.scale, short, long, ratio, both, colours))
         return found
@@ -141,4 +143,6 @@ class FrameChecks:
 
     def _compare(self, later: int, expected: float) -> RatioCheck:
         times_s = (self._frame(later - 1).applied_s, self._frame(later).applied_s)
-        return self._check.check(later, expected, times_s, self._capture.request.mains_hz)
+        is_taken = self._capture.camera.driver == PHOTOGRAPHS
+        most = math.inf if is_taken else MOST_CHANGE  # their exposures are not exact
+        return self._check.check(later, expected, times_s, self._capture.request.mains_hz, most)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -21,6 +22,9 @@ class ReportModel(BaseModel):
 #: exposure; with more, only parts of the picture disagree.
 _MOST_MOVED = 0.5
 
+#: A thing that covers less of a frame's samples is small.
+_SMALL_THING = 0.02
+
 #: Share of a frame's samples that must be compared before its exposure counts as contradicted.
 LEAST_COMPARED = 0.1
 
@@ -36,7 +40,9 @@ class RatioCheck(ReportModel):
         moved: share of the compared samples that changed by another ratio than most
         compared: share of the frame's samples that were compared
         contradicting: share of them that contradict `expected`, all brighter or all darker
-        contradicts: whether most of many samples contradict it, by more than lamps can
+        contradicts: whether most of many samples contradict it, by more than lamps can or by more
+            than 10 %
+        lamps: factor by which lamps that flicker may change the ratio
     """
 
     expected: float
@@ -47,6 +53,14 @@ class RatioCheck(ReportModel):
     compared: float = 0.0
     contradicting: float = 0.0
     contradicts: bool = False
+    lamps: float = 1.0
+
+    @property
+    def factor(self) -> float:
+        """Factor between measured and expected ratio, at least 1; infinite where not measured."""
+        if self.measured is None:
+            return math.inf
+        return max(self.measured / self.expected, self.expected / self.measured)
 
     @property
     def is_certain(self) -> bool:
@@ -54,12 +68,17 @@ class RatioCheck(ReportModel):
         return self.compared >= LEAST_COMPARED
 
     @property
+    def is_one_ratio(self) -> bool:
+        """Whether most of what was compared changed by one ratio, and it is not a small thing."""
+        return self.moved <= _MOST_MOVED and self.compared >= _SMALL_THING
+
+    @property
     def is_of_whole_picture(self) -> bool:
         """Whether the exposures disagree, and not things that moved or light that spread.
 
         Then many samples were compared, and most of them changed by one ratio.
         """
-        return not self.agrees and self.is_certain and self.moved <= _MOST_MOVED
+        return not self.agrees and self.is_certain and self.is_one_ratio
 
 
 class ExposureRatio(ReportModel):

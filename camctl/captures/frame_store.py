@@ -102,7 +102,8 @@ class MemoryStore:
             np.empty(shape, np.float32),
             np.empty(shape, np.uint8),
         )
-        for strip in rendering.strips(total):
+        for render in rendering.strips(total):
+            strip = render()
             rows = slice(row, row + strip.code.shape[0])
             arrays.code[rows], arrays.irradiance[rows] = strip.code, strip.irradiance
             arrays.deviation[rows], arrays.mask[rows] = strip.deviation, strip.mask

@@ -23,6 +23,12 @@ from camctl.picture_operations import dilated
 ACROSS = 2
 """Pixels across the columns that light spreads."""
 
+BESIDE = 16
+"""Pixels from a saturated one, along the columns, up to which light flows out of it."""
+
+LOST = 0.05
+"""Light only spreads if fewer than this share of the pixels that contradict become darker."""
+
 #: Distances from saturated pixels at which contradictions are counted, pixels along the columns.
 _DISTANCES = (2, 4, 8, 16)
 #: Columns and rows that are looked at, at most, and pixels at a distance that make a share of them
@@ -31,9 +37,8 @@ _MOST_LINES, _RING_SAMPLES = 512, 200
 #: Charge flows along columns if so many times as many contradicting pixels are connected to
 #: saturated ones along the columns as along the rows, and so many more.
 _STREAKS, _LEAST_STREAKS = 2.0, 20
-#: Or if fewer than this share of those connected are darker in the longer frame than expected.
+#: Or if fewer than `LOST` of those connected are darker in the longer frame than expected.
 #: With unknown noise that proves nothing: what became darker may not be found in the pair before.
-_LOST = 0.05
 #: Light spreads if this share of the pixels beside saturated ones contradict.  It ends where the
 #: share is less than the second one of the largest.
 _SPREADS, _ENDS = 0.02, 0.1
@@ -94,18 +99,21 @@ class LightSpread:
             # Charge only adds light; things that move take it away elsewhere.
             darker = _darker(limits, short.columns, long.columns)
             lost = np.count_nonzero(_connected_runs(darker, source)) * every[0]
-            streaks = along > _LEAST_STREAKS and lost < _LOST * along
+            streaks = along > _LEAST_STREAKS and lost < LOST * along
         if streaks:
             found &= ~_connected_runs(found, source)
         return cls(white, _reach(found, source), bool(streaks))
 
     def outside(
         self, limits: Limits, short: Pixels, long: Pixels
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which samples contradict, and which can: light did not spread to them."""
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_] | None]:
+        """Return which samples contradict, which can, and which do by light that spread to them.
+
+        The last is None where light does not spread.
+        """
         found, comparable = outside(limits, short, long), long < self.white
         if not self.is_any:
-            return found, comparable
+            return found, comparable, None
         source = _any_colour(~comparable & ~found)
         spread = np.zeros_like(source)
         if self.streaks:
@@ -114,7 +122,20 @@ class LightSpread:
             box = (2 * self.reach + 1, 2 * min(self.reach, ACROSS) + 1)
             spread |= dilated(source.view(np.uint8), box) > 0
         free = ~spread if found.ndim == 2 else ~spread[..., np.newaxis]
-        return found & free, comparable & free
+        return found & free, comparable & free, found & ~free
+
+
+def beside_white(limits: Limits, white: int, short: Pixels, long: Pixels) -> tuple[int, int, int]:
+    """Return how many pixels of a part contradict, and of them are beside saturated ones, darker.
+
+    Saturated are those of the longer frame, in any colour.
+    """
+    found = _any_colour(outside(limits, short, long))
+    source = _any_colour(long >= white).view(np.uint8)
+    near = dilated(source, (2 * BESIDE + 1, 2 * ACROSS + 1)) > 0
+    counted = found, found & near, found & _darker(limits, short, long)
+    beside = [int(np.count_nonzero(each)) for each in counted]
+    return beside[0], beside[1], beside[2]
 
 
 def _on_lines(

@@ -35,7 +35,7 @@ _MOST_CONTRAST = 0.1
 #: A patch whose variance is more than this many standard deviations from the fit has moved.
 _MOST_DEVIATIONS = 4.0
 _ROUNDS = 8
-#: Ratio of the light of bright and dim patches from which both kinds of noise can be told apart.
+#: Ratio of the light of bright and dim patches from which both kinds of noise can be distinguished.
 _LEAST_SPAN = 4.0
 #: Parts of the patches that are fitted by themselves, for the uncertainty.
 _PARTS = 4

@@ -43,11 +43,14 @@ _READABLE_LEVELS = 8
 #: Longest exposure for a histogram, s: the user waits for it, where so much is dark that the
 #: capture takes longer still.
 _LONGEST_HISTOGRAM_S = 4.0
-#: Share of the samples that need not be told apart from black.
+#: Share of the samples that need not be distinguished from black.
 _UNREAD_SHARE = 0.005
 #: Frames are compared whose exposures differ by this factor or more.  The pixels do not follow
 #: where their light changes by less than this power of it: an unknown gamma curve has 0.4.
 _COMPARED_FACTOR, _LEAST_POWER = 4.0, 0.25
+#: Share of the samples that must show it: the centre of the sun stays as dark in any exposure where
+#: the reset level of the sensor has its light, too.
+_LEAST_COMPARED = 0.01
 #: Irradiances that stand for one brightness in a histogram.
 _SPREAD = 16
 
@@ -128,8 +131,13 @@ class MeteringFrames:
             return None
         expected = factor if after.applied.exposure > before.applied.exposure else 1 / factor
         one, other = (self._check.sample(each.pixels) for each in (before, after))
-        measured = self._check.compare(one, other, expected).measured
-        if measured is None or abs(math.log(measured)) > _LEAST_POWER * math.log(factor):
+        check = self._check.compare(one, other, expected)
+        measured = check.measured
+        if (
+            measured is None
+            or check.compared < _LEAST_COMPARED
+            or abs(math.log(measured)) > _LEAST_POWER * math.log(factor)
+        ):
             return None
         return before.applied.time_s * measured
 

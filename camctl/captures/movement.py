@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,47 +21,27 @@ from numpy.typing import NDArray
 from camctl.camera import Pixels
 from camctl.captures.frame_pairs import Limits, Pair
 from camctl.captures.light_spread import ACROSS, LightSpread, Lines
-from camctl.picture_operations import AREA, connected_parts, dilated
+from camctl.captures.movement_map import (
+    FALSE_ALARMS,
+    Place,
+    cell_sizes,
+    light_spread_cells,
+    mapped,
+    places,
+    widened,
+)
 from camctl.threads import in_threads
 
-FALSE_ALARMS = 0.002
-"""Share of the samples of a scene without movement that noise alone puts outside."""
-
-MAP_SIDE = 160
-"""Cells of the map of movement along the longer side of a picture, at most."""
-
-#: Least side of a cell, pixels: fewer samples cannot show more marks than by noise.
-_LEAST_CELL = 8
-#: Standard deviations by which a cell of the map must have more marks than false alarms, and
-#: by how many more at least.
-_CELL_SIGMAS, _LEAST_MARKS = 6.0, 4
-#: Cells that must be connected: where few parts of a picture are lit, all noise is in them.
-_CONNECTED = 2
-#: With unknown noise, contours that are not quite in the same place contradict, too: a cell must
-#: have this share of marks, and more of them must be connected.
-_DENSE, _CONNECTED_UNKNOWN = 0.15, 4
 #: The limits are set again where false alarms differ by this share, how often at most, and for
 #: how many times as many at most.
 _NEAR_RATE, _TRIES, _MOST_RATE = 0.05, 4, 2.0
 #: Width of the bands in which they are set again, and pixels of all bands of a frame, about: by
 #: chance the share of their false alarms differs by 3 %.
 _BAND, _BANDS_PIXELS = 64, 500_000
-#: Places that are named at most, the largest first.
-_MOST_PLACES = 5
 #: Samples that are compared at a time.
 _STRIP_SAMPLES = 1 << 19
 
 _Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Place:
-    """A rectangle of a picture, in pixels: rows `top` to `bottom` - 1, and columns likewise."""
-
-    top: int
-    left: int
-    bottom: int
-    right: int
 
 
 @dataclass(frozen=True)
@@ -72,13 +53,20 @@ class FoundMovement:
         false_alarms: share that does by noise, predicted from patches that do not move; with
             unknown noise, and where light spreads, measured where the map shows no movement
         places: the largest places where more contradict than by noise, those with most first
-        area: share of the picture in which more contradict than by noise
+        area: share of the picture's blocks of `block` x `block` pixels in which more contradict
+            than by noise; larger than `share`, since not each sample of a block does
+        block: side of a block of the map, pixels
+        spread: share of the samples that contradict and are no movement: in the longer exposure
+            they are brighter than expected, and beside saturated ones, from which light spreads.
+            Those that have no mark are not in `share`
     """
 
     share: float
     false_alarms: float
     places: tuple[Place, ...]
     area: float = 0.0
+    block: int = 0
+    spread: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +78,8 @@ class Movement:
         marks: which samples contradict, packed along each row
         found: how many do, and where
         cell: side of a cell of `cells`, pixels
-        cells: map of low resolution, bool: cells in which more samples contradict than by noise
+        cells: map of low resolution, bool: cells in which more samples contradict than by noise,
+            those where light spread from saturated ones included
     """
 
     shape: tuple[int, ...]
@@ -118,7 +107,7 @@ def find_movement(
 ) -> Movement | None:
     """Return where the frames of a capture contradict each other; None with a single frame.
 
-    Two frames are in memory at a time.
+    Three frames are in memory at a time.
 
     Args:
         frame: returns the samples of a frame by its position, black included
@@ -160,34 +149,47 @@ def _marked(
     Frames that are `in_memory` are compared two pairs at a time.
     """
 
-    @lru_cache(maxsize=1)  # the shorter frame of a pair is the longer one of the pair before
     def load(position: int) -> tuple[Pixels, Lines]:
         pixels = frame(position)
         return pixels, Lines.of(pixels)
 
-    def compare(work: tuple[Pair, tuple[Limits, float]]) -> tuple[NDArray[np.uint8], float, bool]:
-        pair, (limits, rate) = work
-        short, short_lines = load(pair.short.position)
-        long, long_lines = load(pair.long.position)
+    def compare(
+        work: tuple[Pair, tuple[Limits, float], tuple[tuple[Pixels, Lines], tuple[Pixels, Lines]]],
+    ) -> tuple[NDArray[np.uint8], float, float, bool, tuple[int, ...]]:
+        pair, (limits, rate), ((short, short_lines), (long, long_lines)) = work
+        rows, columns = short.shape[:2]
+        channels = short.shape[2] if short.ndim == 3 else 1
         spread = LightSpread.of(limits, pair, short_lines, long_lines)
-        rows, columns = shape[:2]
         marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
         mark = partial(_mark, marks, limits, spread, short, long)
         areas = _areas(rows, columns, channels, spread)
-        compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas))
-        return marks, rate * compared / short.size, spread.is_any
+        counts = list(map(mark, areas) if in_memory else in_threads(mark, areas))
+        compared, taken_out = (sum(each) / short.size for each in zip(*counts, strict=True))
+        return marks, rate * compared, taken_out, spread.is_any, short.shape
 
-    shape = load(pairs[0].short.position)[0].shape
-    channels = shape[2] if len(shape) == 3 else 1
-    work = zip(pairs, _calibrated(pairs, total), strict=True)
+    positions = [pairs[0].short.position, *(pair.long.position for pair in pairs)]
+    # The next frame is read while two are compared.
+    frames = map(load, positions) if in_memory else in_threads(load, positions, 1)
+    calibrated = _calibrated(pairs, total)
+    work = zip(pairs, calibrated, pairwise(frames), strict=True)
     results = in_threads(compare, work) if in_memory else map(compare, work)
-    marks, alarms, does_spread = next(results)
-    for each, share, spreads in results:
+    marks, alarms, taken_out, does_spread, shape = next(results)
+    for each, share, spread_share, spreads, _ in results:
         marks |= each
         alarms += share
+        taken_out += spread_share
         does_spread |= spreads
     is_known = all(pair.is_known for pair in pairs)
-    movement, at_rest = _mapped(shape, marks, alarms, is_known=is_known)
+    cell, counts, moves = mapped(shape, marks, is_known=is_known)
+    spread = np.zeros_like(moves)
+    if is_known and moves.any():
+        both = pairwise(map(frame, positions))
+        limits = (limits for limits, _ in calibrated)
+        spread = light_spread_cells(moves, cell, zip(pairs, limits, both, strict=True))
+    movement, at_rest = _summed(shape, marks, alarms, cell, counts, moves, spread)
+    movement = replace(
+        movement, found=replace(movement.found, spread=movement.found.spread + taken_out)
+    )
     if is_known and not (does_spread and at_rest < alarms):
         return movement
     # Light that spread is in the patches, too, and has been taken out of the picture.
@@ -213,18 +215,21 @@ def _mark(
     short: Pixels,
     long: Pixels,
     area: tuple[slice, slice],
-) -> int:
-    """Add what contradicts in an area to the packed marks; return how many samples can."""
+) -> tuple[int, int]:
+    """Add what contradicts in an area to the packed marks; return how many samples can.
+
+    Return how many contradict by light that spread, too.
+    """
     rows, columns = area
     part = slice(max(0, columns.start - ACROSS), columns.stop + ACROSS)
     inner = slice(columns.start - part.start, columns.stop - part.start)
-    found, comparable = (
-        each[:, inner] for each in spread.outside(limits, short[rows, part], long[rows, part])
-    )
+    marked, can, spilled = spread.outside(limits, short[rows, part], long[rows, part])
+    found, comparable = marked[:, inner], can[:, inner]
     packed = np.packbits(found.reshape(len(found), -1), axis=1)
     first = columns.start * (found[0, 0].size) // 8
     marks[rows, first : first + packed.shape[1]] |= packed
-    return int(np.count_nonzero(comparable))
+    taken_out = 0 if spilled is None else np.count_nonzero(spilled[:, inner])
+    return int(np.count_nonzero(comparable)), int(taken_out)
 
 
 def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float]]:
@@ -235,7 +240,7 @@ def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float
     """
     rate, found = total / len(pairs), []
     for _ in range(_TRIES):
-        found = [pair.calibrated(rate) for pair in pairs]
+        found = list(in_threads(partial(Pair.calibrated, rate=rate), pairs))
         reached = sum(share * pair.compared for (_, share), pair in zip(found, pairs, strict=True))
         if reached > (1 - _NEAR_RATE) * total or rate >= total or not reached:
             break
@@ -243,74 +248,29 @@ def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float
     return found
 
 
-def _mapped(
+def _summed(
     shape: tuple[int, ...],
     marks: NDArray[np.uint8],
     false_alarms: float,
-    *,
-    is_known: bool,
+    cell: int,
+    counts: _Floats,
+    cells: NDArray[np.bool_],
+    spread: NDArray[np.bool_],
 ) -> tuple[Movement, float]:
-    """Return a `Movement` with share, map and places, and the share of the marks at rest."""
+    """Return a `Movement` with shares and places, and the share of the marks at rest."""
     rows, columns = shape[:2]
-    channels = shape[2] if len(shape) == 3 else 1
-    cell = max(_LEAST_CELL, -(-max(rows, columns) // MAP_SIDE))
-    edges = np.arange(0, columns, cell)
-    counts = np.zeros((-(-rows // cell), edges.size))
-    step = max(1, _STRIP_SAMPLES // (columns * channels * cell)) * cell
-    for start in range(0, rows, step):
-        packed = marks[start : start + step]
-        if not packed.any():
-            continue
-        part = np.unpackbits(packed, axis=1, count=columns * channels)
-        flat = np.sum([part[:, k::channels] for k in range(channels)], axis=0, dtype=np.uint8)
-        sums = np.add.reduceat(flat, edges, axis=1, dtype=np.int64)
-        cells = np.add.reduceat(sums, np.arange(0, len(part), cell), axis=0)
-        counts[start // cell :][: len(cells)] = cells
-    size = np.outer(_sizes(rows, cell), _sizes(columns, cell)) * channels
-    expected = size * FALSE_ALARMS
-    moves = counts > expected + _CELL_SIGMAS * np.sqrt(expected) + _LEAST_MARKS
-    if is_known:
-        moves = _connected(moves, _CONNECTED)
-    else:
-        moves = _connected(moves & (counts > _DENSE * size), _CONNECTED_UNKNOWN)
+    size = np.outer(cell_sizes(rows, cell), cell_sizes(columns, cell)) * math.prod(shape[2:])
     share = float(counts.sum() / size.sum())
-    rests = ~_widened(moves)
+    rests = ~widened(cells)
     at_rest = float(counts[rests].sum() / max(size[rests].sum(), 1))
-    places = _places(moves, counts, (rows, columns), cell)
-    area = float(moves.mean())
-    found = FoundMovement(share, false_alarms, places, area)
-    return Movement(shape, marks, found, cell, moves), at_rest
-
-
-def _widened(moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the cells that move, and those beside them."""
-    return dilated(moves.astype(np.uint8), (3, 3)) > 0
-
-
-def _sizes(length: int, cell: int) -> _Floats:
-    """Return how many rows or columns each cell has."""
-    return np.diff(np.append(np.arange(0, length, cell), length)).astype(np.float64)
-
-
-def _connected(moves: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """Return the cells of which at least so many are connected."""
-    labels, boxes = connected_parts(moves)
-    return np.asarray(moves & (boxes[labels, AREA] >= least))
-
-
-def _places(
-    moves: NDArray[np.bool_], counts: _Floats, shape: tuple[int, int], cell: int
-) -> tuple[Place, ...]:
-    """Return the rectangles around connected cells that move, those with most marks first."""
-    labels, boxes = connected_parts(moves)
-    weights = np.bincount(labels.ravel(), weights=counts.ravel(), minlength=len(boxes))[1:]
-    largest = np.argsort(-weights, kind="stable")[:_MOST_PLACES]
-    return tuple(
-        Place(
-            top * cell,
-            left * cell,
-            min((top + height) * cell, shape[0]),
-            min((left + width) * cell, shape[1]),
-        )
-        for left, top, width, height in boxes[1:][largest, :4].tolist()
+    moves = cells & ~spread
+    named = places(moves, counts, (rows, columns), cell)
+    found = FoundMovement(
+        share,
+        false_alarms,
+        named,
+        float(moves.mean()),
+        cell,
+        float(counts[spread].sum() / size.sum()),
     )
+    return Movement(shape, marks, found, cell, cells), at_rest

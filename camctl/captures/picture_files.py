@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -32,7 +32,7 @@ from camctl.input_files import check_regular, read_own_file
 from camctl.interrupts import uninterrupted
 from camctl.library_output import exr_source, quiet_libraries
 from camctl.picture_operations import opencv, png
-from camctl.threads import THREADS
+from camctl.threads import THREADS, in_threads
 
 #: Several threads compress the radiance of a picture of at least so many pixels.
 _LARGE = 4_000_000
@@ -66,35 +66,43 @@ def write_picture_files(
     import tifffile
 
     tags = tiff_tags(details)
-    _write_sum(directory / SUM, total, tags)
     height, width = total.shape[:2]
     reducer = LightReducer(height, width, rendering.unlit, rendering.full)
-    with ExitStack() as stack:
-        threads = stack.enter_context(ThreadPoolExecutor(1))
-        exr = stack.enter_context(
-            _radiance_file(directory / RADIANCE, (width, height), rendering, details)
-        )
-        tiff = stack.enter_context(atomic_file(directory / IMAGE))
+    with (
+        ThreadPoolExecutor(2) as threads,
+        atomic_file(directory / RADIANCE) as radiance,
+        atomic_file(directory / IMAGE) as image,
+    ):
+        summed = threads.submit(_write_sum, directory / SUM, total, tags)
+        with _radiance_file(
+            radiance, directory / RADIANCE, (width, height), rendering, details
+        ) as exr:
 
-        def codes() -> Iterator[NDArray[np.uint16]]:
-            for strip in rendering.strips(total):
-                reduced = threads.submit(reducer.add, strip)
-                exr.write(strip)
-                yield strip.code
-                reduced.result()
+            def prepared(render: Callable[[], Strip]) -> tuple[Strip, dict[str, NDArray[Any]]]:
+                strip = render()
+                return strip, exr.channels(strip)
 
-        tifffile.imwrite(
-            tiff,
-            codes(),
-            shape=rendering.picture_shape(total),
-            dtype=np.uint16,
-            rowsperstrip=rendering.strip_rows(total),
-            photometric="minisblack" if rendering.channels == "Y" else "rgb",
-            **tags,
-        )
-    return_free_memory()
-    light = reducer.light()
-    preview = tone_map(light)
+            def codes() -> Iterator[NDArray[np.uint16]]:
+                for strip, channels in in_threads(prepared, rendering.strips(total)):
+                    reduced = threads.submit(reducer.add, strip)
+                    exr.write(channels)
+                    yield strip.code
+                    reduced.result()
+
+            tifffile.imwrite(
+                image,
+                codes(),
+                shape=rendering.picture_shape(total),
+                dtype=np.uint16,
+                rowsperstrip=rendering.strip_rows(total),
+                photometric="minisblack" if rendering.channels == "Y" else "rgb",
+                **tags,
+            )
+        summed.result()
+        return_free_memory()
+        light = reducer.light()
+        mapped = threads.submit(tone_map, light)  # while the disk takes the files
+        preview = mapped.result()
     write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))
     moved = None if rendering.movement is None else rendering.movement.cells
     sheet = contact_sheet(light, preview, details, moved)
@@ -202,22 +210,22 @@ def _readable(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _radiance_file(
-    path: Path, size: tuple[int, int], rendering: Rendering, details: PictureDetails
+    path: Path, final: Path, size: tuple[int, int], rendering: Rendering, details: PictureDetails
 ) -> Iterator[_RadianceFile]:
+    """Open an OpenEXR file at `path`, complete at the end of the block; errors name `final`."""
     import OpenEXR
 
-    with atomic_file(path) as part:
-        if size[0] * size[1] >= _LARGE:
-            OpenEXR.set_global_thread_count(THREADS)
+    if size[0] * size[1] >= _LARGE:
+        OpenEXR.set_global_thread_count(THREADS)
+    try:
+        file = _RadianceFile(path, final, size, rendering)
         try:
-            file = _RadianceFile(part, path, size, rendering)
-            try:
-                yield file
-            finally:
-                file.close()
+            yield file
         finally:
-            OpenEXR.set_global_thread_count(0)
-        fill_exr_header(part, exr_attributes(details, rendering.channels), details.summary)
+            file.close()
+    finally:
+        OpenEXR.set_global_thread_count(0)
+    fill_exr_header(path, exr_attributes(details, rendering.channels), details.summary)
 
 
 @lru_cache(maxsize=8)
@@ -271,20 +279,24 @@ class _RadianceFile:
         self._file = uninterrupted(OpenEXR.OutputFile)(os.fsencode(path), header)
         self.close = self._file.close
 
-    def write(self, strip: Strip) -> None:
-        """Append a strip."""
+    def channels(self, strip: Strip) -> dict[str, NDArray[Any]]:
+        """Return the channels of a strip, (rows, columns) each."""
         parts: dict[str, NDArray[Any]] = {
             "": strip.irradiance,
             _DEVIATION_PREFIX: strip.deviation.astype(np.float16 if self._halves else np.float32),
             _MASK_PREFIX: _HALVES.take(strip.mask),
         }
-        channels = {
-            prefix + name: (part[..., index] if part.ndim == 3 else part).tobytes()
+        return {
+            prefix + name: np.ascontiguousarray(part[..., index] if part.ndim == 3 else part)
             for prefix, part in parts.items()
             for index, name in enumerate(self._names)
         }
+
+    def write(self, channels: dict[str, NDArray[Any]]) -> None:
+        """Append the channels of a strip."""
+        rows = len(next(iter(channels.values())))
         try:
-            uninterrupted(self._file.writePixels)(channels, len(strip.mask))
+            uninterrupted(self._file.writePixels)(channels, rows)
         except OSError as error:
             # Converted here: the TIFF file is written around this call, and would be named instead.
             raise storage_error(self._final, error) from error

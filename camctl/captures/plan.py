@@ -79,7 +79,7 @@ def plan_capture(
         CaptureError: an exposure is beyond the camera's controls
     """
     controls, real = camera.controls, camera.controls.levels
-    warnings = [*controls.notes, *real.notes]
+    warnings = [*controls.response_warnings, *controls.notes, *real.notes]
     kind = objective_of(request, controls, has_table=table is not None)
     desired, ratios = request.desired, None
     if request.ratios is None and (desired is None or request.time_budget_s is not None):
@@ -109,8 +109,8 @@ def plan_capture(
                 return accurate_settings(
                     controls, allowed, desired, limit_s, progress, before=before
                 )
-            wanted = ratios or _ratios_by_xi(controls, allowed, desired, limit_s, progress)
-            return _settings_by_xi(controls, allowed, desired, wanted, limit_s), wanted
+            requested = ratios or _ratios_by_xi(controls, allowed, desired, limit_s, progress)
+            return _settings_by_xi(controls, allowed, desired, requested, limit_s), requested
 
         by_shutter = (
             request if kind == ACCURACY else shutter_budget(controls, request, limit_s, before)

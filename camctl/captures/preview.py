@@ -15,8 +15,9 @@ Reproduction for Digital Images, 2002) with three changes:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from camctl.captures.pictures import DARK, SATURATED, Strip
 from camctl.picture_operations import box_means, reduced_by_area
+from camctl.threads import in_threads
 
 PREVIEW_SIDE = 2560
 """Longest side of the preview, pixels."""
@@ -54,14 +56,15 @@ _HIDDEN = 0.1, 0.45, 0.9
 _UNLIT_DOUBT = 4.0
 #: Where no frame shows light the picture has this share of the brightness of the least light.
 _UNLIT = 0.15
-#: Light is read from samples whose noise is less than this share of it.
-_READABLE = 0.5
+#: Brightness is set by samples whose noise is less than this share of the light, of about so many
+#: rows and columns.
+_READABLE, _MOST_READ = 0.5, 1024
 #: The noise counts as this share of the light at most: its logarithm is no longer normal.
 _LARGEST_NOISE = 2.0
 #: Of a natural logarithm's deviation that of a logarithm to the base 2.
 _LOG2_E = np.float32(1 / np.log(2))
-#: Rows that are encoded at once.
-_ROWS = 32
+#: Rows of a band: what is made of them is small beside the picture.
+_ROWS = 64
 #: Least variance of log2 of the light, less than that of any picture.
 _LEAST_VARIANCE = np.float32(1e-9)
 #: Light that counts as none; a sum without light has an irradiance of more than this.
@@ -183,8 +186,7 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     irradiance, noise, unlit = _averaged_in_the_dark(light)
     logs = np.maximum(irradiance, _NO_LIGHT, out=irradiance)
     np.log2(logs, out=logs)
-    for channel in range(logs.shape[2]):
-        logs[..., channel] = _without_noise(logs[..., channel], noise[..., channel] * _LOG2_E)
+    _filter_noise(logs, noise)
     largest = _largest(logs).copy()
     logs -= largest[..., np.newaxis]
     colours = np.exp2(logs, out=logs)  # relative to the largest
@@ -194,7 +196,8 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
     around = box_means(pixel_noise, 2) if colours.shape[2] > 1 else pixel_noise
     darkest = np.float32(_UNLIT if (light.unlit < ALL).any() else 0.0)
     codes: NDArray[np.uint8] = np.empty(colours.shape, np.uint8)
-    for start in range(0, len(codes), _ROWS):  # some rows at a time: what is made of them is small
+
+    def encode(start: int) -> None:
         rows = slice(start, start + _ROWS)
         # The operator, x (1 + S / white^2) / (1 + S) for light x in the surround S.
         shown, near = np.exp2(largest[rows] + exposure), np.exp2(surround[rows] + exposure)
@@ -210,6 +213,8 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
             known = (1 - full) * (1 - np.sqrt(unlit[rows])) / (1 + np.square(around[rows]))
             colour = 1 + (colour - 1) * known[..., np.newaxis]
         codes[rows] = srgb_codes(colour * shown[..., np.newaxis])
+
+    _in_bands(encode, len(codes))
     return codes[..., 0] if codes.shape[-1] == 1 else codes
 
 
@@ -229,7 +234,9 @@ def _exposure(
     light stays dark.
     """
     weights = _LUMINANCE if colours.shape[2] == 3 else np.ones(1, np.float32)
-    readable = (noise < _READABLE) & (light.unlit < ALL)
+    some = (slice(None, None, max(1, max(noise.shape) // _MOST_READ)),) * 2
+    largest, colours = largest[some], colours[some]
+    readable = (noise[some] < _READABLE) & (light.unlit[some] < ALL)
     if not readable.any():
         readable = np.ones_like(readable)
     logs = (largest + np.log2(colours @ weights))[readable]
@@ -308,6 +315,28 @@ def _channel_mean(values: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 def _channels(values: NDArray[Any]) -> list[NDArray[Any]]:
     return [values[..., channel] for channel in range(values.shape[2])]
+
+
+def _filter_noise(logs: Floats, noise: Floats) -> None:
+    """Filter noise, relative to the light, out of log2 of the light, (rows, columns, channels)."""
+    border = sum(radius for radius, _ in _NOISE_WINDOWS)
+    filtered = np.empty(logs.shape[:2], np.float32)
+
+    def filter_band(plane: Floats, errors: Floats, start: int) -> None:
+        first, stop = max(0, start - border), start + _ROWS
+        around = slice(first, stop + border)
+        found = _without_noise(plane[around], errors[around] * _LOG2_E)
+        filtered[start:stop] = found[start - first :][:_ROWS]
+
+    for plane, errors in zip(_channels(logs), _channels(noise), strict=True):
+        _in_bands(partial(filter_band, plane, errors), len(plane))
+        plane[...] = filtered
+
+
+def _in_bands(work: Callable[[int], None], rows: int) -> None:
+    """Call `work` with the first row of each band of `_ROWS` rows; two threads share them."""
+    for _ in in_threads(work, range(0, rows, _ROWS)):
+        pass
 
 
 def _without_noise(logs: Floats, noise: Floats) -> Floats:

@@ -12,6 +12,12 @@ from camctl.number_text import range_text
 MUCH = 0.05
 """Share of the samples outside the range from which a capture gets a warning."""
 
+UNEXPECTED = 0.02
+"""Share of the samples that are saturated though metering did not show so much light, likewise."""
+
+#: Stops by which a shorter exposure holds what lamps that flicker added, mostly.
+_FLICKER_STOPS = 0.5
+
 LOG = "log"
 _OTHER_RESPONSE = "the {} response has few levels for it; take constant contrast (--response log)"
 
@@ -29,6 +35,8 @@ def outside_warnings(
 ) -> list[str]:
     """Return a warning for each end of the range that more than `MUCH` of the samples are beyond.
 
+    Where the light is not what was metered, more than `UNEXPECTED` is enough.
+
     Args:
         request: what was asked for
         plan: of the capture
@@ -37,7 +45,15 @@ def outside_warnings(
         is_taken: the frames are photographs already taken
     """
     found = []
-    if saturated > MUCH:
+    metered = _metered_clip(request, plan)
+    if not is_taken and metered is not None and saturated > metered + UNEXPECTED:
+        stops = request.compensation_stops - _FLICKER_STOPS
+        found.append(
+            f"{saturated:.1%} of the picture is brighter than its range, and in the metering "
+            f"frames {metered:.1%} was: the light changed, as that of lamps that flicker; expose "
+            f"shorter (--compensation {stops:g})"
+        )
+    elif saturated > MUCH:
         advice = _shorter(request, is_taken)
         found.append(f"{saturated:.1%} of the picture is brighter than its range: {advice}")
     if dark > MUCH:
@@ -47,6 +63,13 @@ def outside_warnings(
             f"{_wider(request, plan, is_taken)}"
         )
     return found
+
+
+def _metered_clip(request: CaptureRequest, plan: CapturePlan) -> float | None:
+    """Return the share that was expected to clip; None where the exposure was not metered."""
+    if request.base_s is not None or plan.light is None or plan.metering is None:
+        return None
+    return max(plan.light.clips, plan.metering.clipped, request.clip or 0.0)
 
 
 def _shorter(request: CaptureRequest, is_taken: bool) -> str:

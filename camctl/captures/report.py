@@ -14,7 +14,7 @@ from camctl.captures.frame_record import FrameRecord, ReportModel, StoredFrame
 from camctl.captures.movement import FoundMovement
 from camctl.captures.request import CaptureRequest
 from camctl.captures.simulation_summary import SimulationSummary
-from camctl.controls import Layout
+from camctl.controls import Layout, ResponseOrigin
 from camctl.errors import DataError, UsageError
 from camctl.noise_model import MeasuredNoise, NoiseModel
 
@@ -70,6 +70,8 @@ class _CaptureData(ReportModel):
         camera: identity of the camera
         source: what is needed to open the camera again
         layout, pixel_format: of the frames, as in `camctl.controls.ExposureControls`
+        response_origin: whether the response used is stated, measured or only assumed; None in
+            earlier versions
         request: what was asked for
         plan: the plan that is followed
         rejected: files of frames that were shot again
@@ -95,6 +97,7 @@ class _CaptureData(ReportModel):
     source: dict[str, Any]
     layout: Layout
     pixel_format: str = ""
+    response_origin: ResponseOrigin | None = None
     request: CaptureRequest
     plan: CapturePlan
     rejected: list[str] = Field(default_factory=list)
@@ -195,6 +198,9 @@ class CaptureReport(_CaptureData):
 
     def mask(self) -> NDArray[np.uint8]:
         """Return 0 for good samples, 1 below the range, 2 saturated, 4 frames contradict, 8 hot.
+
+        In the shape of the radiance.  Of a mosaic it marks the pixels that a marked sample
+        contributed to, more than the samples that the shares in the report count.
 
         Raises:
             DataError: the capture's file is missing or damaged

@@ -46,8 +46,9 @@ class ShownResponse:
     Attributes:
         name: of the response
         plan: of a capture in it, which was not shot
-        dark: share of the samples that would be too dark
-        saturated: share of the samples that would be saturated in every frame
+        dark: share of the samples that would be too dark: by the plan's metered light, as a
+            capture predicts it; with a given exposure, which is not metered, in the preview frames
+        saturated: share of the samples that would be saturated in every frame, likewise
     """
 
     name: str
@@ -176,8 +177,8 @@ def _light(camera: Camera, settings: tuple[ExposureSetting, ...]) -> tuple[Light
     rendering = Rendering(controls.layout, tables, desired, 1.0, controls.hot_pixels)
     rows, columns = total.total.shape[:2]
     reducer = LightReducer(rows, columns, rendering.unlit, rendering.full, 2 * PANEL_WIDTH)
-    for strip in rendering.strips(total.total):
-        reducer.add(strip)
+    for render in rendering.strips(total.total):
+        reducer.add(render())
     return reducer.light(), min(setting.exposure for setting in settings)
 
 
@@ -212,6 +213,8 @@ def _panel(
         np.maximum(unlit, light.unlit),
         white,
     )
+    # Preview frames are shorter than the planned ones: their noise moves light out of the range.
+    metered = plan.light
     stored = (table.code[sums] >> 8).astype(np.uint8)
     return Panel(
         name,
@@ -219,8 +222,8 @@ def _panel(
         plan=plan,
         picture=tone_map(seen),
         stored=stored[..., 0] if stored.shape[2] == 1 else stored,
-        dark=float((mask == DARK).mean()),
-        saturated=float((mask == SATURATED).mean()),
+        dark=float((mask == DARK).mean()) if metered is None else metered.dark,
+        saturated=float((mask == SATURATED).mean()) if metered is None else metered.clips,
     )
 
 

@@ -31,6 +31,7 @@ from camctl.captures.report_file import clean_details
 from camctl.captures.wall_time import predicted_wall_s, wall_time_warnings
 from camctl.controls import Layout
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
+from camctl.free_memory import share_free_memory
 from camctl.interrupts import uninterrupted
 from camctl.system_errors import resource_error
 
@@ -78,6 +79,7 @@ class Sequence:
 
     def run(self) -> CaptureReport:
         """Shoot the missing frames, then write the pictures."""
+        share_free_memory()  # before the first thread has memory of its own
         frames, timing = self._capture.frames, self._capture.timing
         began, wall_began = self._camera.clock.now(), time.perf_counter()
         try:

@@ -87,6 +87,7 @@ def capture(
             source=dict(source or {}),
             layout=controls.layout,
             pixel_format=controls.pixel_format,
+            response_origin=controls.response_origin,
             request=request,
             plan=plan,
             frames=[None] * len(plan.settings),

@@ -34,6 +34,8 @@ MOST_SETS = 100_000
 
 _FIELDS = ("number", "date", "time")
 _FIELD = re.compile(r"\{([^{}]*)\}")
+#: A field of gphoto2's --filename: its number (%n, %03n), date, time and file name.
+_GPHOTO2_FIELD = re.compile(r"%\d*[naAbBdfFHkIljmMSyYC]")
 _RESERVED = {SERIES, GALLERY, THUMBNAILS, LOCK, REPORT}
 #: Characters that no file name may have on one of the usual systems.
 _FORBIDDEN = set('/\\<>:"|?*')
@@ -75,6 +77,11 @@ def check_pattern(pattern: str) -> str:
         raise UsageError(
             f"invalid name pattern '{pattern[:80]}': a brace has no partner",
             hint=f"fields are {', '.join(f'{{{each}}}' for each in _FIELDS)}",
+        )
+    if found := _GPHOTO2_FIELD.search(pattern):
+        raise UsageError(
+            f"unknown field of a name '{found[0]}', which is one of gphoto2",
+            hint="write {number} for %n, {date} for %Y-%m-%d, {time} for %H-%M-%S",
         )
     check_name(set_name(pattern, MOST_SETS, datetime.min))
     return pattern

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from camctl.captures.frame_record import ExposureRatio, StoredFrame
 from camctl.controls import ExposureControls
 from camctl.errors import DataError
 from camctl.exposure.patches import LightScale, Patches
-from camctl.exposure.ratios import RatioEstimates, estimate_ratios
+from camctl.exposure.ratios import comparable_frames, estimate_ratios
 
 #: An estimate with a wider 95 % interval, relative, is used only where the label lies outside it.
 WIDEST_INTERVAL = 0.01
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Estimated exposures of the frames of a capture that can be compared.
+
+    Attributes:
+        reference: position of the frame that the others are compared with
+        exposures: by position: exposure and its 95 % interval, in units of the reference's label
+    """
+
+    reference: int
+    exposures: Mapping[int, tuple[float, float, float]]
 
 
 def estimate_exposures(
@@ -19,33 +33,45 @@ def estimate_exposures(
     samples: Sequence[Patches],
     scale: LightScale,
     controls: ExposureControls,
-) -> tuple[RatioEstimates | None, list[str]]:
+) -> tuple[Estimates | None, list[str]]:
     """Estimate the exposures of the frames of a capture; return warnings, too.
 
-    The first result is None where the frames do not allow it.
+    Frames that have no light in common with the others, as where one is saturated everywhere, have
+    no estimate.  The first result is None where the frames do not allow any.
     """
     settings = [frame.applied for frame in frames]
-    labels = [setting.exposure for setting in settings]
     noise = None if controls.noise is None else controls.frame_noise(settings)
     try:
-        found = estimate_ratios(samples, labels, scale, noise)
+        used = sorted(comparable_frames(samples, scale, noise))
+        if len(used) < 2:
+            used = list(range(len(frames)))
+        labels = [settings[k].exposure for k in used]
+        noises = None if noise is None else [noise[k] for k in used]
+        found = estimate_ratios([samples[k] for k in used], labels, scale, noises)
     except DataError as error:
         return None, [f"the exposure ratios could not be estimated: {error.what}"]
-    wrong = [
-        f"frame {k + 1} has {value / label * labels[found.reference] / reference:.4g} times the "
-        f"exposure that the camera states, compared with frame {found.reference + 1} (95 %: "
-        f"{low / label:.4g} to {high / label:.4g})"
-        for reference in [found.exposures[found.reference]]
-        for k, (label, value, low, high) in enumerate(
-            zip(labels, found.exposures, found.low, found.high, strict=True)
-        )
-        if not low * (1 - 1e-9) <= label <= high * (1 + 1e-9)
+    unit, label = found.exposures[found.reference], labels[found.reference]
+    notes = [
+        f"the exposure of frame {k + 1} could not be estimated: it has no pixels in common with "
+        "the others that are well exposed"
+        for k in range(len(frames))
+        if k not in used
     ]
-    return found, wrong
+    rows = zip(used, labels, found.exposures, found.low, found.high, strict=True)
+    exposures = {}
+    for k, stated, value, low, high in rows:
+        exposures[k] = value, low, high
+        if not low * (1 - 1e-9) <= stated <= high * (1 + 1e-9):
+            notes.append(
+                f"frame {k + 1} has {value / stated * label / unit:.4g} times the exposure that "
+                f"the camera states, compared with frame {used[found.reference] + 1} (95 %: "
+                f"{low / stated:.4g} to {high / stated:.4g})"
+            )
+    return Estimates(used[found.reference], exposures), notes
 
 
 def choose_exposures(
-    frames: Sequence[StoredFrame], controls: ExposureControls, estimates: RatioEstimates | None
+    frames: Sequence[StoredFrame], controls: ExposureControls, estimates: Estimates | None
 ) -> list[ExposureRatio]:
     """Return the exposures of the frames, in the unit of `ExposureSetting.exposure`.
 
@@ -68,13 +94,11 @@ def choose_exposures(
                     "exposure": profile,
                 }
             )
-        if estimates is not None:
+        if estimates is not None and k in estimates.exposures:
             # The label of the reference frame, corrected by the profile, is the unit.
             reference = frames[estimates.reference].applied
             unit = controls.exposure(reference) / reference.exposure
-            value, low, high = (
-                unit * each[k] for each in (estimates.exposures, estimates.low, estimates.high)
-            )
+            value, low, high = (unit * each for each in estimates.exposures[k])
             ratio = ratio.model_copy(update={"estimate": value, "low": low, "high": high})
             if high - low <= WIDEST_INTERVAL * value or not low <= ratio.exposure <= high:
                 ratio = ratio.model_copy(update={"used": "estimate", "exposure": value})

@@ -12,6 +12,8 @@ from camctl.captures.report import UnfinishedCapture
 #: A frame contradicts the metered light if this share of its samples is saturated, beyond those
 #: that were expected to be: less may be noise or blooming near saturation, or a lamp.
 _BEYOND_METERED = 0.6
+#: What helps where the light of the whole picture changes.
+_MENDS = "--estimate-ratios computes the pictures with the light that the frames show"
 #: Exposures up to this factor count as the same.
 _SAME = 1.02
 
@@ -32,7 +34,8 @@ def judge(
     """
     measure = f"measure the control delay with camctl calibrate delay --camera {delay_of}"
     wrong = [(k, check) for k, check in enumerate(checks) if check and not check.agrees]
-    reasons = [_difference_text(capture, k, check) for k, check in wrong if check.contradicts]
+    certain = [(k, check) for k, check in wrong if check.contradicts]
+    reasons = [_difference_text(capture, k, check) for k, check in certain]
     if not reasons and delay_of and (brighter := _brighter_than_metered(capture)):
         reasons.append(brighter)
     if error and error.shift:
@@ -50,18 +53,40 @@ def judge(
             "the frames fit exposures that were set for other frames: probably the control delay "
             f"of the camera is not the known one; {measure}"
         )
-    elif reasons and delay_of:
-        reasons.append(f"if this happens again, {measure}")
+    elif reasons:
+        if not capture.request.estimate_ratios and all(
+            check.is_of_whole_picture and check.factor <= check.lamps for _, check in certain
+        ):
+            reasons.append(f"if lamps flicker, {_MENDS}")
+        if delay_of:
+            reasons.append(f"if this happens again, {measure}")
     if reasons:
         capture.trustworthy, capture.untrustworthy_because = False, "; ".join(reasons)
     if capture.camera.driver == PHOTOGRAPHS:
         return  # their exposures are not exact, and were compared before
+    estimated = capture.request.estimate_ratios
     capture.warnings += [
-        f"{_difference_text(capture, k, check)}: do not trust the parts that moved or whose light "
-        "changed (if lamps flicker, see --mains)"
+        _change_text(capture, k, check, is_estimated=estimated)
         for k, check in wrong
         if not check.contradicts
     ]
+
+
+def _change_text(
+    capture: UnfinishedCapture, position: int, check: RatioCheck, *, is_estimated: bool
+) -> str:
+    """Return a warning of frames that differ, without most of many samples being wrong."""
+    if not check.is_of_whole_picture:
+        return (
+            f"frames {position} and {position + 1} can be compared in {check.compared:.2%} of the "
+            f"picture, and {check.contradicting:.0%} of that does not fit their exposures: do not "
+            f"trust it (something moved, its light changed, or a frame has another exposure)"
+        )
+    advice = "" if is_estimated else f"; {_MENDS}"
+    return (
+        f"{_difference_text(capture, position, check)}: do not trust the light of the picture to "
+        f"less than that (lamps that flicker, stray light, or a shutter that is not exact{advice})"
+    )
 
 
 def _brighter_than_metered(capture: UnfinishedCapture) -> str | None:
@@ -106,7 +131,7 @@ def _difference_text(capture: UnfinishedCapture, position: int, check: RatioChec
         )
     return (
         f"{name} is {check.measured:.4g} times as bright as {before}, and its "
-        f"exposure is {check.expected:.4g} times as long"
+        f"exposure is {check.expected:.4g} times as long, a factor of {check.factor:.3g} apart"
     )
 
 

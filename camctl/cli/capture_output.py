@@ -34,6 +34,8 @@ TIMES = {"planning_s": "planning", "shooting_s": "shooting", "writing_s": "writi
 
 #: Shares of the picture that are named, and how far lamps are above the range, stops.
 _NOTABLE_SHARE, _LAMP_STOPS = 5e-4, 2.0
+#: Share of light that spread that is named.
+_NOTABLE_SPREAD = 1e-4
 #: Share of the picture that metering cannot tell from black, and that may be darker than the range.
 _NOTABLY_UNSEEN = 0.02
 
@@ -176,7 +178,7 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
             "outside the range",
             f"{format_percent(achieved.saturated_fraction)} saturated in every frame, "
             f"{format_percent(achieved.dark_fraction)} darker than "
-            f"{range_text(report.plan.dynamic_range)}",
+            f"{range_text(report.plan.dynamic_range)} (of the samples)",
         ),
         *_movement_rows(report.movement),
         ("time", _timing_text(report)),
@@ -258,12 +260,18 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
         f"{format_percent(movement.share)} of the samples differ between frames, "
         f"{format_percent(movement.false_alarms)} by noise alone"
     )
+    spread = []
+    if movement.spread >= _NOTABLE_SPREAD:
+        beside = f"beside saturated samples {format_percent(movement.spread)} are brighter than"
+        spread = [("", f"{beside} expected: light spread, or a dark thing moved before them")]
     if not movement.places:
-        return [("movement", f"none ({shares})")]
+        return [("movement", f"none; {shares}"), *spread]
     area = format_percent(movement.area)
     first = movement.places[0]
     place = f"columns {first.left}-{first.right - 1}, rows {first.top}-{first.bottom - 1}"
-    return [("movement", f"in {area} of the picture, most in {place}"), ("", shares)]
+    blocks = f"blocks of {movement.block} x {movement.block} pixels with more than noise"
+    moved = f"{blocks}: {area} of the picture, most in {place}"
+    return [("movement", shares), ("", moved), *spread]
 
 
 def _shortest_s(report: CaptureReport) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -172,7 +173,7 @@ def merge(
         for warning in report.warnings:
             print_warning(warning)
         if report.untrustworthy_because is not None:
-            print_warning(f"not trustworthy: {report.untrustworthy_because}")
+            print_warning(f"not trustworthy: {_with_names(report.untrustworthy_because, report)}")
         _print(report, found, directory, as_json=as_json)
     if not report.trustworthy:
         context.exit(UNTRUSTWORTHY)
@@ -187,14 +188,42 @@ def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json:
         found.photographs,
         key=lambda each: each["time_s"] * each["gain"] / (each["f_number"] or 1) ** 2,
     )
+    # What differs between them beside the time, as in a bracket of ISO speeds or apertures.
+    more = [
+        (title, key, text)
+        for title, key, text in (("ISO", "gain", _iso), ("aperture", "f_number", _f_number))
+        if len({each[key] for each in photographs}) > 1
+    ]
     rows = [
         (
             each["file"],
             format_duration(each["time_s"]),
+            *(text(each[key]) for _, key, text in more),
             "used" if each["used"] else f"not needed: {each['why_not']}",
         )
         for each in photographs
     ]
-    parts = [format_table(("photograph", "time", ""), rows, right_aligned=(1,)), ""]
+    titles = ("photograph", "time", *(title for title, _, _ in more), "")
+    parts = [format_table(titles, rows, right_aligned=tuple(range(1, 2 + len(more)))), ""]
     parts += [f"response: {found.opened.response}", *found.opened.facts, ""]
     print_text("\n".join([*parts, capture_text(report, directory)]))
+
+
+def _iso(gain: float) -> str:
+    return f"{100 * gain:.0f}"
+
+
+def _f_number(f_number: float | None) -> str:
+    return "unknown" if f_number is None else f"f/{f_number:.2g}"
+
+
+def _with_names(text: str, report: CaptureReport) -> str:
+    """Return what is said of frames by number with the names of their files."""
+    names = [frame.details.get("file", "") for frame in report.frames]
+    return re.sub(
+        r"\bframe (\d+)\b",
+        lambda found: (
+            str(names[int(found[1]) - 1] or found[0]) if int(found[1]) <= len(names) else found[0]
+        ),
+        text,
+    )

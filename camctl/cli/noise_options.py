@@ -16,6 +16,7 @@ from camctl.cli.options import (
     option_name,
     refuse_together,
 )
+from camctl.cli.output import print_warning
 from camctl.cli.parameter_types import CAMERA, SENSOR, Number
 from camctl.cli.response_options import RealCameraOptions
 from camctl.errors import UsageError
@@ -112,6 +113,8 @@ class NoiseOptions:
                 settings |= {"scene": "uniform", "size": "16x16", "profile": "none"}
         with open_camera(self.camera_id or "sim", settings) as camera:
             controls = camera.controls
+        for warning in controls.response_warnings:
+            print_warning(warning)
         return KnownCamera(controls.levels, controls.noise, controls.black)
 
     @property

@@ -92,7 +92,7 @@ search_limits = options.option_group(
         type=Number("a number of levels of at least 0", least=0),
         metavar="X",
         help="Find the fewest exposures with at most X desired levels missing; needs --levels, and "
-        "-n is then the most.  [default: as many as -n]",
+        "-n is then the largest number.  [default: as many as -n]",
     ),
     click.option(
         "--total-limit",

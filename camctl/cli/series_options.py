@@ -104,7 +104,8 @@ series_options = option_group(
         "--name",
         type=Text(),
         metavar="PATTERN",
-        help="Names of the sets' folders, with {number}, {date} and {time}.  "
+        help="Names of the sets' folders, with {number}, {date} and {time}; a name that is taken "
+        "gets -{number} at its end.  "
         "[default: set-{number}]",
     ),
     click.option(

@@ -122,8 +122,8 @@ exposure_options = options.option_group(
         "time_budget_s",
         type=Seconds(),
         metavar="SECONDS",
-        help="Longest time from the first frame's request until the last frame is here; chosen by "
-        "accuracy, with as many exposures as are best in it, up to 6, unless -n is given.",
+        help="Longest time from the first frame's request until the last frame has arrived; chosen "
+        "by accuracy, with as many exposures as are best in it, up to 6, unless -n is given.",
     ),
     click.option(
         "--ratios",

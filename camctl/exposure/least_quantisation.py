@@ -2,7 +2,7 @@
 
 Without noise the accuracy is that of the gaps between the levels, which the search for the paper's
 objective minimises as well; the fast estimate of `camctl.exposure.frame_accuracy` knows nothing of
-them.  A quick search tells about what can be reached, so that the long one is made only where it
+them.  A quick search shows about what can be reached, so that the long one is made only where it
 pays.
 """
 

@@ -85,7 +85,7 @@ def certify(
 
     For two exposures the relative gap reaches `tolerance`: a proof that nothing better exists.  For
     three and more there are too many boxes; the bound, at least 0, is what `max_evaluations` give,
-    and `Certificate.gap` tells how close it is.
+    and `Certificate.gap` says how close it is.
 
     Args:
         response: the response of the real camera

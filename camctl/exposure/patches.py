@@ -32,16 +32,25 @@ def sample_patches(planes: Sequence[NDArray[Any]], white: int) -> Patches:
     """
     patches = []
     for plane in planes:
-        side = min(_SIDE, max(1, min(plane.shape) // 4))
-        most = math.isqrt(_PATCHES // len(planes))
-        rows, columns = (
-            np.linspace(0, length - side, min(length // side, most)).astype(np.intp)[:, None]
-            + np.arange(side)
-            for length in plane.shape
-        )
-        found = plane[rows[:, None, :, None], columns[None, :, None, :]]
+        rows, columns, side = patch_places(plane.shape, len(planes))
+        within = np.arange(side)
+        found = plane[
+            (rows[:, None] + within)[:, None, :, None], (columns[:, None] + within)[None, :, None]
+        ]
         patches.append(found.reshape(-1, side * side))
     return np.asarray(np.minimum(np.concatenate(patches), white), np.uint16)
+
+
+def patch_places(
+    shape: Sequence[int], planes: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], int]:
+    """Return first rows, first columns and side of the patches of one of so many planes."""
+    side = min(_SIDE, max(1, min(shape) // 4))
+    most = math.isqrt(_PATCHES // planes)
+    rows, columns = (
+        np.linspace(0, length - side, min(length // side, most)).astype(np.intp) for length in shape
+    )
+    return rows, columns, side
 
 
 class LightScale:

@@ -82,6 +82,13 @@ class Format:
     black: int
     white: int
     is_raw: bool
+    quarter_turns: int = 0
+
+    @property
+    def shape_on_sensor(self) -> tuple[int, ...]:
+        """The shape before the photographs were turned upright."""
+        rows, columns, *rest = self.shape
+        return (columns, rows, *rest) if self.quarter_turns % 2 else self.shape
 
 
 class PhotographFiles:
@@ -96,6 +103,7 @@ class PhotographFiles:
         format: of all of them
         taken_by: make, model and serial number of the camera, as the files state them; empty where
             they do not
+        notes: what the user should know, one line each
 
     Raises:
         DataError: a file cannot be read, or differs in size or format
@@ -110,6 +118,8 @@ class PhotographFiles:
         self.photographs: list[Photograph] = []
         found: Format | None = None
         self.taken_by = ("", "", "")
+        self.notes: list[str] = []
+        self._quarter_turns: int | None = None
         for position, path in enumerate(self._paths):
             pixels, this, photograph, taken_by = self._read(position)
             self.photographs.append(photograph)
@@ -138,21 +148,38 @@ class PhotographFiles:
         path = self._paths[position]
         time_s = None if self._times is None else self._times[position]
         if path.suffix.lower() == _EXR:
-            pixels, photograph = _read_exr(path, time_s, self._full)
-            layout = _layout_of(pixels)
-            return (
-                pixels,
-                Format(pixels.shape, layout, 16, 0, _FULL_EXR, True),
-                photograph,
-                ("",) * 3,
-            )
+            linear, photograph = _read_exr(path, time_s, self._full)
+            this = Format(linear.shape, _layout_of(linear), 16, 0, _FULL_EXR, True)
+            return linear, this, photograph, ("",) * 3
+        import numpy as np
+
         still, stated = read_photograph(path)
         photograph = _exposure(path, stated, time_s)
         is_raw = still.layout.is_mosaic or still.black > 0
-        this = Format(
-            still.pixels.shape, still.layout, still.bits, still.black, still.white, is_raw
-        )
-        return still.pixels, this, photograph, (stated.make, stated.model, stated.serial)
+        turns = self._turns(path, 0 if is_raw else stated.quarter_turns)
+        pixels: Pixels = still.pixels
+        if turns:
+            turned: Any = np.rot90(pixels, turns)
+            pixels = np.ascontiguousarray(turned)
+        levels = (still.layout, still.bits, still.black, still.white)
+        this = Format(pixels.shape, *levels, is_raw, turns)
+        return pixels, this, photograph, (stated.make, stated.model, stated.serial)
+
+    def _turns(self, path: Path, stated: int) -> int:
+        """Return by how much to turn all photographs: as the first one says.
+
+        Of a camera on a tripod all lie alike, but one that looks down may state any orientation.
+        """
+        if self._quarter_turns is None:
+            self._quarter_turns = stated
+        if stated != self._quarter_turns:
+            note = (
+                f"{path.name} states another orientation than {self._paths[0].name}: it is taken "
+                "to lie as that one does"
+            )
+            if note not in self.notes:
+                self.notes.append(note)
+        return self._quarter_turns
 
     def _name_apart(self) -> None:
         """Name files by their paths where two have the same name."""

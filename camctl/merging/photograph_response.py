@@ -13,7 +13,7 @@ import numpy as np
 
 from camctl.calibrated import response_changes
 from camctl.calibration.response import estimate_response
-from camctl.controls import Choices, ExposureControls
+from camctl.controls import Choices, ExposureControls, ResponseOrigin
 from camctl.errors import DataError
 from camctl.exposure.patches import LightScale
 from camctl.exposure_record import mode_name
@@ -67,13 +67,14 @@ def known_controls(
         black=series.black,
         white=series.white,
         phase=series.phase,
+        response_origin=ResponseOrigin.STATED,
     )
     levels = series.white - series.black
     if curve is not None:
         return replace(controls, response=_named_curve(curve, series)), curve
     if files.format.is_raw:
         return controls, "linear, as raw files are"
-    mode = mode_name(files.format.layout, files.format.shape, series.white)
+    mode = mode_name(files.format.layout, files.format.shape_on_sensor, series.white)
     levels_now = (series.black, series.white)
     fitting = [
         profile
@@ -95,7 +96,7 @@ def known_controls(
             "(camctl profile remove), or give --curve"
         )
     response = standard_response("srgb", series.bits, phase=series.phase, levels=levels)
-    standard = replace(controls, response=response)
+    standard = replace(controls, response=response, response_origin=ResponseOrigin.ASSUMED)
     try:
         estimate = estimate_response(series, is_scene_checked=False)
     except DataError as error:
@@ -164,7 +165,7 @@ def fit_error(series: Series, controls: ExposureControls) -> float:
 
 def _measured(controls: ExposureControls, record: ResponseRecord) -> ExposureControls:
     """Return controls with a measured response; remarks on its samples are left out."""
-    changes = response_changes(controls, record)
+    changes = response_changes(record)
     changes["response"] = replace(changes["response"], notes=())
     return replace(controls, **changes)
 

@@ -89,6 +89,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         unstated,
     )
     from camctl.captures.photograph_choice import darkest_light
+    from camctl.captures.photograph_contradictions import contradictions
     from camctl.captures.photographs import corrected_exposures
     from camctl.exposure.patches import LightScale
     from camctl.merging.photograph_labels import check_doubted, doubted_labels, wrong_labels
@@ -110,8 +111,12 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     ]
     same = duplicates(sights)
     notes = [
-        f"{photographs[k].name} is the same photograph as {photographs[earlier].name}, and left out"
-        for k, earlier in same.items()
+        *files.notes,
+        *(
+            f"{photographs[k].name} is the same photograph as {photographs[earlier].name}, and "
+            "left out"
+            for k, earlier in same.items()
+        ),
     ]
     empty = [k for k, each in enumerate(sights) if each.is_even]
     notes += [f"{photographs[k].name} is one colour everywhere, and left out" for k in empty]
@@ -156,6 +161,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         is_exact=source.labels == "exact",
         is_known=source.curve is not None or response not in FROM_PHOTOGRAPHS,
     )
+    planes = [each.shape for each in files.format.layout.planes(area(files.pixels(kept[0])))]
+    facts += contradictions(photographs, patches, scale, planes)
     return OpenedPhotographs(
         camera,
         darkest_light(camera, patches),
@@ -183,6 +190,7 @@ def _with_labels(photographs: list[Photograph], labels: str) -> tuple[list[Photo
     ]
     if not pairs:
         return changed, []
+    pairs = list(dict.fromkeys(pairs))  # ISO or aperture brackets have one time
     more = "" if len(pairs) <= 3 else " and so on"
     return changed, [
         f"the times are taken for labels of a dial: {', '.join(pairs[:3])}{more} (else give "

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from camctl.camera import Camera, PreviewingCamera
-from camctl.controls import Choices, ExposureSetting, Layout
+from camctl.controls import Choices, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import CameraError, RefusedSettingError, UsageError
 from camctl.testing.fault_checks import FaultChecks
 from camctl.testing.light_checks import LightChecks
@@ -48,6 +48,14 @@ class CameraConformance(LightChecks, FaultChecks):
         assert frame.pixels.dtype == (np.uint8 if controls.bits <= 8 else np.uint16)
         assert int(frame.pixels.max()) < 2**controls.bits
         assert (frame.black, frame.white) == (controls.black, controls.white)
+
+    def test_the_response_is_known_or_said_to_be_assumed(self, camera: Camera) -> None:
+        """`response_origin` is one of its values; that of raw samples is known."""
+        controls = camera.controls
+        assert isinstance(controls.response_origin, ResponseOrigin)
+        assert not (controls.layout.is_mosaic and controls.has_assumed_response), (
+            "raw samples are linear, or have a response that the driver or the user states"
+        )
 
     def test_each_setting_gives_one_frame_in_order(self, camera: Camera) -> None:
         """Every frame has the requested setting and the applied one."""

@@ -26,7 +26,7 @@ _LOSS = 0.04
 # this share, between two settings and with the same one, and by this many standard errors.
 _BLOCKS = 4
 _BLOCK_TOLERANCE, _SAME_TOLERANCE, _STANDARD_ERRORS = 0.015, 0.004, 6.0
-# Neighbouring settings that are compared differ by this factor at least, and must be told apart.
+# Neighbouring settings that are compared differ by this factor at least, and must be distinguished.
 _APART = 1.15
 
 
@@ -100,7 +100,7 @@ class LightChecks(CameraSuite):
             if time_s >= ladder[-1] * _APART:
                 ladder.append(time_s)
         if len(ladder) < 2:
-            pytest.skip("the shutter times near the middle are too close to be told apart")
+            pytest.skip("the shutter times near the middle are too close to be distinguished")
         frames = self.shoot(camera, [replace(middle, time_s=t) for t in ladder])
         pairs = list(itertools.pairwise(frames))
         compared = sum([self.check_light(camera, first, second) for first, second in pairs])
@@ -182,8 +182,8 @@ def _compensated(
             continue
         missing = middle.exposure / setting.exposure
         now = getattr(setting, name)
-        wanted = now * (missing**-0.5 if name == "f_number" else missing)
-        setting = replace(setting, **{name: control.nearest(wanted)})
+        requested = now * (missing**-0.5 if name == "f_number" else missing)
+        setting = replace(setting, **{name: control.nearest(requested)})
     return setting
 
 

@@ -1,4 +1,4 @@
-"""What drivers of still cameras share: options, records in the profile, times in their files."""
+"""What drivers of still cameras share: records in the profile, times in their files."""
 
 from __future__ import annotations
 
@@ -10,17 +10,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from statistics import median
-from typing import Annotated
 
-from pydantic import field_validator
-
-from camctl.backends import BackendOptions, LowerCase
 from camctl.camera import CameraInfo
 from camctl.clock import CaptureTiming
 from camctl.errors import DataError, StorageError
 from camctl.library_output import quiet_libraries
 from camctl.profile import Profile, StillRecord, TimingRecord, change_profile, load_profile
-from camctl.response.camera import named_response
 
 #: Exposures and files whose median times are kept, and by which share of the whole these may
 #: change until the profile is written again.
@@ -34,26 +29,12 @@ _ISO = (34855, "ISOSpeedRatings")  # so tifffile names it, as EXIF 2.2 did
 _MAKE, _MODEL = (271, "Make"), (272, "Model")
 _SERIAL = (42033, "BodySerialNumber")
 _DATE, _OFFSET = (36867, "DateTimeOriginal"), (36881, "OffsetTimeOriginal")
+_ORIENTATION = 274
+_QUARTER_TURNS = {1: 0, 3: 2, 6: 3, 8: 1}  # mirrored pictures are no camera's
 _CHANGED = 306  # when the file was made, where it does not say when the picture was taken
 _EXIF_IFD = "ExifTag"
 _LARGEST_ISO = 65535  # of the tag; it stands for higher ones, too
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
-
-
-class StillOptions(BackendOptions):
-    """Options of all still cameras.
-
-    Attributes:
-        response: of JPEG and TIFF files: linear, srgb, rec709, power:GAMMA, or power (gamma 2.2)
-    """
-
-    response: Annotated[str, LowerCase] = "srgb"
-
-    @field_validator("response")
-    @classmethod
-    def _is_a_response(cls, word: str) -> str:
-        named_response(word, 8, 255)
-        return word
 
 
 def save_record(info: CameraInfo, file_format: str, record: StillRecord) -> str | None:
@@ -144,6 +125,7 @@ class StatedExposure:
         f_number: of the lens
         make, model, serial: of the camera
         taken_at: when the picture was taken; in the local zone where the file states none
+        quarter_turns: by which it must be turned anticlockwise to be upright, 0 to 3
     """
 
     time_s: float | None = None
@@ -153,6 +135,7 @@ class StatedExposure:
     model: str = ""
     serial: str = ""
     taken_at: datetime | None = None
+    quarter_turns: int = 0
 
 
 def stated_exposure(data: bytes) -> StatedExposure:
@@ -174,6 +157,7 @@ def stated_exposure(data: bytes) -> StatedExposure:
                 _text(top[tag].value if tag in top else exif.get(name))
                 for tag, name in (_MAKE, _MODEL, _SERIAL, _DATE, _OFFSET)
             )
+            turns = _QUARTER_TURNS.get(top[_ORIENTATION].value if _ORIENTATION in top else 1, 0)
             date = date or _text(top[_CHANGED].value if _CHANGED in top else None)
             time_s, f_number, iso = (
                 _number(top[tag].value if tag in top else exif.get(name))
@@ -182,7 +166,7 @@ def stated_exposure(data: bytes) -> StatedExposure:
     except Exception:  # a damaged tag can cause any error in tifffile
         return StatedExposure()
     gain = iso / 100 if iso is not None and iso < _LARGEST_ISO else None
-    return StatedExposure(time_s, gain, f_number, make, model, serial, _date(date, offset))
+    return StatedExposure(time_s, gain, f_number, make, model, serial, _date(date, offset), turns)
 
 
 def exposure_time_s(data: bytes) -> float | None:

@@ -289,6 +289,8 @@ def _read_raw(data: bytes, name: str) -> Still:
             sizes = raw.sizes
             _check_size(name, sizes.raw_height, sizes.raw_width, len(data))
             return _mosaic(raw, name)
+    except (rawpy.LibRawIOError, rawpy.LibRawFileUnsupportedError):
+        raise _damaged(name, "it is no picture of a known format, or cut short") from None
     except rawpy.LibRawError as error:
         text = error.args[0] if error.args else type(error).__name__
         reason = text.decode("ascii", "replace") if isinstance(text, bytes) else str(text)

@@ -13,7 +13,8 @@ from camctl.clock import CaptureTiming, Clock, RealClock
 from camctl.controls import Choices, ExposureControls, ExposureSetting
 from camctl.profile import StillRecord
 from camctl.response.camera import named_response
-from drivers.common.still_camera import StillOptions, StillTimes
+from drivers.common.response_option import ResponseOptions
+from drivers.common.still_camera import StillTimes
 from drivers.coolpix.body import CoolpixBody, Shot
 from drivers.coolpix.pictures import KnownFiles, Progress
 from drivers.coolpix.sierra.packets import SPEEDS, RefusedCommandError, Register
@@ -26,8 +27,8 @@ _TOLERANCE = 1e-4  # the camera sets 1/60 s as 16,666 us
 _TEST_PICTURE_S = 1 / 60
 
 
-class CoolpixOptions(StillOptions):
-    """Options of a CoolPix, beside those of `StillOptions`.
+class CoolpixOptions(ResponseOptions):
+    """Options of a CoolPix, beside those of `ResponseOptions`.
 
     Attributes:
         format: of the frames' files
@@ -120,6 +121,7 @@ class CoolpixCamera(CameraBase):
             black=record.black,
             white=record.white,
             response=named_response(word, record.bits, record.white - record.black),
+            response_origin=self._options.response_origin,
             timing=self._times_taken.timing or self._line_timing(),
             tolerance=_TOLERANCE,
             notes=self._notes(),
@@ -180,11 +182,6 @@ class CoolpixCamera(CameraBase):
         if self._options.format == "jpeg":
             notes.append(
                 "JPEG loses levels; -O format=tiff keeps them, but a picture takes minutes"
-            )
-        if self._options.response == "srgb":
-            notes.append(
-                "the response of its files is assumed to be sRGB, not measured (-O response=... "
-                "sets another)"
             )
         if self._body.dials.apertures:
             numbers = ", ".join(f"f/{number:g}" for number in self._body.dials.apertures)

@@ -125,11 +125,11 @@ class Body:
             )
             if dial is not None and value is not None
         }
-        wanted = {
+        labels = {
             dial.name: dial.labels[dial.control.nearest(value)]
             for dial, value in requested.values()
         }
-        found = self._process.ask("apply", values=wanted, busy_s=_BUSY_S)
+        found = self._process.ask("apply", values=labels, busy_s=_BUSY_S)
         applied: dict[str, float] = {}
         for name, (dial, value) in requested.items():
             label = found[dial.name]
@@ -139,7 +139,7 @@ class Body:
                     f"{self._process.name} changed its {name} to '{label}'",
                     hint="turn the mode dial to M and leave the dials alone",
                 )
-            if label != wanted[dial.name]:
+            if label != labels[dial.name]:
                 raise RefusedSettingError(name, value, true)
             applied[name] = true
         return replace(setting, **applied)

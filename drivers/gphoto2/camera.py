@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from camctl.backends import LowerCase
 from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile
 from camctl.clock import Clock, RealClock
-from camctl.controls import Choices, ExposureControls, ExposureSetting
+from camctl.controls import Choices, ExposureControls, ExposureSetting, ResponseOrigin
 from camctl.errors import CameraError, CameraProtocolError
 from camctl.response.camera import named_response
 from drivers.common.known_format import (
@@ -24,8 +24,8 @@ from drivers.common.known_format import (
     matched_pixels,
     saved_format,
 )
+from drivers.common.response_option import ResponseOptions
 from drivers.common.still_camera import (
-    StillOptions,
     StillTimes,
     save_record,
 )
@@ -45,8 +45,8 @@ _QUIET_MS, _LAST_CHANCE_MS = 50, 2000
 _TEST_PICTURE_S = 0.01
 
 
-class Gphoto2Options(StillOptions):
-    """Options of a camera through libgphoto2, beside those of `StillOptions`.
+class Gphoto2Options(ResponseOptions):
+    """Options of a camera through libgphoto2, beside those of `ResponseOptions`.
 
     Attributes:
         format: of the frames' files; "auto": the best that the camera is set to save
@@ -257,7 +257,7 @@ class Gphoto2Camera(CameraBase):
     def _make_controls(self) -> ExposureControls:
         known, body = self._known_format(), self._body
         record, word = known.record, self._options.response
-        response = None
+        response, origin = None, ResponseOrigin.STATED
         notes = [
             *body.notes,
             *self._notes,
@@ -266,7 +266,7 @@ class Gphoto2Camera(CameraBase):
         ]
         if known.format != "raw":
             response = named_response(word, record.bits, record.white - record.black)
-            notes.insert(0, f"the response {word} is assumed until it is measured")
+            origin = self._options.response_origin
         return ExposureControls(
             time_s=body.time_s.control,
             gain=body.gain.control if body.gain is not None else Choices((1.0,)),
@@ -277,6 +277,7 @@ class Gphoto2Camera(CameraBase):
             black=record.black,
             white=record.white,
             response=response,
+            response_origin=origin,
             timing=self._times_taken.timing,
             notes=tuple(notes),
         )

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from camctl.backends import BackendOptions, FrameShape, LowerCase
+from camctl.backends import FrameShape
 from camctl.camera import CameraInfo, Frame, Pixels
 from camctl.clock import Clock, RealClock
 from camctl.controls import ExposureControls, ExposureSetting, Layout
@@ -25,6 +25,7 @@ from camctl.streaming import (
     Written,
     mean_brightness,
 )
+from drivers.common.response_option import ResponseOptions
 from drivers.common.stream_camera import StreamCamera
 from drivers.opencv.controls import AddressExposure, Exposure, FixedExposure, PropertyExposure
 from drivers.opencv.video import Address, Video
@@ -40,29 +41,21 @@ _USUAL_INTERVAL_S = 1 / 30
 _Seconds = Annotated[float | None, Field(gt=0, le=3600, allow_inf_nan=False)]
 
 
-class OpencvOptions(BackendOptions):
+class OpencvOptions(ResponseOptions):
     """Options of a camera that OpenCV reads.
 
     Attributes:
         size: of a frame, of a camera by index; None: as it is
-        response: one of `camctl.response.camera.RESPONSES`
         settle: frames after each setting that may still have the one before
         time: exposure time of a stream that has no control for it, s; None: its frame interval
         shortest, longest: exposure times of an address with a place for one, s
     """
 
     size: FrameShape | None = None
-    response: Annotated[str, LowerCase] = "srgb"
     settle: int = Field(default=SETTLING, ge=1, le=200)
     time: _Seconds = None
     shortest: _Seconds = None
     longest: _Seconds = None
-
-    @field_validator("response")
-    @classmethod
-    def _is_a_response(cls, word: str) -> str:
-        named_response(word, 8, 255)
-        return word
 
 
 class OpencvCamera(StreamCamera):
@@ -98,10 +91,7 @@ class OpencvCamera(StreamCamera):
         first = stream.first_frame()
         bits = 8 * first.itemsize
         white = 2**bits - 1
-        notes = [
-            *stream.exposure.notes,
-            f"the response {options.response} is assumed until it is measured",
-        ]
+        notes = [*stream.exposure.notes]
         if isinstance(stream.exposure, FixedExposure):
             delay = ControlDelay(0, 0, DelayOrigin.GUARANTEED)
         else:
@@ -122,6 +112,7 @@ class OpencvCamera(StreamCamera):
             bits=bits,
             white=white,
             response=named_response(options.response, bits, white),
+            response_origin=options.response_origin,
             frame_interval_s=stream.interval_s,
             timing=delay.timing(0.0),
             notes=tuple(notes),

@@ -17,7 +17,14 @@ from pydantic import Field
 from camctl.backends import LowerCase
 from camctl.camera import CameraBase, CameraInfo, Frame
 from camctl.clock import Clock, RealClock
-from camctl.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
+from camctl.controls import (
+    Choices,
+    Control,
+    ExposureControls,
+    ExposureSetting,
+    ResponseOrigin,
+    Steps,
+)
 from camctl.errors import CameraError, CameraProtocolError, UsageError
 from camctl.response.camera import named_response
 from drivers.common.known_format import (
@@ -27,8 +34,8 @@ from drivers.common.known_format import (
     has_size,
     saved_format,
 )
+from drivers.common.response_option import ResponseOptions
 from drivers.common.still_camera import (
-    StillOptions,
     StillTimes,
     forget_record,
     save_record,
@@ -59,8 +66,8 @@ _MAX_PICTURES_READ = 2
 _CLOSE_S = 5.0
 
 
-class PtpOptions(StillOptions):
-    """Options of a PTP camera, beside those of `StillOptions`.
+class PtpOptions(ResponseOptions):
+    """Options of a PTP camera, beside those of `ResponseOptions`.
 
     Attributes:
         format: of the frames' files; "auto": the first of raw, tiff and jpeg that the camera saves
@@ -192,10 +199,10 @@ class PtpCamera(CameraBase):
         known = self._known_format()
         record, word = known.record, self._options.response
         notes = list(self._notes)
-        response = None
+        response, origin = None, ResponseOrigin.STATED
         if known.format != "raw":
             response = named_response(word, record.bits, record.white - record.black)
-            notes.insert(0, f"the response {word} is assumed until it is measured")
+            origin = self._options.response_origin
         gain, f_number = self._dials.gain, self._dials.f_number
         self._times_taken = StillTimes(self.info, known.format)
         return ExposureControls(
@@ -208,6 +215,7 @@ class PtpCamera(CameraBase):
             black=record.black,
             white=record.white,
             response=response,
+            response_origin=origin,
             timing=self._times_taken.timing,
             notes=tuple(notes),
         )

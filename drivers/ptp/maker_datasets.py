@@ -118,7 +118,7 @@ def parse_nikon_events(data: bytes) -> tuple[tuple[int, int], ...]:
 def parse_panasonic_property(data: bytes, code: int) -> PropertyDescription:
     """Return the description in the data of operation 9108.
 
-    Known from recorded answers: the second word tells where, in words, the data type stands; after
+    Known from recorded answers: the second word says where, in words, the data type stands; after
     it come the form, the current value, the number of choices and these.
     """
     reader = Reader(data, "property description")

@@ -164,6 +164,7 @@ class V4l2Camera(StreamCamera):
             black=scale.black,
             white=scale.white,
             response=scale.response,
+            response_origin=scale.response_origin,
             delay_frames=delay.frames,
             frame_interval_s=measured_s,
             timing=replace(

@@ -182,8 +182,8 @@ class Capture:
     def _set_mode(self) -> int:
         """Set pixel format, size and rate; return the bytes from line to line, 0 if unknown."""
         node, (rows, columns), code = self._node, self._mode.shape, self._mode.format.fourcc
-        wanted = abi.Format(type=abi.CAPTURE_BUFFER, width=columns, height=rows, pixelformat=code)
-        found = node.query(abi.Request.S_FMT, wanted, "set the format of")
+        request = abi.Format(type=abi.CAPTURE_BUFFER, width=columns, height=rows, pixelformat=code)
+        found = node.query(abi.Request.S_FMT, request, "set the format of")
         if (found.pixelformat, found.height, found.width) != (code, rows, columns):
             raise CameraProtocolError(
                 f"{node.path} does not stream {self._mode.format.name} at "

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from camctl.controls import Layout
+from camctl.controls import Layout, ResponseOrigin
 from camctl.errors import CameraError, UsageError, unknown_name
 from camctl.response.camera import CameraResponse, named_response
 from drivers.v4l2 import abi
@@ -137,6 +137,7 @@ class SampleScale:
         bits: of a sample
         black, white: brightness without light and at saturation, DN
         response: as levels between black and white; None: linear
+        response_origin: whether it is stated or only assumed
         notes: what a person should know of it
     """
 
@@ -144,6 +145,7 @@ class SampleScale:
     black: int
     white: int
     response: CameraResponse | None
+    response_origin: ResponseOrigin
     notes: tuple[str, ...]
 
 
@@ -204,10 +206,16 @@ def sample_scale(
             f"luma is limited to {_LIMITED_BLACK}..{_LIMITED_WHITE} according to V4L2; "
             "give -O range=full if black is 0"
         )
-    if response == "auto" and not format_.is_raw:
-        notes.append("the response is assumed to be sRGB until it is measured: -O response=...")
+    is_assumed = response == "auto" and not format_.is_raw
     name = ("linear" if format_.is_raw else "srgb") if response == "auto" else response
-    return SampleScale(depth, dark, white, named_response(name, depth, white - dark), tuple(notes))
+    return SampleScale(
+        depth,
+        dark,
+        white,
+        named_response(name, depth, white - dark),
+        ResponseOrigin.ASSUMED if is_assumed else ResponseOrigin.STATED,
+        tuple(notes),
+    )
 
 
 def _is_limited(current: abi.Format) -> bool:

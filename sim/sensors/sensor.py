@@ -20,6 +20,7 @@ from camctl.controls import (
     Control,
     ExposureControls,
     Layout,
+    ResponseOrigin,
     Steps,
 )
 from camctl.errors import unknown_name
@@ -294,6 +295,7 @@ class Sensor(FileModel):
             white=self.white,
             phase=self.phase,
             response=self.response,
+            response_origin=ResponseOrigin.STATED,
             delay_frames=None if self.delay_jitter_frames else self.delay_frames,
             frame_interval_s=self.frame_interval_s,
             sensitivity=photons_per_unit * self.quantum_efficiency / self.full_scale_e,

@@ -26,7 +26,7 @@ from camctl.camera import CameraBase, CameraInfo, Frame
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.clock import RealClock, VirtualClock
-from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
+from camctl.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin, Steps
 
 RATIOS = (1.0, 3.98, 16.0, 64.2, 305.4, 1130.0)
 #: Different rows of a frame; electrons of a brightness level, and read noise, levels.
@@ -43,7 +43,13 @@ class RowsCamera(CameraBase):
         super().__init__("the bench's camera", VirtualClock())
         self._info = CameraInfo("rows", "bench", "rows", "0", "bench")
         self._controls = ExposureControls(
-            Steps(1e-5, 10.0, 1e-6), shape, layout, 8, white=250, delay_frames=0
+            Steps(1e-5, 10.0, 1e-6),
+            shape,
+            layout,
+            8,
+            white=250,
+            delay_frames=0,
+            response_origin=ResponseOrigin.STATED,
         )
         colours = (3,) if layout is Layout.RGB else ()
         light = np.geomspace(1e3, 1.0, shape[1])

@@ -283,7 +283,7 @@ def spread(
 def stability_scenes(
     count: int, data: Path | None, shape: tuple[int, int]
 ) -> dict[str, FloatArray]:
-    """Return built-in scenes, the map of the memorial church, and drawn scenes, (rows, columns)."""
+    """Return built-in scenes, the memorial scene, and drawn scenes, (rows, columns)."""
     from sim.scenes.drawings import DRAWINGS
     from sim.scenes.radiance_map import read_map
 

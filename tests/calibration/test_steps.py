@@ -126,7 +126,11 @@ def test_a_step_that_fails_does_not_keep_the_others_from_running() -> None:
     assert response.hint
     exposures = results["exposures"]
     assert exposures.result is None
-    assert "the response was not measured" in (exposures.problem or "")
+    for step, name in ((exposures, "exposure"), (results["noise"], "noise")):
+        assert step.problem == (
+            "the response of the camera is only assumed, and without the true one its "
+            f"{name} cannot be measured"
+        )
     assert not kept(size="64x48")[0].exposures
 
 

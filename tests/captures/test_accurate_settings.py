@@ -12,7 +12,7 @@ import camctl
 from camctl.captures.accurate_settings import accurate_settings, gain_choices, objective_of
 from camctl.captures.plan import plan_capture
 from camctl.captures.request import CaptureRequest
-from camctl.controls import Choices, ExposureControls, Layout, Steps
+from camctl.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
 from camctl.errors import UsageError
 from camctl.exposure.accuracy import solve_accuracy
 from camctl.exposure.accuracy_lookup import (
@@ -37,7 +37,15 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def controls_with(noise: NoiseModel | None) -> ExposureControls:
-    return ExposureControls(Steps(1e-4, 10.0, 1e-4), (4, 4), Layout.MONO, 8, white=255, noise=noise)
+    return ExposureControls(
+        Steps(1e-4, 10.0, 1e-4),
+        (4, 4),
+        Layout.MONO,
+        8,
+        white=255,
+        noise=noise,
+        response_origin=ResponseOrigin.STATED,
+    )
 
 
 @pytest.mark.parametrize(

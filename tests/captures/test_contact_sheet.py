@@ -12,7 +12,7 @@ from camctl.captures.contact_sheet import contact_sheet
 from camctl.captures.drawing import LINE_HEIGHT, MARGIN, PAPER, Drawing
 from camctl.captures.picture_details import THUMBNAIL_SIDE, thumbnail
 from camctl.captures.preview import tone_map
-from camctl.controls import ExposureControls, Layout, Steps
+from camctl.controls import ExposureControls, Layout, ResponseOrigin, Steps
 from camctl.picture_operations import draw_text, text_width
 from camctl.response.camera import standard_response
 
@@ -116,7 +116,14 @@ def controls_of(layout: Layout, shape: tuple[int, int], response: bool = False) 
     curve = standard_response("gamma-2.2", 8) if response else None
     white = 16 + curve.M if curve is not None else 250
     return ExposureControls(
-        Steps(1e-4, 1.0), shape, layout, 9, black=16, white=white, response=curve
+        Steps(1e-4, 1.0),
+        shape,
+        layout,
+        9,
+        black=16,
+        white=white,
+        response=curve,
+        response_origin=ResponseOrigin.STATED,
     )
 
 

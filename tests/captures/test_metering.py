@@ -112,6 +112,12 @@ def test_a_camera_that_does_not_follow_its_exposure_is_an_error(longest_s: float
     assert "no longer than" in str(found.value)
 
 
+def test_the_sun_that_stays_black_is_no_exposure_that_is_not_followed() -> None:
+    """In a thousandth of the picture the reset level of the sensor holds the light, too."""
+    with open_camera("sim", scene="outdoor-sun", sensor="security", size="480x270") as camera:
+        histogram(MeteringFrames(camera))
+
+
 @pytest.mark.parametrize("wrong_by", [-1, 1])
 def test_a_stale_control_delay_is_said_to_be_the_possible_cause(
     wrong_by: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

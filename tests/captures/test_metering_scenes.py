@@ -58,6 +58,23 @@ def test_at_most_2_percent_lie_outside_the_range(tmp_path: Path) -> None:
     assert light.clips_stops > 8
 
 
+@pytest.mark.parametrize("sensor", ["phone", pytest.param("ccd", marks=pytest.mark.slow)])
+def test_lamps_that_flicker_are_the_second_exception_and_the_advice_mends_it(sensor: str) -> None:
+    """The metering frames fell into darker parts of the lamps' period than the capture."""
+
+    def taken(stops: float) -> camctl.CaptureReport:
+        with camctl.open_camera("sim", scene="pwm-lamp", sensor=sensor, size=SIZE) as camera:
+            request = camctl.CaptureRequest(dynamic_range=16.0, compensation_stops=stops)
+            return camctl.capture(camera, request)
+
+    report = taken(0.0)
+    assert report.achieved.saturated_fraction > MOST_OUTSIDE
+    advised = re.findall(r"light changed.*--compensation (-[0-9.]+)", " ".join(report.warnings))
+    assert len(advised) == 1
+    achieved = taken(float(advised[0])).achieved
+    assert achieved.saturated_fraction + achieved.dark_fraction < MOST_OUTSIDE
+
+
 def options_in(warning: str) -> list[tuple[str, str | None]]:
     """Return the options that a warning advises, each with its value; None: to leave it out."""
     return [

@@ -14,7 +14,8 @@ import camctl
 from camctl.camera import Pixels
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.frame_pairs import Pair, Side, outside
-from camctl.captures.movement import FALSE_ALARMS, bands_of, find_movement
+from camctl.captures.movement import bands_of, find_movement
+from camctl.captures.movement_map import FALSE_ALARMS
 from camctl.response.camera import standard_response
 
 Floats = NDArray[np.float64]
@@ -132,6 +133,27 @@ def test_light_that_spreads_from_saturated_pixels_is_no_movement(sensor: str, sc
     assert report.movement is not None
     assert report.movement.area < 0.01
     assert all(frame.attempts == 1 for frame in report.frames)
+
+
+def test_light_that_flows_out_of_lamps_is_named_as_that() -> None:
+    """Streaks end in pixels that are marked, and only became brighter, beside saturated ones."""
+    request = camctl.CaptureRequest(dynamic_range="auto")
+    with camctl.open_camera("sim", scene="night-street", sensor="complete") as camera:
+        movement = camctl.capture(camera, request).movement
+    assert movement is not None
+    assert movement.places == ()
+    assert movement.area == 0
+    assert movement.spread > 2e-4
+    assert movement.share > 2 * movement.false_alarms
+
+
+@pytest.mark.parametrize("sensor", ["standard", "phone", "complete"])
+def test_things_that_move_before_a_saturated_wall_are_reported(sensor: str) -> None:
+    report = shot(sensor, "moving-target", size="320x240")
+    assert report.movement is not None
+    assert min(frame.saturated_fraction for frame in report.frames[1:]) > 0.5
+    assert report.movement.share > 0.02
+    assert report.movement.area > 0.04
 
 
 @pytest.mark.parametrize("sensor", ["consumer", "complete", "ccd", "webcam"])

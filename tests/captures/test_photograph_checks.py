@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from camctl.captures.photograph_alignment import misaligned
 from camctl.captures.photograph_checks import Sight, unstated
 from camctl.captures.photographs import Photograph
+from camctl.response.camera import standard_response
+
+Light = NDArray[np.float32]
 
 
 def test_a_shift_is_that_of_the_whole_picture_where_tiles_have_lines_of_one_direction() -> None:
@@ -63,3 +70,70 @@ def test_the_photograph_that_is_not_where_the_others_are_is_named(shifted: int) 
 def test_noise_is_no_shift() -> None:
     pytest.importorskip("cv2", reason="OpenCV is blocked")
     assert misaligned(bracket(None)) == []
+
+
+def smooth_bracket(
+    change: Callable[[int, Light], Light], step: float = 4.0, quality: int = 92
+) -> list[Sight]:
+    """Return JPEG photographs of a smooth scene, `step` apart, each changed before it is taken."""
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is blocked")
+    rng = np.random.default_rng(3)
+    coarse = rng.normal(0, 1.5, (9, 12)).astype(np.float32)
+    scene = np.exp(cv2.resize(coarse, (560, 440), interpolation=cv2.INTER_CUBIC))
+    response = standard_response("srgb", 8).levels
+    sights = []
+    for k in range(4):
+        light = change(k, scene)[60:-60, 60:-60] * 0.02 * step**k
+        noisy = light + np.sqrt(light / 3000) * rng.normal(size=light.shape)
+        pixels = np.searchsorted(response, noisy, side="right").astype(np.uint8)
+        data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        decoded = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+        sights.append(Sight.of(Photograph(f"p{k}", step**k), decoded, 255))
+    return sights
+
+
+@pytest.mark.parametrize("shifted", [0, 1, 2, 3])
+@pytest.mark.parametrize(("columns", "rows"), [(9, 0), (0, -3), (-2, 2), (40, -57)])
+def test_a_shift_of_a_smooth_photograph_is_named(shifted: int, columns: int, rows: int) -> None:
+    def shift(k: int, scene: Light) -> Light:
+        return np.roll(scene, (rows, columns), (0, 1)) if k == shifted else scene
+
+    (line,) = misaligned(smooth_bracket(shift))
+    found = re.match(r"p(\d) is shifted against p\d by about (\S+) columns and (\S+) rows,", line)
+    assert found is not None, line
+    assert int(found[1]) == shifted
+    assert (int(found[2]), int(found[3])) == pytest.approx((columns, rows), abs=1)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "zoom", "words"),
+    [
+        (0.5, 1.0, "p2 is turned against p1 by about 0.5 degrees clockwise, and"),
+        (-1.0, 1.0, "p2 is turned against p1 by about 1.0 degrees anticlockwise, and"),
+        (0.0, 1.01, "p2 is enlarged against p1 by about 1.0 %, and"),
+        (0.0, 0.98, "p2 is reduced against p1 by about 2.0 %, and"),
+    ],
+)
+def test_a_turned_or_enlarged_photograph_is_named(degrees: float, zoom: float, words: str) -> None:
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is blocked")
+
+    def change(k: int, scene: Light) -> Light:
+        if k != 2:
+            return scene
+        middle = (scene.shape[1] - 1) / 2, (scene.shape[0] - 1) / 2
+        matrix = cv2.getRotationMatrix2D(middle, -degrees, zoom)  # positive is anticlockwise there
+        return np.asarray(cv2.warpAffine(scene, matrix, scene.shape[::-1]))
+
+    (line,) = misaligned(smooth_bracket(change))
+    assert line.startswith(words)
+
+
+def test_a_thing_that_moves_is_no_shift() -> None:
+    def move(k: int, scene: Light) -> Light:
+        changed = scene.copy()
+        left = 100 + 50 * k
+        changed[150:290, left : left + 140] = 0.3
+        changed[180:260, left + 30 : left + 110] = 2.0
+        return changed
+
+    assert misaligned(smooth_bracket(move)) == []

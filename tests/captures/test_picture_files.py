@@ -85,7 +85,7 @@ def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -
 def test_channels_of_radiance_exr(
     layout: Layout, full_scale: float, halves: bool, tmp_path: Path
 ) -> None:
-    """Deviations are float16 where that has them exactly: neither tiny nor huge, no mosaic."""
+    """Deviations are float16 where that has them exactly: neither tiny nor huge."""
     how = rendering(layout)
     desired, posterior = how.desired, Posterior(EFFECTIVE, how.desired, NOISE)
     how = Rendering(layout, (Tables.of(posterior, full_scale),), desired, full_scale)
@@ -95,12 +95,15 @@ def test_channels_of_radiance_exr(
         types = {name: channel.pixels.dtype for name, channel in file.channels().items()}
     names = "Y" if layout is Layout.MONO else "RGB"
     expected: dict[str, type[np.generic]] = {f"mask.{name}": np.float16 for name in names}
-    deviation = np.float16 if halves and not layout.is_mosaic else np.float32
+    deviation = np.float16 if halves else np.float32
     for name in names:
         expected |= {name: np.float32, f"sd.{name}": deviation}
     assert types == expected
     found = FolderStore(tmp_path).standard_deviation()
+    memory = MemoryStore()
+    memory.keep_pictures(total, how, details())
     assert found.dtype == np.float32
+    assert np.array_equal(found, memory.standard_deviation())
     if not layout.is_mosaic:
         assert np.array_equal(found, how.tables[0].deviation[total])
 

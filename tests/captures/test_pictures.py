@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.captures.pictures import (
+    CONTRADICTING,
     DARK,
     FULL_CODE,
     GOOD,
@@ -59,6 +60,15 @@ def test_demosaic_is_exact_for_linear_light_inside(layout: Layout) -> None:
     assert np.allclose(found[1:-1, 1:-1], colours[1:-1, 1:-1], rtol=1e-6)
 
 
+@pytest.mark.parametrize("layout", MOSAICS)
+def test_demosaic_keeps_17_bits_of_the_fraction(layout: Layout) -> None:
+    """A pixel's own sample is not interpolated: only the rounding is left."""
+    mosaic = np.geomspace(1e-6, 1e6, 400, dtype=np.float32).reshape(20, 20)
+    own = mosaic_of(demosaic(mosaic, layout, 0), layout).astype(np.float64)
+    error = np.abs(own / mosaic - 1).max()
+    assert 2**-20 < error <= 2**-18
+
+
 def test_planes_hold_every_sample_once() -> None:
     frame = np.arange(24, dtype=np.uint8).reshape(4, 6)
     for layout in (Layout.MONO, *MOSAICS):
@@ -78,6 +88,23 @@ def test_mask_of_a_mosaic_covers_all_interpolated_pixels() -> None:
     wide = demosaic_mask(mask)
     assert wide.shape == (5, 5, 3)
     assert np.array_equal(wide[..., 0] == 2, np.pad(np.ones((3, 3), bool), 1))
+
+
+@pytest.mark.parametrize("place", [(4, 4), (4, 5), (5, 4), (5, 5)])
+def test_mask_of_a_mosaic_marks_the_pixels_whose_value_depends_on_a_sample(
+    place: tuple[int, int],
+) -> None:
+    """Users of a mask leave out pixels: each that a bad sample changed must be marked."""
+    light = np.random.default_rng(0).uniform(0.2, 0.5, (10, 10)).astype(np.float32)
+    changed = light.copy()
+    changed[place] = 0.9
+    mask = np.zeros((10, 10), np.uint8)
+    mask[place] = CONTRADICTING
+    depends = demosaic(light, Layout.RGGB, 0) != demosaic(changed, Layout.RGGB, 0)
+    marked = demosaic_mask(mask) == CONTRADICTING
+    # A green sample does not reach the corners of its 3 x 3 pixels: at most 4 of 9 are too many.
+    assert not (depends & ~marked).any()
+    assert 5 <= depends.any(axis=2).sum() <= marked.any(axis=2).sum() == 9
 
 
 def tables_of(desired: DesiredResponse, electrons: float = math.inf) -> Tables:

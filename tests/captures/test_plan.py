@@ -26,6 +26,7 @@ from camctl.controls import (
     ExposureControls,
     ExposureSetting,
     Layout,
+    ResponseOrigin,
     Steps,
 )
 from camctl.errors import CaptureError, DataError, UsageError
@@ -57,6 +58,7 @@ def controls_of(
         white=255,
         gain=gain or Choices((1.0,)),
         f_number=f_number,
+        response_origin=ResponseOrigin.STATED,
     )
 
 

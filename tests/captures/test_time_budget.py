@@ -12,7 +12,7 @@ from camctl.captures.request import CaptureRequest
 from camctl.captures.time_budget import within_budget
 from camctl.captures.wall_time import predicted_wall_s, time_costs
 from camctl.clock import CaptureTiming
-from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
+from camctl.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin, Steps
 from camctl.errors import CaptureError, UsageError
 from camctl.noise_model import NoiseModel
 
@@ -26,6 +26,7 @@ STREAM = ExposureControls(
     frame_interval_s=0.1,
     timing=CaptureTiming(lead_frames=0.5, readout_s=0.02),
     noise=NoiseModel(39.0625, ((1.0, 3.0),)),
+    response_origin=ResponseOrigin.STATED,
 )
 VARYING = replace(
     STREAM,

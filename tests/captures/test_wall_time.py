@@ -20,7 +20,7 @@ from camctl.camera import Camera
 from camctl.captures.report import CaptureReport
 from camctl.captures.wall_time import predicted_wall_s, wall_time_warnings
 from camctl.clock import CaptureTiming
-from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps
+from camctl.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin, Steps
 from camctl.profile import DelayRecord, change_profile
 from camctl.streaming.control_delay import ControlDelay, DelayOrigin
 from drivers.v4l2.camera import V4l2Camera
@@ -106,7 +106,14 @@ def test_a_stream_of_unknown_delay_warns_in_both_directions(
     timing = ControlDelay(0, 6, DelayOrigin.ASSUMED).timing(0.0)
     times = Steps(1e-4, 1 / 30, 1e-4)
     controls = ExposureControls(
-        times, (4, 4), Layout.MONO, 8, white=255, frame_interval_s=1 / 30, timing=timing
+        times,
+        (4, 4),
+        Layout.MONO,
+        8,
+        white=255,
+        frame_interval_s=1 / 30,
+        timing=timing,
+        response_origin=ResponseOrigin.STATED,
     )
     settings = [ExposureSetting(time_s) for time_s in (0.001, 0.004, 0.02)]
     planned_s = predicted_wall_s(controls, settings)
@@ -234,7 +241,13 @@ def test_a_download_during_the_next_exposure_never_takes_longer(
     def predicted(*, overlaps: bool) -> float:
         timing = CaptureTiming(settling_s, readout_s, download_s, overlaps)
         controls = ExposureControls(
-            Steps(1e-4, 10), (1, 1), Layout.MONO, 8, white=255, timing=timing
+            Steps(1e-4, 10),
+            (1, 1),
+            Layout.MONO,
+            8,
+            white=255,
+            timing=timing,
+            response_origin=ResponseOrigin.STATED,
         )
         return predicted_wall_s(controls, [ExposureSetting(time_s) for time_s in times])
 

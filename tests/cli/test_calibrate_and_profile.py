@@ -16,6 +16,7 @@ from camctl.controls import Layout
 from camctl.exposure_record import Correction, ExposureRecord, exposure_mode
 from camctl.profile import StillRecord, change_profile
 from camctl.profile_folder import list_profiles
+from sim.sensors.sensor import load_sensor
 
 SMALL = ("--size", "64x48")
 STILL_CAMERA = CameraInfo("ptp:1", "Make", "Still 5", "77", "ptp")
@@ -188,15 +189,26 @@ CURVED_OPTIONS = {"sensor": "consumer", "scene": "ramp", "size": "160x120", "unk
 CURVED = ("--sensor", "consumer", "--scene", "ramp", "--size", "160x120", "-O", "unknown=yes")
 
 
-def test_exposures_are_not_measured_without_a_response(run: Run) -> None:
-    ran = run("calibrate", "exposure", *CURVED, "--longest", "0.1")
+@pytest.mark.parametrize("what", ["exposure", "noise"])
+def test_nothing_is_measured_through_an_assumed_response(run: Run, what: str) -> None:
+    ran = run("calibrate", what, *CURVED, "--longest", "0.1")
     assert ran.status == 1
-    assert "the response of camctl simulated consumer is not known" in ran.error
-    assert "camctl calibrate response, or state it with --response" in ran.error
+    assert ran.error == (
+        "the response of the camera is only assumed, and without the true one its "
+        f"{what} cannot be measured; measure it first with camctl calibrate response, or give it: "
+        f"camctl calibrate {what} --response NAME"
+    )
     assert list_profiles() == []
-    line = ("calibrate", "exposure", *CURVED, "--response", "srgb", "--repeats", "2", "--json")
-    times = run(*line).json["times"]
+
+
+def test_exposures_and_noise_are_measured_through_a_response_that_is_given(run: Run) -> None:
+    given = (*CURVED, "--response", "srgb", "--json")
+    times = run("calibrate", "exposure", *given, "--repeats", "2").json["times"]
     assert [each["factor"] for each in times] == pytest.approx([1] * len(times), abs=0.02)
+    found = run("calibrate", "noise", *given)
+    true = load_sensor("consumer").noise_model.conversion_e_per_dn
+    assert found.json["conversion_e_per_dn"]["value"] == pytest.approx(true, rel=0.1)
+    assert found.err == ""
 
 
 def wrong_exposures(value: float) -> None:

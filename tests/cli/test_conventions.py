@@ -11,13 +11,9 @@ import pytest
 from command_line import Ran, Run
 
 import camctl
-from camctl.backends import CAMERAS, PANELS
-from camctl.cli import COMMANDS, cli, parameter_types
+from camctl.cli import COMMANDS, cli
 from camctl.cli.commands import Command
 from camctl.errors import CamctlError, CaptureError, InterruptedCaptureError, UsageError
-from camctl.response.desired import RANGES
-from sim.scenes.scene import scene_names
-from sim.sensors.sensor import sensor_names
 
 Path = tuple[str, ...]
 
@@ -69,6 +65,15 @@ def test_help_imports_no_heavy_module() -> None:
     assert "Commands:" in out
     assert "camctl.cli.shoot" in imported
     assert not (HEAVY | {"sim"}) & imported
+
+
+@pytest.mark.parametrize("option", ["response", "range", "scene", "sensor", "camera"])
+def test_completion_imports_no_heavy_module(option: str) -> None:
+    out, imported = run_alone(
+        _CAMCTL_COMPLETE="bash_complete", COMP_WORDS=f"camctl shoot --{option} ", COMP_CWORD="3"
+    )
+    assert out
+    assert not HEAVY & imported
 
 
 @pytest.mark.parametrize("line", [(), *GROUPS, *LINES])
@@ -366,72 +371,3 @@ def test_closed_output_is_not_an_internal_error(line: str) -> None:
         assert done.stderr.startswith("camctl: invalid value for --ratios: 0;")
     else:
         assert (done.returncode, done.stderr) == (1, "")
-
-
-def complete(run: Run, monkeypatch: pytest.MonkeyPatch, line: str) -> list[str]:
-    """Return what the Tab key in bash offers after `line`; a file name is offered as <file>."""
-    words = line.split(" ")
-    monkeypatch.setenv("_CAMCTL_COMPLETE", "bash_complete")
-    monkeypatch.setenv("COMP_WORDS", line)
-    monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
-    ran = run()
-    assert ran.err == ""
-    offers = [offer.partition(",") for offer in ran.out.splitlines() if offer]
-    return ["<file>" if kind == "file" else value for kind, _, value in offers]
-
-
-@pytest.mark.parametrize(
-    ("line", "offers"),
-    [
-        ("camctl so", ["solve"]),
-        ("camctl table ", ["show", "build"]),
-        ("camctl help so", ["solve"]),
-        ("camctl help table b", ["build"]),
-        ("camctl shoot --ra", ["--range", "--ratios"]),
-        ("camctl shoot --response ", ["linear", "gamma", "log", "auto"]),
-        ("camctl solve --response ", ["<file>", "linear", "gamma", "log"]),
-        ("camctl solve --response l", ["<file>", "linear", "log"]),
-        ("camctl shoot --range ", ["low", "medium", "high", "auto"]),
-        ("camctl shoot --scene n", ["<file>", "night-street"]),
-        ("camctl shoot --sensor ideal-1", ["<file>", "ideal-12"]),
-        ("camctl shoot --camera s", ["sim"]),
-        ("camctl menu --panel t", ["terminal"]),
-        ("camctl shoot --base ", ["auto"]),
-        ("camctl shoot --mains ", ["50", "60"]),
-        ("camctl shoot --desired ", ["<file>"]),
-        ("camctl solve --noise-kind ", ["paper", "time", "aperture", "gain"]),
-        ("camctl solve --curve ", ["<file>", "srgb", "rec709", "power:"]),
-        ("camctl table build --responses log,l", ["log,linear", "log,log"]),
-        ("camctl table build --ranges low,m", ["low,medium"]),
-        ("camctl shoot --no-such-option ", []),
-        ("camctl shot --range so", ["solve"]),
-    ],
-)
-def test_completion_offers_commands_options_and_values(
-    run: Run, monkeypatch: pytest.MonkeyPatch, line: str, offers: list[str]
-) -> None:
-    assert complete(run, monkeypatch, line) == offers
-
-
-def test_completion_offers_profiles(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert complete(run, monkeypatch, "camctl profile show ") == []
-    monkeypatch.delenv("_CAMCTL_COMPLETE")
-    assert run("calibrate", "delay", "--size", "32x24", "--trials", "2").status == 0
-    (name,) = [each["name"] for each in run("profile", "list", "--json").json]
-    assert complete(run, monkeypatch, "camctl profile show ") == [name]
-
-
-@pytest.mark.parametrize("option", ["response", "range", "scene", "sensor", "camera"])
-def test_completion_imports_no_heavy_module(option: str) -> None:
-    out, imported = run_alone(
-        _CAMCTL_COMPLETE="bash_complete", COMP_WORDS=f"camctl shoot --{option} ", COMP_CWORD="3"
-    )
-    assert out
-    assert not HEAVY & imported
-
-
-def test_names_for_completion_are_those_of_the_packages() -> None:
-    assert list(parameter_types.SCENE.suggestions()) == sorted(scene_names())
-    assert list(parameter_types.SENSOR.suggestions()) == sorted(sensor_names())
-    assert tuple(RANGES) == parameter_types.RANGE_NAMES
-    assert (CAMERAS, PANELS) == ("camctl.cameras", "camctl.panels")

@@ -17,6 +17,7 @@ from camctl.profile import DelayRecord, Profile, change_profile
 from camctl.profile_folder import import_profile, list_profiles
 
 UNKNOWN = ("--sensor", "consumer", "--scene", "ramp", "--size", "160x120", "-O", "unknown=yes")
+ASSUMED = "the response linear is assumed until it is measured"
 DELAY = DelayRecord(frames=2, smallest=2, largest=2, trials=12, measured_at="2026-11-22")
 CAMERA = CameraInfo("v4l2:/dev/video0", "Make", "Webcam 3000", "A1B2", "v4l2")
 
@@ -58,6 +59,7 @@ def test_shoot_uses_the_profile_and_says_so(run: Run, calibrated: str, tmp_path:
     assert ran.status == 0, ran.err
     assert ran.err.count(using(calibrated)) == 1
     report = json.loads((tmp_path / "a" / "report.json").read_text())
+    assert report["response_origin"] == "measured"
     assert report["profile"].startswith(f"{calibrated}: response, exposures, noise")
     used = [frame["exposure_ratio"]["used"] for frame in report["frames"]]
     assert used == ["profile", "profile"]
@@ -70,6 +72,9 @@ def test_the_profile_is_switched_off(run: Run, tmp_path: Path, option: tuple[str
     ran = run(*line, *option, "--json")
     assert ran.json["profile"] is None
     assert "using the profile" not in ran.err
+    assert ran.json["response_origin"] == "assumed"
+    assert ran.json["warnings"].count(ASSUMED) == 1
+    assert ran.err.count(ASSUMED) == 1
 
 
 @pytest.mark.parametrize("command", ["solve", "evaluate --ratios 1,2", "table show"])
@@ -83,7 +88,10 @@ def test_computations_for_a_camera_use_its_profile(run: Run, calibrated: str, co
     else:
         assert ran.status == 0, ran.err
     assert using(calibrated) in ran.err
-    assert using(calibrated) not in run(*line, "--no-profile").err
+    assert ASSUMED not in ran.err
+    without = run(*line, "--no-profile").err
+    assert using(calibrated) not in without
+    assert without.count(ASSUMED) == 1
 
 
 def test_options_of_a_camera_need_one(run: Run) -> None:

@@ -70,6 +70,7 @@ def test_a_series_has_a_folder_of_its_own(run: Run) -> None:
         ("--repeat 2 --interval 0", "invalid value for --interval"),
         ("--repeat 2 --name ../x", "invalid folder name '../x'"),
         ("--repeat 2 --name {n}", "unknown field of a name '{n}'"),
+        ("--repeat 2 --name day-%03n", "unknown field of a name '%03n', which is one of gphoto2"),
         ("--repeat 2 --force", "a series cannot be combined with --force"),
         ("--on-key", "--on-key needs a terminal on standard input"),
         ("--on-key --interval 3", "--on-key cannot be combined with --interval"),

@@ -15,8 +15,9 @@ class ExampleCamera(camctl.CameraBase):
         super().__init__(f"example:{address}", clock or camctl.RealClock())
         self._info = camctl.CameraInfo(self._name, "camctl", "Example", address, "example")
         times = camctl.Choices(tuple(2.0**k for k in range(-10, 2)))  # true seconds, not labels
+        mono, known = camctl.Layout.MONO, camctl.ResponseOrigin.STATED  # the samples are linear
         self._controls = camctl.ExposureControls(
-            times, shape=(48, 64), layout=camctl.Layout.MONO, bits=8, white=255, delay_frames=0
+            times, (48, 64), mono, bits=8, white=255, response_origin=known, delay_frames=0
         )
         self._light = np.geomspace(LIGHT[address], LIGHT[address] / 256, 64)
 

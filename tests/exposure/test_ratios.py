@@ -1,4 +1,4 @@
-"""Exposure ratios estimated from pixels: unbiased, with honest intervals, or refused."""
+"""Exposure ratios estimated from pixels: unbiased, with correct intervals, or refused."""
 
 from __future__ import annotations
 

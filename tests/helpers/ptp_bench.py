@@ -89,3 +89,8 @@ def shoot(camera: Camera, settings: list[ExposureSetting]) -> list[Frame]:
     """Return all frames of one sequence."""
     with closing(camera.shoot(settings)) as frames:
         return list(frames)
+
+
+def operations(device: VirtualCamera) -> list[int]:
+    """Return the codes of the operations that the camera was asked for."""
+    return [int(str(entry["operation"]), 16) for entry in device.responder.log]

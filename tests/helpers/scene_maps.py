@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 Light = NDArray[np.float32]
 _SHAPE = 240, 320
 #: Shares of the samples of the memorial map, and how many times as bright its brightest one is.
-_CHURCH_SHARES = 0.0, 0.001, 0.005, 0.01, 0.02, 0.05, 0.5, 0.9, 0.98, 0.99, 0.995, 0.998, 0.999, 1.0
-_CHURCH_DARKNESS = (
+_MAP_SHARES = 0.0, 0.001, 0.005, 0.01, 0.02, 0.05, 0.5, 0.9, 0.98, 0.99, 0.995, 0.998, 0.999, 1.0
+_MAP_DARKNESS = (
     1.64e6,
     8.79e5,
     7.21e5,
@@ -64,7 +64,7 @@ def candle_in_hall() -> Light:
     return np.stack([light, 0.6 * light, 0.25 * light], axis=-1).astype(np.float32)
 
 
-def church() -> Light:
+def memorial() -> Light:
     """Return a dim nave with bright windows: a stand-in for the memorial map.
 
     Its light has the distribution of that map.
@@ -73,14 +73,14 @@ def church() -> Light:
     panes = (np.sin(x * 47) > 0.6) & (np.sin(y * 61) > 0.2) & (y < 0.35)
     order = _texture(4, -1.0, 1.0) - 1.2 * y + _texture(5, 0.0, 1.0) + 2 * panes
     ranks = np.argsort(np.argsort(order.ravel())).reshape(_SHAPE) / order.size
-    light = np.exp(-np.interp(ranks, _CHURCH_SHARES, np.log(_CHURCH_DARKNESS)))
+    light = np.exp(-np.interp(ranks, _MAP_SHARES, np.log(_MAP_DARKNESS)))
     return np.stack([0.9 * light, 0.8 * light, light], axis=-1).astype(np.float32)
 
 
 MAPS: dict[str, Callable[[], Light]] = {
     "sun-through-window.exr": sun_through_window,
     "candle-in-hall.hdr": candle_in_hall,
-    "church.hdr": church,
+    "memorial.hdr": memorial,
 }
 
 

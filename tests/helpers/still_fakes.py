@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile, Pixels
 from camctl.clock import VirtualClock
-from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout
+from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout, ResponseOrigin
 from camctl.picture_operations import png
 from camctl.response.camera import standard_response
 
@@ -60,6 +60,7 @@ class StillCamera(CameraBase):
             response=standard_response(response, bits, levels=white - black),
             delay_frames=0,
             frame_interval_s=DOWNLOAD_S,
+            response_origin=ResponseOrigin.STATED,
         )
         self.actuations = 0
 

@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.controls import ExposureControls, ExposureSetting, Layout, Steps, resting_setting
+from camctl.controls import (
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+    ResponseOrigin,
+    Steps,
+    resting_setting,
+)
 from camctl.errors import CameraProtocolError, CameraTimeoutError, RefusedSettingError
 from camctl.profile import DelayRecord
 from camctl.streaming import (
@@ -146,7 +153,13 @@ def test_the_stream_rests_after_the_last_setting_at_no_cost(
 
 def test_a_stream_rests_only_after_frames_longer_than_its_interval() -> None:
     controls = ExposureControls(
-        Steps(0.001, 60.0), (4, 4), Layout.MONO, 8, white=255, frame_interval_s=0.04
+        Steps(0.001, 60.0),
+        (4, 4),
+        Layout.MONO,
+        8,
+        white=255,
+        frame_interval_s=0.04,
+        response_origin=ResponseOrigin.STATED,
     )
     assert resting_setting(controls, []) is None
     assert resting_setting(controls, settings_of([2.0, 0.04])) is None

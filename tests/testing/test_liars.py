@@ -11,7 +11,7 @@ from ptp_bench import Bench, bench, in_force
 from small_cameras import WrappedCamera
 
 from camctl.camera import Camera, Frame, FrameStream
-from camctl.controls import ExposureSetting
+from camctl.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import CameraDisconnectedError, CameraTimeoutError
 from camctl.testing.conformance import CameraConformance
 from sim.camera import SimulatedCamera
@@ -106,7 +106,7 @@ class Liar(WrappedCamera):
     ) -> Generator[Frame, None, None]:
         for frame, setting in zip(frames, settings, strict=True):
             type(self).count += 1
-            yield self.told(replace(frame, requested=setting, applied=setting))
+            yield self.returned(replace(frame, requested=setting, applied=setting))
 
     def possible(self, setting: ExposureSetting) -> ExposureSetting:
         return replace(setting, time_s=self.controls.time_s.nearest(setting.time_s))
@@ -114,7 +114,7 @@ class Liar(WrappedCamera):
     def changed(self, setting: ExposureSetting) -> ExposureSetting:
         return setting
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         return frame
 
 
@@ -138,7 +138,7 @@ class ExposesLongTimesTooLong(Liar):
 class RepeatsEveryThirtiethFrame(Liar):
     last: Frame | None = None
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         number, before = self.__dict__.get("number", 0) + 1, self.last
         self.__dict__["number"], self.last = number, frame
         if number % 30 == 0 and before is not None:
@@ -149,7 +149,7 @@ class RepeatsEveryThirtiethFrame(Liar):
 class MirrorsTheLowerHalf(Liar):
     """In every second frame."""
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         if frame.index % 2 == 0:
             return frame
         pixels = frame.pixels.copy()
@@ -176,7 +176,7 @@ class FailsOnLongLists(Liar):
 class AppliesTheFNumberOnce(Liar):
     """The light changes by the ratio of the f-numbers, not by its square."""
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         return frame
 
     def changed(self, setting: ExposureSetting) -> ExposureSetting:
@@ -195,7 +195,7 @@ class SetsFullStopsOnly(Liar):
 
 
 class ClipsBelowItsWhiteLevel(Liar):
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         top = frame.black + (frame.white - frame.black) * 4 // 5
         return replace(frame, pixels=np.minimum(frame.pixels, top).astype(np.uint8))
 
@@ -219,14 +219,14 @@ class SwapsPairsOfFrames(Liar):
 
 
 class InventsTimestamps(Liar):
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         return replace(frame, timestamp_s=frame.timestamp_s + 60.0)
 
 
 class HidesItsBlackLevel(Liar):
     """Adds a pedestal of 12 levels that it does not state."""
 
-    def told(self, frame: Frame) -> Frame:
+    def returned(self, frame: Frame) -> Frame:
         pixels = np.minimum(frame.pixels.astype(np.int64) + 12, frame.white)
         return replace(frame, pixels=pixels.astype(np.uint8))
 
@@ -256,10 +256,28 @@ class StatesTheRequestedTime(Liar):
         return replace(setting, time_s=setting.time_s / 2)
 
 
+class AssumesTheResponseOfRawSamples(Liar):
+    @property
+    def controls(self) -> ExposureControls:
+        return replace(
+            self.camera.controls,
+            layout=Layout.RGGB,
+            response_origin=ResponseOrigin.ASSUMED,
+        )
+
+
+class StatesItsResponseInWords(Liar):
+    @property
+    def controls(self) -> ExposureControls:
+        return replace(self.camera.controls, response_origin="the response is assumed")  # type: ignore[arg-type]
+
+
 Suite = type[Honest] | type[HonestStill]
 # What a check raises: its own assertion, pytest's if an error did not come, or the liar's error.
 _FOUND = (AssertionError, pytest.fail.Exception, RuntimeError)
 RANGE, CONTROL = "test_light_follows_the_control_over_its_whole_range", "control"
+
+ORIGIN = "test_the_response_is_known_or_said_to_be_assumed"
 
 LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (IgnoresGain, HonestGain, RANGE, {CONTROL: "gain"}),
@@ -279,6 +297,8 @@ LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (HidesItsBlackLevel, Honest, RANGE, {CONTROL: "time_s"}),
     (RepeatsItsLastFrame, Honest, "test_unplugged_camera_raises_an_error_of_one_line", {}),
     (RepeatsItsLastFrame, Honest, "test_silent_camera_raises_an_error_after_a_limited_time", {}),
+    (AssumesTheResponseOfRawSamples, Honest, ORIGIN, {}),
+    (StatesItsResponseInWords, Honest, ORIGIN, {}),
     (StatesTheRequestedTime, HonestStill, "test_applied_is_what_the_device_itself_states", {}),
 ]
 

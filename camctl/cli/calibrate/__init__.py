@@ -241,22 +241,18 @@ def _measure(
     camera: CameraOptions, repeats: int, longest_s: float, response: str | None
 ) -> tuple[CameraInfo, str, ExposureRecord]:
     from camctl.calibration.exposures import measure_exposures
-    from camctl.cli.calibrate.exposure_series import response_named
+    from camctl.cli.calibrate.exposure_series import response_of
     from camctl.exposure_record import exposure_mode
 
     with (
         camera.open(profile="response,noise") as opened,
         progress_bar("shooting each setting") as bar,
     ):
-        stated = None
-        if response is not None:
-            controls = opened.controls
-            stated = response_named(response, controls.bits, controls.black, controls.white)
         record = measure_exposures(
             opened,
             repeats=repeats,
             longest_s=longest_s,
-            response=stated,
+            response=response_of(opened.controls, response),
             progress=without_stage(bar),
             warn=print_warning,
         )

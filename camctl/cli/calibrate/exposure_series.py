@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from camctl.calibration.response_series import Series
     from camctl.camera import CameraInfo
     from camctl.captures.report import CaptureReport
+    from camctl.controls import ExposureControls
     from camctl.response.camera import CameraResponse
     from drivers.common.still_file import Still
 
@@ -139,6 +140,13 @@ def response_named(name: str, bits: int, black: int, white: int) -> CameraRespon
     return named_response(name, bits, white - black) or linear_response(
         bits, phase=0.5 if black else 0.0, levels=white - black
     )
+
+
+def response_of(controls: ExposureControls, name: str | None) -> CameraResponse | None:
+    """Return the response of a camera by the name that the user gave it; None: none given."""
+    if name is None:
+        return None
+    return response_named(name, controls.bits, controls.black, controls.white)
 
 
 def stored_capture(source: SeriesOptions) -> StoredCapture | None:

@@ -16,6 +16,7 @@ from camctl.cli.calibrate.exposure_series import (
     levels_of,
     read_stills,
     response_named,
+    response_of,
     series_options,
     stored_capture,
 )
@@ -84,8 +85,8 @@ if TYPE_CHECKING:
 @click.option(
     "--response",
     metavar="NAME",
-    help="Response of FILES: linear, srgb, rec709, or power:GAMMA.  [default: of a capture the "
-    "measured one of its camera; srgb for JPEG; else linear]",
+    help="Response of the camera or of FILES: linear, srgb, rec709, or power:GAMMA.  [default: the "
+    "measured one of the camera, else that which it states; of FILES srgb for JPEG, else linear]",
 )
 @options.as_json
 def noise(
@@ -113,13 +114,13 @@ def noise(
         info, mode, record = _from_files(source, response, is_flat)
     else:
         hint = "name the files, or leave it out"
-        others = names & {"times", "black", "white", "response"}
+        others = names & {"times", "black", "white"}
         options.refuse_together(context, "--camera", others, hint)
         if is_dark:
-            options.refuse_together(context, "--dark", names & {"is_flat", "count"})
+            options.refuse_together(context, "--dark", names & {"is_flat", "count", "response"})
             info, mode, record = _dark(camera, longest_s)
         else:
-            info, mode, record = _from_camera(camera, count, longest_s, is_flat)
+            info, mode, record = _from_camera(camera, count, longest_s, is_flat, response)
     for note in () if is_dark else record.notes:
         print_warning(note)
     file = None if info is None else _keep(info, mode, record)
@@ -136,7 +137,11 @@ def noise(
 
 
 def _from_camera(
-    camera: CameraOptions, count: int, longest_s: float | None, is_flat: bool
+    camera: CameraOptions,
+    count: int,
+    longest_s: float | None,
+    is_flat: bool,
+    response: str | None,
 ) -> tuple[CameraInfo, str, NoiseRecord]:
     from camctl.calibration.noise import LONGEST_S, measure_noise
     from camctl.exposure_record import exposure_mode
@@ -147,6 +152,7 @@ def _from_camera(
             is_flat=is_flat,
             exposures=count,
             longest_s=longest_s or LONGEST_S,
+            response=response_of(opened.controls, response),
             progress=without_stage(bar),
         )
         return opened.info, exposure_mode(opened.controls), record

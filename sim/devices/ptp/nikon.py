@@ -75,7 +75,7 @@ class NikonResponder(Responder):
     def execute(
         self, code: int, transaction: int, parameters: Sequence[int], data: bytes
     ) -> Reply | None:
-        """Execute an operation; a property tells that a retractable lens is not extended."""
+        """Execute an operation; a property says that a retractable lens is not extended."""
         if (warning := self.properties.get(Property.NIKON_RETRACTABLE_LENS)) is not None:
             warning.value = int(self.body.faults.state == "retracted lens")
         return super().execute(code, transaction, parameters, data)

@@ -21,7 +21,7 @@ from camctl.camera import CameraInfo
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.clock import VirtualClock
-from camctl.controls import Choices, ExposureSetting
+from camctl.controls import Choices, ExposureSetting, ResponseOrigin
 from camctl.errors import (
     CamctlError,
     CameraBusyError,
@@ -67,6 +67,12 @@ def settings(*times_s: float) -> list[ExposureSetting]:
 
 
 class TestVirtualCamera:
+    def test_its_response_is_assumed_unless_it_is_given(self, camera: Gphoto2Camera) -> None:
+        assert camera.controls.response_origin is ResponseOrigin.STATED
+        camera.close()
+        with Gphoto2Backend().open("", {}) as other:
+            assert other.controls.response_origin is ResponseOrigin.ASSUMED
+
     def test_it_is_listed_with_the_backend_to_use(self) -> None:
         (found,) = (each for each in list_cameras() if each.driver == "gphoto2")
         remark = "ptp: is the faster way to a Nikon; this one is for models that ptp: refuses"

@@ -16,7 +16,7 @@ from camctl.camera import Camera
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.clock import RealClock
-from camctl.controls import Choices, ExposureSetting, Layout, Steps
+from camctl.controls import Choices, ExposureSetting, Layout, ResponseOrigin, Steps
 from camctl.errors import (
     CamctlError,
     CameraDisconnectedError,
@@ -94,10 +94,12 @@ class TestNetworkStream:
     def test_what_it_cannot_know_is_noted(self, server: NetworkCamera) -> None:
         with open_network_camera(server) as camera:
             notes = " ".join(camera.controls.notes)
+            assert camera.controls.response_origin is ResponseOrigin.STATED  # by an option
         assert "cannot be read back" in notes
         assert "neither time nor exposure of a frame" in notes
         with OpencvCamera(server.url).open() as camera:
             assert "cannot be set; it is unknown" in camera.controls.notes[0]
+            assert camera.controls.response_origin is ResponseOrigin.ASSUMED
         with OpencvCamera(server.url, OpencvOptions(time=0.01)).open() as camera:
             assert camera.controls.time_s == Choices((0.01,))
 

@@ -13,7 +13,7 @@ import usb.core
 from ptp_bench import bench, camera_on, settings_at, shoot, virtual_sensor
 
 from camctl.camera import OriginalFile
-from camctl.controls import Choices, Control, ExposureSetting, Layout
+from camctl.controls import Choices, Control, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -153,12 +153,19 @@ class TestFileFormat:
             (note,) = [note for note in camera.controls.notes if "could not be saved" in note]
             assert note.endswith("its profile: the disk is full")
 
-    @pytest.mark.parametrize("word", ["srgb", "power:2"])
-    def test_the_response_of_jpeg_is_assumed_and_noted(self, word: str) -> None:
-        with camera_on(options={"response": word}) as (camera, _):
+    @pytest.mark.parametrize("word", [None, "srgb", "power:2"])
+    def test_the_response_of_jpeg_is_assumed_unless_it_is_given(self, word: str | None) -> None:
+        pair, options = bench(), {} if word is None else {"response": word}
+        given = PtpOptions.parse(options)
+        with PtpCamera(pair.usb_device, given, clock=pair.device.clock).open() as camera:
             levels = camera.controls.levels.levels
             assert levels[127] < 0.3  # linear: 0.5
-            assert f"the response {word} is assumed until it is measured" in camera.controls.notes
+            assert camera.controls.has_assumed_response == (word is None)
+
+    def test_the_response_of_raw_files_is_stated(self) -> None:
+        pair = bench("ideal-12", files="dng")
+        with PtpCamera(pair.usb_device, PtpOptions(), clock=pair.device.clock).open() as camera:
+            assert camera.controls.response_origin is ResponseOrigin.STATED
 
     @pytest.mark.parametrize("vendor", ["nikon", "canon", "sony"])
     def test_an_untested_dialect_is_noted(self, vendor: str) -> None:

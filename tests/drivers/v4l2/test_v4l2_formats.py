@@ -9,7 +9,7 @@ import pytest
 from v4l2_bench import one_frame, open_model, opening_error
 from v4l2_model import COLUMNS, ROWS, Model, brightness
 
-from camctl.controls import Layout
+from camctl.controls import Layout, ResponseOrigin
 from camctl.errors import CameraError, CameraProtocolError, UsageError
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
@@ -110,8 +110,10 @@ class TestFormats:
     def test_response(self, code: str, response: str, is_linear: bool) -> None:
         with open_model(Model(formats=(code,)), response=response) as camera:
             assert (camera.controls.response is None) == is_linear
-            note = "the response is assumed to be sRGB until it is measured: -O response=..."
-            assert (note in camera.controls.notes) == (code == "YUYV" and response == "auto")
+            is_assumed = code == "YUYV" and response == "auto"
+            assert camera.controls.has_assumed_response == is_assumed
+            if not is_assumed:
+                assert camera.controls.response_origin is ResponseOrigin.STATED
 
     @pytest.mark.parametrize(
         ("options", "message"),
