@@ -28,7 +28,7 @@ NOISE_STEPS = 256
 #: clipping at black distort the histogram.
 LEAST_PIXELS, DARKEST = 20, 0.006
 #: Frames whose exposures differ more are not matched: few pixels are in range in both.
-_LARGEST_RATIO = 100.0
+LARGEST_RATIO = 100.0
 #: Brightness, share of full scale, between which unknown exposures are guessed, and the number of
 #: nodes that are needed.
 _GUESSED, _LEAST_NODES = (0.03, 0.97), 5
@@ -85,7 +85,7 @@ def match_levels(counts_of: PairCounts, exposures: Sequence[float], edges: Float
     nodes: FloatArray = np.unique(np.round(np.linspace(lowest + 1, edges[-1], _NODES)))
     found: list[tuple[FloatArray, ...]] = []
     for short, long in permutations(range(len(exposures)), 2):
-        if not 1.0 + 1e-6 < exposures[long] / exposures[short] <= _LARGEST_RATIO:
+        if not 1.0 + 1e-6 < exposures[long] / exposures[short] <= LARGEST_RATIO:
             continue
         counts = counts_of(short, long)
         (below_short, below_long), places = _below(counts, edges)

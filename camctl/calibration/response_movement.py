@@ -11,6 +11,8 @@ Cells of neighbouring samples are judged by their mean, in which noise averages 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,8 +20,8 @@ from camctl.calibration.spill import SampleGrid
 from camctl.response.camera import FloatArray
 
 #: Brightness levels that are distinguished; of more bits than eight, equal steps of the square root
-#: of the brightness, as photon noise has them.
-_LEVELS = 256
+#: of the brightness, as photon noise has them, and of a share of full scale more: as read noise.
+_LEVELS, _READ_NOISE = 256, 0.003
 #: Share of the samples that are saturated in the longer frame that may have moved.
 _MOSTLY = 0.25
 #: Samples on each side of a cell.
@@ -81,7 +83,8 @@ def moved_samples(
 def _as_levels(plane: NDArray[np.generic], black: int, white: int) -> NDArray[np.intp]:
     share = np.clip((np.arange(white + 1) - black) / (white - black), 0, 1)
     if white - black >= _LEVELS:
-        share = np.sqrt(share)
+        share = np.sqrt(share + _READ_NOISE) - math.sqrt(_READ_NOISE)
+        share /= share[-1]
     table: NDArray[np.intp] = np.rint((_LEVELS - 1) * share).astype(np.intp)
     return np.asarray(table[np.minimum(plane, white).astype(np.intp)])
 
@@ -92,6 +95,7 @@ def _moved_cells(
     """Return 1 in the cells that deviate from the curve of most, and 0 in the others."""
     counts = np.bincount((after * _LEVELS + before).ravel(), minlength=_LEVELS**2)
     seen = counts.reshape(_LEVELS, _LEVELS)[:_SATURATED, :_SATURATED]
+    seen[0] = seen[:, 0] = 0  # clipped at black
     curve = _ascending_path(seen.astype(np.float64))
     # Where the longer frame is saturated, the shorter one may be anything brighter; most is.
     is_saturated = after >= _SATURATED

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.response_matches import guess_exposures
+from camctl.calibration.response_matches import LARGEST_RATIO, guess_exposures
 from camctl.calibration.response_movement import moved_samples
 from camctl.calibration.spill import SampleGrid, grid_counts
 from camctl.controls import Layout
@@ -26,6 +26,9 @@ _PIXELS_AT_ONCE = 1 << 20
 _CLIPPED_SHARE, _CLIPPED_EXCESS, _LEVELS_BELOW = 2e-3, 8.0, 16
 #: Share of the patches that are the darkest.
 _DARK_SHARE = 0.02
+#: Share of a picture of which samples are subtracted from those of all pixels where it moved; where
+#: more moved, the rest of the grid is counted.
+_LITTLE = 0.1
 #: Black levels that are looked for, as shares of full scale: cameras have 1/64 to 1/16.
 _LEAST_BLACK, _MOST_BLACK = 1 / 128, 1 / 8
 
@@ -139,11 +142,17 @@ class Series:
         found = [self._moved[k] for k in pair if k in self._moved]
         moved = np.asarray(np.any(found, axis=0)) if found else None
         places = np.concatenate([[0], edges.astype(np.intp)])
+        whole = np.array([np.add.reduceat(self._counts[k][channel], places) for k in pair])
         if spill and moved is None:
-            return np.array([np.add.reduceat(self._counts[k][channel], places) for k in pair])
+            return whole
         colours = [k for k, letter in enumerate(self.colours()) if letter == channel]
         frames = [self._grids[k] for k in pair]
         below = None if spill else self.white
+        if spill and moved is not None and moved.mean() < _LITTLE:
+            inside = grid_counts(frames, colours, places, moved=~moved)
+            scale = whole[0].sum() / sum(self._grids[0].planes[k].size for k in colours)
+            left: NDArray[np.int64] = np.rint(whole - scale * inside).astype(np.int64)
+            return np.maximum(left, 0)
         return grid_counts(frames, colours, places, below=below, moved=moved)
 
     def find_moved(self) -> None:
@@ -158,6 +167,8 @@ class Series:
         if not any(self._moved_between(*pair) is not None for pair in pairwise(order)):
             return
         for pair in combinations(order, 2):
+            if self.exposures[pair[1]] > LARGEST_RATIO * self.exposures[pair[0]]:
+                continue  # they are not matched
             if (moved := self._moved_between(*pair)) is not None:
                 for frame in pair:
                     self._moved[frame] = self._moved.get(frame, np.zeros_like(moved)) | moved

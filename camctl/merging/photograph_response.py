@@ -97,18 +97,19 @@ def known_controls(
         )
     response = standard_response("srgb", series.bits, phase=series.phase, levels=levels)
     standard = replace(controls, response=response, response_origin=ResponseOrigin.ASSUMED)
+    fitting_standard = replace(standard, response_origin=ResponseOrigin.MEASURED)
     try:
         estimate = estimate_response(series, is_scene_checked=False)
     except DataError as error:
         if fit_error(series, standard) <= _FITS:
-            return standard, _FITTING
+            return fitting_standard, _FITTING
         notes.append(f"the response is taken for srgb, since it cannot be estimated: {error.what}")
         return standard, _ASSUMED
     estimated = _measured(controls, estimate.record)
     # An estimate has errors of its own: where the standard explains the frames as well, it is it.
     errors = [fit_error(series, each) for each in (standard, estimated)]
     if errors[0] <= _FITS or errors[0] <= _AS_WELL * errors[1] < math.inf:
-        return standard, _FITTING
+        return fitting_standard, _FITTING
     (notes if estimate.is_doubtful else facts).extend(estimate.notes)
     return estimated, _ESTIMATED
 

@@ -106,7 +106,7 @@ def test_a_thing_that_moves_does_not_bend_the_response(curve: str, quality: int 
     for things in (ONE_BRIGHT, TWO) if quality else (ONE_BRIGHT, ONE_DARK, TWO, FIRST, LAST):
         found = estimated(photographs(CURVES[curve], times, quality, things), times)
         assert any("something moved" in note for note in found.notes)
-        # Without the search for movement 0.03 to 0.3; fewer samples leave up to 0.002.
+        # Without the search for movement 0.02 to 0.2; fewer samples leave up to 0.002.
         assert error_of(found, CURVES[curve]) < 1.2 * still + 0.002, things
 
 
