@@ -45,6 +45,7 @@ from camctl.calibration.response_noise import correct_matches
 from camctl.calibration.response_series import Series
 from camctl.calibration.spill import below_saturation, spills_over
 from camctl.errors import DataError
+from camctl.number_text import percent_text
 from camctl.response.camera import FloatArray
 from camctl.response_record import ChannelResponse, ResponseRecord
 
@@ -66,6 +67,13 @@ _SPILLS = (
     "charge spills over from saturated samples (blooming): they and those near them are left out "
     "of the estimate"
 )
+#: Where something moved between two frames.
+_MOVED = (
+    "something moved in up to {} of the picture from one frame to another: it is left out of the "
+    "estimate of the response"
+)
+_DOUBT = "and the rest does not show the response: the estimate may be wrong"
+_MOVED_TOO_MUCH = "something moved in up to {} of the picture from one frame to another, " + _DOUBT
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +88,7 @@ class ResponseEstimate:
         exponent_error: relative standard deviation of an exponent of the whole curve; None where it
             is unknown
         notes: what the user should know, one line each
+        is_doubtful: something moved that could not be left out
     """
 
     record: ResponseRecord
@@ -87,6 +96,7 @@ class ResponseEstimate:
     residual: float | None
     exponent_error: float | None = None
     notes: tuple[str, ...] = ()
+    is_doubtful: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +139,7 @@ def estimate_response(
     exposures = np.array(series.exposures)
     edges = _edges(series.white - series.black)
     notes = list(series.notes)
-    channels = _without_spill(
-        series, edges, [_evidence(series, name, edges, chart) for name in series.channels], notes
-    )
+    channels = _without_spill(series, edges, _still_evidence(series, edges, chart, notes), notes)
     exponent = None
     if estimate_ratios and exposures.size > 1 and not (series.exposures_are_stated and not chart):
         exponent = common_exponent(
@@ -178,6 +186,7 @@ def estimate_response(
         residual=max(fit.residual for fit in fits),
         exponent_error=None if exponent is None else exponent.error,
         notes=tuple(dict.fromkeys(notes)),
+        is_doubtful=any(note.endswith(_DOUBT) for note in notes),
     )
 
 
@@ -268,15 +277,38 @@ class _Evidence:
         )
 
 
+def _matches(series: Series, name: str, edges: FloatArray, *, spill: bool = True) -> Matches:
+    def counts(*pair: int) -> NDArray[np.int64]:
+        return series.counts_of_pair(name, series.black + edges, (pair[0], pair[1]), spill=spill)
+
+    return match_levels(counts, series.exposures, edges)
+
+
 def _evidence(series: Series, name: str, edges: FloatArray, chart: Chart | None) -> _Evidence:
     counts = series.counts_between(name, series.black + edges)
-    matches = match_levels(lambda *pair: counts[list(pair)], series.exposures, edges)
+    matches = _matches(series, name, edges)
     samples = None
     if chart is not None:
         samples = chart_samples(chart.frames, series, chart.patches, name)
     check_range(series, name, matches, samples)
     saturates = bool(counts[:, -1].max() > _FEW * counts[0].sum())
     return _Evidence(name, saturates, matches, samples)
+
+
+def _still_evidence(
+    series: Series, edges: FloatArray, chart: Chart | None, notes: list[str]
+) -> list[_Evidence]:
+    """Return the evidence of each channel without what moved, if the rest shows the response."""
+    series.find_moved()
+    if series.moved_share:
+        share = percent_text(series.moved_share)
+        with suppress(DataError):
+            found = [_evidence(series, name, edges, chart) for name in series.channels]
+            notes.append(_MOVED.format(share))
+            return found
+        series.forget_moved()
+        notes.append(_MOVED_TOO_MUCH.format(share))
+    return [_evidence(series, name, edges, chart) for name in series.channels]
 
 
 def _without_spill(
@@ -288,11 +320,7 @@ def _without_spill(
     """
 
     def clean(each: _Evidence) -> _Evidence:
-        matches = match_levels(
-            lambda *pair: series.counts_without_spill(each.name, series.black + edges, pair),
-            series.exposures,
-            edges,
-        )
+        matches = _matches(series, each.name, edges, spill=False)
         return dataclasses.replace(each, matches=below_saturation(matches, float(edges[-1])))
 
     found = [clean(each) for each in channels]

@@ -88,7 +88,7 @@ def check_labels(
     logs = np.log(exposures)
     found = np.log([fit.exposures for fit in fits])
     _check_steepness(exposures, edges, fits, STEADY if is_shot else _ESTIMATE)
-    errors = np.array([_errors(logs, *each) for each in zip(found, judged, strict=True)])
+    errors = np.array([label_errors(logs, *each) for each in zip(found, judged, strict=True)])
     worst = np.abs(errors).argmax(axis=0)
     error = errors[worst, np.arange(logs.size)]
     size = np.abs(error)
@@ -141,7 +141,7 @@ def _check_steepness(
             )
 
 
-def _errors(logs: FloatArray, found: FloatArray, judged: NDArray[np.bool_]) -> FloatArray:
+def label_errors(logs: FloatArray, found: FloatArray, judged: NDArray[np.bool_]) -> FloatArray:
     """Return ln(exposure that the pixels say / stated one) of each frame; 0 where not judged."""
     used = np.flatnonzero(judged)
     best, errors = math.inf, np.zeros(logs.size)
@@ -157,7 +157,7 @@ def _errors(logs: FloatArray, found: FloatArray, judged: NDArray[np.bool_]) -> F
 
 
 def _scatter(logs: FloatArray, found: FloatArray, judged: NDArray[np.bool_]) -> FloatArray:
-    """Return the like of `_errors` from a line of least squares."""
+    """Return the like of `label_errors` from a line of least squares."""
     if judged.sum() < 2:
         return np.zeros(logs.size)
     slope, start = np.polyfit(logs[judged], found[judged], 1)

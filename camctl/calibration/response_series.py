@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import combinations, pairwise
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.response_matches import guess_exposures
-from camctl.calibration.spill import SampleGrid, counts_without_spill
+from camctl.calibration.response_movement import moved_samples
+from camctl.calibration.spill import SampleGrid, grid_counts
 from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
 from camctl.exposure.patches import Patches, sample_patches
@@ -65,6 +67,7 @@ class Series:
     notes: list[str] = field(default_factory=list)
     _counts: list[dict[str, NDArray[np.int64]]] = field(default_factory=list)
     _grids: list[SampleGrid] = field(default_factory=list)
+    _moved: dict[int, NDArray[np.bool_]] = field(default_factory=dict)
     _shape: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -122,14 +125,54 @@ class Series:
         places = np.concatenate([[0], edges.astype(np.intp)])
         return np.array([np.add.reduceat(counts[channel], places) for counts in self._counts])
 
-    def counts_without_spill(
-        self, channel: str, edges: FloatArray, pair: Sequence[int]
+    def counts_of_pair(
+        self, channel: str, edges: FloatArray, pair: tuple[int, int], *, spill: bool = True
     ) -> NDArray[np.int64]:
-        """Return the like of two frames, (2, edges + 1), without samples near saturated ones."""
+        """Return the like of two frames, (2, edges + 1), without what moved between them.
+
+        Args:
+            channel: its name
+            edges: ascending levels, DN
+            pair: the frames
+            spill: False: also without samples near saturated ones
+        """
+        found = [self._moved[k] for k in pair if k in self._moved]
+        moved = np.asarray(np.any(found, axis=0)) if found else None
         places = np.concatenate([[0], edges.astype(np.intp)])
+        if spill and moved is None:
+            return np.array([np.add.reduceat(self._counts[k][channel], places) for k in pair])
         colours = [k for k, letter in enumerate(self.colours()) if letter == channel]
         frames = [self._grids[k] for k in pair]
-        return counts_without_spill(frames, colours, places, self.white)
+        below = None if spill else self.white
+        return grid_counts(frames, colours, places, below=below, moved=moved)
+
+    def find_moved(self) -> None:
+        """Find what moved between frames, so that `counts_of_pair` leaves it out.
+
+        What moved in one frame is seen beside those of neighbouring exposures; only then all pairs
+        are compared.  A frame of which samples contradict another one is not compared in them with
+        any: beside a third one the thing that moved may look as if it belonged to the scene.
+        """
+        self._moved.clear()
+        order = np.argsort(self.exposures, kind="stable").tolist()
+        if not any(self._moved_between(*pair) is not None for pair in pairwise(order)):
+            return
+        for pair in combinations(order, 2):
+            if (moved := self._moved_between(*pair)) is not None:
+                for frame in pair:
+                    self._moved[frame] = self._moved.get(frame, np.zeros_like(moved)) | moved
+
+    def forget_moved(self) -> None:
+        """Count what moved, too."""
+        self._moved.clear()
+
+    def _moved_between(self, short: int, long: int) -> NDArray[np.bool_] | None:
+        return moved_samples(self._grids[short], self._grids[long], self.black, self.white)
+
+    @property
+    def moved_share(self) -> float:
+        """The largest share of a frame in which something moved before it or after it."""
+        return max((float(each.mean()) for each in self._moved.values()), default=0.0)
 
     def channel_patches(self, position: int, channel: str) -> Patches:
         """Return the patches of one channel of a frame."""

@@ -84,25 +84,36 @@ def _brightest(
     return brightest
 
 
-def counts_without_spill(
-    frames: Sequence[SampleGrid], colours: Sequence[int], places: NDArray[np.intp], white: int
+def grid_counts(
+    frames: Sequence[SampleGrid],
+    colours: Sequence[int],
+    places: NDArray[np.intp],
+    *,
+    below: int | None = None,
+    moved: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.int64]:
-    """Return histograms of the samples that are near saturation in none of the frames.
+    """Return histograms of the samples of grids.
 
     Args:
         frames: of one scene
         colours: which planes are counted
         places: (K,) levels, ascending from 0
-        white: level from which samples are saturated, DN
+        below: level that the samples near a counted one are below in all of the frames, DN
+        moved: (rows, columns) samples that are not counted
 
     Returns:
         (frames, K): samples from each level up to the next one
     """
-    counts = np.zeros((len(frames), int(places[-1]) + 1), np.int64)
+    largest = max(int(plane.max()) for frame in frames for plane in frame.planes)
+    counts = np.zeros((len(frames), max(largest, int(places[-1])) + 1), np.int64)
     for colour in colours:
-        clean = np.max([frame.peaks[colour] for frame in frames], axis=0) < white
+        used = np.ones(frames[0].planes[colour].shape, np.bool_)
+        if below is not None:
+            used = np.max([frame.peaks[colour] for frame in frames], axis=0) < below
+        if moved is not None:
+            used[: moved.shape[0], : moved.shape[1]] &= ~moved
         for count, frame in zip(counts, frames, strict=True):
-            count += np.bincount(frame.planes[colour][clean], minlength=count.size)
+            count += np.bincount(frame.planes[colour][used], minlength=count.size)
     return np.asarray(np.add.reduceat(counts, places, axis=1))
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.exposure_check import NeighbourCheck, lamp_factor
 from camctl.captures.photographs import Photograph
 from camctl.errors import DataError
 from camctl.exposure.patches import Patches
@@ -23,7 +22,8 @@ _SIDE = 1024
 #: A median brightness lower by this share of full scale contradicts a longer exposure.
 _DARKER = 0.02
 #: Exposures that differ by less than this factor have no order.
-_SAME_EXPOSURE = 1.05
+SAME_EXPOSURE = 1.05
+_CORRECT = "correct them with --times, one for each file"
 #: Pixels of one pure colour along a border, as share of its length, that make it an invalid one.
 _BORDER_SHARE = 0.05
 
@@ -74,7 +74,7 @@ def duplicates(sights: Sequence[Sight]) -> dict[int, int]:
             continue
         found[position] = earlier
         one, other = sights[earlier].photograph, sight.photograph
-        if not 1 / _SAME_EXPOSURE < one.exposure / other.exposure < _SAME_EXPOSURE:
+        if not 1 / SAME_EXPOSURE < one.exposure / other.exposure < SAME_EXPOSURE:
             raise DataError(
                 f"{one.name} and {other.name} are the same photograph, but their exposures differ",
                 hint="leave one of them out, or correct its exposure with --times",
@@ -98,6 +98,15 @@ def unstated(photographs: Sequence[Photograph]) -> list[str]:
     return found
 
 
+def swapped_error(one: str, other: str) -> DataError:
+    """Return the error of two photographs, given by their names, with each other's exposure."""
+    return DataError(
+        f"the exposures of {one} and {other} are swapped: the one of the shorter exposure is the "
+        "brighter one",
+        hint=_CORRECT,
+    )
+
+
 def check_order(photographs: Sequence[Photograph], patches: Sequence[Patches], white: int) -> None:
     """Check that a longer exposure is brighter.
 
@@ -109,24 +118,20 @@ def check_order(photographs: Sequence[Photograph], patches: Sequence[Patches], w
     wrong = [
         (short, long)
         for short, long in combinations(by_label, 2)
-        if photographs[long].exposure >= _SAME_EXPOSURE * photographs[short].exposure
+        if photographs[long].exposure >= SAME_EXPOSURE * photographs[short].exposure
         and brightness[short] - brightness[long] > _DARKER
     ]
     if not wrong:
         return
     by_light = sorted(by_label, key=lambda k: brightness[k])
     names = [photographs[k].name for k in sorted({k for pair in wrong for k in pair})]
-    hint = "correct them with --times, one for each file"
+    hint = _CORRECT
     for one, other in wrong:
         swapped = [other if k == one else one if k == other else k for k in by_label]
         if all(
             brightness[short] - brightness[long] <= _DARKER for short, long in pairwise(swapped)
         ):
-            raise DataError(
-                f"the exposures of {photographs[one].name} and {photographs[other].name} are "
-                f"swapped: the one of the shorter exposure is the brighter one",
-                hint=hint,
-            )
+            raise swapped_error(photographs[one].name, photographs[other].name)
     if by_light == by_label[::-1]:
         raise DataError(
             "the exposures of the photographs are in the reverse order: the longer they are, the "
@@ -138,29 +143,6 @@ def check_order(photographs: Sequence[Photograph], patches: Sequence[Patches], w
         + (" and others" if len(names) > 4 else ""),
         hint=hint,
     )
-
-
-def wrong_exposures(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], check: NeighbourCheck
-) -> list[str]:
-    """Return a line for each pair of neighbours whose brightness contradicts their exposures."""
-    order = sorted(range(len(photographs)), key=lambda k: photographs[k].exposure)
-    found = []
-    for one, other in pairwise(order):
-        before, after = photographs[one], photographs[other]
-        result = check.compare(
-            patches[one],
-            patches[other],
-            after.exposure / before.exposure,
-            lamp_factor((before.time_s, after.time_s), None),
-        )
-        if result.contradicts and result.is_of_whole_picture and result.measured is not None:
-            found.append(
-                f"{after.name} is {result.measured:.3g} times as bright as {before.name}, and its "
-                f"exposure is {result.expected:.3g} times as long: one of the two exposures is "
-                "wrong, or the light has changed"
-            )
-    return found
 
 
 def invalid_border(pixels: Pixels) -> NDArray[np.bool_]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -82,6 +83,9 @@ def plan_photographs(
     metering = plan_capture(camera, replace(request, count=1, ratios=None)).metering
     assert metering is not None  # no base exposure is given
     limit_s = metering.limit_s * 2.0**request.compensation_stops
+    if request.count is not None and request.base_s is None:
+        # So many were asked for: where too few are as long as the metered one, shorter ones serve.
+        limit_s = min(limit_s, sorted(camera.times_s)[-min(request.count, len(camera.times_s))])
     if darkest is not None:
         # The shortest photograph of a set is the longest one up to the limit.
         base_s = max((t for t in camera.times_s if t <= limit_s), default=min(camera.times_s))
@@ -108,8 +112,10 @@ def plan_photographs(
             chosen = settings
             break
     asked = replace(request, count=None, ratios=relative_exposures(chosen))
-    plan = plan_capture(camera, asked)
-    if plan.settings != chosen:  # the chosen set begins below the longest possible photograph
+    plan = None
+    with suppress(CaptureError):  # from the longest possible photograph on there are too few
+        plan = plan_capture(camera, asked)
+    if plan is None or plan.settings != chosen:  # the chosen set begins below that one
         base_s = chosen[0].time_s
         asked = replace(asked, base_s=base_s, compensation_stops=0.0, clip_percent=None)
         plan = plan_capture(camera, asked)

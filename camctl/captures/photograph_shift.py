@@ -35,7 +35,7 @@ _BLUR = 1.0
 _CANDIDATES, _APART, _OVERLAP = 2, 3, 0.4
 #: Bins of brightness, in each of which the mean residual is left out.
 _BINS = 48
-#: Brightness values that are told apart where two histograms are compared.
+#: Brightness values that are distinguished where two histograms are compared.
 _RANKS = 1024
 #: Of the points every so manyth gives medians.
 _SAMPLE = 7

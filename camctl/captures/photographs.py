@@ -25,7 +25,7 @@ _LABELS = (
 _TENTHS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 _LONGEST_LABEL_S = 60.0
 #: Exposures are corrected by up to this factor, and a correction above the second number is named.
-_MOST_CORRECTED, _NOTABLE = 1.3, 0.03
+MOST_CORRECTED, _NOTABLE = 1.3, 0.03
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def corrected_exposures(
     """Return photographs with exposures estimated from their pixels, and what was changed.
 
     Shutters are not exact, and film is less sensitive in long exposures.  An exposure is changed
-    where the stated one lies outside the 95 % interval of the estimate, by `_MOST_CORRECTED` at
+    where the stated one lies outside the 95 % interval of the estimate, by `MOST_CORRECTED` at
     most: what differs by more has a wrong label.
     """
     stated = [each.exposure for each in photographs]
@@ -132,7 +132,7 @@ def corrected_exposures(
     for k, photograph in enumerate(photographs):
         factor = float(factors[k]) / unit
         is_stated = found.low[k] <= stated[k] * unit <= found.high[k]
-        if is_stated or abs(math.log(factor)) > math.log(_MOST_CORRECTED):
+        if is_stated or abs(math.log(factor)) > math.log(MOST_CORRECTED):
             result.append(photograph)
             continue
         result.append(replace(photograph, time_s=photograph.time_s * factor))

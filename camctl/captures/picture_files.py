@@ -63,46 +63,27 @@ def write_picture_files(
     Raises:
         StorageError: one of them could not be written; a file is complete or missing
     """
-    import tifffile
-
-    tags = tiff_tags(details)
+    tags, radiance = tiff_tags(details), directory / RADIANCE
     height, width = total.shape[:2]
     reducer = LightReducer(height, width, rendering.unlit, rendering.full)
     with (
         ThreadPoolExecutor(2) as threads,
-        atomic_file(directory / RADIANCE) as radiance,
-        atomic_file(directory / IMAGE) as image,
+        atomic_file(radiance) as radiance_part,
+        atomic_file(directory / IMAGE) as image_part,
     ):
         summed = threads.submit(_write_sum, directory / SUM, total, tags)
-        with _radiance_file(
-            radiance, directory / RADIANCE, (width, height), rendering, details
-        ) as exr:
-
-            def prepared(render: Callable[[], Strip]) -> tuple[Strip, dict[str, NDArray[Any]]]:
-                strip = render()
-                return strip, exr.channels(strip)
-
-            def codes() -> Iterator[NDArray[np.uint16]]:
-                for strip, channels in in_threads(prepared, rendering.strips(total)):
-                    reduced = threads.submit(reducer.add, strip)
-                    exr.write(channels)
-                    yield strip.code
-                    reduced.result()
-
-            tifffile.imwrite(
-                image,
-                codes(),
-                shape=rendering.picture_shape(total),
-                dtype=np.uint16,
-                rowsperstrip=rendering.strip_rows(total),
-                photometric="minisblack" if rendering.channels == "Y" else "rgb",
-                **tags,
-            )
-        summed.result()
+        try:
+            with _radiance_file(
+                radiance_part, radiance, (width, height), rendering, details
+            ) as exr:
+                codes = _written(total, rendering, exr, reducer, threads)
+                _write_image(image_part, codes, total, rendering, tags)
+        finally:
+            summed.result()  # its error is told first, whichever comes first
         return_free_memory()
         light = reducer.light()
         mapped = threads.submit(tone_map, light)  # while the disk takes the files
-        preview = mapped.result()
+    preview = mapped.result()
     write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))
     moved = None if rendering.movement is None else rendering.movement.cells
     sheet = contact_sheet(light, preview, details, moved)
@@ -114,6 +95,46 @@ def write_picture_files(
         "preview": PREVIEW,
         "contact": CONTACT,
     }
+
+
+def _written(
+    total: NDArray[np.unsignedinteger],
+    rendering: Rendering,
+    exr: _RadianceFile,
+    reducer: LightReducer,
+    threads: ThreadPoolExecutor,
+) -> Iterator[NDArray[np.uint16]]:
+    """Yield the strips of image.tiff; each of them is in `exr` and in `reducer` then."""
+
+    def prepared(render: Callable[[], Strip]) -> tuple[Strip, dict[str, NDArray[Any]]]:
+        strip = render()
+        return strip, exr.channels(strip)
+
+    for strip, channels in in_threads(prepared, rendering.strips(total)):
+        reduced = threads.submit(reducer.add, strip)
+        exr.write(channels)
+        yield strip.code
+        reduced.result()
+
+
+def _write_image(
+    path: Path,
+    codes: Iterator[NDArray[np.uint16]],
+    total: NDArray[np.unsignedinteger],
+    rendering: Rendering,
+    tags: dict[str, Any],
+) -> None:
+    import tifffile
+
+    tifffile.imwrite(
+        path,
+        codes,
+        shape=rendering.picture_shape(total),
+        dtype=np.uint16,
+        rowsperstrip=rendering.strip_rows(total),
+        photometric="minisblack" if rendering.channels == "Y" else "rgb",
+        **tags,
+    )
 
 
 def _write_sum(path: Path, total: NDArray[np.unsignedinteger], tags: dict[str, Any]) -> None:

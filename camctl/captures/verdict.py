@@ -35,7 +35,7 @@ def judge(
     measure = f"measure the control delay with camctl calibrate delay --camera {delay_of}"
     wrong = [(k, check) for k, check in enumerate(checks) if check and not check.agrees]
     certain = [(k, check) for k, check in wrong if check.contradicts]
-    reasons = [difference_text(k + 1, check) for k, check in certain]
+    reasons = [_difference_text(capture, k, check) for k, check in certain]
     if not reasons and delay_of and (brighter := _brighter_than_metered(capture)):
         reasons.append(brighter)
     if error and error.shift:
@@ -66,24 +66,26 @@ def judge(
         return  # their exposures are not exact, and were compared before
     estimated = capture.request.estimate_ratios
     capture.warnings += [
-        _change_text(number, check, is_estimated=estimated)
-        for number, check in wrong
+        _change_text(capture, k, check, is_estimated=estimated)
+        for k, check in wrong
         if not check.contradicts
     ]
 
 
-def _change_text(number: int, check: RatioCheck, *, is_estimated: bool) -> str:
+def _change_text(
+    capture: UnfinishedCapture, position: int, check: RatioCheck, *, is_estimated: bool
+) -> str:
     """Return a warning of frames that differ, without most of many samples being wrong."""
     if not check.is_of_whole_picture:
         return (
-            f"frames {number} and {number + 1} can be compared in {check.compared:.2%} of the "
+            f"frames {position} and {position + 1} can be compared in {check.compared:.2%} of the "
             f"picture, and {check.contradicting:.0%} of that does not fit their exposures: do not "
             f"trust it (something moved, its light changed, or a frame has another exposure)"
         )
     advice = "" if is_estimated else f"; {_MENDS}"
     return (
-        f"{difference_text(number + 1, check)}: do not trust the light of the picture to less than "
-        f"that (lamps that flicker, stray light, or a shutter that is not exact{advice})"
+        f"{_difference_text(capture, position, check)}: do not trust the light of the picture to "
+        f"less than that (lamps that flicker, stray light, or a shutter that is not exact{advice})"
     )
 
 
@@ -110,15 +112,25 @@ def _brighter_than_metered(capture: UnfinishedCapture) -> str | None:
     return None
 
 
-def difference_text(number: int, check: RatioCheck) -> str:
-    """Return how the light of frame `number`, from 1, differs from that of the one before it."""
+def _names(capture: UnfinishedCapture, position: int) -> tuple[str, str]:
+    """Return what to call a frame and the one before it: photographs by their files."""
+    frames = [capture.frames[k] for k in (position, position - 1)]
+    one, before = ("" if each is None else str(each.details.get("file", "")) for each in frames)
+    if capture.camera.driver == PHOTOGRAPHS and one and before:
+        return one, before
+    return f"frame {position + 1}", "the frame before"
+
+
+def _difference_text(capture: UnfinishedCapture, position: int, check: RatioCheck) -> str:
+    """Return how a frame differs from the one before it."""
+    name, before = _names(capture, position)
     if check.measured is None:
         return (
-            f"the light in frame {number} does not fit its exposure, {check.expected:.4g} times "
-            f"that of the frame before"
+            f"the light in {name} does not fit its exposure, {check.expected:.4g} times "
+            f"that of {before}"
         )
     return (
-        f"frame {number} is {check.measured:.4g} times as bright as the frame before, and its "
+        f"{name} is {check.measured:.4g} times as bright as {before}, and its "
         f"exposure is {check.expected:.4g} times as long, a factor of {check.factor:.3g} apart"
     )
 

@@ -33,6 +33,10 @@ _DARKEST, _BRIGHTEST = 0.1, 0.9
 #: A standard response is used up to this median error of the light, or up to this multiple of the
 #: error of an estimated one.
 _FITS, _AS_WELL = 0.01, 1.2
+#: Where a response is from that was found in the photographs themselves.
+_FITTING, _ASSUMED = "srgb, which fits the photographs", "srgb, assumed"
+_ESTIMATED = "estimated from the photographs"
+FROM_PHOTOGRAPHS = (_FITTING, _ASSUMED, _ESTIMATED)
 
 
 def known_controls(
@@ -97,15 +101,16 @@ def known_controls(
         estimate = estimate_response(series, is_scene_checked=False)
     except DataError as error:
         if fit_error(series, standard) <= _FITS:
-            return standard, "srgb, which fits the photographs"
+            return standard, _FITTING
         notes.append(f"the response is taken for srgb, since it cannot be estimated: {error.what}")
-        return standard, "srgb, assumed"
+        return standard, _ASSUMED
     estimated = _measured(controls, estimate.record)
     # An estimate has errors of its own: where the standard explains the frames as well, it is it.
     errors = [fit_error(series, each) for each in (standard, estimated)]
     if errors[0] <= _FITS or errors[0] <= _AS_WELL * errors[1] < math.inf:
-        return standard, "srgb, which fits the photographs"
-    return estimated, "estimated from the photographs"
+        return standard, _FITTING
+    (notes if estimate.is_doubtful else facts).extend(estimate.notes)
+    return estimated, _ESTIMATED
 
 
 def profiles_of(taken_by: tuple[str, str, str]) -> list[Profile]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, DataError, UsageError
 from camctl.merging.photograph_files import PhotographFiles
-from camctl.merging.photograph_response import known_controls
+from camctl.merging.photograph_response import FROM_PHOTOGRAPHS, known_controls
 from camctl.number_text import percent_text, time_text
 
 if TYPE_CHECKING:
@@ -87,12 +87,12 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         check_order,
         duplicates,
         unstated,
-        wrong_exposures,
     )
     from camctl.captures.photograph_choice import darkest_light
     from camctl.captures.photograph_contradictions import contradictions
     from camctl.captures.photographs import corrected_exposures
     from camctl.exposure.patches import LightScale
+    from camctl.merging.photograph_labels import check_doubted, doubted_labels, wrong_labels
 
     files = PhotographFiles(paths, source.times)
     photographs, facts = _with_labels(files.photographs, source.labels)
@@ -137,21 +137,32 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     )
     for k, photograph in zip(kept, photographs, strict=True):
         series.add(area(files.pixels(k)), photograph.exposure, photograph.name)
+    doubted = doubted_labels(series)
+    check_doubted(photographs, doubted, series.patches)
     check_order(photographs, series.patches, white)
+    for k, factor in doubted.items():  # a wrong label must not bend the response
+        series.exposures[k] *= factor
     notes += misaligned([sights[k] for k in kept])
     controls, response = known_controls(files, source.curve, series, notes, facts)
     patches = [np.minimum(each, controls.white) for each in series.patches]
+    scale = LightScale(controls.levels, controls.black)
     if source.labels != "exact":
-        scale = LightScale(controls.levels, controls.black)
         photographs, corrected = corrected_exposures(photographs, patches, scale)
         facts += corrected
     camera = PhotographCamera(
         photographs, lambda k: area(files.pixels(kept[k])), controls, files.taken_by
     )
     check = NeighbourCheck(controls.levels, controls.black, controls.layout)
-    notes += wrong_exposures(photographs, patches, check)
+    notes += wrong_labels(
+        photographs,
+        patches,
+        scale,
+        check,
+        is_exact=source.labels == "exact",
+        is_known=source.curve is not None or response not in FROM_PHOTOGRAPHS,
+    )
     planes = [each.shape for each in files.format.layout.planes(area(files.pixels(kept[0])))]
-    facts += contradictions(photographs, patches, check.scale, planes)
+    facts += contradictions(photographs, patches, scale, planes)
     return OpenedPhotographs(
         camera,
         darkest_light(camera, patches),

@@ -8,7 +8,7 @@ import pytest
 from camctl.calibration import response
 from camctl.calibration.response import estimate_response
 from camctl.calibration.response_series import Series
-from camctl.calibration.spill import SampleGrid, counts_without_spill
+from camctl.calibration.spill import SampleGrid, grid_counts
 from camctl.controls import Layout
 from camctl.response.camera import FloatArray
 
@@ -84,7 +84,7 @@ def test_samples_near_saturation_in_either_frame_are_left_out_of_both(layout: La
     grids = [SampleGrid.of(frame, layout) for frame in (dark, lit)]
     counts = np.sum(
         [
-            counts_without_spill(grids, [colour], np.array([0, 1, 2, 3, 255]), 255)
+            grid_counts(grids, [colour], np.array([0, 1, 2, 3, 255]), below=255)
             for colour in range(len(grids[0].planes))
         ],
         axis=0,

@@ -1,11 +1,15 @@
-"""The fixture that runs a command line."""
+"""The fixtures that run a command line, and write photographs for one."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
+from bracketed_photographs import TIMES, Series, photograph, save
 from command_line import Ran, Run
+from numpy.typing import NDArray
 
 from camctl.cli import main
 
@@ -26,3 +30,24 @@ def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
         return Ran(status, out, err)
 
     return run_arguments
+
+
+@pytest.fixture
+def series(run: Run) -> Series:
+    """Return a function that writes photographs, and returns arguments that name them."""
+
+    def write(
+        times: Sequence[float] = TIMES,
+        suffix: str = ".png",
+        change: Callable[[int, NDArray[Any]], NDArray[Any]] = lambda _, pixels: pixels,
+        labels: Sequence[float] | None = None,
+        **more: Any,
+    ) -> list[str]:
+        names = []
+        for k, time_s in enumerate(times):
+            pixels = change(k, photograph(time_s, **more))
+            names.append(str(save(Path(f"p{k:02d}{suffix}"), pixels)))
+        return [*names, "--times", ",".join(f"{each:.9g}" for each in labels or times)]
+
+    assert run is not None  # it has changed to an empty folder
+    return write

@@ -1,0 +1,206 @@
+"""`camctl merge`: what is found wrong with photographs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bracketed_photographs import (
+    SCENE,
+    TIMES,
+    Series,
+    error_of,
+    photograph,
+    save,
+)
+from command_line import Run
+from numpy.typing import NDArray
+
+from camctl import PhotographOptions, read_report
+from camctl.merging.photograph_set import open_photographs
+from camctl.number_text import time_text
+
+
+def test_shutters_that_are_not_exact_are_corrected_from_the_pixels(
+    run: Run, series: Series
+) -> None:
+    labels = [each * (1.12 if k == 5 else 1) for k, each in enumerate(TIMES)]
+    found = run("merge", *series(labels=labels), "--curve", "srgb", "-o", "hall", "--json").json
+    assert found["photographs"][5]["time_s"] == pytest.approx(TIMES[5], rel=0.01)
+    assert any("p05.png 0.89" in fact for fact in found["facts"])
+
+
+@pytest.mark.parametrize("pair", [(3, 4), (2, 6), (0, 10)])
+def test_swapped_labels_are_named(run: Run, series: Series, pair: tuple[int, int]) -> None:
+    labels = list(TIMES)
+    one, other = pair
+    labels[one], labels[other] = labels[other], labels[one]
+    error = run("merge", *series(labels=labels), "-o", "hall").error
+    names = sorted((f"p{one:02d}.png", f"p{other:02d}.png"))
+    assert [name for name in names if name in error.split(" are swapped")[0]] == names
+    assert " are swapped" in error
+    assert not Path("hall").exists()
+
+
+def test_reversed_labels_are_named(run: Run, series: Series) -> None:
+    error = run("merge", *series(labels=TIMES[::-1]), "-o", "hall").error
+    assert "are in the reverse order" in error
+
+
+@pytest.mark.parametrize("place", [0, 4, 5])
+def test_one_wrong_label_is_named(run: Run, series: Series, place: int) -> None:
+    times = TIMES[1:7]
+    labels = list(times)
+    labels[place] *= 1.7
+    ran = run("merge", *series(times, labels=labels), "--curve", "srgb", "-o", "hall")
+    assert f"the exposure of p0{place}.png is wrong: it says {time_text(labels[place])}" in ran.err
+    assert f"its pixels say {time_text(times[place])}" in ran.err
+    assert ran.err.count(" is wrong: ") == 1
+
+
+def test_a_frame_that_contradicts_is_named_by_its_file(run: Run, series: Series) -> None:
+    labels = list(TIMES[2:8])
+    labels[2] *= 1.7
+    line = series(TIMES[2:8], labels=labels)
+    ran = run("merge", *line, "--curve", "srgb", "-n", "6", "--labels", "exact", "-o", "hall")
+    assert "times as bright as p01.png" in ran.err
+    assert "frame" not in ran.err
+
+
+def film(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Return photographs as a film would show them: the response is to be estimated."""
+    x = np.arange(256) / 255
+    table = np.rint(255 * (0.4 * x + 0.6 * x**2 * (3 - 2 * x))).astype(np.uint8)
+    return np.asarray(table[pixels])
+
+
+@pytest.mark.parametrize(("place", "factor"), [(0, 1.6), (3, 0.6), (5, 1.6)])
+def test_one_wrong_label_does_not_bend_the_response(
+    run: Run, series: Series, place: int, factor: float
+) -> None:
+    times = TIMES[1:7]
+    labels = [each * (factor if k == place else 1) for k, each in enumerate(times)]
+    line = series(times, labels=labels, change=lambda _, pixels: film(pixels))
+    names = line[: line.index("--times")]
+    found = open_photographs(list(map(Path, names)), PhotographOptions(times=tuple(labels)))
+    assert found.response == "estimated from the photographs"
+    (note,) = found.notes
+    assert note.startswith(f"the exposure of p0{place}.png is wrong: it says ")
+    assert f"its pixels say {time_text(times[place])}" in note
+
+
+def test_a_label_that_turns_the_order_is_named(run: Run, series: Series) -> None:
+    labels = list(TIMES[1:7])
+    labels[1] *= 5
+    line = series(TIMES[1:7], labels=labels, change=lambda _, pixels: film(pixels))
+    error = run("merge", *line, "-o", "hall").error
+    assert error.startswith("the exposure of p01.png is wrong: it says ")
+
+
+def test_three_photographs_without_a_response_do_not_show_which_label_is_wrong(
+    run: Run, series: Series
+) -> None:
+    labels = [TIMES[2], TIMES[3] * 1.8, TIMES[4]]
+    line = series(TIMES[2:5], labels=labels, change=lambda _, pixels: film(pixels))
+    ran = run("merge", *line, "-o", "hall")
+    assert "the set does not show which" in ran.err
+
+
+def test_light_that_changed_is_no_wrong_label(run: Run, series: Series) -> None:
+    labels = [each * (2.5 if k > 3 else 1) for k, each in enumerate(TIMES[1:7])]
+    ran = run("merge", *series(TIMES[1:7], labels=labels), "--curve", "srgb", "-o", "hall")
+    assert "p04.png, p05.png are all about 0.4 times as bright as their exposures say" in ran.err
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_shifted_photograph_is_named(run: Run, series: Series, suffix: str) -> None:
+    def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
+        return np.roll(pixels, (5, -7), axis=(0, 1)) if k == 4 else pixels
+
+    ran = run("merge", *series(suffix=suffix, change=shift), "-o", "hall")
+    lines = [line for line in ran.err.splitlines() if "is shifted against" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith(f"camctl: warning: p04{suffix} is shifted against p03{suffix} by ")
+    assert "about -7 columns and +5 rows" in lines[0]
+
+
+def test_a_thing_that_moved_in_one_photograph_is_no_wrong_exposure(
+    run: Run, series: Series
+) -> None:
+    def moved(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
+        changed = pixels.copy()
+        if k == 3:
+            changed[80:160, 200:280] = (90, 60, 40)
+        return changed
+
+    line = series(TIMES[2:9], change=moved)
+    ran = run("merge", *line, "--ratios", "1,2,4,8,16", "-o", "hall")
+    assert ran.status == 0
+    assert "wrong" not in ran.err
+    assert "trustworthy" not in ran.err
+    movement = read_report("hall").movement
+    assert movement is not None
+    place = movement.places[0]
+    assert (place.top, place.left) == pytest.approx((80, 200), abs=10)
+    assert (place.bottom, place.right) == pytest.approx((160, 280), abs=10)
+
+
+def test_duplicates_are_left_out_or_refused(run: Run, series: Series) -> None:
+    line = series(TIMES[2:9])
+    names, times = line[: line.index("--times")], line[-1]
+    Path("copy.png").write_bytes(Path(names[2]).read_bytes())
+    ran = run("merge", *names, "copy.png", "--times", f"{times},{TIMES[4]:g}", "-o", "a")
+    assert ran.status == 0
+    assert "copy.png is the same photograph as p02.png, and left out" in ran.err
+    error = run("merge", *names, "copy.png", "--times", f"{times},2", "-o", "b").error
+    assert error.startswith("p02.png and copy.png are the same photograph, but their exposures")
+
+
+def test_different_sizes_and_formats_are_named(run: Run, series: Series) -> None:
+    line = series(TIMES[:3])
+    save(Path("p01.png"), photograph(TIMES[1])[:-10])
+    assert run("merge", *line).error.startswith("p01.png has 320 x 230 pixels and p00.png has 320")
+    save(Path("p01.png"), photograph(TIMES[1])[..., 1])
+    assert "p01.png is mono, 8 bits" in run("merge", *line).error
+
+
+def test_a_border_of_one_pure_colour_is_cut_off(run: Run, series: Series) -> None:
+    def with_border(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
+        pixels[: 3 + k % 3, :] = pixels[:, -8:] = (0, 0, 255)
+        return pixels
+
+    found = run("merge", *series(change=with_border), "-o", "hall", "--json").json
+    assert "cut to 312 x 235 pixels from column 0, row 5: " in " ".join(found["facts"])
+    assert error_of("hall", SCENE[5:, :-8]) < 0.02
+
+
+def test_a_mask_leaves_pixels_out(run: Run, series: Series) -> None:
+    valid = np.full(SCENE.shape[:2], 255, np.uint8)
+    valid[50:100, 60:160] = 0
+    save(Path("mask.png"), valid)
+    ran = run("merge", *series(), "--mask", "mask.png", "--curve", "srgb", "-o", "hall")
+    assert ran.status == 0, ran.err
+    mask = read_report("hall").mask()
+    assert np.all(mask[50:100, 60:160] & 1)
+    assert np.mean(mask[valid > 0] == 0) > 0.95
+    save(Path("mask.png"), valid[:-1])
+    assert (
+        "mask mask.png has 320 x 239 pixels" in run("merge", *series(), "--mask", "mask.png").error
+    )
+
+
+def test_photographs_of_one_colour_are_left_out(run: Run, series: Series) -> None:
+    def white(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
+        return np.full_like(pixels, 255) if k >= 5 else pixels
+
+    ran = run("merge", *series(TIMES[2:9], change=white), "-o", "hall")
+    assert ran.status == 0, ran.err
+    assert ran.err.count("is one colour everywhere, and left out") == 2
+
+
+def test_a_few_photographs_without_a_response_are_taken_for_srgb(run: Run, series: Series) -> None:
+    ran = run("merge", *series((TIMES[0], TIMES[-1])), "-o", "hall")
+    assert ran.status == 0
+    assert "the response is taken for srgb" in ran.err

@@ -1,0 +1,188 @@
+"""`camctl merge`: photographs of all formats, and what their files state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from bracketed_photographs import (
+    SCENE,
+    TIMES,
+    Series,
+    error_of,
+    photograph,
+)
+from command_line import Run
+
+from camctl import Layout, read_report
+from sim.devices.still_files import RawImage, encode
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
+def test_photographs_of_each_format_are_read(run: Run, series: Series, suffix: str) -> None:
+    ran = run("merge", *series(TIMES[::2], suffix), "-o", "hall")
+    assert ran.status == 0, ran.err
+    assert error_of("hall") < 0.04
+
+
+def test_linear_openexr_files_are_merged(run: Run) -> None:
+    import OpenEXR
+
+    names = []
+    for k, time_s in enumerate(TIMES[::3]):
+        values = np.minimum(SCENE * time_s, 1).astype(np.float32)
+        iso = 200.0 if k else 100.0
+        header = {"type": OpenEXR.scanlineimage, "expTime": time_s * 100 / iso, "isoSpeed": iso}
+        channels = {name: values[..., c].copy() for c, name in enumerate("RGB")}
+        OpenEXR.File(header, channels).write(f"p{k}.exr")
+        names.append(f"p{k}.exr")
+    ran = run("merge", *names, "-o", "hall", "--json")
+    assert ran.status == 0, ran.out
+    assert ran.json["response_from"] == "linear, as raw files are"
+    assert error_of("hall") < 0.01
+
+
+def test_exposures_come_from_exif_data(run: Run) -> None:
+    names = []
+    for k, (label, iso) in enumerate(((60, 100), (15, 100), (15, 400), (4, 400))):
+        true_s = 2.0 ** -round(np.log2(label)) * iso / 100
+        name = f"p{k}.tif"
+        tags = [(33434, 5, 1, (1, label), True), (34855, 3, 1, iso, True)]
+        tags += [(33437, 5, 1, (8, 1), True), (272, 2, 0, "X-T0", True)]
+        pixels = photograph(true_s, SCENE / 4)
+        tifffile.imwrite(name, pixels, photometric="rgb", extratags=tags)
+        names.append(name)
+    found = run("merge", *names, "-o", "hall", "--json").json
+    assert [each["gain"] for each in found["photographs"]] == [1, 1, 4, 4]
+    assert [each["f_number"] for each in found["photographs"]] == [8, 8, 8, 8]
+    times = [each["time_s"] for each in found["photographs"]]
+    assert times == pytest.approx([1 / 64, 1 / 16, 1 / 16, 1 / 4], rel=0.03)
+    assert "labels of a dial" in found["facts"][0]
+    assert found["camera"]["model"] == "X-T0"
+    assert error_of("hall") < 0.03
+    exact = run("merge", *names, "--labels", "exact", "-o", "exact", "--json").json
+    assert exact["photographs"][0]["time_s"] == pytest.approx(1 / 60)
+
+
+def test_a_profile_of_the_camera_in_the_exif_data_is_used(run: Run) -> None:
+    from camctl.camera import CameraInfo
+    from camctl.profile import Profile, change_profile
+    from camctl.response_record import ChannelResponse, ResponseRecord
+
+    u = np.linspace(0, 1, 40)
+    channel = ChannelResponse(
+        name="G",
+        black=0,
+        white=255,
+        saturates=True,
+        irradiance=tuple((u**2).tolist()),
+        brightness=tuple(u.tolist()),
+        deviation=None,
+        measured=(0, 1),
+    )
+    record = ResponseRecord(
+        channels=tuple(channel.model_copy(update={"name": name}) for name in "RGB"),
+        phase=0,
+        frames=5,
+        measured_at="2026-01-01T00:00:00",
+    )
+
+    def keep(profile: Profile) -> None:
+        profile.responses["rgb-320x240-255"] = record
+
+    # Another maker's camera has the same model name, and comes first.
+    change_profile(CameraInfo("ptp", "Amaker", "X-T0", "1", "ptp"), keep)
+    change_profile(CameraInfo("ptp", "Maker", "X-T0", "1", "ptp"), keep)
+    names = []
+    for k, time_s in enumerate((1 / 64, 1 / 8, 1)):
+        E = np.clip(SCENE / 4 * time_s, 0, 1)
+        tags = [(33434, 5, 1, (int(1000 * time_s * 64), 64000), True), (272, 2, 0, "X-T0", True)]
+        tags.append((271, 2, 0, "MAKER CORPORATION", True))
+        pixels = np.minimum(np.sqrt(E) * 256, 255).astype(np.uint8)
+        tifffile.imwrite(f"p{k}.tif", pixels, photometric="rgb", extratags=tags)
+        names.append(f"p{k}.tif")
+    found = run("merge", *names, "-o", "hall", "--json").json
+    assert "from the profile ptp-maker-" in found["response_from"]
+    assert error_of("hall") < 0.02
+    change_profile(CameraInfo("ptp", "Maker", "X-T0", "2", "ptp"), keep)
+    ran = run("merge", *names, "-o", "two")
+    assert "fit the photographs equally, and none is used: remove one" in ran.err
+    assert ran.err.count("ptp-maker-x-t0-") == 2
+
+
+def test_a_profile_with_another_serial_number_is_not_that_of_the_photographs() -> None:
+    from camctl.camera import CameraInfo
+    from camctl.merging.photograph_response import profiles_of
+    from camctl.profile import change_profile
+
+    for make, serial in (("Nikon Corporation", "0001"), ("Nikon", "2"), ("Nikon", "")):
+        change_profile(CameraInfo("ptp", make, "D1", serial, "ptp"), lambda _profile: None)
+
+    def serials(make: str, serial: str) -> list[str]:
+        return sorted(each.serial for each in profiles_of((make, "D1", serial)))
+
+    assert serials("NIKON CORPORATION", "1") == ["", "0001"]
+    assert serials("NIKON CORPORATION", "") == serials("", "") == ["", "0001", "2"]
+    assert serials("Canon", "1") == []
+
+
+@pytest.mark.parametrize("form", ["dng", "jpeg"])
+def test_files_of_still_cameras_are_merged_by_their_exif_data(run: Run, form: str) -> None:
+    from camctl.controls import Layout
+    from sim.devices.still_files import RawImage, encode
+
+    rng = np.random.default_rng(3)
+    names = []
+    for label, time_s in ((250, 1 / 256), (60, 1 / 64), (15, 1 / 16), (4, 1 / 4)):
+        if form == "dng":
+            E = SCENE[..., 1] * time_s
+            noisy = 600 + rng.normal(0, 3, E.shape) + np.minimum(E, 1.2) * 14400
+            pixels = np.clip(np.rint(noisy), 0, 15000).astype(np.uint16)
+            image = RawImage(pixels, Layout.RGGB, 14, 600, 15000, 1 / label, 100, 8.0, "D1")
+        else:
+            shown = photograph(time_s)
+            image = RawImage(shown, Layout.RGB, 8, 0, 255, 1 / label, 100, 8.0, "D1")
+        names.append(f"p{label}.{form}")
+        Path(names[-1]).write_bytes(encode(form, image, grey=False))
+    found = run("merge", *names, "-o", "hall", "--json").json
+    assert found["camera"]["model"] == "D1"
+    stated = [each["time_s"] for each in found["photographs"]]
+    assert stated == pytest.approx([1 / 256, 1 / 64, 1 / 16, 1 / 4], rel=0.03)
+    scene = SCENE if form == "jpeg" else np.repeat(SCENE[..., 1:2], 3, axis=2)
+    assert error_of("hall", scene) < (0.01 if form == "dng" else 0.04)
+
+
+def test_the_result_says_when_and_with_which_camera_photographs_were_taken(run: Run) -> None:
+    names = []
+    for label, iso in ((250, 100), (250, 400), (60, 400)):
+        time_s = {250: 1 / 256, 60: 1 / 64}[label] * iso / 100
+        image = RawImage(photograph(time_s), Layout.RGB, 8, 0, 255, 1 / label, iso, 8.0, "D1")
+        names.append(f"p{label}-{iso}.jpg")
+        Path(names[-1]).write_bytes(encode("jpeg", image, grey=False))
+    ran = run("merge", *names, "--ratios", "1,4,16", "-o", "hall")
+    assert ran.status == 0, ran.err
+    report = read_report("hall")
+    assert report.camera.model == "D1"
+    # The times of the dial are 1/256 and 1/64 s; shutters are corrected by some percent at most.
+    assert [f.applied_s for f in report.frames] == pytest.approx(
+        [1 / 256, 1 / 256, 1 / 64], rel=0.03
+    )
+    assert [frame.applied.gain for frame in report.frames] == [1.0, 4.0, 4.0]
+    assert {frame.applied.f_number for frame in report.frames} == {8.0}
+    assert "metered" not in ran.out
+
+
+def test_times_that_are_given_replace_nothing_but_the_times(run: Run) -> None:
+    names = []
+    for k, (time_s, iso) in enumerate(((1 / 256, 100), (1 / 256, 400), (1 / 64, 400))):
+        shown = photograph(time_s * iso / 100)
+        image = RawImage(shown, Layout.RGB, 8, 0, 255, 1.0, iso, 8.0, "D1")
+        names.append(f"p{k}.jpg")
+        Path(names[-1]).write_bytes(encode("jpeg", image, grey=False))
+    line = (*names, "--times", "1/256,1/256,1/64", "--ratios", "1,4,16", "-o", "hall")
+    found = run("merge", *line, "--labels", "exact", "--json").json
+    assert [each["gain"] for each in found["photographs"]] == [1.0, 4.0, 4.0]
+    assert {each["f_number"] for each in found["photographs"]} == {8.0}
+    assert [each["time_s"] for each in found["photographs"]] == [1 / 256, 1 / 256, 1 / 64]
