@@ -193,6 +193,12 @@ class PhotographFiles:
 
 def _check_alike(path: Path, this: Format, first: Path, other: Format) -> None:
     """Raise `DataError` where a file has not the size or format of the first one."""
+    if (this.layout, this.bits, this.black) != (other.layout, other.bits, other.black):
+        raise DataError(
+            f"{path} is {this.layout}, {this.bits} bits, black {this.black}, and {first} is "
+            f"{other.layout}, {other.bits} bits, black {other.black}",
+            hint="give photographs of one format",
+        )
     if this.shape != other.shape:
         sizes = [f"{shape[1]} x {shape[0]}" for shape in (this.shape, other.shape)]
         if sizes[0] != sizes[1]:
@@ -200,12 +206,6 @@ def _check_alike(path: Path, this: Format, first: Path, other: Format) -> None:
                 f"{path} has {sizes[0]} pixels and {first} has {sizes[1]}",
                 hint="give photographs of one size; turned ones must be turned alike",
             )
-    if (this.layout, this.bits, this.black) != (other.layout, other.bits, other.black):
-        raise DataError(
-            f"{path} is {this.layout}, {this.bits} bits, black {this.black}, and {first} is "
-            f"{other.layout}, {other.bits} bits, black {other.black}",
-            hint="give photographs of one format",
-        )
 
 
 def _layout_of(pixels: Pixels) -> Layout:
