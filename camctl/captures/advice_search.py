@@ -36,10 +36,11 @@ Predict = Callable[[CaptureRequest], CapturePlan | None]
 
 @dataclass(frozen=True)
 class _Trial:
-    """An advice, and the request of one who follows it."""
+    """An advice, the request of one who follows it, and its plan where that is known."""
 
     text: str
     request: CaptureRequest
+    plan: CapturePlan | None = None
 
 
 def dark_advice(
@@ -65,7 +66,7 @@ def dark_advice(
     reach = _reach(plan, controls)
     best, deeper = (math.inf, ""), ""
     for trial in _trials(request, plan, predict):
-        predicted = predict(trial.request)
+        predicted = trial.plan or predict(trial.request)
         if predicted is None or predicted.light is None:
             continue
         if predicted.effective_levels < min(_LEAST_LEVELS, _FEWER * plan.effective_levels):
@@ -145,17 +146,19 @@ def _trials(request: CaptureRequest, plan: CapturePlan, predict: Predict) -> Ite
 
 
 def _more_time(request: CaptureRequest, predict: Predict) -> Iterator[_Trial]:
-    """Yield the time budget that is enough for the picture without one, and a quarter of it."""
+    """Yield the time budget in which the picture without one can be taken.
+
+    That picture stands for the one of the budget, which takes seconds to find.
+    """
     free = predict(replace(request, time_budget_s=None))
     if free is None or free.wall_s is None:
         return
     step = 10.0 ** (math.floor(math.log10(free.wall_s)) - 1)
-    enough_s = float(f"{math.ceil(free.wall_s / step) * step:.2g}")
+    budget_s = float(f"{math.ceil(free.wall_s / step) * step:.2g}")
     assert request.time_budget_s is not None  # asked for by the caller
-    for budget_s in (enough_s / 4, enough_s):
-        if budget_s > request.time_budget_s:
-            text = f"the time allowed is too short (--time-budget {budget_s:g})"
-            yield _Trial(text, replace(request, time_budget_s=budget_s))
+    if budget_s > request.time_budget_s:
+        text = f"the time allowed is too short (--time-budget {budget_s:g})"
+        yield _Trial(text, replace(request, time_budget_s=budget_s), free)
 
 
 def _less_accuracy(request: CaptureRequest, plan: CapturePlan) -> Iterator[_Trial]:
