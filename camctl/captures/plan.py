@@ -9,16 +9,18 @@ from functools import partial
 
 import numpy as np
 
-from camctl.camera import Camera, PreviewingCamera
+from camctl.camera import PHOTOGRAPHS, Camera, PreviewingCamera
 from camctl.captures.accurate_settings import (
     accurate_settings,
     estimated_levels,
     objective_of,
 )
+from camctl.captures.advice_search import dark_advice
 from camctl.captures.capture_plan import CapturePlan, relative_exposures
 from camctl.captures.metering import MeteringFrames, light_histogram, meter
 from camctl.captures.range_choice import Chosen, Metered, choose_range
 from camctl.captures.request import ACCURACY, AUTO, XI, CaptureRequest
+from camctl.captures.scene_range import NOTABLE_SHARE
 from camctl.captures.setting_selection import (
     SettingChooser,
     reach_shadows,
@@ -28,7 +30,7 @@ from camctl.captures.setting_selection import (
 from camctl.captures.time_budget import Found, shutter_budget, within_budget
 from camctl.captures.wall_time import predicted_wall_s
 from camctl.controls import Choices, ExposureControls, ExposureSetting
-from camctl.errors import DataError, UsageError
+from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.build import look_up
 from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
@@ -78,6 +80,29 @@ def plan_capture(
         DataError: `table` has no row for this camera and request
         CaptureError: an exposure is beyond the camera's controls
     """
+    plan, light = _plan(camera, request, table, progress, metered)
+    is_free = isinstance(camera, PreviewingCamera) or request.desired is None
+    if plan.light is None or not is_free or camera.info.driver == PHOTOGRAPHS:
+        return plan  # its shadows were not metered, or no other photographs can be taken
+
+    def predict(other: CaptureRequest) -> CapturePlan | None:
+        try:
+            return _plan(camera, other, table, None, light.limited(other, camera.controls))[0]
+        except (CaptureError, DataError, UsageError):  # it cannot be met
+            return None
+
+    advice = dark_advice(request, plan, camera.controls, predict)
+    return replace(plan, light=replace(plan.light, advice=advice))
+
+
+def _plan(
+    camera: Camera,
+    request: CaptureRequest,
+    table: ExposureTable | None,
+    progress: _Progress,
+    metered: Metered | None,
+) -> tuple[CapturePlan, Metered]:
+    """Return a plan without advice, and the light that it is for; see `plan_capture`."""
     controls, real = camera.controls, camera.controls.levels
     warnings = [*controls.response_warnings, *controls.notes, *real.notes]
     kind = objective_of(request, controls, has_table=table is not None)
@@ -152,7 +177,7 @@ def plan_capture(
     warnings += setting_warnings(controls, request, plan)
     possible = evaluate(real, desired, ratios, objective=objective, noise=noise).effective_levels
     warnings += _rounding_loss(plan, possible)
-    return replace(plan, warnings=tuple(warnings))
+    return replace(plan, warnings=tuple(warnings)), metered
 
 
 def _settings_by_xi(
@@ -286,25 +311,22 @@ def _solve_ratios(
 
 def meter_light(camera: Camera, request: CaptureRequest) -> Metered:
     """Return how the light was metered, if it was, and the longest base exposure, s."""
-    shift = 2.0**request.compensation_stops
     if request.base_s is not None:
-        return Metered(None, request.base_s * shift, None)
+        return Metered(None, request.base_s * 2.0**request.compensation_stops, None)
     source = MeteringFrames(camera, spend_shutter=request.spend_shutter)
     metering = meter(source, small_aperture=request.use_aperture)
-    warnings: tuple[str, ...] = ()
-    if metering.highlight >= 1.0:
-        warnings = (
-            f"{metering.clipped:.2%} of the samples are clipped even at the shortest exposure",
-        )
-    given = request.given_range
     # Actuations of a shutter are spent only where the light decides more than the base exposure.
     is_free = isinstance(camera, PreviewingCamera) or request.desired is None
     light = light_histogram(source, metering, lower_end=0.0 if is_free else 1.0)
-    end = light.upper_end(request.clip, given)
-    limit_s = min(metering.limit_s / end, camera.controls.time_s.maximum)
-    end = metering.limit_s / limit_s
-    metering = replace(metering, limit_s=limit_s, frames=source.count)
-    return Metered(metering, limit_s * shift, light.relative_to(end), source.last, warnings)
+    metering = replace(metering, frames=source.count)
+    whole = Metered(metering, metering.limit_s, light, source.last)
+    metered = whole.limited(request, camera.controls)
+    assert metered.light is not None  # `whole` has it
+    said = metered.light.share_above(1.0)
+    if metering.highlight >= 1.0 and said < max(metering.clipped, NOTABLE_SHARE):
+        clipped = f"{metering.clipped:.2%} of the samples are clipped"
+        return replace(metered, warnings=(f"{clipped} even at the shortest exposure",))
+    return metered
 
 
 def _samples(desired: DesiredResponse) -> tuple[tuple[float, float], ...]:

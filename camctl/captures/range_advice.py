@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
+from camctl.captures.advice_search import LOG, MUCH
 from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.request import AUTO, CURVE, DEFAULT_COUNT, XI, CaptureRequest
-from camctl.captures.scene_range import LAMP_SHARE
+from camctl.captures.request import AUTO, CURVE, CaptureRequest
 from camctl.number_text import range_text
-
-MUCH = 0.05
-"""Share of the samples outside the range from which a capture gets a warning."""
 
 UNEXPECTED = 0.02
 """Share of the samples that are saturated though metering did not show so much light, likewise."""
@@ -18,11 +13,7 @@ UNEXPECTED = 0.02
 #: Stops by which a shorter exposure holds what lamps that flicker added, mostly.
 _FLICKER_STOPS = 0.5
 
-LOG = "log"
 _OTHER_RESPONSE = "the {} response has few levels for it; take constant contrast (--response log)"
-
-#: Fewest effective levels that are advised: with fewer a picture shows steps.
-_LEAST_LEVELS = 16.0
 
 
 def outside_warnings(
@@ -99,21 +90,8 @@ def _wider(request: CaptureRequest, plan: CapturePlan, is_taken: bool) -> str:
         )
     if request.ratios is not None:
         return "these exposures do not show it; leave them (--ratios) out"
+    if plan.light is not None and plan.light.advice is not None:
+        return plan.light.advice
     if request.dynamic_range != AUTO:
         return "let the light decide it (--range auto)"
-    if request.clip is not None and request.clip < LAMP_SHARE:
-        return "let lamps and reflections clip; leave the share that may (--clip) out"
-    light = plan.light
-    if light is not None and light.needed > plan.dynamic_range:
-        if request.most_exposures < DEFAULT_COUNT:
-            return f"take more exposures (-n {DEFAULT_COUNT})"
-        if plan.objective == XI:
-            return f"ask for a larger one (--range {math.ceil(light.needed):d})"
-        if (levels := math.floor(light.needed_levels or 0.0)) >= _LEAST_LEVELS:
-            return f"the camera holds all of the light with less accuracy (--accuracy {levels})"
-    if len(plan.settings) == 1:
-        return f"take more exposures (-n {DEFAULT_COUNT})"
-    is_limited = request.time_budget_s is not None or request.accuracy is not None
-    if plan.desired.name != LOG and is_limited:
-        return _OTHER_RESPONSE.format(plan.desired.name)
-    return "open the aperture, or light the scene; this camera cannot expose long enough"
+    return "open the aperture, or light the scene; the metering frames showed more light"

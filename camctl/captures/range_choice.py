@@ -83,6 +83,20 @@ class Metered:
     last: ExposureSetting | None = None
     warnings: tuple[str, ...] = ()
 
+    def limited(self, request: CaptureRequest, controls: ExposureControls) -> Metered:
+        """Return the same light with the shortest exposure, and the unit of light, of a request."""
+        assert self.metering is not None  # it is asked for where there is light
+        assert self.light is not None  # the same
+        whole_s = self.metering.limit_s
+        end = self.light.upper_end(request.clip, request.given_range)
+        limit_s = min(whole_s / end, controls.time_s.maximum)
+        return replace(
+            self,
+            metering=replace(self.metering, limit_s=limit_s),
+            limit_s=limit_s * 2.0**request.compensation_stops,
+            light=self.light.relative_to(whole_s / limit_s),
+        )
+
     def desired(self, request: CaptureRequest, dynamic_range: float) -> DesiredResponse:
         """Return the response that is requested over a range."""
         if request.response != AUTO:

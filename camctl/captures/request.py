@@ -52,7 +52,8 @@ class CaptureRequest:
         response: desired response: "linear", "gamma", "log" (constant contrast), "curve" (given
             by `desired_curve`), or "auto" (follows the metered histogram)
         dynamic_range: desired dynamic range, > 1, or "auto": the range of the metered light, as
-            far as the camera is accurate over it; a curve has its own, and this one is not used
+            far as the camera is accurate over it, which is the default of the command line but not
+            of this class; a curve has its own, and this one is not used
         clip_percent: percentage of the samples, the brightest, that may be saturated in every
             frame; None: lamps and reflections, at most 0.5 % and at least two stops brighter than
             the rest

@@ -21,6 +21,9 @@ LAMP_SHARE = 0.005
 """Share of the samples, the brightest, that clips unless the request says how much: street lamps
 and reflections cover 0.1 % to 0.3 % of a picture, a window covers more."""
 
+NOTABLE_SHARE = 5e-4
+"""Share of the samples from which the line on the metered light names what the picture lacks."""
+
 LAMP_FACTOR = 4.0
 """They clip only if they are this many times as bright as the rest, so that the range gains two
 stops."""
@@ -136,6 +139,7 @@ class PlannedLight:
         needed_levels: effective levels that `needed` would have; None where it is planned, or
             where they are not known
         unseen: share of the samples that metering could not tell from black
+        advice: what to do where light is darker than the range; None where none is known
     """
 
     span: float
@@ -146,3 +150,4 @@ class PlannedLight:
     needed: float
     needed_levels: float | None = None
     unseen: float = 0.0
+    advice: str | None = None

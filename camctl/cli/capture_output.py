@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 TIMES = {"planning_s": "planning", "shooting_s": "shooting", "writing_s": "writing"}
 """Keys of `CaptureReport.timing` that the summary shows, and their labels."""
 
-#: Shares of the picture that are named, and how far lamps are above the range, stops.
-_NOTABLE_SHARE, _LAMP_STOPS = 5e-4, 2.0
+#: Lamps and reflections: how far they are above the range at least, stops, and their share at most.
+_LAMP_STOPS, _MOST_LAMPS = 2.0, 0.01
 #: Share of light that spread that is named.
 _NOTABLE_SPREAD = 1e-4
 #: Share of the picture that metering cannot tell from black, and that may be darker than the range.
@@ -118,14 +118,17 @@ def light_text(light: PlannedLight) -> str:
     def spans(ratio: float) -> str:
         return ("more than " if light.is_open else "") + range_text(float(f"{ratio:.2g}"))
 
+    from camctl.captures.scene_range import NOTABLE_SHARE  # loads numpy
+
     text = f"the scene spans {spans(light.span)}"
-    if light.clips >= _NOTABLE_SHARE:
-        what = "lamps, reflections" if light.clips_stops >= _LAMP_STOPS else "highlights"
+    if light.clips >= NOTABLE_SHARE:
+        are_lamps = light.clips_stops >= _LAMP_STOPS and light.clips <= _MOST_LAMPS
+        what = "lamps, reflections" if are_lamps else "the brightest parts"
         text += f"; {format_percent(light.clips)} ({what}) will clip"
         rest = light.span / 2.0**light.clips_stops
         if light.clips_stops >= _LAMP_STOPS and rest > 1:
             text += f", and the rest spans {spans(rest)}"
-    if light.dark >= _NOTABLE_SHARE:
+    if light.dark >= NOTABLE_SHARE:
         text += f"; {format_percent(light.dark)} will be darker than the range"
     if light.unseen > light.dark + _NOTABLY_UNSEEN:
         share = format_percent(light.unseen)

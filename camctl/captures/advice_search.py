@@ -1,0 +1,179 @@
+"""Which option would let a picture hold its light: each is tried on the metered light first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.request import AUTO, CURVE, XI, CaptureRequest
+from camctl.captures.scene_range import LAMP_SHARE, PlannedLight
+from camctl.controls import ExposureControls
+from camctl.number_text import time_text
+
+MUCH = 0.05
+"""Share of the samples outside the range from which a capture gets a warning."""
+
+LOG = "log"
+
+#: Fewest effective levels that are advised: with fewer a picture shows steps.
+_LEAST_LEVELS = 16.0
+#: An advice that leaves more than `MUCH` outside helps if it leaves this part of it, at most.
+_HELPS = 0.7
+#: The advised picture has this part of the effective levels at least, where they are few.
+_FEWER = 0.6
+#: Where metering shows no light, an option may help that shows light darker by this factor.
+_DEEPER = 4.0
+#: Numbers of exposures, percentages that clip and factors of the range that are tried.
+_COUNTS, _CLIPS, _FACTORS = (3, 6), (1.0, 2.0, 3.0, 4.0), (2, 4, 16)
+#: A camera's longest time is used from this part of it on.
+_NEARLY = 0.99
+
+Predict = Callable[[CaptureRequest], CapturePlan | None]
+"""Returns what a request would give with the light that was metered; None: it cannot be met."""
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """An advice, the request of one who follows it, and its plan where that is known."""
+
+    text: str
+    request: CaptureRequest
+    plan: CapturePlan | None = None
+
+
+def dark_advice(
+    request: CaptureRequest, plan: CapturePlan, controls: ExposureControls, predict: Predict
+) -> str | None:
+    """Return what to do where the light is darker than the range; None where it is not.
+
+    It is an option that brings the share below `MUCH`, or else the one that leaves least, with the
+    predicted share.
+
+    Args:
+        request: what was asked for
+        plan: of it
+        controls: of the camera
+        predict: plans another request for the same light
+    """
+    light = plan.light
+    if light is None or request.response == CURVE or request.ratios is not None:
+        return None
+    is_seen = _outside(light) > MUCH
+    if not is_seen and light.unseen <= MUCH:
+        return None
+    reach = _reach(plan, controls)
+    best, deeper = (math.inf, ""), ""
+    for trial in _trials(request, plan, predict):
+        predicted = trial.plan or predict(trial.request)
+        if predicted is None or predicted.light is None:
+            continue
+        if predicted.effective_levels < min(_LEAST_LEVELS, _FEWER * plan.effective_levels):
+            continue
+        share = _outside(predicted.light)
+        if not deeper and share <= MUCH and _reach(predicted, controls) <= reach / _DEEPER:
+            deeper = trial.text
+        best = min(best, (share, trial.text))
+        if deeper if not is_seen else share <= MUCH:
+            break
+    share, text = best
+    if is_seen and share <= MUCH:
+        return text
+    if is_seen and share <= _HELPS * _outside(light):
+        return f"{text}, after which {share:.0%} still is by the metered light"
+    if light.unseen > MUCH:
+        return _unseen_text(plan, controls, deeper)
+    return "open the aperture, or light the scene; no option shows it"
+
+
+def _reach(plan: CapturePlan, controls: ExposureControls) -> float:
+    """Return the least light that the exposures of a plan, and its range, can show."""
+    exposures = [setting.exposure for setting in plan.settings]
+    level = float(controls.levels.levels[0])
+    return max(plan.desired.e_min / min(exposures), level / max(exposures))
+
+
+def _outside(light: PlannedLight) -> float:
+    """Return the larger one of the shares at the ends of the range, which are warned of."""
+    return max(light.clips, light.dark)
+
+
+def _unseen_text(plan: CapturePlan, controls: ExposureControls, deeper: str) -> str:
+    """Return what to say of light that the metering frames could not tell from black."""
+    longest_s = max(setting.time_s for setting in plan.settings)
+    text = "metering shows no light there"
+    if deeper:
+        return f"{text}; if there is some, this may show it: {deeper}"
+    if longest_s >= _NEARLY * controls.time_s.maximum:
+        return (
+            f"{text}, and {time_text(longest_s)} is the camera's longest exposure; open the "
+            f"aperture, or light the scene"
+        )
+    return f"{text}; if there is some, open the aperture, or light the scene"
+
+
+def _trials(request: CaptureRequest, plan: CapturePlan, predict: Predict) -> Iterator[_Trial]:
+    """Yield what may help, in the order in which it is advised."""
+    is_auto = request.dynamic_range == AUTO
+    if not is_auto:
+        text = "let the light decide it (--range auto)"
+        yield _Trial(text, replace(request, dynamic_range="auto"))
+    if request.compensation_stops < 0:
+        text = "leave the compensation (--compensation) out"
+        yield _Trial(text, replace(request, compensation_stops=0.0))
+    if request.clip is not None and request.clip < LAMP_SHARE:
+        text = "let lamps and reflections clip; leave the share that may (--clip) out"
+        yield _Trial(text, replace(request, clip_percent=None))
+    if request.time_budget_s is not None:
+        yield from _more_time(request, predict)
+    if request.count is not None or request.time_budget_s is None:
+        for count in _COUNTS:
+            # For the objective xi, solving more exposures may take minutes.
+            if count > request.most_exposures and (plan.objective != XI or count == _COUNTS[0]):
+                yield _Trial(f"take more exposures (-n {count})", replace(request, count=count))
+    yield from _less_accuracy(request, plan)
+    if request.clip is None:
+        for percent in _CLIPS:
+            text = f"let the brightest part clip (--clip {percent:g})"
+            yield _Trial(text, replace(request, clip_percent=percent))
+    if plan.desired.name != LOG:
+        text = (
+            f"the {plan.desired.name} response has few levels for it; take constant contrast "
+            f"(--response log)"
+        )
+        yield _Trial(text, replace(request, response=LOG, gamma=None))
+
+
+def _more_time(request: CaptureRequest, predict: Predict) -> Iterator[_Trial]:
+    """Yield the time budget in which the picture without one can be taken.
+
+    That picture stands for the one of the budget, which takes seconds to find.
+    """
+    free = predict(replace(request, time_budget_s=None))
+    if free is None or free.wall_s is None:
+        return
+    step = 10.0 ** (math.floor(math.log10(free.wall_s)) - 1)
+    budget_s = float(f"{math.ceil(free.wall_s / step) * step:.2g}")
+    assert request.time_budget_s is not None  # asked for by the caller
+    if budget_s > request.time_budget_s:
+        text = f"the time allowed is too short (--time-budget {budget_s:g})"
+        yield _Trial(text, replace(request, time_budget_s=budget_s), free)
+
+
+def _less_accuracy(request: CaptureRequest, plan: CapturePlan) -> Iterator[_Trial]:
+    """Yield larger ranges, and fewer levels: light that the camera holds less accurately."""
+    if request.accuracy is not None:
+        text = "leave the accuracy (--accuracy) out"
+        yield _Trial(text, replace(request, accuracy=None))
+    if request.dynamic_range != AUTO or plan.objective == XI:
+        return
+    assert plan.light is not None  # asked for by the caller
+    levels = math.floor(plan.light.needed_levels or 0.0)
+    if levels >= _LEAST_LEVELS and request.accuracy is None:
+        text = f"the camera holds all of the light with less accuracy (--accuracy {levels})"
+        yield _Trial(text, replace(request, accuracy=float(levels)))
+    for factor in _FACTORS:
+        larger = plan.dynamic_range * factor
+        text = f"ask for a larger one, with less accuracy (--range {larger:.0f})"
+        yield _Trial(text, replace(request, dynamic_range=larger))
