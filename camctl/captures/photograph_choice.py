@@ -15,7 +15,7 @@ from camctl.captures.photograph_camera import PhotographCamera
 from camctl.captures.plan import plan_capture
 from camctl.captures.request import CaptureRequest
 from camctl.captures.setting_selection import search_choices
-from camctl.controls import ExposureSetting, Layout
+from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import Objective
@@ -44,12 +44,10 @@ def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float
         patches: samples of each photograph, see `sample_patches`
     """
     controls, times = camera.controls, camera.times_s
-    planes = {Layout.MONO: "G", Layout.RGB: "RGB"}.get(controls.layout, controls.layout.upper())
-    responses = controls.responses or (controls.levels,) * 3
-    scales = [LightScale(responses["RGB".index(each)], controls.black) for each in planes]
+    scales = [LightScale(each, controls.black) for each in controls.plane_levels]
     found = []
     for plane, scale in enumerate(scales):
-        parts = [np.array_split(each, len(planes))[plane] for each in patches]
+        parts = [np.array_split(each, len(scales))[plane] for each in patches]
         light = np.full(parts[0].size, np.nan)
         for position in np.argsort(times)[::-1].tolist():
             seen = scale.light[np.minimum(parts[position], scale.white)].ravel()
