@@ -12,12 +12,15 @@ import numpy as np
 
 from camctl.captures.capture_plan import CapturePlan, relative_exposures
 from camctl.captures.photograph_camera import PhotographCamera
+from camctl.captures.pictures import DARK, sum_mask
 from camctl.captures.plan import plan_capture
 from camctl.captures.request import CaptureRequest
 from camctl.captures.setting_selection import search_choices
 from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
+from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
+from camctl.exposure.inverse import Posterior
 from camctl.exposure.objective import Objective
 from camctl.exposure.patches import LightScale, Patches
 
@@ -118,6 +121,37 @@ def plan_photographs(
         asked = replace(asked, base_s=base_s, compensation_stops=0.0, clip_percent=None)
         plan = plan_capture(camera, asked)
     return plan, asked
+
+
+def with_dark_share(
+    camera: PhotographCamera, plan: CapturePlan, patches: Sequence[Patches]
+) -> CapturePlan:
+    """Return a plan whose light says which share is too dark in the sums of the patches.
+
+    Where the noise of photographs is unknown, the histogram of their light does not say how often
+    a sample is black in all of them.
+
+    Args:
+        camera: of the photographs
+        plan: which of them are used
+        patches: samples of each photograph, see `sample_patches`
+    """
+    if plan.light is None:
+        return plan
+    controls = camera.controls
+    planes = controls.plane_levels
+    used = [patches[position].astype(np.intp) for position in camera.chosen(plan.settings)]
+    total = np.sum(used, axis=0)
+    exposures, noise = relative_exposures(plan.settings), controls.frame_noise(plan.settings)
+    masks = {
+        id(each): sum_mask(Posterior(EffectiveCamera.of(each, exposures), plan.desired, noise))
+        for each in planes
+    }
+    dark = sum(
+        int((masks[id(each)][part] == DARK).sum())
+        for each, part in zip(planes, np.array_split(total, len(planes)), strict=True)
+    )
+    return replace(plan, light=replace(plan.light, dark=dark / total.size))
 
 
 def _rounded_range(value: float) -> float:
