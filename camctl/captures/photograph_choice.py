@@ -147,11 +147,13 @@ def with_dark_share(
         id(each): sum_mask(Posterior(EffectiveCamera.of(each, exposures), plan.desired, noise))
         for each in planes
     }
-    dark = sum(
+    count = sum(
         int((masks[id(each)][part] == DARK).sum())
         for each, part in zip(planes, np.array_split(total, len(planes)), strict=True)
     )
-    return replace(plan, light=replace(plan.light, dark=dark / total.size))
+    dark = count / total.size
+    unseen = min(plan.light.unseen, dark)  # what another photograph shows is seen
+    return replace(plan, light=replace(plan.light, dark=dark, unseen=unseen))
 
 
 def _rounded_range(value: float) -> float:
