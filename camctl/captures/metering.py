@@ -265,16 +265,18 @@ def light_histogram(
         )
         # The dark current looks like light, and is not.
         dark = controls.frame_noise([setting])[0].dark_levels if controls.noise else 0.0
-        for real, sample, rest, below in zip(colours, samples, unread, darker, strict=True):
+        for real in dict.fromkeys(colours):
+            found = np.zeros(M + 1)
+            for colour, sample, rest, below in zip(colours, samples, unread, darker, strict=True):
+                if colour is real:
+                    found += np.bincount(sample[rest if last else rest & ~below], minlength=M + 1)
+            kept = found > 0
             # All irradiances between two levels have one brightness: its count is spread over
             # them, evenly in ln E.
-            low, high = real.gaps
-            least = np.maximum(low, real.levels[0] / 2) * scale
-            E = np.geomspace(least, high * scale, 2 * _SPREAD + 1)[1::2]
-            E = np.maximum(E - dark / (M + 1) * scale, least[0])
-            found = np.bincount(sample[rest if last else rest & ~below], minlength=M + 1)
-            kept = found > 0
-            light.append(E[:, kept].ravel())
+            low, high = (each[kept] * scale for each in real.gaps)
+            lowest = real.levels[0] / 2 * scale
+            E = np.geomspace(np.maximum(low, lowest), high, 2 * _SPREAD + 1)[1::2]
+            light.append(np.maximum(E - dark / (M + 1) * scale, lowest).ravel())
             counts.append(np.tile(found[kept] / _SPREAD, _SPREAD))
         if last:
             break

@@ -144,11 +144,11 @@ def with_dark_share(
     total = np.sum(used, axis=0)
     exposures, noise = relative_exposures(plan.settings), controls.frame_noise(plan.settings)
     masks = {
-        id(each): sum_mask(Posterior(EffectiveCamera.of(each, exposures), plan.desired, noise))
-        for each in planes
+        each: sum_mask(Posterior(EffectiveCamera.of(each, exposures), plan.desired, noise))
+        for each in dict.fromkeys(planes)
     }
     count = sum(
-        int((masks[id(each)][part] == DARK).sum())
+        int((masks[each][part] == DARK).sum())
         for each, part in zip(planes, np.array_split(total, len(planes)), strict=True)
     )
     dark = count / total.size
