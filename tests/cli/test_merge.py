@@ -106,6 +106,16 @@ def test_as_many_photographs_as_are_asked_for_are_used(run: Run, series: Series)
         assert len(ran.json["frames"]) == count
 
 
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_the_share_that_is_too_dark_is_predicted(run: Run, series: Series, suffix: str) -> None:
+    line = (*series(TIMES[:4:3], suffix), "--curve", "srgb")
+    for options in ("--range 100", "-n 2"):  # about 30 %, and what is black in both
+        found = run("merge", *line, *options.split(), "-o", "hall", "--json", "--force").json
+        dark = found["achieved"]["dark_fraction"]
+        assert dark > 0.004
+        assert found["plan"]["light"]["dark"] == pytest.approx(dark, rel=0.02)
+
+
 @pytest.mark.slow
 def test_the_memorial_photographs_come_out_without_warnings(run: Run, real_data: Path) -> None:
     from sim.scenes.radiance_map import read_map
