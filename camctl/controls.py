@@ -184,6 +184,13 @@ class ExposureControls:
         return linear_response(self.bits, phase=self.phase, levels=self.white - self.black)
 
     @property
+    def plane_levels(self) -> tuple[CameraResponse, ...]:
+        """The response of each plane of a frame, in the order of `Layout.planes`."""
+        colours = {Layout.MONO: "G", Layout.RGB: "RGB"}.get(self.layout, self.layout.upper())
+        responses = self.responses or (self.levels,) * 3
+        return tuple(responses["RGB".index(each)] for each in colours)
+
+    @property
     def has_assumed_response(self) -> bool:
         """Whether the response is only assumed."""
         return self.response_origin is ResponseOrigin.ASSUMED

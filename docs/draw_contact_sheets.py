@@ -3,7 +3,8 @@
 Each is the contact.png of one simulated capture, reduced in size and in colours.  The picture
 room-responses.png is that of ``camctl shoot --preview-only``, and previews.png shows each scene as
 image.tiff, by three tone mappers of OpenCV, and as preview.png.  Where $CAMCTL_DATA/memorial holds
-Debevec and Malik's photographs, memorial.png is that of ``camctl merge`` with all of them.
+Debevec and Malik's photographs, memorial.png is that of ``camctl merge`` with all of them, and
+previews.png has a row of them, too.
 """
 
 from __future__ import annotations
@@ -48,10 +49,10 @@ def main() -> None:
                 request = camctl.CaptureRequest("log", "auto", count=COUNT)
                 report = camctl.capture(camera, request, out)
             write(sheets / f"{name}.png", read(out / "contact.png"))
-            shown = read(out / "preview.png")
-            rows[name] = [(report.image() >> 8).astype(np.uint8), *rivals(report.radiance()), shown]
+            rows[name] = compared(out, report.image(), report.radiance())
     if data := os.environ.get("CAMCTL_DATA"):
-        write(sheets / "memorial.png", memorial(Path(data, "memorial")))
+        sheet, rows["memorial"] = memorial(Path(data, "memorial"))
+        write(sheets / "memorial.png", sheet)
     with camctl.open_camera("sim", scene="room") as camera:
         shown = preview_responses(camera, camctl.CaptureRequest(dynamic_range="auto")).picture
         write(folder / "room-responses.png", shown)
@@ -59,14 +60,23 @@ def main() -> None:
     write(folder / "previews.png", table(titles, rows), PREVIEWS_BYTES)
 
 
-def memorial(photographs: Path) -> NDArray[np.uint8]:
-    """Return the contact sheet of Debevec and Malik's photographs."""
+def compared(
+    folder: Path, image: NDArray[np.uint16], radiance: NDArray[np.float32]
+) -> list[NDArray[np.uint8]]:
+    """Return the pictures of a capture by each tone mapping."""
+    return [(image >> 8).astype(np.uint8), *rivals(radiance), read(folder / "preview.png")]
+
+
+def memorial(photographs: Path) -> tuple[NDArray[np.uint8], list[NDArray[np.uint8]]]:
+    """Return the contact sheet of Debevec and Malik's photographs, and the compared pictures."""
     rows = [line.split() for line in (photographs / "image_list.txt").read_text().splitlines()]
     found = [(photographs / row[0], float(row[1])) for row in rows if row and row[0] != "#"]
     files, times = zip(*((file, time_s) for file, time_s in found if file.exists()), strict=True)
     with tempfile.TemporaryDirectory() as place:
-        merge(files, path=Path(place) / "memorial", options=PhotographOptions(times=times))
-        return read(Path(place) / "memorial" / "contact.png")
+        out = Path(place) / "memorial"
+        merged = merge(files, path=out, options=PhotographOptions(times=times))
+        pictures = compared(out, merged.image(), merged.radiance())
+        return read(out / "contact.png"), pictures
 
 
 def rivals(radiance: NDArray[np.float32]) -> list[NDArray[np.uint8]]:

@@ -62,10 +62,10 @@ _UNKNOWN_EXPONENT = (
     "that of sRGB, and may be 20 % wrong for a camera that makes such pictures, and 100 % for raw "
     "ones; give --times of the frames, or put a chart into the picture"
 )
-#: Where charge spills over from highlights.
+#: Where saturated samples change others.
 _SPILLS = (
-    "charge spills over from saturated samples (blooming): they and those near them are left out "
-    "of the estimate"
+    "saturated samples change those beside them (blooming, or JPEG compression): they and those "
+    "near them are left out of the estimate"
 )
 #: Where something moved between two frames.
 _MOVED = (

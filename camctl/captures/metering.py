@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Camera, Frame, PreviewingCamera
+from camctl.camera import PHOTOGRAPHS, Camera, Frame, PreviewingCamera
 from camctl.captures.capture_plan import Metering
 from camctl.captures.exposure_check import NeighbourCheck
 from camctl.captures.scene_range import SceneLight
-from camctl.controls import ExposureControls, ExposureSetting
+from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.number_text import time_text
 from camctl.response.camera import FloatArray
@@ -236,54 +236,61 @@ def light_histogram(
 ) -> SceneLight:
     """Return the histogram of the light, E = 1 at `limit_s`.
 
-    A frame at the metered setting gives the highlights; each longer one gives the light below
-    `_READABLE_LEVELS` levels of the frame before, until only `_UNREAD_SHARE` of the samples is
-    darker, or all that is darker is below `lower_end`.  Times end at `_LONGEST_HISTOGRAM_S`; from
-    there on the gain rises.
+    A frame at the metered setting gives the highlights; each longer one gives the samples that had
+    fewer than `_READABLE_LEVELS` levels in the frame before, until only `_UNREAD_SHARE` of them is
+    darker, or all that is darker is below `lower_end`.  Times end at `_LONGEST_HISTOGRAM_S`, where
+    the frames are not taken yet; from there on the gain rises.
     """
     controls = source.camera.controls
-    levels = controls.levels.levels
-    # All irradiances between two levels have one brightness: its count is spread over them, evenly
-    # in ln E.
-    low, high = controls.levels.gaps
-    setting, upper = metering.setting, np.inf
+    main, M = controls.levels.levels, controls.levels.M
+    readable = min(_READABLE_LEVELS, M)
+    setting = metering.setting
     full = metering.limit_s * setting.exposure / setting.time_s
+    colours = controls.plane_levels
+    unread: list[NDArray[np.bool_]] = []
     light, counts = [], []
     while True:
         frame = source.take(setting)
         scale = full / setting.exposure
-        found = np.zeros(levels.size + 1)
-        for plane in controls.layout.planes(frame.pixels):
-            above = np.clip(_sample(plane).astype(np.intp) - frame.black, 0, levels.size)
-            found += np.bincount(above, minlength=levels.size + 1)
-        longer = _longer(controls, setting, levels.size / (2 * _READABLE_LEVELS))
-        readable = levels[min(_READABLE_LEVELS, levels.size) - 1] * scale
-        unread = found[high * scale <= readable].sum()
+        planes = controls.layout.planes(frame.pixels)
+        samples = [np.clip(_sample(plane).astype(np.intp) - frame.black, 0, M) for plane in planes]
+        unread = unread or [np.ones(each.size, np.bool_) for each in samples]
+        darker = [rest & (each < readable) for rest, each in zip(unread, samples, strict=True)]
+        longer = _longer(source.camera, setting, M / (2 * _READABLE_LEVELS))
         last = (
-            unread <= _UNREAD_SHARE * found.sum()
-            or readable <= lower_end
+            sum(int(each.sum()) for each in darker)
+            <= _UNREAD_SHARE * sum(each.size for each in samples)
+            or main[readable - 1] * scale <= lower_end
             or longer.exposure <= setting.exposure
         )
-        lower = 0.0 if last else readable
-        least = np.maximum(low, levels[0] / 2) * scale
-        E = np.geomspace(least, high * scale, 2 * _SPREAD + 1)[1::2]
         # The dark current looks like light, and is not.
         dark = controls.frame_noise([setting])[0].dark_levels if controls.noise else 0.0
-        E = np.maximum(E - dark / (levels.size + 1) * scale, least[0])
-        kept = (high * scale > lower) & (high * scale <= upper)
-        light.append(E[:, kept].ravel())
-        counts.append(np.tile(found[kept] / _SPREAD, _SPREAD))
+        for real in dict.fromkeys(colours):
+            found = np.zeros(M + 1)
+            for colour, sample, rest, below in zip(colours, samples, unread, darker, strict=True):
+                if colour is real:
+                    found += np.bincount(sample[rest if last else rest & ~below], minlength=M + 1)
+            kept = found > 0
+            # All irradiances between two levels have one brightness: its count is spread over
+            # them, evenly in ln E.
+            low, high = (each[kept] * scale for each in real.gaps)
+            lowest = real.levels[0] / 2 * scale
+            E = np.geomspace(np.maximum(low, lowest), high, 2 * _SPREAD + 1)[1::2]
+            light.append(np.maximum(E - dark / (M + 1) * scale, lowest).ravel())
+            counts.append(np.tile(found[kept] / _SPREAD, _SPREAD))
         if last:
             break
-        upper, setting = lower, longer
+        unread, setting = darker, longer
     E, number = np.concatenate(light), np.concatenate(counts)
     order = np.argsort(E, kind="stable")
-    return SceneLight(E[order], number[order] / number.sum(), float(levels[0] * scale))
+    return SceneLight(E[order], number[order] / number.sum(), float(main[0] * scale))
 
 
-def _longer(controls: ExposureControls, setting: ExposureSetting, factor: float) -> ExposureSetting:
+def _longer(camera: Camera, setting: ExposureSetting, factor: float) -> ExposureSetting:
     """Return a setting with `factor` times the exposure, or the largest that metering uses."""
-    longest_s = max(min(_LONGEST_HISTOGRAM_S, controls.time_s.maximum), setting.time_s)
+    controls = camera.controls
+    waited_s = math.inf if camera.info.driver == PHOTOGRAPHS else _LONGEST_HISTOGRAM_S
+    longest_s = max(min(waited_s, controls.time_s.maximum), setting.time_s)
     time_s = controls.time_s.nearest(min(setting.time_s * factor, longest_s))
     gain = min(setting.gain * factor * setting.time_s / time_s, controls.gain.maximum)
     return replace(setting, time_s=time_s, gain=controls.gain.nearest(max(gain, setting.gain)))

@@ -4,7 +4,8 @@ Frames neighbouring in exposure are compared sample by sample, see `camctl.captu
 Change of the whole picture, as by lamps that flicker, is taken out of the comparison first: it is
 the ratio of most patches.
 
-What light does that spreads from saturated pixels is left out, see `camctl.captures.light_spread`.
+What light does that spreads from saturated pixels is no movement, see
+`camctl.captures.light_spread`, but the picture is wrong there: it is marked, and counted apart.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class FoundMovement:
     """How much of a picture contradicts: movement, changed light, light that blooming spilled.
 
     Attributes:
-        share: of the samples that contradict
+        share: of the samples that contradict, without those of `spread`
         false_alarms: share that does by noise, predicted from patches that do not move; with
             unknown noise, fewer than 8 levels, and where light spreads, measured where the map
             shows no movement
@@ -57,9 +58,8 @@ class FoundMovement:
         area: share of the picture's blocks of `block` x `block` pixels in which more contradict
             than by noise; larger than `share`, since not each sample of a block does
         block: side of a block of the map, pixels
-        spread: share of the samples that contradict and are no movement: in the longer exposure
-            they are brighter than expected, and beside saturated ones, from which light spreads.
-            Those that have no mark are not in `share`
+        spread: share of the samples that contradict by light that spread to them from saturated
+            ones of a longer exposure: the picture is too bright there.  All have marks, too
     """
 
     share: float
@@ -76,7 +76,8 @@ class Movement:
 
     Attributes:
         shape: of a frame, (rows, columns) or (rows, columns, 3)
-        marks: which samples contradict, packed along each row
+        marks: which samples contradict, packed along each row: moved ones, and those to which
+            light spread
         found: how many do, and where
         cell: side of a cell of `cells`, pixels
         cells: map of low resolution, bool: cells in which more samples contradict than by noise,
@@ -156,17 +157,17 @@ def _marked(
 
     def compare(
         work: tuple[Pair, tuple[Limits, float], tuple[tuple[Pixels, Lines], tuple[Pixels, Lines]]],
-    ) -> tuple[NDArray[np.uint8], float, float, bool, tuple[int, ...]]:
+    ) -> tuple[NDArray[np.uint8], float, NDArray[np.uint8] | None, tuple[int, ...]]:
         pair, (limits, rate), ((short, short_lines), (long, long_lines)) = work
         rows, columns = short.shape[:2]
         channels = short.shape[2] if short.ndim == 3 else 1
         spread = LightSpread.of(limits, pair, short_lines, long_lines)
         marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
-        mark = partial(_mark, marks, limits, spread, short, long)
+        spilled = np.zeros_like(marks) if spread.is_any else None
+        mark = partial(_mark, (marks, spilled), limits, spread, short, long)
         areas = _areas(rows, columns, channels, spread)
-        counts = list(map(mark, areas) if in_memory else in_threads(mark, areas))
-        compared, taken_out = (sum(each) / short.size for each in zip(*counts, strict=True))
-        return marks, rate * compared, taken_out, spread.is_any, short.shape
+        compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas))
+        return marks, rate * compared / short.size, spilled, short.shape
 
     positions = [pairs[0].short.position, *(pair.long.position for pair in pairs)]
     # The next frame is read while two are compared.
@@ -174,12 +175,12 @@ def _marked(
     calibrated = _calibrated(pairs, total)
     work = zip(pairs, calibrated, pairwise(frames), strict=True)
     results = in_threads(compare, work) if in_memory else map(compare, work)
-    marks, alarms, taken_out, does_spread, shape = next(results)
-    for each, share, spread_share, spreads, _ in results:
+    marks, alarms, spilled, shape = next(results)
+    for each, share, more, _ in results:
         marks |= each
         alarms += share
-        taken_out += spread_share
-        does_spread |= spreads
+        if more is not None:
+            spilled = more if spilled is None else np.bitwise_or(spilled, more, out=spilled)
     is_known = all(pair.is_known for pair in pairs)
     cell, counts, moves = mapped(shape, marks, is_known=is_known)
     spread = np.zeros_like(moves)
@@ -188,13 +189,12 @@ def _marked(
         limits = (limits for limits, _ in calibrated)
         spread = light_spread_cells(moves, cell, zip(pairs, limits, both, strict=True))
     movement, at_rest = _summed(shape, marks, alarms, cell, counts, moves, spread)
-    movement = replace(
-        movement, found=replace(movement.found, spread=movement.found.spread + taken_out)
-    )
+    if spilled is not None:
+        movement = _with_spread(movement, spilled, counts, is_known=is_known)
     is_coarse = pairs[0].scale.is_coarse  # its noise is not near a normal distribution
-    if is_known and not is_coarse and not (does_spread and at_rest < alarms):
+    if is_known and not is_coarse and not (spilled is not None and at_rest < alarms):
         return movement
-    # Light that spread is in the patches, too, and has been taken out of the picture.
+    # Light that spread is in the patches, too, and is not in `share`.
     return replace(movement, found=replace(movement.found, false_alarms=at_rest))
 
 
@@ -211,27 +211,28 @@ def _areas(
 
 
 def _mark(
-    marks: NDArray[np.uint8],
+    marks: tuple[NDArray[np.uint8], NDArray[np.uint8] | None],
     limits: Limits,
     spread: LightSpread,
     short: Pixels,
     long: Pixels,
     area: tuple[slice, slice],
-) -> tuple[int, int]:
+) -> int:
     """Add what contradicts in an area to the packed marks; return how many samples can.
 
-    Return how many contradict by light that spread, too.
+    The second marks are those of light that spread; None where it does not.
     """
     rows, columns = area
     part = slice(max(0, columns.start - ACROSS), columns.stop + ACROSS)
     inner = slice(columns.start - part.start, columns.stop - part.start)
-    marked, can, spilled = spread.outside(limits, short[rows, part], long[rows, part])
-    found, comparable = marked[:, inner], can[:, inner]
-    packed = np.packbits(found.reshape(len(found), -1), axis=1)
-    first = columns.start * (found[0, 0].size) // 8
-    marks[rows, first : first + packed.shape[1]] |= packed
-    taken_out = 0 if spilled is None else np.count_nonzero(spilled[:, inner])
-    return int(np.count_nonzero(comparable)), int(taken_out)
+    found, comparable, spilled = spread.outside(limits, short[rows, part], long[rows, part])
+    for packed, each in zip(marks, (found, spilled), strict=True):
+        if packed is None or each is None:
+            continue
+        bits = np.packbits(each[:, inner].reshape(len(each), -1), axis=1)
+        first = columns.start * (each[0, 0].size) // 8
+        packed[rows, first : first + bits.shape[1]] |= bits
+    return int(np.count_nonzero(comparable[:, inner]))
 
 
 def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float]]:
@@ -262,7 +263,8 @@ def _summed(
     """Return a `Movement` with shares and places, and the share of the marks at rest."""
     rows, columns = shape[:2]
     size = np.outer(cell_sizes(rows, cell), cell_sizes(columns, cell)) * math.prod(shape[2:])
-    share = float(counts.sum() / size.sum())
+    spread_share = float(counts[spread].sum() / size.sum())
+    share = float(counts[~spread].sum() / size.sum())
     rests = ~widened(cells)
     at_rest = float(counts[rests].sum() / max(size[rests].sum(), 1))
     moves = cells & ~spread
@@ -273,6 +275,24 @@ def _summed(
         named,
         float(moves.mean()),
         cell,
-        float(counts[spread].sum() / size.sum()),
+        spread_share,
     )
     return Movement(shape, marks, found, cell, cells), at_rest
+
+
+def _with_spread(
+    movement: Movement, spilled: NDArray[np.uint8], counts: _Floats, *, is_known: bool
+) -> Movement:
+    """Add the marks of light that spread, which are no movement and no place.
+
+    Args:
+        movement: found without it
+        spilled: packed marks, likewise
+        counts: marks of `movement` in each cell
+        is_known: whether the noise is
+    """
+    marks = np.bitwise_or(spilled, movement.marks, out=spilled)
+    cell, all_counts, cells = mapped(movement.shape, marks, is_known=is_known)
+    more = float((all_counts - counts).sum()) / math.prod(movement.shape)
+    found = replace(movement.found, spread=movement.found.spread + more)
+    return Movement(movement.shape, marks, found, cell, movement.cells | cells)

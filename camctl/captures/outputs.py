@@ -21,6 +21,7 @@ from camctl.captures.pictures import Rendering, Tables
 from camctl.captures.range_advice import outside_warnings
 from camctl.captures.report import Achieved, CaptureReport, Irradiance, UnfinishedCapture
 from camctl.captures.simulation_summary import simulation_summary, without_plan
+from camctl.captures.spread_advice import spread_warnings
 from camctl.captures.true_exposures import relative
 from camctl.controls import ExposureControls
 from camctl.exposure.effective import EffectiveCamera
@@ -101,7 +102,7 @@ def complete(
         frames=_shown(frames, exposures, checks, controls, full_scale_exposure),
         saturated=outside.saturated,
         dark=outside.dark,
-        moved=None if movement is None else movement.found.share,
+        moved=None if movement is None else movement.found.share + movement.found.spread,
     )
     files = store.keep_pictures(total, rendering, details)
     simulation = simulation_summary(frames)
@@ -151,6 +152,13 @@ def complete(
                         dark=outside.dark,
                         is_taken=is_taken,
                     )
+                ),
+                *(
+                    spread_warnings(
+                        unfinished.request, plan, movement.found.spread, is_taken=is_taken
+                    )
+                    if movement is not None
+                    else []
                 ),
                 *(_wrong_noise(measured, effective_levels) if controls.noise else []),
             ],

@@ -12,12 +12,15 @@ import numpy as np
 
 from camctl.captures.capture_plan import CapturePlan, relative_exposures
 from camctl.captures.photograph_camera import PhotographCamera
+from camctl.captures.pictures import DARK, sum_mask
 from camctl.captures.plan import plan_capture
 from camctl.captures.request import CaptureRequest
 from camctl.captures.setting_selection import search_choices
-from camctl.controls import ExposureSetting, Layout
+from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
+from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
+from camctl.exposure.inverse import Posterior
 from camctl.exposure.objective import Objective
 from camctl.exposure.patches import LightScale, Patches
 
@@ -44,12 +47,10 @@ def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float
         patches: samples of each photograph, see `sample_patches`
     """
     controls, times = camera.controls, camera.times_s
-    planes = {Layout.MONO: "G", Layout.RGB: "RGB"}.get(controls.layout, controls.layout.upper())
-    responses = controls.responses or (controls.levels,) * 3
-    scales = [LightScale(responses["RGB".index(each)], controls.black) for each in planes]
+    scales = [LightScale(each, controls.black) for each in controls.plane_levels]
     found = []
     for plane, scale in enumerate(scales):
-        parts = [np.array_split(each, len(planes))[plane] for each in patches]
+        parts = [np.array_split(each, len(scales))[plane] for each in patches]
         light = np.full(parts[0].size, np.nan)
         for position in np.argsort(times)[::-1].tolist():
             seen = scale.light[np.minimum(parts[position], scale.white)].ravel()
@@ -120,6 +121,39 @@ def plan_photographs(
         asked = replace(asked, base_s=base_s, compensation_stops=0.0, clip_percent=None)
         plan = plan_capture(camera, asked)
     return plan, asked
+
+
+def with_dark_share(
+    camera: PhotographCamera, plan: CapturePlan, patches: Sequence[Patches]
+) -> CapturePlan:
+    """Return a plan whose light says which share is too dark in the sums of the patches.
+
+    Where the noise of photographs is unknown, the histogram of their light does not say how often
+    a sample is black in all of them.
+
+    Args:
+        camera: of the photographs
+        plan: which of them are used
+        patches: samples of each photograph, see `sample_patches`
+    """
+    if plan.light is None:
+        return plan
+    controls = camera.controls
+    planes = controls.plane_levels
+    used = [patches[position].astype(np.intp) for position in camera.chosen(plan.settings)]
+    total = np.sum(used, axis=0)
+    exposures, noise = relative_exposures(plan.settings), controls.frame_noise(plan.settings)
+    masks = {
+        each: sum_mask(Posterior(EffectiveCamera.of(each, exposures), plan.desired, noise))
+        for each in dict.fromkeys(planes)
+    }
+    count = sum(
+        int((masks[each][part] == DARK).sum())
+        for each, part in zip(planes, np.array_split(total, len(planes)), strict=True)
+    )
+    dark = count / total.size
+    unseen = min(plan.light.unseen, dark)  # what another photograph shows is seen
+    return replace(plan, light=replace(plan.light, dark=dark, unseen=unseen))
 
 
 def _rounded_range(value: float) -> float:

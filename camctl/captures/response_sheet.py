@@ -23,6 +23,9 @@ from camctl.number_text import percent_text, range_text, time_text
 PANEL_WIDTH = 520
 """Width of the picture of one response, pixels."""
 
+NOTABLY_UNSEEN = 0.01
+"""From this share of the samples on that metering shows no light of, it is said that it is so."""
+
 _MOST_HEIGHT = 520
 #: Width and largest height of what image.tiff holds.
 _STORED = 200, 150
@@ -81,7 +84,7 @@ def response_sheet(
     top = MARGIN + 2 * LINE_HEIGHT
     below = top + height + LINE_HEIGHT + 8
     notes_top = below + _STORED[1] + LINE_HEIGHT + MARGIN
-    drawing = Drawing(width, notes_top + 3 * LINE_HEIGHT + MARGIN)
+    drawing = Drawing(width, notes_top + 4 * LINE_HEIGHT + MARGIN)
     title = "the picture in each desired response; nothing was shot"
     drawing.text(title, (MARGIN, MARGIN), width - 2 * MARGIN, size=TITLE)
     for number, panel in enumerate(panels):
@@ -103,8 +106,14 @@ def response_sheet(
     if left_out_s:
         times = ", ".join(map(time_text, left_out_s))
         notes.append(
-            f"left out, too long for a preview: {times}; the capture has less noise in the dark, "
-            "and may show more there than is counted here"
+            f"left out, too long for a preview: {times}; the capture has less noise in the dark "
+            "than these pictures; the shares are predicted for all its exposures"
+        )
+    lights = [panel.plan.light for panel in panels if panel.plan is not None]
+    unseen = max((light.unseen for light in lights if light is not None), default=0.0)
+    if unseen >= NOTABLY_UNSEEN:
+        notes.append(
+            f"metering shows no light in {percent_text(unseen)}, all of which may be too dark"
         )
     if is_range_given and any(panel.dark > _MUCH_DARK for panel in panels):
         notes.append(

@@ -68,6 +68,7 @@ class Series:
         self._slot = 0
         self._set_bytes = 0
         self._seconds = 0.0
+        self._is_said = False
 
     def run(self) -> SeriesJournal:
         """Take the sets; return the journal.
@@ -80,8 +81,9 @@ class Series:
         """
         with self._owned():
             try:
-                self._twice(lambda: self._taker.prepare(self.journal))
+                set_s = self._twice(lambda: self._taker.prepare(self.journal))
                 self._save()
+                self._warn_of_long_sets(set_s)
                 while not self.journal.is_done() and self._wait_for_start():
                     self._check_space()
                     self._take(self._next_record())
@@ -243,12 +245,29 @@ class Series:
         missed = slot - self._slot - 1
         if late and missed:
             self.journal.skipped += missed
-            starts = "1 start is" if missed == 1 else f"{missed} starts are"
-            self._tools.warn(
-                f"a set took longer than the interval of {interval_s:g} s: {starts} left out"
-            )
+            if not self._is_said:
+                self._is_said = True
+                starts = "1 start is" if missed == 1 else f"{missed} starts are"
+                self._tools.warn(
+                    f"a set took longer than the interval of {interval_s:g} s: {starts} left out, "
+                    "as are later ones where that happens again"
+                )
         self._slot = slot
         return first_s + slot * interval_s
+
+    def _warn_of_long_sets(self, set_s: float | None) -> None:
+        """Say before the first set that each one is planned to take longer than the interval."""
+        interval_s = self.journal.options.interval_s
+        if interval_s is None or set_s is None or self.journal.is_done():
+            return
+        intervals = math.ceil(set_s / interval_s - _LATE_SHARE)
+        if intervals > 1:
+            self._is_said = True
+            self._tools.warn(
+                f"a set takes {set_s:.3g} s by its plan, longer than the interval of "
+                f"{interval_s:g} s: sets begin every {intervals * interval_s:g} s at best, and the "
+                "starts between are left out"
+            )
 
     def _wait_for_key(self) -> bool:
         """Return when the user asks for a set; False: for the end."""

@@ -34,11 +34,12 @@ class CameraSets:
             self._table = ExposureTable.load(Path(journal.table_file), camera.controls.levels)
         self._plan = journal.plan
 
-    def prepare(self, journal: SeriesJournal) -> None:
+    def prepare(self, journal: SeriesJournal) -> float | None:
         """Make the plan of the first set, which is kept where it is that of all."""
         self._plan = self._plan or self._new_plan()
         if journal.options.meter == "once":
             journal.plan = self._plan
+        return self._plan.wall_s
 
     def take(self, directory: Path) -> CaptureReport:
         """Take a set into `directory`, or complete the one that is there."""

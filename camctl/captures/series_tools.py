@@ -5,13 +5,13 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Protocol
 
 from camctl.captures.report import CaptureReport
 from camctl.captures.series_journal import SeriesJournal, SetRecord
-from camctl.clock import Clock
+from camctl.clock import Clock, VirtualClock
 
 
 class Keys(Protocol):
@@ -25,8 +25,11 @@ class Keys(Protocol):
 class SetTaker(Protocol):
     """Takes one set of a series."""
 
-    def prepare(self, journal: SeriesJournal) -> None:
-        """Do what must not delay the first set: meter, and keep the plan where it is for all."""
+    def prepare(self, journal: SeriesJournal) -> float | None:
+        """Do what must not delay the first set: meter, and keep the plan where it is for all.
+
+        Return the time that the first set is planned to take, s; None: it is not known.
+        """
         ...
 
     def take(self, directory: Path) -> CaptureReport:
@@ -53,6 +56,14 @@ class SeriesProgress:
     total: int | None
     state: str
     ends_in_s: float | None = None
+
+
+def date_by(clock: Clock) -> Callable[[], datetime]:
+    """Return what returns date and time; those of a virtual clock are now plus what it advances."""
+    if not isinstance(clock, VirtualClock):
+        return datetime.now
+    zero = datetime.now() - timedelta(seconds=clock.now())
+    return lambda: zero + timedelta(seconds=clock.now())
 
 
 @dataclass(frozen=True)

@@ -265,8 +265,8 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
     )
     spread = []
     if movement.spread >= _NOTABLE_SPREAD:
-        beside = f"beside saturated samples {format_percent(movement.spread)} are brighter than"
-        spread = [("", f"{beside} expected: light spread, or a dark thing moved before them")]
+        bright = f"{format_percent(movement.spread)} of the picture is too bright"
+        spread = [("", f"light that spread from saturated samples: {bright}")]
     if not movement.places:
         return [("movement", f"none; {shares}"), *spread]
     area = format_percent(movement.area)

@@ -41,6 +41,7 @@ def show_responses(
         StorageError: the file exists and `force` is False, or it cannot be written
     """
     from camctl.captures.response_preview import preview_responses
+    from camctl.captures.response_sheet import NOTABLY_UNSEEN
     from camctl.files import check_replaceable, write_bytes
     from camctl.picture_operations import png
 
@@ -59,6 +60,7 @@ def show_responses(
     for warning in shown.plan.warnings:
         print_warning(warning)
     times = [setting.time_s for setting in shown.settings]
+    unseen = 0.0 if shown.plan.light is None else shown.plan.light.unseen
     if as_json:
         print_json(
             {
@@ -66,6 +68,7 @@ def show_responses(
                 "dynamic_range": shown.plan.dynamic_range,
                 "preview_times_s": times,
                 "left_out_s": shown.left_out_s,
+                "unseen_fraction": unseen,
                 "planned_times_s": [setting.time_s for setting in shown.plan.settings],
                 "responses": [
                     {
@@ -97,6 +100,11 @@ def show_responses(
     if shown.left_out_s:
         left_out = ", ".join(map(format_duration, shown.left_out_s))
         fields.append(("left out", f"{left_out}: too long for a preview"))
+    if unseen >= NOTABLY_UNSEEN:
+        share = format_percent(unseen)
+        fields.append(
+            ("not seen", f"metering shows no light in {share}, all of which may be too dark")
+        )
     fields += [("result", str(path)), ("", "nothing was shot")]
     table = format_table(headings, rows, right_aligned=range(1, len(headings)))
     print_text(f"{table}\n\n{format_fields(fields)}")

@@ -107,12 +107,17 @@ def _run(
 ) -> None:
     from camctl.captures.series import Series
     from camctl.captures.series_sets import CameraSets
-    from camctl.captures.series_tools import SeriesTools
+    from camctl.captures.series_tools import SeriesTools, date_by
 
     hook = None if series.hook is None else Hook(series.hook, series.hook_limit_s, directory)
     with terminal_keys() as keys, _progress(camera) as progress:
         tools = SeriesTools(
-            camera.clock, keys=keys, hook=hook, warn=print_warning, progress=progress
+            camera.clock,
+            keys=keys,
+            hook=hook,
+            warn=print_warning,
+            progress=progress,
+            date=date_by(camera.clock),
         )
         Series(directory, journal, CameraSets(camera, journal), tools).run()
     if as_json:

@@ -94,9 +94,12 @@ frame_settings = options.option_group(
 @command(
     examples=(
         ("camctl simulate --scene night-street --time 4 --explain", "nearly all effects, and why"),
-        ("camctl simulate --scene ramp --time 0.001 --explain", "most effects make no difference"),
+        ("camctl simulate --scene cloth --time 0.01 --explain", "fewer effects make a difference"),
         ("camctl simulate --sensor ideal-6 -o floor.tiff", "without noise, 6 bits"),
-        ("camctl simulate --scene room --bracket 1,16,256 -o room.png", "room-1.png to room-3.png"),
+        (
+            "camctl simulate --scene ball --time 0.02 --bracket 1,4,16 -o ball.png",
+            "ball-1.png to ball-3.png",
+        ),
     )
 )
 @options.scene_options(DEFAULT_SENSOR)

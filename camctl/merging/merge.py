@@ -10,7 +10,12 @@ from typing import Any
 
 from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.folder_store import FolderStore
-from camctl.captures.photograph_choice import plan_photographs, why_unused
+from camctl.captures.photograph_choice import (
+    darkest_light,
+    plan_photographs,
+    why_unused,
+    with_dark_share,
+)
 from camctl.captures.report import CaptureReport
 from camctl.captures.request import AUTO, CaptureRequest
 from camctl.captures.sequencer import capture
@@ -81,9 +86,10 @@ def plan_merge(
     if is_auto:
         request = replace(request, dynamic_range=_ANY_RANGE)
     opened = open_photographs([Path(each) for each in files], options)
-    darkest = opened.darkest if is_auto else None
-    plan, request = plan_photographs(opened.camera, request, darkest)
-    return MergePlan(opened, request, plan)
+    camera, patches = opened.camera, opened.patches
+    darkest = darkest_light(camera, patches) if is_auto else None
+    plan, request = plan_photographs(camera, request, darkest)
+    return MergePlan(opened, request, with_dark_share(camera, plan, patches))
 
 
 def merge(

@@ -36,7 +36,8 @@ _FITS, _AS_WELL = 0.01, 1.2
 #: Where a response is from that was found in the photographs themselves.
 _FITTING, _ASSUMED = "srgb, which fits the photographs", "srgb, assumed"
 _ESTIMATED = "estimated from the photographs"
-FROM_PHOTOGRAPHS = (_FITTING, _ASSUMED, _ESTIMATED)
+_ESTIMATED_COMMON = "estimated from the photographs, one for all colours"
+FROM_PHOTOGRAPHS = (_FITTING, _ASSUMED, _ESTIMATED, _ESTIMATED_COMMON)
 
 
 def known_controls(
@@ -106,11 +107,16 @@ def known_controls(
         notes.append(f"the response is taken for srgb, since it cannot be estimated: {error.what}")
         return standard, _ASSUMED
     estimated = _measured(controls, estimate.record)
+    common = replace(estimated, responses=())
     # An estimate has errors of its own: where the standard explains the frames as well, it is it.
-    errors = [fit_error(series, each) for each in (standard, estimated)]
-    if errors[0] <= _FITS or errors[0] <= _AS_WELL * errors[1] < math.inf:
+    # Where one curve for all channels does, it is that: grey stays grey, and green is estimated
+    # best, since JPEG files keep less of the colours.
+    errors = [fit_error(series, each) for each in (standard, common, estimated)]
+    if errors[0] <= _FITS or errors[0] <= _AS_WELL * errors[2] < math.inf:
         return fitting_standard, _FITTING
     (notes if estimate.is_doubtful else facts).extend(estimate.notes)
+    if estimated.responses and errors[1] <= _AS_WELL * errors[2] < math.inf:
+        return common, _ESTIMATED_COMMON
     return estimated, _ESTIMATED
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from camctl.camera import Pixels
     from camctl.captures.photograph_camera import PhotographCamera
     from camctl.captures.photographs import Photograph
+    from camctl.exposure.patches import Patches
 
 
 @dataclass(frozen=True)
@@ -54,14 +55,14 @@ class OpenedPhotographs:
 
     Attributes:
         camera: of which they are the frames
-        darkest: light of them, see `darkest_light`
+        patches: samples of each of them, see `sample_patches`
         response: where the response is from
         facts: what the user may want to know
         notes: what the user should know, one line each
     """
 
     camera: PhotographCamera
-    darkest: float
+    patches: tuple[Patches, ...]
     response: str
     facts: tuple[str, ...]
     notes: tuple[str, ...]
@@ -88,7 +89,6 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         duplicates,
         unstated,
     )
-    from camctl.captures.photograph_choice import darkest_light
     from camctl.captures.photograph_contradictions import contradictions
     from camctl.captures.photographs import corrected_exposures
     from camctl.exposure.patches import LightScale
@@ -165,7 +165,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     facts += contradictions(photographs, patches, scale, planes)
     return OpenedPhotographs(
         camera,
-        darkest_light(camera, patches),
+        tuple(patches),
         response,
         tuple(facts),
         tuple(notes),

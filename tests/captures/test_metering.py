@@ -15,10 +15,13 @@ from camctl.backends import open_camera
 from camctl.calibration.delay import measure_delay
 from camctl.camera import FrameStream, StreamingCamera
 from camctl.captures.metering import OUTLIER_SHARE, MeteringFrames, light_histogram, meter
+from camctl.captures.photograph_camera import PhotographCamera
+from camctl.captures.photographs import Photograph
 from camctl.captures.scene_range import SceneLight
-from camctl.controls import ExposureSetting
+from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import CaptureError, UsageError
 from camctl.profile import change_profile
+from camctl.response.camera import standard_response
 from sim.camera import Faults
 
 
@@ -138,6 +141,42 @@ def test_a_stale_control_delay_is_said_to_be_the_possible_cause(
 
 def histogram(source: MeteringFrames) -> SceneLight:
     return light_histogram(source, meter(source))
+
+
+def test_photographs_of_any_length_are_metered() -> None:
+    """Nobody waits for them: those beyond 4 s show the shadows, and by the response of a colour."""
+    light = np.geomspace(2e-7, 1, 4800).reshape(60, 80)
+    light = np.dstack([light, light, light])
+    times = [0.25 * 4.0**k for k in range(6)]  # to 256 s
+    srgb = standard_response("srgb", 8)
+    responses = (srgb, srgb, standard_response("rec709", 8))
+    frames = [
+        np.dstack(
+            [
+                np.searchsorted(each.levels, light[..., k] * time_s / times[0], side="right")
+                for k, each in enumerate(responses)
+            ]
+        ).astype(np.uint8)
+        for time_s in times
+    ]
+    controls = ExposureControls(
+        time_s=Choices((1.0,)),
+        shape=(60, 80),
+        layout=Layout.RGB,
+        bits=8,
+        black=0,
+        white=255,
+        response=srgb,
+        responses=responses,
+        response_origin=ResponseOrigin.STATED,
+    )
+    photographs = [Photograph(f"{time_s:g}", time_s) for time_s in times]
+    camera = PhotographCamera(photographs, frames.__getitem__, controls)
+    source = MeteringFrames(camera)
+    found = light_histogram(source, meter(source))
+    for threshold in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1):
+        truth = float(np.mean(light < threshold))
+        assert found.share_below(threshold) == pytest.approx(truth, abs=0.015)
 
 
 class CloudPasses(WrappedCamera):

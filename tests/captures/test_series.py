@@ -83,6 +83,26 @@ def test_a_slightly_late_set_begins_at_once_and_does_not_move_the_next(bench: Be
     assert found.skipped == 0
 
 
+def test_sets_planned_longer_than_the_interval_are_said_once_before_the_first(
+    bench: Bench,
+) -> None:
+    sets = FakeSets(bench.clock, [12.5] * 9, planned_s=12.0)
+    found = bench.run(sets, journal(repeat=9, interval_s=10.0))
+    assert found.skipped == 8
+    assert bench.warnings == [
+        "a set takes 12 s by its plan, longer than the interval of 10 s: sets begin every 20 s at "
+        "best, and the starts between are left out"
+    ]
+
+
+def test_sets_that_are_late_against_their_plan_are_said_once(bench: Bench) -> None:
+    sets = FakeSets(bench.clock, [12.5] * 9, planned_s=10.5)
+    found = bench.run(sets, journal(repeat=9, interval_s=10.0))
+    assert found.skipped == 8
+    assert len(bench.warnings) == 1
+    assert "a set took longer than the interval of 10 s: 1 start is left out" in bench.warnings[0]
+
+
 def test_without_an_interval_one_set_follows_another(bench: Bench) -> None:
     sets = FakeSets(bench.clock, [3, 4, 5])
     bench.run(sets, journal(repeat=3))

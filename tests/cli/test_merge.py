@@ -16,6 +16,7 @@ from bracketed_photographs import (
     Series,
     error_between,
     error_of,
+    light,
 )
 from command_line import Run
 
@@ -45,6 +46,27 @@ def test_the_choice_is_that_of_a_camera_with_these_settings(run: Run, series: Se
     assert found["frames"][0]["saturated_fraction"] < 2e-3
     few = run("merge", *line, "--range", "20", "-o", "few", "--json").json
     assert len(few["frames"]) < len(run("merge", *line, "-o", "more", "--json").json["frames"])
+
+
+def test_colours_of_jpeg_photographs_are_those_of_the_scene(run: Run) -> None:
+    """JPEG files keep half of the colours' resolution, and mix those beside saturated samples."""
+    times = [2.0**k for k in range(-10, 1, 2)]
+    tints = np.random.default_rng(2).uniform(-2.0, 1.0, (48, 64, 3))
+    scene = light(480, 640) * np.exp(cv2.resize(tints, (640, 480), interpolation=cv2.INTER_LINEAR))
+    codes = np.arange(256) / 256
+    film = (-np.log1p(codes * np.expm1(-4)) / 4) ** 2.2  # with a shoulder: few codes for highlights
+    names = []
+    for k, time_s in enumerate(times):
+        pixels = np.searchsorted(film[1:], scene * time_s, side="right").astype(np.uint8)
+        names.append(f"IMG_{k}.jpg")
+        swapped = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+        assert cv2.imwrite(names[-1], swapped, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    ran = run("merge", *names, "--times", ",".join(map(str, times)), "-o", "hall")
+    assert ran.status == 0
+    logs = np.log2(np.maximum(read_report("hall").radiance(), 1e-9) / scene)
+    bright = scene > np.median(scene, axis=(0, 1))
+    scales = [float(np.median(logs[..., c][bright[..., c]])) for c in range(3)]
+    assert np.ptp(scales) < 0.03  # stops; 0.08 with a response for each channel
 
 
 @pytest.mark.parametrize(
@@ -82,6 +104,16 @@ def test_as_many_photographs_as_are_asked_for_are_used(run: Run, series: Series)
         ran = run("merge", *line, "--json")
         assert ran.status == 0, ran.err
         assert len(ran.json["frames"]) == count
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_the_share_that_is_too_dark_is_predicted(run: Run, series: Series, suffix: str) -> None:
+    line = (*series(TIMES[:4:3], suffix), "--curve", "srgb")
+    for options in ("--range 100", "-n 2"):  # about 30 %, and what is black in both
+        found = run("merge", *line, *options.split(), "-o", "hall", "--json", "--force").json
+        dark = found["achieved"]["dark_fraction"]
+        assert dark > 0.004
+        assert found["plan"]["light"]["dark"] == pytest.approx(dark, rel=0.02)
 
 
 @pytest.mark.slow

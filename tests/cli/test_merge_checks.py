@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ def test_a_frame_that_contradicts_is_named_by_its_file(run: Run, series: Series)
     line = series(TIMES[2:8], labels=labels)
     ran = run("merge", *line, "--curve", "srgb", "-n", "6", "--labels", "exact", "-o", "hall")
     assert "times as bright as p01.png" in ran.err
-    assert "frame" not in ran.err
+    assert re.search(r"frame \d", ran.err) is None
 
 
 def film(pixels: NDArray[Any]) -> NDArray[Any]:
@@ -85,7 +86,7 @@ def test_one_wrong_label_does_not_bend_the_response(
     line = series(times, labels=labels, change=lambda _, pixels: film(pixels))
     names = line[: line.index("--times")]
     found = open_photographs(list(map(Path, names)), PhotographOptions(times=tuple(labels)))
-    assert found.response == "estimated from the photographs"
+    assert found.response.startswith("estimated from the photographs")
     (note,) = found.notes
     assert note.startswith(f"the exposure of p0{place}.png is wrong: it says ")
     assert f"its pixels say {time_text(times[place])}" in note

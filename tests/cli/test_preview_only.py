@@ -44,6 +44,15 @@ def test_exposures_too_long_for_a_preview_are_named(run: Run) -> None:
     assert re.search(r"^left out +\d+.*s: too long for a preview$", done.out, re.MULTILINE)
 
 
+@pytest.mark.parametrize(("scene", "unseen"), [("stars", True), ("uniform", False)])
+def test_light_that_metering_does_not_see_is_named(run: Run, scene: str, unseen: bool) -> None:
+    line = ("shoot", "--preview-only", "--scene", scene, "--size", "80x60", "--range", "high")
+    done = run(*line, "-o", "p.png")
+    assert ("not seen" in done.out) == unseen
+    said = run(*line, "-o", "q.png", "--json").json
+    assert (said["unseen_fraction"] > 0.5) == unseen
+
+
 def test_existing_picture_is_kept_unless_forced(run: Run) -> None:
     Path("p.png").write_bytes(b"mine")
     refused = run("shoot", "--preview-only", "--size", "80x60", "-o", "p.png")

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,8 @@ def test_a_series_is_a_folder_of_captures_with_a_page(run: Run) -> None:
     names = {path.name for path in Path("day").iterdir()} - {".camctl.lock"}
     assert names == {"series.json", "index.html", "thumbnails"} | {f"set-000{k}" for k in (1, 2, 3)}
     assert [each["started_s"] for each in sets()] == pytest.approx([0, 60, 120])
+    taken = [datetime.fromisoformat(each["started_at"]) for each in sets()]
+    assert [(b - a).total_seconds() for a, b in pairwise(taken)] == [60, 60]  # the camera's clock
     for each in sets():
         assert (Path("day", each["folder"]) / "radiance.exr").exists()
     page = Path("day/index.html").read_text()

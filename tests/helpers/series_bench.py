@@ -52,12 +52,14 @@ class FakeSets:
     seconds: Sequence[float] = ()
     errors: Sequence[BaseException | None] = ()
     bytes: int = 0
+    planned_s: float | None = None
     starts: list[float] = field(default_factory=list)
     folders: list[str] = field(default_factory=list)
     reconnected: int = 0
 
-    def prepare(self, journal: SeriesJournal) -> None:
+    def prepare(self, journal: SeriesJournal) -> float | None:
         self.clock.sleep_until(self.clock.now() + 7.3)  # metering
+        return self.planned_s
 
     def take(self, directory: Path) -> CaptureReport:
         attempt = len(self.starts)

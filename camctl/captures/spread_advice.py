@@ -1,0 +1,51 @@
+"""What to say where light that spread from saturated samples makes a picture wrong."""
+
+from __future__ import annotations
+
+from camctl.captures.capture_plan import CapturePlan
+from camctl.captures.request import CURVE, CaptureRequest
+
+MUCH_SPREAD = 0.01
+"""Share of the samples that are too bright by spread light from which a capture gets a warning."""
+
+#: Range and stops of a bracket whose longest exposure is some hundred times shorter than that of
+#: the whole light.  A range only a little smaller can have more spread light: another exposure of
+#: the bracket is then in the middle.
+_SMALL_RANGE, _STOPS = 256, 2.0
+
+
+def spread_warnings(
+    request: CaptureRequest, plan: CapturePlan, spread: float, *, is_taken: bool = False
+) -> list[str]:
+    """Return a warning if at least `MUCH_SPREAD` of the samples are too bright by spread light.
+
+    Args:
+        request: what was asked for
+        plan: of the capture
+        spread: share of the samples, see `FoundMovement`
+        is_taken: the frames are photographs already taken
+    """
+    if spread < MUCH_SPREAD:
+        return []
+    return [
+        f"light that spread from saturated samples: {spread:.1%} of the picture is too bright "
+        f"(mask bit 4, marked in the contact sheet): {_advice(request, plan, is_taken)}"
+    ]
+
+
+def _advice(request: CaptureRequest, plan: CapturePlan, is_taken: bool) -> str:
+    """Return how to make the longest exposure shorter."""
+    if is_taken:
+        return "leave out the photographs with the longest exposures"
+    is_free = request.ratios is None and request.response != CURVE
+    options = []
+    if is_free and plan.dynamic_range > _SMALL_RANGE:
+        options.append(f"--range {_SMALL_RANGE}")
+    if request.base_s is not None:
+        options.append(f"--base {request.base_s / 2**_STOPS:.3g}")
+    else:
+        options.append(f"--compensation {request.compensation_stops - _STOPS:g}")
+    return (
+        f"a shorter longest exposure spreads less, and leaves more of the picture dark "
+        f"({' '.join(options)}); better keep the light that saturates out of the picture"
+    )

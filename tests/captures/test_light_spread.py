@@ -1,0 +1,89 @@
+"""Light that spread from saturated samples: marked where the picture is wrong, and reported."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import camctl
+from camctl.captures.spread_advice import MUCH_SPREAD, spread_warnings
+from sim.sensors.sensor import load_sensor
+
+SIZE = "320x240"
+
+
+def shot(sensor: str, scene: str, request: camctl.CaptureRequest) -> camctl.CaptureReport:
+    with camctl.open_camera("sim", scene=scene, sensor=sensor, seed=1, size=SIZE) as camera:
+        return camctl.capture(camera, request)
+
+
+@pytest.fixture
+def sensor_without_blooming(tmp_path: Path) -> str:
+    """Return the file of the sensor `ccd`, whose charge does not flow."""
+    sensor = load_sensor("ccd")
+    pixels = sensor.pixels.model_copy(update={"blooming": 0.0, "smear_s": 0.0})
+    path = tmp_path / "calm.json"
+    path.write_text(sensor.model_copy(update={"pixels": pixels}).model_dump_json())
+    return str(path)
+
+
+@pytest.mark.parametrize("scene", ["room", "night-street", "ball"])
+def test_samples_that_blooming_makes_wrong_are_marked(
+    scene: str, sensor_without_blooming: str
+) -> None:
+    """The truth is what the same sensor, but without blooming, shows with the same exposures."""
+    report = shot("ccd", scene, camctl.CaptureRequest(dynamic_range="auto"))
+    times = [frame.applied_s for frame in report.frames]
+    request = camctl.CaptureRequest(
+        dynamic_range=report.plan.dynamic_range,
+        base_s=times[0],
+        ratios=tuple(each / times[0] for each in times),
+    )
+    truth = shot(sensor_without_blooming, scene, request)
+    marked = (report.mask() & 4) != 0
+    in_range = ((report.mask() | truth.mask()) & 3) == 0
+    factor = report.radiance()[in_range] / truth.radiance()[in_range]
+    wrong, right = factor > 1.5, np.abs(np.log(factor)) < 0.1
+    assert wrong.mean() > MUCH_SPREAD
+    assert marked[in_range][wrong].mean() > 0.97
+    assert marked[in_range][right].mean() < 0.01
+    movement = report.movement
+    assert movement is not None
+    assert movement.places == ()
+    assert marked.mean() == pytest.approx(movement.share + movement.spread)
+
+
+@pytest.mark.parametrize("scene", ["room", "night-street", "ball"])
+def test_the_advice_against_light_that_spreads_helps(scene: str) -> None:
+    report = shot("ccd", scene, camctl.CaptureRequest(dynamic_range="auto"))
+    assert report.movement is not None
+    (warning,) = [each for each in report.warnings if "spread" in each]
+    assert f"{report.movement.spread:.1%} of the picture is too bright" in warning
+    advised = re.search(r"--range (\S+) --compensation (\S+)\)", warning)
+    assert advised is not None
+    dynamic_range, stops = map(float, advised.groups())
+    request = camctl.CaptureRequest(dynamic_range=dynamic_range, compensation_stops=stops)
+    after = shot("ccd", scene, request).movement
+    assert after is not None
+    assert after.spread < 0.8 * report.movement.spread
+
+
+@pytest.mark.parametrize("sensor", ["standard", "phone", "complete"])
+def test_sensors_without_much_blooming_have_no_warning(sensor: str) -> None:
+    report = shot(sensor, "room", camctl.CaptureRequest(dynamic_range="auto"))
+    assert report.movement is not None
+    assert report.movement.spread < MUCH_SPREAD / 10
+    assert not [each for each in report.warnings if "spread" in each]
+
+
+def test_advice_fits_what_was_asked_for() -> None:
+    request = camctl.CaptureRequest(base_s=0.01, ratios=(1.0, 16.0))
+    report = shot("standard", "room", request)
+    assert spread_warnings(request, report.plan, 0.9 * MUCH_SPREAD) == []
+    (fixed,) = spread_warnings(request, report.plan, MUCH_SPREAD)
+    assert "(--base 0.0025)" in fixed
+    (taken,) = spread_warnings(request, report.plan, MUCH_SPREAD, is_taken=True)
+    assert "photographs" in taken
