@@ -21,7 +21,7 @@ from camctl.captures.drawing import (
     fitted,
 )
 from camctl.captures.picture_details import PictureDetails, ShownFrame
-from camctl.captures.preview import ALL, Light
+from camctl.captures.preview_light import ALL, Light
 from camctl.number_text import percent_text, power_texts, range_text, time_text
 from camctl.picture_operations import reduced_by_area
 

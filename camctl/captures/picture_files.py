@@ -24,7 +24,8 @@ from camctl.captures.picture_metadata import (
     tiff_tags,
 )
 from camctl.captures.pictures import Rendering, Strip
-from camctl.captures.preview import PREVIEW_SIDE, LightReducer, tone_map
+from camctl.captures.preview import tone_map
+from camctl.captures.preview_light import PREVIEW_SIDE, LightReducer
 from camctl.errors import DataError, OutOfMemoryError, UsageError
 from camctl.files import atomic_file, storage_error, write_bytes
 from camctl.free_memory import return_free_memory

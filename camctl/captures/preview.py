@@ -16,24 +16,15 @@ Reproduction for Digital Images, 2002) with three changes:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial, reduce
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.pictures import DARK, SATURATED, Strip
-from camctl.picture_operations import box_means, reduced_by_area
+from camctl.captures.preview_light import ALL, NO_LIGHT, Floats, Light, channels_of, largest_channel
+from camctl.picture_operations import box_means
 from camctl.threads import in_threads
-
-PREVIEW_SIDE = 2560
-"""Longest side of the preview, pixels."""
-
-ALL = 255
-"""All samples, as a share in `Light`."""
-
-Floats = NDArray[np.float32]
 
 #: Brightness of the mean light (of its logarithms) in the preview, 1 = white, where the scene is
 #: neither mostly dark nor mostly bright; up to a factor of 2 less or more where it is.
@@ -59,138 +50,26 @@ _UNLIT = 0.15
 #: Brightness is set by samples whose noise is less than this share of the light, of about so many
 #: rows and columns.
 _READABLE, _MOST_READ = 0.5, 1024
-#: The noise counts as this share of the light at most: its logarithm is no longer normal.
-_LARGEST_NOISE = 2.0
 #: Of a natural logarithm's deviation that of a logarithm to the base 2.
 _LOG2_E = np.float32(1 / np.log(2))
 #: Rows of a band: what is made of them is small beside the picture.
 _ROWS = 64
 #: Least variance of log2 of the light, less than that of any picture.
 _LEAST_VARIANCE = np.float32(1e-9)
-#: Light that counts as none; a sum without light has an irradiance of more than this.
-_NO_LIGHT = np.float32(1e-30)
 #: Luminance of the sRGB primaries.
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class Light:
-    """The light of a picture, reduced in size.
-
-    Attributes:
-        irradiance: float32, (rows, columns, 1 or 3)
-        noise: predicted standard deviation / irradiance, at most 2, in its shape
-        saturated: share of the samples that are saturated, of the channel with most of them; as the
-            following ones uint8, 255 = all, (rows, columns)
-        dark: share of the samples that are too dark
-        unlit: share of the samples without any light
-        white: share of the pixels of which every channel is saturated
-    """
-
-    irradiance: Floats
-    noise: Floats
-    saturated: NDArray[np.uint8]
-    dark: NDArray[np.uint8]
-    unlit: NDArray[np.uint8]
-    white: NDArray[np.uint8]
-
-
-class LightReducer:
-    """Reduces the strips of a picture to at most so many pixels a side, by averages.
-
-    Args:
-        rows: of the picture
-        columns: of the picture
-        unlit: largest irradiance of samples without light
-        full: least irradiance of samples that every frame saturated
-        side: most pixels a side; None: `PREVIEW_SIDE`
-    """
-
-    def __init__(
-        self, rows: int, columns: int, unlit: float, full: float, side: int | None = None
-    ) -> None:
-        # Interpolation rounds.
-        self._unlit, self._full = np.float32(unlit * (1 + 1e-5)), np.float32(full * (1 - 1e-5))
-        self._step = -(-max(rows, columns) // (side or PREVIEW_SIDE))
-        self._shape = max(1, rows // self._step), max(1, columns // self._step)
-        self._rest: tuple[NDArray[Any], ...] = ()
-        self._light: Light | None = None
-        self._done = 0
-
-    def add(self, strip: Strip) -> None:
-        """Take the next strip, from top to bottom."""
-        shape = (*strip.mask.shape[:2], -1)
-        mask, light = strip.mask.reshape(shape), strip.light.reshape(shape)
-        deviation, saturated = strip.deviation.reshape(shape), (mask & SATURATED) != 0
-        white = np.zeros(shape[:2], np.bool_)
-        if saturated.any():
-            deviation = np.where(saturated, np.float32(0), deviation)
-            # The mask of a mosaic does not say which of its channels is saturated.
-            white = reduce(np.minimum, _channels(light)) >= self._full
-        white = white[..., np.newaxis]
-        flags = (saturated, (mask & DARK) != 0, light <= self._unlit, white)
-        parts = (light, deviation, *(flag.view(np.uint8) * np.uint8(ALL) for flag in flags))
-        if self._rest:
-            missing = self._step - len(self._rest[0])
-            pairs = zip(self._rest, parts, strict=True)
-            self._add(tuple(np.concatenate((rest, part[:missing])) for rest, part in pairs))
-            parts = tuple(part[missing:] for part in parts)
-        if not self._rest:
-            self._add(parts)
-
-    def _add(self, parts: tuple[NDArray[Any], ...]) -> None:
-        """Reduce the rows of these parts that are whole, and keep the rest."""
-        whole = len(parts[0]) // self._step
-        used = whole * self._step
-        self._rest = tuple(part[used:].copy() for part in parts) if used < len(parts[0]) else ()
-        if whole:
-            self._reduce(parts, whole)
-
-    def light(self) -> Light:
-        """Return the light of all strips."""
-        if self._light is None:  # fewer rows than are averaged
-            self._reduce(self._rest, 1)
-        assert self._light is not None
-        return self._light
-
-    def _reduce(self, parts: tuple[NDArray[Any], ...], rows: int) -> None:
-        """Reduce these rows of the light, its deviation, and the flags."""
-        if self._light is None:
-            shape = (*self._shape, parts[0].shape[2])
-            irradiance, noise = np.empty(shape, np.float32), np.empty(shape, np.float32)
-            shares = (np.empty(self._shape, np.uint8) for _ in range(4))
-            self._light = Light(irradiance, noise, *shares)
-        light, place = self._light, slice(self._done, self._done + rows)
-        self._done += rows
-        light.irradiance[place] = self._mean(parts[0], rows)
-        # The errors of neighbouring pixels are independent.
-        error = self._mean(parts[1], rows) / np.float32(self._step)
-        error /= np.maximum(light.irradiance[place], _NO_LIGHT)
-        np.minimum(error, _LARGEST_NOISE, out=light.noise[place])
-        light.saturated[place] = _largest(self._mean(parts[2], rows))
-        light.dark[place] = _channel_mean(self._mean(parts[3], rows))
-        light.unlit[place] = _channel_mean(self._mean(parts[4], rows))
-        light.white[place] = self._mean(parts[5], rows)[..., 0]
-
-    def _mean(self, part: NDArray[Any], rows: int) -> NDArray[Any]:
-        cut = part[: rows * self._step, : self._shape[1] * self._step]
-        if self._step == 1:
-            return cut
-        size = (self._shape[1], rows)
-        reduced = reduced_by_area(np.ascontiguousarray(cut), size)
-        return reduced.reshape(rows, self._shape[1], -1)
 
 
 def tone_map(light: Light) -> NDArray[np.uint8]:
     """Return the preview in sRGB, (rows, columns) or (rows, columns, 3)."""
     irradiance, noise, unlit = _averaged_in_the_dark(light)
-    logs = np.maximum(irradiance, _NO_LIGHT, out=irradiance)
+    logs = np.maximum(irradiance, NO_LIGHT, out=irradiance)
     np.log2(logs, out=logs)
     _filter_noise(logs, noise)
-    largest = _largest(logs).copy()
+    largest = largest_channel(logs).copy()
     logs -= largest[..., np.newaxis]
     colours = np.exp2(logs, out=logs)  # relative to the largest
-    pixel_noise = np.asarray(sum(_channels(noise)) / np.float32(noise.shape[2]), np.float32)
+    pixel_noise = np.asarray(sum(channels_of(noise)) / np.float32(noise.shape[2]), np.float32)
     exposure, white = _exposure(largest, colours, pixel_noise, light)
     surround = _surround(largest)
     around = box_means(pixel_noise, 2) if colours.shape[2] > 1 else pixel_noise
@@ -260,7 +139,7 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
     has_unlit = bool(light.unlit.any())
     for radius in _DARK_WINDOWS:
         # Beside samples without light the noise of the others decides which of them have some.
-        doubt = _largest(noise)
+        doubt = largest_channel(noise)
         if has_unlit:
             factor = box_means(unlit, radius)
             factor *= np.float32(_UNLIT_DOUBT)
@@ -279,7 +158,7 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
             error /= area
             average = box_means(values * counts, radius)
             average /= area
-            np.maximum(average, _NO_LIGHT, out=average)
+            np.maximum(average, NO_LIGHT, out=average)
             error /= area * (2 * radius + 1) ** 2  # the samples
             np.sqrt(error, out=error)
             error /= average
@@ -302,21 +181,6 @@ def _share(values: Floats, low: np.float32, high: np.float32) -> Floats:
     return np.clip(found, 0, 1, out=found)
 
 
-def _largest(values: NDArray[Any]) -> NDArray[Any]:
-    """Return the largest channel; numpy's maximum over a short last axis is far slower."""
-    return reduce(np.maximum, _channels(values))
-
-
-def _channel_mean(values: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Return the mean of the channels; numpy's mean over a short last axis is far slower."""
-    total = sum(channel.astype(np.uint16) for channel in _channels(values))
-    return np.asarray(total // np.uint16(values.shape[2]), np.uint16)
-
-
-def _channels(values: NDArray[Any]) -> list[NDArray[Any]]:
-    return [values[..., channel] for channel in range(values.shape[2])]
-
-
 def _filter_noise(logs: Floats, noise: Floats) -> None:
     """Filter noise, relative to the light, out of log2 of the light, (rows, columns, channels)."""
     border = sum(radius for radius, _ in _NOISE_WINDOWS)
@@ -328,7 +192,7 @@ def _filter_noise(logs: Floats, noise: Floats) -> None:
         found = _without_noise(plane[around], errors[around] * _LOG2_E)
         filtered[start:stop] = found[start - first :][:_ROWS]
 
-    for plane, errors in zip(_channels(logs), _channels(noise), strict=True):
+    for plane, errors in zip(channels_of(logs), channels_of(noise), strict=True):
         _in_bands(partial(filter_band, plane, errors), len(plane))
         plane[...] = filtered
 

@@ -21,7 +21,8 @@ from camctl.captures.accumulator import Accumulator
 from camctl.captures.capture_plan import CapturePlan, relative_exposures
 from camctl.captures.pictures import DARK, GOOD, SATURATED, Rendering, Tables
 from camctl.captures.plan import meter_light, plan_capture
-from camctl.captures.preview import ALL, Light, LightReducer, tone_map
+from camctl.captures.preview import tone_map
+from camctl.captures.preview_light import ALL, Light, LightReducer
 from camctl.captures.request import AUTO, CaptureRequest
 from camctl.captures.response_sheet import PANEL_WIDTH, Panel, response_sheet
 from camctl.controls import ExposureControls, ExposureSetting

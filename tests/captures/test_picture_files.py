@@ -111,7 +111,7 @@ def test_channels_of_radiance_exr(
 def test_preview_is_made_from_reduced_light(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cv2: Any
 ) -> None:
-    monkeypatch.setattr("camctl.captures.preview.PREVIEW_SIDE", 10)
+    monkeypatch.setattr("camctl.captures.preview_light.PREVIEW_SIDE", 10)
     monkeypatch.setattr(pictures, "STRIP_SAMPLES", 100)
     total = np.linspace(BLACK, EFFECTIVE.levels_total, 23 * 37 * 3).astype(np.uint16)
     write_picture_files(total.reshape(23, 37, 3), rendering(Layout.RGB), details(), tmp_path)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from picture_parts import light_of
 
 import camctl
-from camctl.captures import preview
+from camctl.captures import preview_light
 from camctl.captures.pictures import DARK, SATURATED, Strip
-from camctl.captures.preview import ALL, Light, LightReducer, srgb_codes, tone_map
+from camctl.captures.preview import srgb_codes, tone_map
+from camctl.captures.preview_light import ALL, Light, LightReducer
 from sim.scenes.scene import scene_names
 
 SCENES = sorted(scene_names())
@@ -158,13 +159,13 @@ def test_any_shape_gives_a_preview_of_at_most_2560_pixels(shape: tuple[int, ...]
         deviation = some * np.float32(0.01)
         reducer.add(Strip(some, some, deviation, mask.astype(np.uint16), mask))
     shown = tone_map(reducer.light())
-    assert max(shown.shape) <= preview.PREVIEW_SIDE
+    assert max(shown.shape) <= preview_light.PREVIEW_SIDE
     assert shown.shape[2:] == shape[2:]
     assert shown.dtype == np.uint8
 
 
 def test_reduced_light_is_the_mean_and_its_noise_is_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(preview, "PREVIEW_SIDE", 5)
+    monkeypatch.setattr(preview_light, "PREVIEW_SIDE", 5)
     light = np.arange(100, dtype=np.float32).reshape(10, 10) + 1
     mask = np.zeros((10, 10), np.uint8)
     mask[:2, :2], mask[4, 4], mask[6:8, 6] = SATURATED, SATURATED | 4, DARK

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from camctl.camera import CameraInfo
 from camctl.captures.picture_details import PictureDetails, ShownFrame
-from camctl.captures.preview import ALL, Light
+from camctl.captures.preview_light import ALL, Light
 from camctl.controls import ExposureSetting
 
 TAKEN_AT = datetime(2026, 5, 17, 21, 4, 9, tzinfo=timezone(timedelta(hours=2)))
