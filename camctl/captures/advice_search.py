@@ -146,19 +146,19 @@ def _trials(request: CaptureRequest, plan: CapturePlan, predict: Predict) -> Ite
 
 
 def _more_time(request: CaptureRequest, predict: Predict) -> Iterator[_Trial]:
-    """Yield the time budget in which the picture without one can be taken.
+    """Yield the picture without a time budget, and how long it takes.
 
-    That picture stands for the one of the budget, which takes seconds to find.
+    With a budget of that time it may be another one, of a smaller range.
     """
-    free = predict(replace(request, time_budget_s=None))
+    free_request = replace(request, time_budget_s=None)
+    free = predict(free_request)
     if free is None or free.wall_s is None:
         return
-    step = 10.0 ** (math.floor(math.log10(free.wall_s)) - 1)
-    budget_s = float(f"{math.ceil(free.wall_s / step) * step:.2g}")
-    assert request.time_budget_s is not None  # asked for by the caller
-    if budget_s > request.time_budget_s:
-        text = f"the time allowed is too short (--time-budget {budget_s:g})"
-        yield _Trial(text, replace(request, time_budget_s=budget_s), free)
+    text = (
+        f"the time allowed is too short; leave it (--time-budget) out, and the picture takes "
+        f"{time_text(free.wall_s)}"
+    )
+    yield _Trial(text, free_request, free)
 
 
 def _less_accuracy(request: CaptureRequest, plan: CapturePlan) -> Iterator[_Trial]:
