@@ -11,6 +11,8 @@ from scene_maps import MAPS, write_map
 
 import camctl
 from camctl.captures.advice_search import MUCH
+from camctl.captures.scene_range import PlannedLight
+from camctl.cli.capture_output import light_text
 from sim.scenes.scene import scene_names
 
 MOST_OUTSIDE = 0.02
@@ -175,3 +177,25 @@ def test_compensation_keeps_the_shadows_in_an_automatic_range(tmp_path: Path) ->
     plans = [shot("tile-floor", tmp_path, compensation_stops=stops).plan for stops in (0, -2)]
     assert plans[1].base_s == pytest.approx(plans[0].base_s / 4, rel=0.02)
     assert plans[1].dynamic_range == 4 * plans[0].dynamic_range
+
+
+@pytest.mark.parametrize(
+    ("clips", "stops", "name"),
+    [
+        (0.002, 8.0, "(lamps, reflections)"),
+        (0.1, 8.0, "(the brightest parts)"),
+        (0.002, 1.0, "(the brightest parts)"),
+    ],
+)
+def test_lamps_are_few_and_far_above_the_rest(clips: float, stops: float, name: str) -> None:
+    light = PlannedLight(1e4, is_open=False, clips=clips, clips_stops=stops, dark=0.0, needed=1e4)
+    assert name in light_text(light)
+
+
+def test_light_that_clips_is_said_once(tmp_path: Path) -> None:
+    report = shot("outdoor-sun", tmp_path)
+    light, metering = report.plan.light, report.plan.metering
+    assert light is not None
+    assert metering is not None
+    assert light.clips >= metering.clipped > 0
+    assert report.warnings == []
