@@ -35,6 +35,7 @@ def judge(
         delay_of: id of the camera where its settings take effect late
     """
     measure = f"measure the control delay with camctl calibrate delay --camera {delay_of}"
+    are_photographs = capture.camera.driver == PHOTOGRAPHS
     wrong = [(k, check) for k, check in enumerate(checks) if check and not check.agrees]
     certain = [(k, check) for k, check in wrong if check.contradicts]
     reasons = [_difference_text(capture, k, check) for k, check in certain]
@@ -56,15 +57,16 @@ def judge(
             f"of the camera is not the known one; {measure}"
         )
     elif reasons:
-        if not capture.request.estimate_ratios and all(
+        is_of_lamps = all(
             check.is_of_whole_picture and check.factor <= _LAMPS for _, check in certain
-        ):
+        )
+        if is_of_lamps and not (are_photographs or capture.request.estimate_ratios):
             reasons.append(f"if lamps flicker, {_MENDS}")
         if delay_of:
             reasons.append(f"if this happens again, {measure}")
     if reasons:
         capture.trustworthy, capture.untrustworthy_because = False, "; ".join(reasons)
-    if capture.camera.driver == PHOTOGRAPHS:
+    if are_photographs:
         return  # their exposures are not exact, and were compared before
     estimated = capture.request.estimate_ratios
     capture.warnings += [
