@@ -159,8 +159,16 @@ def test_stars_get_no_advice_that_does_not_help(fields: dict[str, Any], tmp_path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sensor", ["standard", "complete", "security"])
-@pytest.mark.parametrize("scene", scene_names())
+@pytest.mark.parametrize(
+    ("scene", "sensor"),
+    [
+        ("room", "complete"),
+        ("night-street", "standard"),
+        ("stars", "complete"),
+        ("outdoor-sun", "security"),
+        ("ball", "complete"),
+    ],
+)
 def test_each_advice_helps(scene: str, sensor: str, tmp_path: Path) -> None:
     shares, _ = follow(scene, {"sensor": sensor, "dynamic_range": 64.0}, tmp_path, most=3)
     worst = [max(each) for each in shares]
