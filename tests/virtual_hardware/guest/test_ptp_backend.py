@@ -166,10 +166,11 @@ class TestFaults:
             done = camctl(
                 "shoot", *rig.camera_arguments(self.device), *LONG_BRACKET, "-o", "marked"
             )
-        assert done.status == 0, done.err
+        assert done.status == 3, done.err
         report = read_report(folder)
         assert report.rejected
-        assert rig.distrust_warnings(report)
+        assert not report.trustworthy
+        assert "a factor of 2 apart" in (report.untrustworthy_because or "")
 
     def test_another_process_holds_the_interface(self, camctl: RunCamctl) -> None:
         with guest.held_by_another_process(guest.claim_interface, self.device.serial) as holder:
