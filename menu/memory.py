@@ -6,8 +6,10 @@ import ctypes
 import os
 from contextlib import suppress
 
-_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8
-"""Parameters of mallopt(3) of the C library of GNU."""
+from camctl.free_memory import share_free_memory
+
+_M_MMAP_THRESHOLD = -3
+"""Parameter of mallopt(3) of the C library of GNU."""
 
 _LARGE_BYTES = 1 << 17
 """From how many bytes an array goes back to the system as soon as it is free: the library's own
@@ -21,6 +23,5 @@ def use_little_memory() -> None:
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with suppress(OSError, AttributeError):
-        library = ctypes.CDLL(None)
-        library.mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
-        library.mallopt(_M_ARENA_MAX, 1)
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
+    share_free_memory()

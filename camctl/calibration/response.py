@@ -72,8 +72,10 @@ _MOVED = (
     "something moved in up to {} of the picture from one frame to another: it is left out of the "
     "estimate of the response"
 )
-_DOUBT = "and the rest does not show the response: the estimate may be wrong"
-_MOVED_TOO_MUCH = "something moved in up to {} of the picture from one frame to another, " + _DOUBT
+_MOVED_TOO_MUCH = (
+    "something moved in up to {} of the picture from one frame to another, and the rest does not "
+    "show the response: the estimate may be wrong"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +141,8 @@ def estimate_response(
     exposures = np.array(series.exposures)
     edges = _edges(series.white - series.black)
     notes = list(series.notes)
-    channels = _without_spill(series, edges, _still_evidence(series, edges, chart, notes), notes)
+    still, is_doubtful = _still_evidence(series, edges, chart, notes)
+    channels = _without_spill(series, edges, still, notes)
     exponent = None
     if estimate_ratios and exposures.size > 1 and not (series.exposures_are_stated and not chart):
         exponent = common_exponent(
@@ -186,7 +189,7 @@ def estimate_response(
         residual=max(fit.residual for fit in fits),
         exponent_error=None if exponent is None else exponent.error,
         notes=tuple(dict.fromkeys(notes)),
-        is_doubtful=any(note.endswith(_DOUBT) for note in notes),
+        is_doubtful=is_doubtful,
     )
 
 
@@ -297,18 +300,22 @@ def _evidence(series: Series, name: str, edges: FloatArray, chart: Chart | None)
 
 def _still_evidence(
     series: Series, edges: FloatArray, chart: Chart | None, notes: list[str]
-) -> list[_Evidence]:
-    """Return the evidence of each channel without what moved, if the rest shows the response."""
+) -> tuple[list[_Evidence], bool]:
+    """Return the evidence of each channel without what moved, if the rest shows the response.
+
+    Return whether it does not, too.
+    """
     series.find_moved()
-    if series.moved_share:
+    is_doubtful = bool(series.moved_share)
+    if is_doubtful:
         share = percent_text(series.moved_share)
         with suppress(DataError):
             found = [_evidence(series, name, edges, chart) for name in series.channels]
             notes.append(_MOVED.format(share))
-            return found
+            return found, False
         series.forget_moved()
         notes.append(_MOVED_TOO_MUCH.format(share))
-    return [_evidence(series, name, edges, chart) for name in series.channels]
+    return [_evidence(series, name, edges, chart) for name in series.channels], is_doubtful
 
 
 def _without_spill(

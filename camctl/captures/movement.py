@@ -98,7 +98,7 @@ class Movement:
 
 
 def bands_of(pixels: Pixels) -> Pixels:
-    """Return bands of columns of a frame, all over it, of about a million pixels together."""
+    """Return bands of columns of a frame, all over it, of about half a million pixels together."""
     rows, columns = pixels.shape[:2]
     step = _BAND * -(-rows * columns // _BANDS_PIXELS)
     return pixels[:, np.arange(columns) % step < _BAND].copy()

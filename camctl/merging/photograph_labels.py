@@ -113,7 +113,7 @@ def wrong_labels(
         found = np.log(estimate_ratios(patches, stated.tolist(), scale).exposures / stated)
     except DataError:
         return _wrong_pairs(photographs, patches, check)
-    # Where most labels are right, what is left has the least sum of square roots.
+    # Where most labels are right, their unit gives the least sum of the errors' square roots.
     unit = min(found.tolist(), key=lambda each: float(np.sqrt(np.abs(found - each)).sum()))
     errors = found - unit
     limit = math.log(_WRONG_EXACT if is_exact else MOST_CORRECTED)

@@ -39,11 +39,6 @@ from sim.camera import Faults
 pytestmark = pytest.mark.usefixtures("quick_disk")
 
 
-@pytest.fixture
-def bench(tmp_path: Path) -> Bench:
-    return Bench(tmp_path / "series")
-
-
 @settings(max_examples=12)  # each writes a journal a dozen times
 @given(seconds=st.lists(st.floats(0, 9.99), min_size=12, max_size=12))
 def test_set_k_begins_k_intervals_after_the_first(

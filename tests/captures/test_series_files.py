@@ -33,11 +33,6 @@ from camctl.errors import (
 pytestmark = pytest.mark.usefixtures("quick_disk")
 
 
-@pytest.fixture
-def bench(tmp_path: Path) -> Bench:
-    return Bench(tmp_path / "series")
-
-
 def test_two_processes_cannot_write_one_series(bench: Bench) -> None:
     class Nested(FakeSets):
         def take(self, directory: Path) -> CaptureReport:
