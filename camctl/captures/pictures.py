@@ -39,6 +39,8 @@ _RED_BLUE_WEIGHTS = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
 #: Bits kept of a float32's fraction: standard deviations are exact to 0.1 %, and irradiance that is
 #: interpolated to 4e-6 of it.  Files are a quarter smaller, and are written in half the time.
 _DEVIATION_BITS, _INTERPOLATED_BITS = 9, 17
+#: Error of a standard deviation as a share of the light that is as small as that of the light.
+_NEGLIGIBLE = 2.0 ** -(_INTERPOLATED_BITS + 1)
 #: Stands for an infinite standard deviation while they are interpolated; its square is finite.
 _LARGEST_DEVIATION = np.float32(1e18)
 
@@ -224,16 +226,24 @@ class Rendering:
 
     @property
     def deviations_are_halves(self) -> bool:
-        """Whether float16 has all standard deviations of the pictures exactly.
+        """Whether float16 has all standard deviations of the pictures.
 
-        It has no very small and very large ones.  Interpolation at most halves them.
+        It has those of at least 2^-14 exactly, and less ones to 2^-25.  They count as well if that
+        is less than 4e-6 of the light, to which the light itself is known in a file: such are those
+        of sums between two levels that nearly coincide.
         """
-        found = np.concatenate([table.deviation for table in self.tables])
-        if self.layout.is_mosaic:
-            found = np.concatenate((found, found / 2))
-        with np.errstate(over="ignore"):
-            halves = found.astype(np.float16)
-        return np.array_equal(halves, found)
+        # Interpolation at most halves a deviation; a sample has a weight of 1/4 at least.
+        halved, weight = (2, 1 / 4) if self.layout.is_mosaic else (1, 1.0)
+        kinds = np.finfo(np.float16)
+        least, error = float(kinds.tiny), float(kinds.smallest_subnormal) / 2
+        for table in self.tables:
+            deviation = table.deviation[np.isfinite(table.deviation)] / halved
+            light = table.irradiance[np.isfinite(table.deviation)] * weight
+            is_small = (deviation > error) & (error <= _NEGLIGIBLE * light)
+            is_exact = (deviation >= least) | (deviation == 0)
+            if not (is_exact | is_small).all() or deviation.max() * halved > kinds.max:
+                return False
+        return True
 
     @property
     def channels(self) -> str:

@@ -85,7 +85,7 @@ def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -
 def test_channels_of_radiance_exr(
     layout: Layout, full_scale: float, halves: bool, tmp_path: Path
 ) -> None:
-    """Deviations are float16 where that has them exactly: neither tiny nor huge."""
+    """Deviations are float16 where that has them: neither tiny nor huge."""
     how = rendering(layout)
     desired, posterior = how.desired, Posterior(EFFECTIVE, how.desired, NOISE)
     how = Rendering(layout, (Tables.of(posterior, full_scale),), desired, full_scale)

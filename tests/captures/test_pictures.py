@@ -14,6 +14,7 @@ from camctl.captures.pictures import (
     FULL_CODE,
     GOOD,
     SATURATED,
+    Rendering,
     Tables,
     colour_of,
     demosaic,
@@ -134,6 +135,31 @@ def test_tables_are_the_inverse_response_with_black_subtracted_once() -> None:
     assert 0 < np.count_nonzero(is_dark) < is_dark.size
     assert np.array_equal(tables.mask[BLACK + 1 : -1], np.where(is_dark, DARK, GOOD))
     assert tables.mask[-1] == SATURATED
+
+
+@pytest.mark.parametrize("layout", [Layout.RGB, Layout.RGGB])
+def test_float16_stands_for_deviations_that_are_tiny_beside_the_light(layout: Layout) -> None:
+    """Those of a sum between two levels that nearly coincide; elsewhere float16 has them exactly."""
+    camera = EffectiveCamera.of(linear_response(6), [1.0, 4.0 + 1e-4])
+    desired = desired_response("log", 100.0)
+    posterior = Posterior(camera, desired, [FrameNoise(math.inf, 0.0)] * 2)
+    rng, wrong = np.random.default_rng(0), []
+    for full_scale in np.geomspace(1e-4, 1e5, 40):
+        how = Rendering(layout, (Tables.of(posterior, full_scale),), desired, full_scale)
+        table = how.tables[0]
+        sums = rng.integers(0, table.deviation.size - 1, (200, 200))
+        light, deviation = table.irradiance[sums], table.deviation[sums]
+        if layout.is_mosaic:
+            light = demosaic(light, layout, 0)
+            deviation = demosaic_deviation(deviation, layout, 0)
+        with np.errstate(over="ignore"):
+            error = np.abs(deviation.astype(np.float16).astype(np.float64) - deviation)
+        if how.deviations_are_halves:
+            assert (error <= 4e-6 * light).all()
+            wrong.append(np.count_nonzero(error))
+    assert 5 < len(wrong) < 35
+    assert max(wrong) > 0
+    assert min(wrong) == 0
 
 
 def test_deviation_of_a_mosaic_counts_independent_errors() -> None:
