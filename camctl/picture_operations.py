@@ -11,6 +11,7 @@ import math
 import struct
 import zlib
 from collections import deque
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
@@ -109,6 +110,29 @@ def png_pixels(data: bytes | bytearray) -> NDArray[np.uint8]:
     except (ValueError, KeyError, struct.error, zlib.error) as error:
         raise DataError("this is no PNG file of camctl, or a damaged one") from error
     return np.add.accumulate(filtered[:, 1:], axis=0, dtype=np.uint8).reshape(shape)
+
+
+def channels_apart(picture: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Return the channels of (rows, columns, channels), (rows, columns) each, or a plane itself."""
+    if picture.ndim == 2:
+        return (picture,)
+    if (cv2 := opencv()) is not None:
+        return tuple(each.view(picture.dtype) for each in cv2.split(_as_integers(picture)))
+    return tuple(np.ascontiguousarray(np.moveaxis(picture, 2, 0)))
+
+
+def channels_together(planes: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return (rows, columns, channels) of planes, or a single plane itself."""
+    if len(planes) == 1:
+        return planes[0]
+    if (cv2 := opencv()) is not None:
+        return np.asarray(cv2.merge([_as_integers(each) for each in planes])).view(planes[0].dtype)
+    return np.stack(planes, axis=-1)
+
+
+def _as_integers(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values of 1, 2 or 4 bytes as integers that each version of OpenCV has."""
+    return values.view((np.uint8, np.uint16, np.int32)[values.itemsize // 2])
 
 
 def reduced_by_area(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:

@@ -16,6 +16,7 @@ from camctl.captures.picture_details import PictureDetails
 from camctl.captures.pictures import Rendering
 from camctl.captures.report import CaptureReport, Pictures, UnfinishedCapture
 from camctl.errors import DataError
+from camctl.picture_operations import channels_together
 
 
 @dataclass(frozen=True)
@@ -105,8 +106,10 @@ class MemoryStore:
         for render in rendering.strips(total):
             strip = render()
             rows = slice(row, row + strip.code.shape[0])
-            arrays.code[rows], arrays.irradiance[rows] = strip.code, strip.irradiance
-            arrays.deviation[rows], arrays.mask[rows] = strip.deviation, strip.mask
+            arrays.code[rows] = strip.code
+            arrays.irradiance[rows] = channels_together(strip.irradiance)
+            arrays.deviation[rows] = channels_together(strip.deviation)
+            arrays.mask[rows] = channels_together(strip.mask)
             row = rows.stop
         self._arrays = arrays
         return {}

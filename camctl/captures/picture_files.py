@@ -23,7 +23,7 @@ from camctl.captures.picture_metadata import (
     png_with_metadata,
     tiff_tags,
 )
-from camctl.captures.pictures import Rendering, Strip
+from camctl.captures.pictures import Rendering, Strip, as_halves
 from camctl.captures.preview import tone_map
 from camctl.captures.preview_light import PREVIEW_SIDE, LightReducer
 from camctl.errors import DataError, OutOfMemoryError, UsageError
@@ -303,16 +303,16 @@ class _RadianceFile:
 
     def channels(self, strip: Strip) -> dict[str, NDArray[Any]]:
         """Return the channels of a strip, (rows, columns) each."""
-        parts: dict[str, NDArray[Any]] = {
-            "": strip.irradiance,
-            _DEVIATION_PREFIX: strip.deviation.astype(np.float16 if self._halves else np.float32),
-            _MASK_PREFIX: _HALVES.take(strip.mask),
-        }
-        return {
-            prefix + name: np.ascontiguousarray(part[..., index] if part.ndim == 3 else part)
-            for prefix, part in parts.items()
-            for index, name in enumerate(self._names)
-        }
+        found: dict[str, NDArray[Any]] = {}
+        for name, light, deviation, mask in zip(
+            self._names, strip.irradiance, strip.deviation, strip.mask, strict=True
+        ):
+            found[name] = np.ascontiguousarray(light)
+            found[_DEVIATION_PREFIX + name] = (
+                as_halves(deviation) if self._halves else np.ascontiguousarray(deviation)
+            )
+            found[_MASK_PREFIX + name] = _HALVES.take(mask)
+        return found
 
     def write(self, channels: dict[str, NDArray[Any]]) -> None:
         """Append the channels of a strip."""

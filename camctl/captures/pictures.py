@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from camctl.captures.movement import Movement
 from camctl.controls import Layout
 from camctl.exposure.inverse import Posterior
-from camctl.picture_operations import correlated, dilated
+from camctl.picture_operations import channels_apart, channels_together, correlated, dilated
 from camctl.response.desired import DesiredResponse
 
 #: Values of a mask: within the range, light below the range, saturated in every frame.
@@ -50,31 +50,34 @@ def colour_of(layout: Layout, row: int, column: int) -> int:
     return _LETTERS.index(layout.value.upper()[2 * (row % 2) + column % 2])
 
 
-def demosaic(mosaic: NDArray[np.float32], layout: Layout, first_row: int) -> NDArray[np.float32]:
-    """Return (rows, columns, 3) by bilinear interpolation of (rows, columns), borders mirrored.
+#: The channels of a picture, (rows, columns) each: one, or R, G and B.
+_Planes = tuple[NDArray[np.float32], ...]
+
+
+def demosaic(mosaic: NDArray[np.float32], layout: Layout, first_row: int) -> _Planes:
+    """Return R, G and B by bilinear interpolation of (rows, columns), borders mirrored.
 
     OpenCV's own demosaicing takes integers only, which would lose levels; this one keeps linear
     light linear, to 4e-6 of it.  `first_row` is the row of the whole frame at which `mosaic`
     begins.
     """
     colours = _interpolated(mosaic, layout, first_row, _GREEN_WEIGHTS, _RED_BLUE_WEIGHTS)
-    return _rounded(colours, _INTERPOLATED_BITS)
+    return tuple(_rounded(each, _INTERPOLATED_BITS) for each in colours)
 
 
-def demosaic_deviation(
-    deviation: NDArray[np.float32], layout: Layout, first_row: int
-) -> NDArray[np.float32]:
-    """Return the standard deviations (rows, columns, 3) of what `demosaic` interpolates.
+def demosaic_deviation(deviation: NDArray[np.float32], layout: Layout, first_row: int) -> _Planes:
+    """Return the standard deviations of what `demosaic` interpolates.
 
     The errors of neighbouring pixels are independent, so that their variances add with the squares
     of the weights.  The error of interpolation itself is not known.
     """
     # A finite number stands for an infinite one: the product with a weight of 0 is 0.
     finite = np.minimum(deviation, _LARGEST_DEVIATION)
-    variance = _interpolated(finite**2, layout, first_row, _GREEN_WEIGHTS**2, _RED_BLUE_WEIGHTS**2)
-    found = np.sqrt(variance)
-    found[found > _LARGEST_DEVIATION / 100] = np.inf
-    return _rounded(found, _DEVIATION_BITS)
+    found = _interpolated(finite**2, layout, first_row, _GREEN_WEIGHTS**2, _RED_BLUE_WEIGHTS**2)
+    for each in found:
+        np.sqrt(each, out=each)
+        each[each > _LARGEST_DEVIATION / 100] = np.inf
+    return tuple(_rounded(each, _DEVIATION_BITS) for each in found)
 
 
 def _rounded(values: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
@@ -85,15 +88,26 @@ def _rounded(values: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
     return np.asarray(found.view(np.float32))
 
 
+def as_halves(values: NDArray[np.float32]) -> NDArray[np.float16]:
+    """Return what `deviations_are_halves` says that float16 has; a tenth of numpy's time.
+
+    2^-112 times the value has float16's exponent, and its fraction, in the upper bits of float32.
+    """
+    bits = (values * np.float32(2.0**-112)).view(np.uint32)
+    bits += np.uint32(1 << 12)  # rounds what is below 2^-14
+    bits >>= np.uint32(13)
+    return (bits.astype(np.uint16) & np.uint16(0x7FFF)).view(np.float16)  # infinity, too
+
+
 def _interpolated(
     mosaic: NDArray[np.float32],
     layout: Layout,
     first_row: int,
     green: NDArray[np.floating[Any]],
     red_blue: NDArray[np.floating[Any]],
-) -> NDArray[np.float32]:
-    """Return (rows, columns, 3): each colour's samples, weighted by these kernels."""
-    colours = np.empty((*mosaic.shape, 3), np.float32)
+) -> _Planes:
+    """Return each colour's samples, weighted by these kernels."""
+    colours = []
     for channel in range(3):
         plane = np.zeros_like(mosaic)
         for row in (0, 1):
@@ -102,17 +116,17 @@ def _interpolated(
                     plane[row::2, column::2] = mosaic[row::2, column::2]
         kernel = green if channel == 1 else red_blue
         # Mirroring without repeating the border keeps the colour of every mirrored pixel.
-        colours[..., channel] = correlated(plane, kernel, repeats_border=False)
-    return colours
+        colours.append(correlated(plane, kernel, repeats_border=False))
+    return tuple(colours)
 
 
 def demosaic_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a mosaic's mask as (rows, columns, 3): a mark covers all pixels it contributed to.
+    """Return a mosaic's mask for each channel: a mark covers all pixels it contributed to.
 
     The value of such a pixel depends on the marked sample, in at least one channel.  More pixels
     than samples are marked: up to nine for one.
     """
-    return np.repeat(dilated(mask, (3, 3))[..., None], 3, axis=2)
+    return dilated(mask, (3, 3))
 
 
 def encode(desired: DesiredResponse, E: NDArray[Any]) -> NDArray[np.uint16]:
@@ -180,16 +194,21 @@ class Tables:
 
 @dataclass(frozen=True)
 class Strip:
-    """Some rows of the pictures, (rows, columns) or, in colour, (rows, columns, 3).
+    """Some rows of the pictures.
 
-    `light` is `irradiance` without hot pixels, the same array where there are none.
+    Attributes:
+        irradiance: of each channel, (rows, columns) float32, one or those of R, G and B
+        light: `irradiance` without hot pixels, the same where there are none
+        deviation: standard deviation of each channel, float32
+        mask: of each channel, uint8
+        code: of the image, (rows, columns) or (rows, columns, 3) uint16
     """
 
-    irradiance: NDArray[np.float32]
-    light: NDArray[np.float32]
-    deviation: NDArray[np.float32]
+    irradiance: _Planes
+    light: _Planes
+    deviation: _Planes
+    mask: tuple[NDArray[np.uint8], ...]
     code: NDArray[np.uint16]
-    mask: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -280,41 +299,71 @@ class Rendering:
         # A mosaic is interpolated from its neighbouring rows, too.
         border = 2 if self.layout.is_mosaic else 0
         first, last = max(0, rows.start - border), min(len(total), rows.stop + border)
-        sums = total[first:last]
-        irradiance = light = self._look_up("irradiance", sums)
+        sums, shown = total[first:last], shown[first:last]
+        marks = [] if hot is None else [hot[first:last]]
+        if self.movement is not None:
+            marks.append(self.movement.rows(first, last) * np.uint8(CONTRADICTING))
+        if self.layout.is_mosaic:
+            inner = slice(rows.start - first, rows.stop - first)
+            return self._mosaic_strip(sums, None if hot is None else shown, marks, first, inner)
+        planes = shown_planes = channels_apart(sums)
+        irradiance = light = self._look_up("irradiance", planes)
         if hot is not None:
-            light = self._look_up("irradiance", shown[first:last])
-        deviation = self._look_up("deviation", sums)
-        mask = self._look_up("mask", sums)
-        marks = None if hot is None else hot[first:last]
-        if self.movement is not None:
-            moved = self.movement.rows(first, last) * np.uint8(CONTRADICTING)
-            mask = mask if self.layout.is_mosaic else mask | moved
-        if not self.layout.is_mosaic:
-            mask = mask if marks is None else mask | marks
-            code = self._look_up("code", shown[first:last])
-            return Strip(irradiance, light, deviation, code, mask)
-        inner = slice(rows.start - first, rows.stop - first)
-        mask = demosaic_mask(mask)
-        if self.movement is not None:
-            mask |= demosaic_mask(moved)
-        if marks is not None:
-            mask |= demosaic_mask(marks)
-        coded = demosaic(self._look_up("shown", shown[first:last]), self.layout, first)
-        irradiance = demosaic(irradiance, self.layout, first)[inner]
+            shown_planes = channels_apart(shown)
+            light = self._look_up("irradiance", shown_planes)
+        mask = self._look_up("mask", planes)
+        for more in marks:
+            mask = tuple(map(np.bitwise_or, mask, channels_apart(more)))
+        code = channels_together(self._look_up("code", shown_planes))
+        return Strip(irradiance, light, self._look_up("deviation", planes), mask, code)
+
+    def _mosaic_strip(
+        self,
+        sums: NDArray[np.unsignedinteger],
+        shown: NDArray[np.unsignedinteger] | None,
+        marks: list[NDArray[np.uint8]],
+        first: int,
+        inner: slice,
+    ) -> Strip:
+        """Return the `inner` rows of these of a mosaic, which begin at row `first` of the frame.
+
+        `shown` is None without hot pixels.
+        """
+
+        def colours(name: str, sums: NDArray[np.unsignedinteger]) -> _Planes:
+            planes = demosaic(self._mosaic_values(name, sums), self.layout, first)
+            return tuple(each[inner] for each in planes)
+
+        deviation = demosaic_deviation(self._mosaic_values("deviation", sums), self.layout, first)
+        mask = demosaic_mask(self._mosaic_values("mask", sums))
+        for more in marks:  # each by itself: of several values the largest spreads
+            mask |= demosaic_mask(more)
+        irradiance = light = colours("irradiance", sums)
+        if shown is not None:
+            light = colours("irradiance", shown)
+        coded = channels_together(colours("shown", sums if shown is None else shown))
         return Strip(
             irradiance,
-            irradiance if hot is None else demosaic(light, self.layout, first)[inner],
-            demosaic_deviation(deviation, self.layout, first)[inner],
-            encode(self.desired, coded[inner]),
-            mask[inner],
+            light,
+            tuple(each[inner] for each in deviation),
+            (mask[inner],) * 3,
+            encode(self.desired, coded),
         )
 
-    def _look_up(self, name: str, sums: NDArray[np.unsignedinteger]) -> NDArray[Any]:
-        """Return the values of a table for sums; in a mosaic they begin at an even row."""
+    def _look_up(
+        self, name: str, planes: tuple[NDArray[np.unsignedinteger], ...]
+    ) -> tuple[NDArray[Any], ...]:
+        """Return the values of a table for the sums of each channel."""
+        tables = self.tables if len(self.tables) > 1 else self.tables * len(planes)
+        # Half the time of an index.
+        each = zip(tables, planes, strict=True)
+        return tuple(getattr(table, name).take(plane) for table, plane in each)
+
+    def _mosaic_values(self, name: str, sums: NDArray[np.unsignedinteger]) -> NDArray[Any]:
+        """Return the values of a table for sums of a mosaic, which begin at an even row."""
         tables = [getattr(each, name) for each in self.tables]
         if len(tables) == 1:
-            return np.asarray(tables[0].take(sums))  # half the time of an index
+            return np.asarray(tables[0].take(sums))
         found = np.empty(sums.shape, tables[0].dtype)
         colours = self.layout.value.upper()
         planes = zip(colours, self.layout.planes(found), self.layout.planes(sums), strict=True)

@@ -47,8 +47,8 @@ _HIDDEN = 0.1, 0.45, 0.9
 _UNLIT_DOUBT = 4.0
 #: Where no frame shows light the picture has this share of the brightness of the least light.
 _UNLIT = 0.15
-#: Brightness is set by samples whose noise is less than this share of the light, of about so many
-#: rows and columns.
+#: Brightness is set by samples whose noise is less than this share of the light, of at most so
+#: many rows and columns.
 _READABLE, _MOST_READ = 0.5, 1024
 #: Of a natural logarithm's deviation that of a logarithm to the base 2.
 _LOG2_E = np.float32(1 / np.log(2))
@@ -113,7 +113,7 @@ def _exposure(
     light stays dark.
     """
     weights = _LUMINANCE if colours.shape[2] == 3 else np.ones(1, np.float32)
-    some = (slice(None, None, max(1, max(noise.shape) // _MOST_READ)),) * 2
+    some = (slice(None, None, -(-max(noise.shape) // _MOST_READ)),) * 2
     largest, colours = largest[some], colours[some]
     readable = (noise[some] < _READABLE) & (light.unlit[some] < ALL)
     if not readable.any():

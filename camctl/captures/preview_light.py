@@ -72,17 +72,17 @@ class LightReducer:
 
     def add(self, strip: Strip) -> None:
         """Take the next strip, from top to bottom."""
-        shape = (*strip.mask.shape[:2], -1)
-        mask, light = strip.mask.reshape(shape), strip.light.reshape(shape)
-        deviation, saturated = strip.deviation.reshape(shape), (mask & SATURATED) != 0
-        white = np.zeros(shape[:2], np.bool_)
-        if saturated.any():
-            deviation = np.where(saturated, np.float32(0), deviation)
+        deviation = strip.deviation
+        saturated = [(mask & SATURATED) != 0 for mask in strip.mask]
+        white = np.zeros_like(saturated[0])
+        if any(each.any() for each in saturated):
+            pairs = zip(saturated, deviation, strict=True)
+            deviation = tuple(np.where(full, np.float32(0), sd) for full, sd in pairs)
             # The mask of a mosaic does not say which of its channels is saturated.
-            white = reduce(np.minimum, channels_of(light)) >= self._full
-        white = white[..., np.newaxis]
-        flags = (saturated, (mask & DARK) != 0, light <= self._unlit, white)
-        parts = (light, deviation, *(flag.view(np.uint8) * np.uint8(ALL) for flag in flags))
+            white = reduce(np.minimum, strip.light) >= self._full
+        dark = _counts([(mask & DARK) != 0 for mask in strip.mask])
+        unlit = _counts([light <= self._unlit for light in strip.light])
+        parts = (*strip.light, *deviation, *saturated, dark, unlit, white)
         if self._rest:
             missing = self._step - len(self._rest[0])
             pairs = zip(self._rest, parts, strict=True)
@@ -107,42 +107,50 @@ class LightReducer:
         return self._light
 
     def _reduce(self, parts: tuple[NDArray[Any], ...], rows: int) -> None:
-        """Reduce these rows of the light, its deviation, and the flags."""
+        """Reduce these rows of the light of each channel, its deviation, and the flags."""
+        channels = (len(parts) - 3) // 3
         if self._light is None:
-            shape = (*self._shape, parts[0].shape[2])
+            shape = (*self._shape, channels)
             irradiance, noise = np.empty(shape, np.float32), np.empty(shape, np.float32)
             shares = (np.empty(self._shape, np.uint8) for _ in range(4))
             self._light = Light(irradiance, noise, *shares)
         light, place = self._light, slice(self._done, self._done + rows)
         self._done += rows
-        light.irradiance[place] = self._mean(parts[0], rows)
-        # The errors of neighbouring pixels are independent.
-        error = self._mean(parts[1], rows) / np.float32(self._step)
-        error /= np.maximum(light.irradiance[place], NO_LIGHT)
-        np.minimum(error, _LARGEST_NOISE, out=light.noise[place])
-        light.saturated[place] = largest_channel(self._mean(parts[2], rows))
-        light.dark[place] = _channel_mean(self._mean(parts[3], rows))
-        light.unlit[place] = _channel_mean(self._mean(parts[4], rows))
-        light.white[place] = self._mean(parts[5], rows)[..., 0]
+        for channel in range(channels):
+            mean = self._mean(parts[channel], rows)
+            light.irradiance[place][..., channel] = mean
+            # The errors of neighbouring pixels are independent.
+            error = self._mean(parts[channels + channel], rows) / np.float32(self._step)
+            error /= np.maximum(mean, NO_LIGHT)
+            np.minimum(error, _LARGEST_NOISE, out=light.noise[place][..., channel])
+        *saturated, dark, unlit, white = parts[2 * channels :]
+        light.saturated[place] = reduce(np.maximum, [self._share(each, rows) for each in saturated])
+        light.dark[place] = self._share(dark, rows, channels)
+        light.unlit[place] = self._share(unlit, rows, channels)
+        light.white[place] = self._share(white, rows)
+
+    def _share(self, counts: NDArray[Any], rows: int, most: int = 1) -> NDArray[Any]:
+        """Return the means of counts up to `most`, which becomes `ALL`."""
+        if not counts.any():
+            return np.zeros((rows, self._shape[1]), np.uint8)
+        return self._mean(counts.view(np.uint8) * np.uint8(ALL // most), rows)
 
     def _mean(self, part: NDArray[Any], rows: int) -> NDArray[Any]:
         cut = part[: rows * self._step, : self._shape[1] * self._step]
         if self._step == 1:
             return cut
         size = (self._shape[1], rows)
-        reduced = reduced_by_area(np.ascontiguousarray(cut), size)
-        return reduced.reshape(rows, self._shape[1], -1)
+        return reduced_by_area(np.ascontiguousarray(cut), size)
+
+
+def _counts(flags: list[NDArray[np.bool_]]) -> NDArray[np.uint8]:
+    """Return in how many channels each pixel has a flag."""
+    return np.asarray(sum(flag.view(np.uint8) for flag in flags), np.uint8)
 
 
 def largest_channel(values: NDArray[Any]) -> NDArray[Any]:
     """Return the largest channel; numpy's maximum over a short last axis is far slower."""
     return reduce(np.maximum, channels_of(values))
-
-
-def _channel_mean(values: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Return the mean of the channels; numpy's mean over a short last axis is far slower."""
-    total = sum(channel.astype(np.uint16) for channel in channels_of(values))
-    return np.asarray(total // np.uint16(values.shape[2]), np.uint16)
 
 
 def channels_of(values: NDArray[Any]) -> list[NDArray[Any]]:

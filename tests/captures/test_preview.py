@@ -14,9 +14,18 @@ from camctl.captures import preview_light
 from camctl.captures.pictures import DARK, SATURATED, Strip
 from camctl.captures.preview import srgb_codes, tone_map
 from camctl.captures.preview_light import ALL, Light, LightReducer
+from camctl.picture_operations import channels_apart
 from sim.scenes.scene import scene_names
 
 SCENES = sorted(scene_names())
+
+
+def strip_of(
+    light: NDArray[np.float32], deviation: NDArray[np.float32], mask: NDArray[np.uint8]
+) -> Strip:
+    planes = channels_apart(light)
+    deviations, masks = channels_apart(deviation), channels_apart(mask)
+    return Strip(planes, planes, deviations, masks, mask.astype(np.uint16))
 
 
 def linear(codes: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -42,7 +51,7 @@ def test_preview_of_each_scene_shows_the_light_in_range(name: str, sensor: str) 
     light, sd, mask = report.radiance(), report.standard_deviation(), report.mask()
     unlit = float(light.min()) if (mask & DARK).any() else 0.0
     reducer = LightReducer(light.shape[0], light.shape[1], unlit, float(light.max()))
-    reducer.add(Strip(light, light, sd, report.image(), mask))
+    reducer.add(strip_of(light, sd, mask))
     shown = tone_map(reducer.light())
     in_range = (mask & (DARK | SATURATED)) == 0
     assert (shown[in_range] == 0).mean() < 0.02
@@ -90,7 +99,7 @@ def test_one_saturated_channel_keeps_its_colour_and_all_are_white() -> None:
     light[:, 20:] = 1.0
     mask = np.where(light >= 1, SATURATED, 0).astype(np.uint8)
     reducer = LightReducer(30, 30, 0.0, 1.0)
-    reducer.add(Strip(light, light, light * 0, mask.astype(np.uint16), mask))
+    reducer.add(strip_of(light, light * 0, mask))
     shown = tone_map(reducer.light()).astype(int)
     assert np.ptp(shown[:, 2:17], axis=(0, 1)).max() <= 3
     assert (shown[:, 5, 0] - shown[:, 5, 2]).min() > 50
@@ -157,7 +166,7 @@ def test_any_shape_gives_a_preview_of_at_most_2560_pixels(shape: tuple[int, ...]
         some = light[part]
         mask = np.zeros(some.shape, np.uint8)
         deviation = some * np.float32(0.01)
-        reducer.add(Strip(some, some, deviation, mask.astype(np.uint16), mask))
+        reducer.add(strip_of(some, deviation, mask))
     shown = tone_map(reducer.light())
     assert max(shown.shape) <= preview_light.PREVIEW_SIDE
     assert shown.shape[2:] == shape[2:]
@@ -172,8 +181,7 @@ def test_reduced_light_is_the_mean_and_its_noise_is_less(monkeypatch: pytest.Mon
     deviation = np.where(mask & SATURATED, np.inf, light / 10).astype(np.float32)
     reducer = LightReducer(10, 10, 1.5, 40.0)
     for rows in (slice(0, 3), slice(3, 4), slice(4, 10)):  # strips need not fit
-        code = mask[rows].astype(np.uint16)
-        reducer.add(Strip(light[rows], light[rows], deviation[rows], code, mask[rows]))
+        reducer.add(strip_of(light[rows], deviation[rows], mask[rows]))
     found = reducer.light()
     expected = light.reshape(5, 2, 5, 2).mean(axis=(1, 3))
     assert np.allclose(found.irradiance[..., 0], expected)
