@@ -146,3 +146,13 @@ def test_what_needs_opencv_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(operations, "opencv", lambda: None)
     with pytest.raises(UsageError, match="decoding JPEG frames needs OpenCV, which is not inst"):
         operations.required_opencv("decoding JPEG frames")
+
+
+@given(SHAPES, st.sampled_from([np.uint8, np.uint16, np.uint32, np.float32, np.float16, np.bool_]))
+def test_channels_apart_and_together(shape: tuple[int, ...], kind: Any) -> None:
+    picture = (np.random.default_rng(0).random(shape) * 255).astype(kind)
+    for planes in both(lambda: np.stack(operations.channels_apart(picture))):
+        assert np.array_equal(np.moveaxis(planes, 0, -1), picture.reshape(*shape[:2], -1))
+    for again in both(lambda: operations.channels_together(operations.channels_apart(picture))):
+        assert again.dtype == picture.dtype
+        assert np.array_equal(again, picture.reshape(again.shape))
