@@ -94,7 +94,7 @@ def as_halves(values: NDArray[np.float32]) -> NDArray[np.float16]:
     2^-112 times the value has float16's exponent, and its fraction, in the upper bits of float32.
     """
     bits = (values * np.float32(2.0**-112)).view(np.uint32)
-    bits += np.uint32(1 << 12)  # rounds what is below 2^-14
+    bits += np.uint32(1 << 12)  # rounds what float16 does not have exactly
     bits >>= np.uint32(13)
     return (bits.astype(np.uint16) & np.uint16(0x7FFF)).view(np.float16)  # infinity, too
 
@@ -247,14 +247,16 @@ class Rendering:
     def deviations_are_halves(self) -> bool:
         """Whether float16 has all standard deviations of the pictures.
 
-        It has those of at least 2^-14 exactly, and less ones to 2^-25.  They count as well if that
-        is less than 4e-6 of the light, to which the light itself is known in a file: such are those
-        of sums between two levels that nearly coincide.
+        It has those of at least 2^-15 exactly, since they have `_DEVIATION_BITS` bits, and less
+        ones to 2^-25.  They count as well if that is less than 4e-6 of the light, to which the
+        light itself is known in a file: such are those of sums between two levels that nearly
+        coincide.
         """
         # Interpolation at most halves a deviation; a sample has a weight of 1/4 at least.
         halved, weight = (2, 1 / 4) if self.layout.is_mosaic else (1, 1.0)
         kinds = np.finfo(np.float16)
-        least, error = float(kinds.tiny), float(kinds.smallest_subnormal) / 2
+        error = float(kinds.smallest_subnormal) / 2
+        least = 2 * error * 2**_DEVIATION_BITS
         for table in self.tables:
             deviation = table.deviation[np.isfinite(table.deviation)] / halved
             light = table.irradiance[np.isfinite(table.deviation)] * weight
