@@ -357,7 +357,8 @@ def test_all_colours_of_jpeg_files_have_one_response() -> None:
     for seed, exposure in enumerate(STOPS):
         frame = shoot(light, exposure, s_curve, seed=seed)
         _, packed = cv2.imencode(".jpg", frame[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
-        series.add(cv2.imdecode(packed, cv2.IMREAD_COLOR)[..., ::-1], exposure, f"frame {seed}")
+        pixels = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR))[..., ::-1]
+        series.add(pixels, exposure, f"frame {seed}")
     estimate = estimate_response(series)
     assert [each.name for each in estimate.record.channels] == ["R", "G", "B"]
     assert len({each.irradiance for each in estimate.record.channels}) == 1
