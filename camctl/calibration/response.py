@@ -32,6 +32,7 @@ from camctl.calibration.response_checks import (
     check_range,
     shows_exposure,
 )
+from camctl.calibration.response_colours import green_explains_all
 from camctl.calibration.response_fit import (
     ROUGH,
     STATED,
@@ -123,6 +124,8 @@ def estimate_response(
 ) -> ResponseEstimate:
     """Return the response of each channel from an exposure series, or from frames of a chart.
 
+    Where one curve explains the frames as well as one for each colour, all channels have it.
+
     Args:
         series: frames of different exposure of one scene; with a chart, one is enough
         estimate_ratios: the exposures are approximate (30 %), and are estimated, too, as those of
@@ -151,14 +154,16 @@ def estimate_response(
         exposures = exposures**exponent.value
         if chart is None:
             notes.append(_UNKNOWN_EXPONENT)
+    saturating = {each.name: each.saturates for each in channels}
     start = ROUGH if estimate_ratios else STATED
     if exposures.size > 1:
         channels = [_without_noise(each, series, edges, exposures, start) for each in channels]
-    fits = [each.fit(exposures, edges, series.phase, ROUGH) for each in channels]
+    channels, fits = _needed(series, edges, channels, exposures)
     labels = LabelCheck(np.ones((len(channels), exposures.size)))
     if not estimate_ratios:
         if is_scene_checked:
-            labels = _check_scene(series, edges, exposures, fits)
+            names = [each.name for each in channels]
+            labels = _check_scene(series, edges, exposures, names, fits)
         if labels.problem:
             notes.append(f"{labels.problem}; {labels.hint}")
         pairs = zip(channels, labels.corrections, strict=True)
@@ -173,9 +178,13 @@ def estimate_response(
         fits = [with_exponent_error(fit, edges, exponent.error) for fit in fits]
     if estimate_ratios:
         exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0))
+    found = [each.response(fit, series, edges) for each, fit in zip(channels, fits, strict=True)]
+    if len(found) < len(saturating):
+        found *= len(saturating)
     record = ResponseRecord(
         channels=tuple(
-            each.response(fit, series, edges) for each, fit in zip(channels, fits, strict=True)
+            each.model_copy(update={"name": name, "saturates": saturates})
+            for each, (name, saturates) in zip(found, saturating.items(), strict=True)
         ),
         phase=series.phase,
         frames=len(series.exposures),
@@ -202,16 +211,32 @@ def _without_noise(
     return dataclasses.replace(evidence, matches=matches)
 
 
+def _needed(
+    series: Series, edges: FloatArray, channels: list[_Evidence], exposures: FloatArray
+) -> tuple[list[_Evidence], list[ResponseFit]]:
+    """Return the evidence and the fit of each channel; of green alone where it explains all."""
+    fits = [each.fit(exposures, edges, series.phase, ROUGH) for each in channels]
+    if len(channels) == 1 or channels[0].samples is not None:  # a chart shows each colour
+        return channels, fits
+    brightness = np.arange(series.white + 1) - series.black
+    lights = [np.interp(brightness, edges - 0.5, fit.irradiance) for fit in fits]
+    if green_explains_all(series, lights, [fit.exposures.tolist() for fit in fits]):
+        return channels[1:2], fits[1:2]
+    return channels, fits
+
+
 def _check_scene(
-    series: Series, edges: FloatArray, exposures: FloatArray, fits: Sequence[ResponseFit]
+    series: Series,
+    edges: FloatArray,
+    exposures: FloatArray,
+    names: Sequence[str],
+    fits: Sequence[ResponseFit],
 ) -> LabelCheck:
     """Check that nothing moved, and the stated exposures, by fits that estimate them, too."""
-    for name, fit in zip(series.channels, fits, strict=True):
+    for name, fit in zip(names, fits, strict=True):
         check_patches(series, name, edges, fit)
-    judged = np.array([shows_exposure(series, name) for name in series.channels])
-    return check_labels(
-        series.names, exposures, edges, series.channels, fits, judged, is_shot=series.is_shot
-    )
+    judged = np.array([shows_exposure(series, name) for name in names])
+    return check_labels(series.names, exposures, edges, names, fits, judged, is_shot=series.is_shot)
 
 
 def _kept(edges: FloatArray) -> NDArray[np.intp]:

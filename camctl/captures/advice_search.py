@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.request import AUTO, CURVE, XI, CaptureRequest
-from camctl.captures.scene_range import LAMP_SHARE, PlannedLight
+from camctl.captures.scene_range import LAMP_SHARE
 from camctl.controls import ExposureControls
 from camctl.number_text import time_text
 
@@ -17,6 +17,8 @@ MUCH = 0.05
 
 LOG = "log"
 
+#: Metered share from which so many samples may be brighter than the range in the picture.
+_NEARLY_MUCH = 0.03
 #: Fewest effective levels that are advised: with fewer a picture shows steps.
 _LEAST_LEVELS = 16.0
 #: An advice that leaves more than `MUCH` outside helps if it leaves this part of it, at most.
@@ -60,7 +62,7 @@ def dark_advice(
     light = plan.light
     if light is None or request.response == CURVE or request.ratios is not None:
         return None
-    is_seen = _outside(light) > MUCH
+    is_seen = light.dark > MUCH
     if not is_seen and light.unseen <= MUCH:
         return None
     reach = _reach(plan, controls)
@@ -71,7 +73,9 @@ def dark_advice(
             continue
         if predicted.effective_levels < min(_LEAST_LEVELS, _FEWER * plan.effective_levels):
             continue
-        share = _outside(predicted.light)
+        share = predicted.light.dark
+        if predicted.light.clips > max(MUCH, light.clips):
+            continue
         if not deeper and share <= MUCH and _reach(predicted, controls) <= reach / _DEEPER:
             deeper = trial.text
         best = min(best, (share, trial.text))
@@ -80,11 +84,46 @@ def dark_advice(
     share, text = best
     if is_seen and share <= MUCH:
         return text
-    if is_seen and share <= _HELPS * _outside(light):
-        return f"{text}, after which {share:.0%} still is by the metered light"
+    if is_seen and share <= _HELPS * light.dark:
+        return _partly(text, share)
     if light.unseen > MUCH:
         return _unseen_text(plan, controls, deeper)
     return "open the aperture, or light the scene; no option shows it"
+
+
+def bright_advice(request: CaptureRequest, plan: CapturePlan, predict: Predict) -> str | None:
+    """Return the like of `dark_advice` where the light is brighter than the range."""
+    light = plan.light
+    if light is None or light.clips <= _NEARLY_MUCH:
+        return None
+    best = math.inf, ""
+    for trial in _shorter_trials(request):
+        predicted = predict(trial.request)
+        if predicted is None or predicted.light is None:
+            continue
+        best = min(best, (predicted.light.clips, trial.text))
+        if best[0] <= min(MUCH, _HELPS * light.clips):
+            break
+    share, text = best
+    if share > _HELPS * light.clips:
+        return None
+    return text if share <= MUCH else _partly(text, share)
+
+
+def _shorter_trials(request: CaptureRequest) -> Iterator[_Trial]:
+    """Yield what shortens the exposures, in the order in which it is advised."""
+    shift, share = "the compensation (--compensation)", "the share that may clip (--clip)"
+    if request.compensation_stops > 0:
+        yield _Trial(f"leave {shift} out", replace(request, compensation_stops=0.0))
+    if request.clip:
+        yield _Trial(f"leave {share} out", replace(request, clip_percent=None))
+    if request.compensation_stops > 0 and request.clip:
+        text = f"leave {shift} and {share} out"
+        yield _Trial(text, replace(request, compensation_stops=0.0, clip_percent=None))
+
+
+def _partly(text: str, share: float) -> str:
+    return f"{text}, after which {share:.0%} still is by the metered light"
 
 
 def _reach(plan: CapturePlan, controls: ExposureControls) -> float:
@@ -92,11 +131,6 @@ def _reach(plan: CapturePlan, controls: ExposureControls) -> float:
     exposures = [setting.exposure for setting in plan.settings]
     level = float(controls.levels.levels[0])
     return max(plan.desired.e_min / min(exposures), level / max(exposures))
-
-
-def _outside(light: PlannedLight) -> float:
-    """Return the larger one of the shares at the ends of the range, which are warned of."""
-    return max(light.clips, light.dark)
 
 
 def _unseen_text(plan: CapturePlan, controls: ExposureControls, deeper: str) -> str:

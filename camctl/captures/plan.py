@@ -15,7 +15,7 @@ from camctl.captures.accurate_settings import (
     estimated_levels,
     objective_of,
 )
-from camctl.captures.advice_search import dark_advice
+from camctl.captures.advice_search import bright_advice, dark_advice
 from camctl.captures.capture_plan import CapturePlan, relative_exposures
 from camctl.captures.metering import MeteringFrames, light_histogram, meter
 from camctl.captures.range_choice import Chosen, Metered, choose_range
@@ -81,9 +81,8 @@ def plan_capture(
         CaptureError: an exposure is beyond the camera's controls
     """
     plan, light = _plan(camera, request, table, progress, metered)
-    is_free = isinstance(camera, PreviewingCamera) or request.desired is None
-    if plan.light is None or not is_free or camera.info.driver == PHOTOGRAPHS:
-        return plan  # its shadows were not metered, or no other photographs can be taken
+    if plan.light is None:
+        return plan
 
     def predict(other: CaptureRequest) -> CapturePlan | None:
         try:
@@ -91,8 +90,12 @@ def plan_capture(
         except (CaptureError, DataError, UsageError):  # it cannot be met
             return None
 
-    advice = dark_advice(request, plan, camera.controls, predict)
-    return replace(plan, light=replace(plan.light, advice=advice))
+    found = replace(plan.light, bright_advice=bright_advice(request, plan, predict))
+    is_free = isinstance(camera, PreviewingCamera) or request.desired is None
+    # Else its shadows were not metered, or no other photographs can be taken.
+    if is_free and camera.info.driver != PHOTOGRAPHS:
+        found = replace(found, advice=dark_advice(request, plan, camera.controls, predict))
+    return replace(plan, light=found)
 
 
 def _plan(

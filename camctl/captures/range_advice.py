@@ -45,7 +45,7 @@ def outside_warnings(
             f"shorter (--compensation {stops:g})"
         )
     elif saturated > MUCH:
-        advice = _shorter(request, is_taken)
+        advice = _shorter(request, plan, is_taken)
         found.append(f"{saturated:.1%} of the picture is brighter than its range: {advice}")
     if dark > MUCH:
         found.append(
@@ -63,14 +63,12 @@ def _metered_clip(request: CaptureRequest, plan: CapturePlan) -> float | None:
     return max(plan.light.clips, plan.metering.clipped, request.clip or 0.0)
 
 
-def _shorter(request: CaptureRequest, is_taken: bool) -> str:
+def _shorter(request: CaptureRequest, plan: CapturePlan, is_taken: bool) -> str:
     """Return what to do where too much is saturated."""
     if request.base_s is not None:
         return "leave the base exposure (--base) out, so that it is metered"
-    if request.compensation_stops > 0:
-        return "leave the compensation (--compensation) out"
-    if request.clip:
-        return "leave the share that may clip (--clip) out"
+    if plan.light is not None and plan.light.bright_advice is not None:
+        return plan.light.bright_advice
     if is_taken:
         return "a photograph with a shorter exposure would show it"
     return "close the aperture, or put a filter before the lens; no option makes the light less"
@@ -93,5 +91,5 @@ def _wider(request: CaptureRequest, plan: CapturePlan, is_taken: bool) -> str:
     if plan.light is not None and plan.light.advice is not None:
         return plan.light.advice
     if request.dynamic_range != AUTO:
-        return "let the light decide it (--range auto)"
+        return "let the light decide it (--range auto), for which the shadows are metered, too"
     return "open the aperture, or light the scene; the metering frames showed more light"

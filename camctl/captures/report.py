@@ -89,7 +89,8 @@ class _CaptureData(ReportModel):
         warnings: what to know of the pictures, one line each
         versions: of camctl, numpy and Python
         profile: what the camera's profile says of it, one line; None: nothing
-        taken_at: when the capture began, by this computer's clock; None in earlier versions
+        taken_at: when the capture began, by this computer's clock, in a simulated series by the
+            simulated one; None in earlier versions
     """
 
     format_version: int = FORMAT_VERSION

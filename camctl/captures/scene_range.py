@@ -140,6 +140,7 @@ class PlannedLight:
             where they are not known
         unseen: share of the samples that metering could not tell from black
         advice: what to do where light is darker than the range; None where none is known
+        bright_advice: the same where light is brighter
     """
 
     span: float
@@ -151,3 +152,4 @@ class PlannedLight:
     needed_levels: float | None = None
     unseen: float = 0.0
     advice: str | None = None
+    bright_advice: str | None = None

@@ -39,6 +39,7 @@ def capture(
     progress: OnProgress | None = None,
     cancelled: Cancelled | None = None,
     overwrite: bool = False,
+    taken_at: datetime | None = None,
 ) -> CaptureReport:
     """Take the picture that `request` asks for; keep it, with all its frames, in a folder.
 
@@ -52,6 +53,7 @@ def capture(
         progress: called before each frame and stage
         cancelled: called before each frame; if it returns True the capture ends
         overwrite: replace an earlier capture in the folder
+        taken_at: date and time that the report has; None: those of this computer, now
 
     Raises:
         UsageError: the request cannot be met by any camera, or `plan` was made from another one
@@ -100,7 +102,7 @@ def capture(
                 "numpy": np.__version__,
                 "python": platform.python_version(),
             },
-            taken_at=datetime.now().astimezone().replace(microsecond=0),
+            taken_at=(taken_at or datetime.now()).astimezone().replace(microsecond=0),
         )
         store.save_report(unfinished)
         return Sequence(camera, store, unfinished, report_progress, cancelled).run()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 
 from camctl.camera import Camera
@@ -23,12 +25,18 @@ class CameraSets:
         camera: an open camera
         journal: of the series: what is asked of each set
         progress: called before each frame and stage of a set
+        date: returns date and time, as `SeriesTools.date`
     """
 
     def __init__(
-        self, camera: Camera, journal: SeriesJournal, progress: OnProgress | None = None
+        self,
+        camera: Camera,
+        journal: SeriesJournal,
+        progress: OnProgress | None = None,
+        date: Callable[[], datetime] = datetime.now,
     ) -> None:
         self._camera, self._journal, self._progress = camera, journal, progress
+        self._date = date
         self._table: ExposureTable | None = None
         if journal.table_file is not None:
             self._table = ExposureTable.load(Path(journal.table_file), camera.controls.levels)
@@ -47,6 +55,7 @@ class CameraSets:
             if not isinstance(read_report_file(directory), UnfinishedCapture):
                 return read_report(directory)  # only the journal was not written any more
             return resume(self._camera, directory, progress=self._progress)
+        begun = self._date()  # before metering, as in the journal
         plan = self._plan or self._new_plan()
         if self._journal.plan is None:
             self._plan = None  # the next set has another light
@@ -57,6 +66,7 @@ class CameraSets:
             plan=plan,
             source=self._journal.source,
             progress=self._progress,
+            taken_at=begun,
         )
 
     def reconnect(self) -> None:

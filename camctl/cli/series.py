@@ -119,7 +119,7 @@ def _run(
             progress=progress,
             date=date_by(camera.clock),
         )
-        Series(directory, journal, CameraSets(camera, journal), tools).run()
+        Series(directory, journal, CameraSets(camera, journal, date=tools.date), tools).run()
     if as_json:
         described = journal.model_dump(mode="json")
         print_json(described | {"completed": journal.completed, "failed": len(journal.failed)})

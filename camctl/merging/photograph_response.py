@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from camctl.calibrated import response_changes
 from camctl.calibration.response import estimate_response
+from camctl.calibration.response_colours import AS_WELL, disagreement
 from camctl.controls import Choices, ExposureControls, ResponseOrigin
 from camctl.errors import DataError
 from camctl.exposure.patches import LightScale
@@ -28,11 +26,9 @@ if TYPE_CHECKING:
     from camctl.profile import Profile
     from camctl.response_record import ResponseRecord
 
-#: Mean brightness of the patches that are compared, as shares of full scale.
-_DARKEST, _BRIGHTEST = 0.1, 0.9
-#: A standard response is used up to this median error of the light, or up to this multiple of the
-#: error of an estimated one.
-_FITS, _AS_WELL = 0.01, 1.2
+#: A standard response is used up to this median error of the light, or where it explains the
+#: photographs as well as an estimated one.
+_FITS = 0.01
 #: Where a response is from that was found in the photographs themselves.
 _FITTING, _ASSUMED = "srgb, which fits the photographs", "srgb, assumed"
 _ESTIMATED = "estimated from the photographs"
@@ -102,22 +98,18 @@ def known_controls(
     try:
         estimate = estimate_response(series, is_scene_checked=False)
     except DataError as error:
-        if fit_error(series, standard) <= _FITS:
+        if _fit_error(series, standard) <= _FITS:
             return fitting_standard, _FITTING
         notes.append(f"the response is taken for srgb, since it cannot be estimated: {error.what}")
         return standard, _ASSUMED
     estimated = _measured(controls, estimate.record)
-    common = replace(estimated, responses=())
     # An estimate has errors of its own: where the standard explains the frames as well, it is it.
-    # Where one curve for all channels does, it is that: grey stays grey, and green is estimated
-    # best, since JPEG files keep less of the colours.
-    errors = [fit_error(series, each) for each in (standard, common, estimated)]
-    if errors[0] <= _FITS or errors[0] <= _AS_WELL * errors[2] < math.inf:
+    errors = [_fit_error(series, each) for each in (standard, estimated)]
+    if errors[0] <= _FITS or errors[0] <= AS_WELL * errors[1] < math.inf:
         return fitting_standard, _FITTING
     (notes if estimate.is_doubtful else facts).extend(estimate.notes)
-    if estimated.responses and errors[1] <= _AS_WELL * errors[2] < math.inf:
-        return common, _ESTIMATED_COMMON
-    return estimated, _ESTIMATED
+    is_common = len(series.channels) > 1 and not estimated.responses
+    return estimated, _ESTIMATED_COMMON if is_common else _ESTIMATED
 
 
 def profiles_of(taken_by: tuple[str, str, str]) -> list[Profile]:
@@ -145,29 +137,11 @@ def _maker(make: str) -> str:
     return first[0] if first else ""
 
 
-def fit_error(series: Series, controls: ExposureControls) -> float:
-    """Return the median relative error of the light in patches, by the exposures that are stated.
-
-    Patches of neighbouring exposures are compared, colour by colour, that are well exposed in both;
-    infinite where there are none.
-    """
-    responses = controls.responses or (controls.levels,) * 3
-    order = np.argsort(series.exposures).tolist()
-    span, errors = series.white - series.black, [np.zeros(0)]
-    for name, response in zip(series.channels, responses[-len(series.channels) :], strict=True):
-        scale = LightScale(response, series.black)
-        for short, long in pairwise(order):
-            frames = [series.channel_patches(k, name) for k in (short, long)]
-            means = [(each.mean(axis=1) - series.black) / span for each in frames]
-            used = (np.minimum(*means) > _DARKEST) & (np.maximum(*means) < _BRIGHTEST)
-            used &= frames[1].max(axis=1) < series.white
-            light = [
-                scale.light[np.minimum(each[used], scale.white)].mean(axis=1) for each in frames
-            ]
-            ratio = series.exposures[long] / series.exposures[short]
-            errors.append(np.abs(np.log(light[1] / light[0] / ratio)))
-    found = np.concatenate(errors)
-    return float(np.median(found)) if found.size else math.inf
+def _fit_error(series: Series, controls: ExposureControls) -> float:
+    """Return the `disagreement` of the photographs by the exposures that are stated."""
+    responses = (controls.responses or (controls.levels,) * 3)[-len(series.channels) :]
+    lights = [LightScale(each, series.black).light for each in responses]
+    return disagreement(series, lights, (series.exposures,) * len(lights))
 
 
 def _measured(controls: ExposureControls, record: ResponseRecord) -> ExposureControls:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -347,3 +348,18 @@ def test_frames_of_another_size_are_refused() -> None:
         series.add(np.zeros((30, 40), np.uint8), 2.0, "frame 1")
     with pytest.raises(UsageError, match="invalid exposure nan of x"):
         series.add(np.zeros((150, 200), np.uint8), float("nan"), "x")
+
+
+def test_all_colours_of_jpeg_files_have_one_response() -> None:
+    """JPEG files keep less of the colours: estimated alone, red and blue have other dark parts."""
+    series = Series(Layout.RGB, 8)
+    light = np.stack([scene(seed) * share for seed, share in ((1, 1.0), (2, 1.0), (3, 0.7))], 2)
+    for seed, exposure in enumerate(STOPS):
+        frame = shoot(light, exposure, s_curve, seed=seed)
+        _, packed = cv2.imencode(".jpg", frame[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+        pixels = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR))[..., ::-1]
+        series.add(pixels, exposure, f"frame {seed}")
+    estimate = estimate_response(series)
+    assert [each.name for each in estimate.record.channels] == ["R", "G", "B"]
+    assert len({each.irradiance for each in estimate.record.channels}) == 1
+    assert error_of(estimate, s_curve) < 0.01

@@ -54,7 +54,7 @@ def test_at_most_2_percent_lie_outside_the_range(tmp_path: Path) -> None:
         achieved = reports[scene].achieved
         outside[scene] = achieved.saturated_fraction + achieved.dark_fraction
     beyond = {scene for scene, share in outside.items() if share > MOST_OUTSIDE}
-    assert len(outside) == 17
+    assert len(outside) == 18
     assert beyond == EXCEPTIONS.keys(), outside
     for scene in beyond:
         assert any("the camera's longest exposure" in each for each in reports[scene].warnings)
@@ -149,6 +149,25 @@ def test_following_the_advice_ends_without_a_warning(
     shares, warning = follow(scene, fields, tmp_path)
     assert len(shares) > 1
     assert not warning
+
+
+def test_what_is_too_bright_for_two_reasons_gets_one_advice(tmp_path: Path) -> None:
+    fields = {"compensation_stops": 2.0, "clip_percent": 20.0}
+    shares, warning = follow("cloth", fields, tmp_path)
+    assert shares[0][0] > MUCH
+    assert len(shares) == 2
+    assert not warning
+
+
+@pytest.mark.slow
+def test_a_large_lamp_may_clip_where_nothing_else_shows_the_room(tmp_path: Path) -> None:
+    fields: dict[str, Any] = {"sensor": "phone", "objective": "xi"}
+    report = shot("lamp-in-room.exr", tmp_path, **fields)
+    assert options_in(" ".join(report.warnings)) == [("--clip", "2")]
+    shares, warning = follow("lamp-in-room.exr", fields, tmp_path)
+    assert not warning
+    assert len(shares) == 2
+    assert 0.015 < shares[-1][0] < 0.025
 
 
 @pytest.mark.parametrize("fields", [{}, {"dynamic_range": 1000.0}])

@@ -37,8 +37,11 @@ def test_a_series_is_a_folder_of_captures_with_a_page(run: Run) -> None:
     assert [each["started_s"] for each in sets()] == pytest.approx([0, 60, 120])
     taken = [datetime.fromisoformat(each["started_at"]) for each in sets()]
     assert [(b - a).total_seconds() for a, b in pairwise(taken)] == [60, 60]  # the camera's clock
-    for each in sets():
-        assert (Path("day", each["folder"]) / "radiance.exr").exists()
+    for each, begun in zip(sets(), taken, strict=True):
+        folder = Path("day", each["folder"])
+        assert (folder / "radiance.exr").exists()
+        report = json.loads((folder / "report.json").read_text())
+        assert datetime.fromisoformat(report["taken_at"]).replace(tzinfo=None) == begun
     page = Path("day/index.html").read_text()
     assert page.count("<article>") == 3
     assert run("shoot", "--resume", "day").error == (

@@ -77,10 +77,19 @@ def memorial() -> Light:
     return np.stack([0.9 * light, 0.8 * light, light], axis=-1).astype(np.float32)
 
 
+def lamp_in_room() -> Light:
+    """Return a room with dark corners and a far brighter lamp of 2 % of the picture."""
+    x, y = _grid()
+    room = np.exp(-_texture(6, 0.0, 5.0))
+    light = np.where(np.hypot(x - 0.7, y - 0.3) < 0.092, 400 * _texture(7, 0.8, 1.0), room)
+    return np.stack([light, 0.9 * light, 0.7 * light], axis=-1).astype(np.float32)
+
+
 MAPS: dict[str, Callable[[], Light]] = {
     "sun-through-window.exr": sun_through_window,
     "candle-in-hall.hdr": candle_in_hall,
     "memorial.hdr": memorial,
+    "lamp-in-room.exr": lamp_in_room,
 }
 
 
