@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 import camctl
 from camctl.camera import Pixels
 from camctl.captures.exposure_check import NeighbourCheck
-from camctl.captures.frame_pairs import Pair, Side, outside
+from camctl.captures.brightness_limits import Limits, local_ranges
+from camctl.captures.frame_pairs import Pair, Side
 from camctl.captures.movement import bands_of, find_movement
 from camctl.captures.movement_map import FALSE_ALARMS
 from camctl.response.camera import standard_response
@@ -66,9 +67,10 @@ def test_bytes_are_compared_as_wider_samples_are(colours: int) -> None:
         axis=-1,
     )
     assert 0.1 < expected.mean() < 0.9
-    assert np.array_equal(outside((low, high), short, long), expected)
+    limits = Limits(low, high)
+    assert np.array_equal(limits.outside(short, long), expected)
     wide = (each.astype(np.uint16) for each in (short, long))
-    assert np.array_equal(outside((low, high), *wide), expected)
+    assert np.array_equal(limits.outside(*wide), expected)
 
 
 def test_frames_without_noise_have_no_false_alarms() -> None:
