@@ -21,6 +21,7 @@ _SHARE = 0.05
 #: Side of the blocks of which ranges are taken, pixels, those beside included: together they hold
 #: the 16 x 16 pixels in which JPEG files round colours.
 _BLOCK = 8
+#: By how much less the range counts that the blocks beside have.
 _BESIDE = 3
 
 _Floats = NDArray[np.float64]
@@ -104,11 +105,14 @@ class Limits:
 
 def edge_levels(ranges: Ranges, white: int) -> _Floats:
     """Return the standard deviation of photographs with these ranges of brightness, in levels."""
-    return ranges * (_SHARE * white / 255)
+    return np.asarray(ranges * (_SHARE * white / 255), np.float64)
 
 
 def local_ranges(frame: Pixels, white: int) -> Ranges:
-    """Return the range of brightness in each block of a frame and those beside it, of any colour."""
+    """Return the range of brightness in and beside each block of a frame, of any colour.
+
+    Brightness beside it counts by a third.
+    """
     planes = frame.shape[2] if frame.ndim == 3 else 1
     found = []
     most, least = (
@@ -116,7 +120,9 @@ def local_ranges(frame: Pixels, white: int) -> Ranges:
         for reduce in (np.maximum, np.minimum)
     )
     for plane in range(planes):
-        above, below = (np.ascontiguousarray(each[:, plane::planes]) for each in (most, 255 - least))
+        above, below = (
+            np.ascontiguousarray(each[:, plane::planes]) for each in (most, 255 - least)
+        )
         around = dilated(above, (3, 3)) - (255 - dilated(below, (3, 3)))
         found.append(np.maximum(above - (255 - below), around // _BESIDE))
     return np.asarray(np.maximum.reduce(found))

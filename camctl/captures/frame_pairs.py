@@ -35,7 +35,7 @@ _LEAST_NOISE = 1e-3
 #: whose noise rounding does not hide would have all false alarms, and look as if they moved.
 _LEAST_LIMIT, _LEAST_REACH = 0.5, 3.0
 #: With unknown noise, that of edges is in the measured one, and most samples have less.
-_LEAST_REACH_UNKNOWN, _LEAST_EDGES = 1.5, 2.0
+_LEAST_REACH_UNKNOWN, _LEAST_EDGES = 2.5, 1.75
 #: By how much wider they are where the longer frame is saturated: by noise, too, and no share of
 #: false alarms is set there.
 _AT_WHITE = 2.0
@@ -168,7 +168,7 @@ class Pair:
         window = np.abs(places - places[:, np.newaxis]) <= scale.white * _WINDOW
         weights = np.where(window, ends - begins + 1.0, 0.0)
         usual, usual_spread = (_weighted_medians(each / unit, weights) for each in (middle, half))
-        most = 1 + usual_spread
+        most = 3 + 2 * usual_spread
         middle = np.clip(middle / unit, usual - most, usual + most) * unit
         half = np.minimum(half / unit, 2 * most) * unit
         middle, spread = (np.interp(at, places, each) for each in (middle, half))
@@ -207,10 +207,14 @@ class Pair:
         low = np.searchsorted(steps, means - reach, side="right") - 1
         high = np.searchsorted(steps, means + reach, side="right") - 1
         high[:, self.saturated :] = white
-        low, high = (np.clip(each, 0, white).astype(np.uint16) for each in (low, high))
+        least, most = (np.clip(each, 0, white).astype(np.uint16) for each in (low, high))
         if self.is_known:
-            return Limits(low, high)
-        return Limits(low, high, EdgeLimits(means, reach, max(sigmas, _LEAST_EDGES) * self._level(means), self._steps))
+            return Limits(least, most)
+        return Limits(
+            least,
+            most,
+            EdgeLimits(means, reach, max(sigmas, _LEAST_EDGES) * self._level(means), self._steps),
+        )
 
     @cached_property
     def resting(self) -> NDArray[np.bool_]:
@@ -304,7 +308,9 @@ class Pair:
         """
         if not self.is_known and np.count_nonzero(self.resting) < _FEWEST:
             shape = (self.colours, self.scale.white + 1)
-            everything = Limits(np.zeros(shape, np.uint16), np.full(shape, self.scale.white, np.uint16))
+            everything = Limits(
+                np.zeros(shape, np.uint16), np.full(shape, self.scale.white, np.uint16)
+            )
             return everything, 0.0
         scores = self._scores
         if not scores.size:

@@ -34,6 +34,9 @@ from camctl.captures.movement_map import (
 )
 from camctl.threads import in_threads
 
+NOTABLE_SPREAD = 1e-4
+"""Share of light that spread that is named."""
+
 #: The limits are set again where false alarms differ by this share, how often at most, and for
 #: how many times as many at most.
 _NEAR_RATE, _TRIES, _MOST_RATE = 0.05, 6, 8.0
@@ -81,8 +84,8 @@ class Movement:
             light spread
         found: how many do, and where
         cell: side of a cell of `cells`, pixels
-        cells: map of low resolution, bool: cells in which more samples contradict than by noise,
-            those where light spread from saturated ones included
+        cells: map of low resolution, bool: cells in which more samples contradict than by noise
+        spread_cells: likewise those where they do by light that spread from saturated ones
     """
 
     shape: tuple[int, ...]
@@ -90,6 +93,7 @@ class Movement:
     found: FoundMovement
     cell: int
     cells: NDArray[np.bool_]
+    spread_cells: NDArray[np.bool_]
 
     def rows(self, start: int, stop: int) -> NDArray[np.uint8]:
         """Return 1 where samples of these rows contradict, else 0, in the shape of a frame."""
@@ -152,7 +156,6 @@ def _marked(
 
     Frames that are `in_memory` are compared two pairs at a time.
     """
-
     is_known = all(pair.is_known for pair in pairs)
 
     def load(position: int) -> tuple[Pixels, Lines]:
@@ -283,7 +286,7 @@ def _summed(
         cell,
         spread_share,
     )
-    return Movement(shape, marks, found, cell, cells), at_rest
+    return Movement(shape, marks, found, cell, moves, spread), at_rest
 
 
 def _with_spread(
@@ -298,7 +301,7 @@ def _with_spread(
         is_known: whether the noise is
     """
     marks = np.bitwise_or(spilled, movement.marks, out=spilled)
-    cell, all_counts, cells = mapped(movement.shape, marks, is_known=is_known)
+    _, all_counts, cells = mapped(movement.shape, marks, is_known=is_known)
     more = float((all_counts - counts).sum()) / math.prod(movement.shape)
     found = replace(movement.found, spread=movement.found.spread + more)
-    return Movement(movement.shape, marks, found, cell, movement.cells | cells)
+    return replace(movement, marks=marks, found=found, spread_cells=cells & ~movement.cells)
