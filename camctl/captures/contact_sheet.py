@@ -20,6 +20,7 @@ from camctl.captures.drawing import (
     decades,
     fitted,
 )
+from camctl.captures.movement import NOTABLE_SPREAD, Movement
 from camctl.captures.picture_details import PictureDetails, ShownFrame
 from camctl.captures.preview_light import ALL, Light
 from camctl.number_text import percent_text, power_texts, range_text, time_text
@@ -47,6 +48,7 @@ _NOTABLY_DARK = 0.3
 _SATURATED_COLOUR: Colour = (222, 32, 32)
 _DARK_COLOUR: Colour = (40, 90, 230)
 _MOVED_COLOUR: Colour = (250, 200, 0)
+_SPREAD_COLOUR: Colour = (240, 120, 200)
 _RANGE_COLOUR: Colour = (226, 234, 222)
 _BAR_COLOUR: Colour = (120, 130, 150)
 _GRID_COLOUR: Colour = (205, 205, 205)
@@ -62,7 +64,7 @@ def contact_sheet(
     light: Light,
     preview: NDArray[np.uint8],
     details: PictureDetails,
-    moved: NDArray[np.bool_] | None = None,
+    movement: Movement | None = None,
 ) -> NDArray[np.uint8]:
     """Return the contact sheet of a capture in sRGB, (rows, 1280, 3).
 
@@ -70,7 +72,7 @@ def contact_sheet(
         light: of the picture
         preview: the picture for people, in the size of `light`
         details: of the capture
-        moved: where frames contradict each other, in any size; None: not examined
+        movement: where frames contradict each other; None: not examined
     """
     rows = _frame_rows(details.frames)
     cell, frame_height = _cell(rows)
@@ -87,7 +89,7 @@ def contact_sheet(
     ).tolist()
     sheet = Drawing(_WIDTH, tops[-1])
     sheet.text(_title(details), (MARGIN, tops[0]), _INNER, size=TITLE)
-    marked = _marked(light, preview, moved)
+    marked = _marked(light, preview, movement)
     _draw_pictures(sheet, (tops[1], picture), preview, marked, details)
     for number, row in enumerate(rows):
         top = tops[2] + number * (frame_height + 2 * LINE_HEIGHT + MARGIN)
@@ -153,6 +155,8 @@ def _draw_pictures(
     ]
     if details.moved is not None:
         legend.append((_MOVED_COLOUR, f"frames disagree: {percent_text(details.moved)}"))
+    if details.spread >= NOTABLE_SPREAD:
+        legend.append((_SPREAD_COLOUR, f"light spread: {percent_text(details.spread)}"))
     step = width // len(legend)
     for number, (colour, text) in enumerate(legend):
         left = second + number * step
@@ -161,7 +165,7 @@ def _draw_pictures(
 
 
 def _marked(
-    light: Light, preview: NDArray[np.uint8], moved: NDArray[np.bool_] | None
+    light: Light, preview: NDArray[np.uint8], movement: Movement | None
 ) -> NDArray[np.uint8]:
     """Return the preview in grey with the marks, reduced so that each mark is seen."""
     size = ((_INNER - MARGIN) // 2, _PICTURE_HEIGHT)
@@ -173,8 +177,9 @@ def _marked(
         (light.dark > _NOTABLY_DARK * ALL, _DARK_COLOUR),
         (light.saturated > 0, _SATURATED_COLOUR),
     ]
-    if moved is not None:
-        marks.insert(1, (moved, _MOVED_COLOUR))
+    if movement is not None:
+        spread, moved = (movement.spread_cells, _SPREAD_COLOUR), (movement.cells, _MOVED_COLOUR)
+        marks[1:1] = spread, moved
     for mark, colour in marks:
         if not mark.any():
             continue

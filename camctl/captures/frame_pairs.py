@@ -22,10 +22,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
+from camctl.captures.brightness_limits import EdgeLimits, Limits, edge_levels
 from camctl.exposure.patches import LightScale, Patches
 from camctl.noise_model import FrameNoise
-from camctl.picture_operations import opencv
 
 #: Error of the light besides noise and rounding (non-linearity, black level): in levels at least,
 #: and as a share of full scale where there are many levels.
@@ -35,6 +34,8 @@ _LEAST_NOISE = 1e-3
 #: Least limits, standard deviations beside the other errors; and with them: else the few samples
 #: whose noise rounding does not hide would have all false alarms, and look as if they moved.
 _LEAST_LIMIT, _LEAST_REACH = 0.5, 3.0
+#: With unknown noise, that of edges is in the measured one, and most samples have less.
+_LEAST_REACH_UNKNOWN, _LEAST_EDGES = 2.5, 1.75
 #: By how much wider they are where the longer frame is saturated: by noise, too, and no share of
 #: false alarms is set there.
 _AT_WHITE = 2.0
@@ -53,12 +54,14 @@ _REST_SIGMAS = 6.0
 _FEWEST, _NEARLY = 100, 0.95
 #: Samples of which the quartiles at one brightness are measured, at least, and the most bins.
 _BIN_SAMPLES, _MOST_BINS = 400, 128
-#: Quartiles of a normal variable, standard deviations apart.
-_QUARTILES_APART = 1.349
+#: Share of white up to which other brightness tells what is usual: what moved has its own.
+_WINDOW = 1 / 8
+#: Light beyond so many times that of these samples says nothing: the response may be wrong there.
+_MOST_BEYOND = 4.0
+#: Quartile of a normal variable, standard deviations.
+_QUARTILE = 0.6745
 
 _Floats = NDArray[np.float64]
-Limits = tuple[NDArray[np.uint16], NDArray[np.uint16]]
-"""Least and largest brightness of the shorter frame, (colours, white + 1) each."""
 
 
 @dataclass(frozen=True)
@@ -144,9 +147,7 @@ class Pair:
         """Return what the frames show in the patches of one colour, (white + 1,) each."""
         scale = self.scale
         light = scale.light / self.ratio
-        rounding = np.hypot(
-            np.interp(light, scale.light, scale.gap), scale.gap / self.ratio
-        ) / np.sqrt(12)
+        rounding = np.hypot(self._level(light), scale.gap / self.ratio) / np.sqrt(12)
         usable = (after < scale.white) & (before < scale.white)
         levels, errors = after[usable], scale.light[before[usable]] - light[after[usable]]
         if levels.size < _BIN_SAMPLES:
@@ -159,20 +160,39 @@ class Pair:
         edges = np.append(np.unique(np.searchsorted(levels, first)), levels.size)
         parts = [errors[start:stop] for start, stop in pairwise(edges.tolist())]
         low, middle, high = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts]).T
-        places, at = levels[(edges[:-1] + edges[1:]) // 2], np.arange(scale.white + 1)
-        spread = np.interp(at, places, (high - low) / _QUARTILES_APART)
-        return light + np.interp(at, places, middle), np.hypot(spread, rounding)
+        begins, ends = levels[edges[:-1]].astype(np.int64), levels[edges[1:] - 1].astype(np.int64)
+        places, at = (begins + ends) // 2, np.arange(scale.white + 1)
+        # Near black noise is cut off at one side.
+        half = np.maximum(high - middle, middle - low) / _QUARTILE
+        unit = self._level(light[places])
+        window = np.abs(places - places[:, np.newaxis]) <= scale.white * _WINDOW
+        weights = np.where(window, ends - begins + 1.0, 0.0)
+        usual, usual_spread = (_weighted_medians(each / unit, weights) for each in (middle, half))
+        most = 3 + 2 * usual_spread
+        middle = np.clip(middle / unit, usual - most, usual + most) * unit
+        half = np.minimum(half / unit, 2 * most) * unit
+        middle, spread = (np.interp(at, places, each) for each in (middle, half))
+        spread[scale.light > _MOST_BEYOND * scale.light[levels[-_BIN_SAMPLES]]] = np.inf
+        return light + middle, np.hypot(spread, rounding)
+
+    @property
+    def _least_reach(self) -> float:
+        return _LEAST_REACH if self.is_known else _LEAST_REACH_UNKNOWN
 
     @property
     def _offset(self) -> float:
         return max(_OFFSET_LEVELS * self.scale.level, _OFFSET_SHARE * self.scale.full)
 
-    @property
-    def _edges(self) -> _Floats:
-        """Least light of each brightness."""
-        edges = self.scale.light - self.scale.gap / 2
-        edges[-1] = self.scale.full
-        return edges
+    @cached_property
+    def _steps(self) -> _Floats:
+        """Least light of each brightness, and infinity."""
+        steps = np.append(self.scale.light - self.scale.gap / 2, np.inf)
+        steps[-2] = self.scale.full
+        return steps
+
+    def _level(self, light: _Floats) -> _Floats:
+        """Return the light of one level of the shorter frame."""
+        return np.asarray(np.interp(light, self.scale.light, self.scale.gap))
 
     def limits(self, sigmas: float) -> Limits:
         """Return the brightness that holds the light within `sigmas` standard deviations.
@@ -181,13 +201,20 @@ class Pair:
         """
         means, deviations = self._prediction
         white = self.scale.white
-        edges = self._edges
-        reach = np.maximum(sigmas * deviations + self._offset, _LEAST_REACH * deviations)
+        steps = self._steps[:-1]
+        reach = np.maximum(sigmas * deviations + self._offset, self._least_reach * deviations)
         reach[:, self.saturated :] *= _AT_WHITE
-        low = np.searchsorted(edges, means - reach, side="right") - 1
-        high = np.searchsorted(edges, means + reach, side="right") - 1
+        low = np.searchsorted(steps, means - reach, side="right") - 1
+        high = np.searchsorted(steps, means + reach, side="right") - 1
         high[:, self.saturated :] = white
-        return np.clip(low, 0, white).astype(np.uint16), np.clip(high, 0, white).astype(np.uint16)
+        least, most = (np.clip(each, 0, white).astype(np.uint16) for each in (low, high))
+        if self.is_known:
+            return Limits(least, most)
+        return Limits(
+            least,
+            most,
+            EdgeLimits(means, reach, max(sigmas, _LEAST_EDGES) * self._level(means), self._steps),
+        )
 
     @cached_property
     def resting(self) -> NDArray[np.bool_]:
@@ -232,7 +259,7 @@ class Pair:
         for k, (before, after) in enumerate(zip(*parts, strict=True)):
             if chosen is not None:
                 before, after = before[chosen[k]], after[chosen[k]]
-            found.append((before < limits[0][k][after]) | (before > limits[1][k][after]))
+            found.append((before < limits.low[k][after]) | (before > limits.high[k][after]))
         return np.concatenate(found)
 
     @cached_property
@@ -245,17 +272,27 @@ class Pair:
         means, deviations = (
             self._of_patches(each, self.samples[1])[self.resting] for each in self._prediction
         )
-        edges = np.append(self._edges, np.inf)
-        errors = np.maximum(edges[before] - means, means - edges[before + 1])
+        errors = np.maximum(self._steps[before] - means, means - self._steps[before + 1])
         noise = np.maximum(deviations, _LEAST_NOISE * self.scale.level)
         found = (errors - self._offset) / noise
-        found[errors <= _LEAST_REACH * noise] = 0.0
+        found[errors <= self._least_reach * noise] = 0.0
+        if not self.is_known:
+            edges = self._edge_errors()[self.resting, np.newaxis] * self._level(means)
+            np.minimum(found, errors / np.maximum(edges, noise), out=found)
+            found[errors <= _LEAST_EDGES * edges] = 0.0
         found = found[after < self.saturated]
         if found.size:
             few = found.size - math.ceil(_TAIL * found.size)
             found.partition(few)
             found[few:].sort()
         return np.asarray(found)
+
+    def _edge_errors(self) -> _Floats:
+        """Return the standard deviation of each patch by its range in any colour, levels, (P,)."""
+        white = self.scale.white
+        ranges = np.ptp(self.samples[1], axis=1).reshape(self.colours, -1).max(axis=0)
+        ranges = (np.minimum(ranges, white) * (255 / white)).astype(np.uint8)
+        return np.tile(edge_levels(ranges, white), self.colours)
 
     @property
     def compared(self) -> float:
@@ -271,7 +308,10 @@ class Pair:
         """
         if not self.is_known and np.count_nonzero(self.resting) < _FEWEST:
             shape = (self.colours, self.scale.white + 1)
-            return (np.zeros(shape, np.uint16), np.full(shape, self.scale.white, np.uint16)), 0.0
+            everything = Limits(
+                np.zeros(shape, np.uint16), np.full(shape, self.scale.white, np.uint16)
+            )
+            return everything, 0.0
         scores = self._scores
         if not scores.size:
             return self.limits(_USUAL_LIMIT), 0.0
@@ -280,34 +320,8 @@ class Pair:
         return self.limits(sigmas), float(np.mean(scores > sigmas))
 
 
-def outside(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
-    """Return which samples of a shorter exposure contradict the longer one.
-
-    Args:
-        limits: least and largest brightness of the shorter exposure
-        short: brightness, (rows, columns) or (rows, columns, colours)
-        long: likewise, of the same shape
-    """
-    low, high = limits
-    if short.dtype == long.dtype == np.uint8 and (cv2 := opencv()) is not None:
-        # Five times as fast.  What is below the least brightness wraps to a large one; what is
-        # above white counts as white.
-        white = low.shape[1] - 1
-        codes = np.minimum(np.arange(256), white)
-        low, high = low[:, codes], np.where(high == white, 255, high)[:, codes]
-        least, span = low.astype(np.uint8), (high - low).astype(np.uint8)
-        # Tables that differ from channel to channel are slower than planes.
-        planes = [[short], [long]] if len(low) == 1 else [cv2.split(short), cv2.split(long)]
-        found = []
-        for before, after, *tables in zip(*planes, least, span, strict=True):
-            lowest, widest = (cv2.LUT(after, table) for table in tables)
-            np.subtract(before, lowest, out=lowest)
-            found.append(np.greater(lowest, widest, out=widest.view(np.bool_)))
-        if len(found) == 1:
-            return np.asarray(found[0])
-        return np.asarray(cv2.merge([each.view(np.uint8) for each in found])).view(np.bool_)
-    short, long = (np.minimum(each, low.shape[1] - 1) for each in (short, long))
-    if len(low) == 1:
-        return np.asarray((short < low[0][long]) | (short > high[0][long]))
-    parts = (outside((low[[k]], high[[k]]), short[..., k], long[..., k]) for k in range(len(low)))
-    return np.stack(list(parts), axis=-1)
+def _weighted_medians(values: _Floats, weights: _Floats) -> _Floats:
+    """Return the median of values, (N,), with each row of weights, (N, N)."""
+    order = np.argsort(values)
+    sums = np.cumsum(weights[:, order], axis=1)
+    return np.asarray(values[order][np.argmax(sums >= sums[:, -1:] / 2, axis=1)])

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.frame_pairs import Limits, Pair, outside
+from camctl.captures.brightness_limits import Limits, Ranges, local_ranges
+from camctl.captures.frame_pairs import Pair
 from camctl.picture_operations import dilated
 
 ACROSS = 2
@@ -52,17 +53,20 @@ class Lines:
         columns: every so many columns
         rows: every so many rows
         every: column and row
+        ranges: `local_ranges` of the frame where the noise is unknown, else None
     """
 
     columns: Pixels
     rows: Pixels
     every: tuple[int, int]
+    ranges: Ranges | None
 
     @classmethod
-    def of(cls, frame: Pixels) -> Lines:
+    def of(cls, frame: Pixels, white: int, *, is_known: bool) -> Lines:
         """Take them from a frame."""
         down, across = (-(-length // _MOST_LINES) for length in frame.shape[:2])
-        return cls(frame[:, ::across].copy(), frame[::down].copy(), (across, down))
+        ranges = None if is_known else local_ranges(frame, white)
+        return cls(frame[:, ::across].copy(), frame[::down].copy(), (across, down), ranges)
 
 
 @dataclass(frozen=True)
@@ -88,11 +92,13 @@ class LightSpread:
     def of(cls, limits: Limits, pair: Pair, short: Lines, long: Lines) -> LightSpread:
         """Measure it on some of the columns and rows."""
         white, every = pair.saturated, short.every
-        found, source = _on_lines(limits, white, short.columns, long.columns)
+        distance = (1, every[0])
+        found, source = _on_lines(limits, white, short.columns, long.columns, long.ranges, distance)
         if not (found.any() and source.any()):
             return cls(white, 0, False)
         along = np.count_nonzero(_connected_runs(found, source)) * every[0]
-        on_rows = _on_lines(limits, white, short.rows, long.rows)
+        distance = (every[1], 1)
+        on_rows = _on_lines(limits, white, short.rows, long.rows, long.ranges, distance)
         beside = np.count_nonzero(_connected_runs(*(each.T for each in on_rows))) * every[1]
         streaks = along > _STREAKS * beside + _LEAST_STREAKS
         if not streaks and pair.is_known:
@@ -104,14 +110,18 @@ class LightSpread:
             found &= ~_connected_runs(found, source)
         return cls(white, _reach(found, source), bool(streaks))
 
-    def outside(
-        self, limits: Limits, short: Pixels, long: Pixels
+    def separated(
+        self, found: NDArray[np.bool_], long: Pixels
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_] | None]:
         """Return which samples contradict, which can, and which do by light that spread to them.
 
         The last is None where light does not spread.
+
+        Args:
+            found: samples that contradict
+            long: those of the longer frame
         """
-        found, comparable = outside(limits, short, long), long < self.white
+        comparable = long < self.white
         if not self.is_any:
             return found, comparable, None
         source = _any_colour(~comparable & ~found)
@@ -130,7 +140,7 @@ def beside_white(limits: Limits, white: int, short: Pixels, long: Pixels) -> tup
 
     Saturated are those of the longer frame, in any colour.
     """
-    found = _any_colour(outside(limits, short, long))
+    found = _any_colour(limits.outside(short, long))
     source = _any_colour(long >= white).view(np.uint8)
     near = dilated(source, (2 * BESIDE + 1, 2 * ACROSS + 1)) > 0
     counted = found, found & near, found & _darker(limits, short, long)
@@ -139,17 +149,22 @@ def beside_white(limits: Limits, white: int, short: Pixels, long: Pixels) -> tup
 
 
 def _on_lines(
-    limits: Limits, white: int, short: Pixels, long: Pixels
+    limits: Limits,
+    white: int,
+    short: Pixels,
+    long: Pixels,
+    ranges: Ranges | None,
+    every: tuple[int, int],
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which pixels contradict in any colour, and which are saturated and do not."""
-    found = outside(limits, short, long)
+    found = limits.outside(short, long, ranges, every=every)
     return _any_colour(found), _any_colour((long >= white) & ~found)
 
 
 def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
     """Return which pixels are darker in the longer frame than expected, in any colour."""
-    low, high = limits
-    return _any_colour(outside((np.zeros_like(low), high), short, long))
+    brighter = Limits(np.zeros_like(limits.low), limits.high)
+    return _any_colour(brighter.outside(short, long))
 
 
 def _connected_runs(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> NDArray[np.bool_]:

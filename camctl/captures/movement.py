@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.frame_pairs import Limits, Pair
+from camctl.captures.brightness_limits import Limits, Ranges
+from camctl.captures.frame_pairs import Pair
 from camctl.captures.light_spread import ACROSS, LightSpread, Lines
 from camctl.captures.movement_map import (
     FALSE_ALARMS,
@@ -33,9 +34,12 @@ from camctl.captures.movement_map import (
 )
 from camctl.threads import in_threads
 
+NOTABLE_SPREAD = 1e-4
+"""Share of light that spread that is named."""
+
 #: The limits are set again where false alarms differ by this share, how often at most, and for
 #: how many times as many at most.
-_NEAR_RATE, _TRIES, _MOST_RATE = 0.05, 4, 2.0
+_NEAR_RATE, _TRIES, _MOST_RATE = 0.05, 6, 8.0
 #: Width of the bands in which they are set again, and pixels of all bands of a frame, about: by
 #: chance the share of their false alarms differs by 3 %.
 _BAND, _BANDS_PIXELS = 64, 500_000
@@ -80,8 +84,8 @@ class Movement:
             light spread
         found: how many do, and where
         cell: side of a cell of `cells`, pixels
-        cells: map of low resolution, bool: cells in which more samples contradict than by noise,
-            those where light spread from saturated ones included
+        cells: map of low resolution, bool: cells in which more samples contradict than by noise
+        spread_cells: likewise those where they do by light that spread from saturated ones
     """
 
     shape: tuple[int, ...]
@@ -89,6 +93,7 @@ class Movement:
     found: FoundMovement
     cell: int
     cells: NDArray[np.bool_]
+    spread_cells: NDArray[np.bool_]
 
     def rows(self, start: int, stop: int) -> NDArray[np.uint8]:
         """Return 1 where samples of these rows contradict, else 0, in the shape of a frame."""
@@ -128,19 +133,20 @@ def _corrected_total(bands: Callable[[int], Pixels], pairs: Sequence[Pair]) -> f
 
     Unknown noise is larger at contours and beside saturated pixels, of which patches have few.
     """
-    most = _MOST_RATE * FALSE_ALARMS
-    total, low, high, tries = FALSE_ALARMS, 0.0, math.inf, []
-    for _ in range(1 + _TRIES):
+    low, high = 0.0, _MOST_RATE * FALSE_ALARMS
+    total, most, before = FALSE_ALARMS, high, -1.0
+    for _ in range(_TRIES):
         alarms = _marked(bands, pairs, total, in_memory=True).found.false_alarms
-        tries.append((abs(alarms / FALSE_ALARMS - 1), total))
-        too_few = alarms < FALSE_ALARMS
-        if not alarms or min(tries)[0] < _NEAR_RATE or (too_few and total == most):
+        is_few = alarms < (1 + _NEAR_RATE) * FALSE_ALARMS
+        low, high = (total, high) if is_few else (low, total)
+        if is_few and (alarms > (1 - _NEAR_RATE) * FALSE_ALARMS or total == most):
             break
-        low, high = (total, high) if too_few else (low, total)
-        total = min(total * FALSE_ALARMS / alarms, most)
-        if not low < total < high:
-            total = math.sqrt(low * min(high, most))
-    return min(tries)[1]
+        # Limits that are the least ones do not change.
+        total = most if alarms in (0, before) else min(total * FALSE_ALARMS / alarms, most)
+        before = alarms
+        if high < most and not low < total < high:
+            total = math.sqrt(low * high) if low else high / 4
+    return low
 
 
 def _marked(
@@ -150,10 +156,11 @@ def _marked(
 
     Frames that are `in_memory` are compared two pairs at a time.
     """
+    is_known = all(pair.is_known for pair in pairs)
 
     def load(position: int) -> tuple[Pixels, Lines]:
         pixels = frame(position)
-        return pixels, Lines.of(pixels)
+        return pixels, Lines.of(pixels, pairs[0].scale.white, is_known=is_known)
 
     def compare(
         work: tuple[Pair, tuple[Limits, float], tuple[tuple[Pixels, Lines], tuple[Pixels, Lines]]],
@@ -164,7 +171,7 @@ def _marked(
         spread = LightSpread.of(limits, pair, short_lines, long_lines)
         marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
         spilled = np.zeros_like(marks) if spread.is_any else None
-        mark = partial(_mark, (marks, spilled), limits, spread, short, long)
+        mark = partial(_mark, (marks, spilled), limits, spread, short, long, long_lines.ranges)
         areas = _areas(rows, columns, channels, spread)
         compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas))
         return marks, rate * compared / short.size, spilled, short.shape
@@ -181,7 +188,6 @@ def _marked(
         alarms += share
         if more is not None:
             spilled = more if spilled is None else np.bitwise_or(spilled, more, out=spilled)
-    is_known = all(pair.is_known for pair in pairs)
     cell, counts, moves = mapped(shape, marks, is_known=is_known)
     spread = np.zeros_like(moves)
     if is_known and moves.any():
@@ -216,6 +222,7 @@ def _mark(
     spread: LightSpread,
     short: Pixels,
     long: Pixels,
+    ranges: Ranges | None,
     area: tuple[slice, slice],
 ) -> int:
     """Add what contradicts in an area to the packed marks; return how many samples can.
@@ -225,7 +232,9 @@ def _mark(
     rows, columns = area
     part = slice(max(0, columns.start - ACROSS), columns.stop + ACROSS)
     inner = slice(columns.start - part.start, columns.stop - part.start)
-    found, comparable, spilled = spread.outside(limits, short[rows, part], long[rows, part])
+    before, after = short[rows, part], long[rows, part]
+    found = limits.outside(before, after, ranges, (rows.start or 0, part.start))
+    found, comparable, spilled = spread.separated(found, after)
     for packed, each in zip(marks, (found, spilled), strict=True):
         if packed is None or each is None:
             continue
@@ -277,7 +286,7 @@ def _summed(
         cell,
         spread_share,
     )
-    return Movement(shape, marks, found, cell, cells), at_rest
+    return Movement(shape, marks, found, cell, moves, spread), at_rest
 
 
 def _with_spread(
@@ -292,7 +301,7 @@ def _with_spread(
         is_known: whether the noise is
     """
     marks = np.bitwise_or(spilled, movement.marks, out=spilled)
-    cell, all_counts, cells = mapped(movement.shape, marks, is_known=is_known)
+    _, all_counts, cells = mapped(movement.shape, marks, is_known=is_known)
     more = float((all_counts - counts).sum()) / math.prod(movement.shape)
     found = replace(movement.found, spread=movement.found.spread + more)
-    return Movement(movement.shape, marks, found, cell, movement.cells | cells)
+    return replace(movement, marks=marks, found=found, spread_cells=cells & ~movement.cells)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.camera import Pixels
-from camctl.captures.frame_pairs import Limits, Pair
+from camctl.captures.brightness_limits import Limits
+from camctl.captures.frame_pairs import Pair
 from camctl.captures.light_spread import BESIDE, LOST, beside_white
 from camctl.picture_operations import AREA, connected_parts, dilated
 

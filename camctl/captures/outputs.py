@@ -102,7 +102,8 @@ def complete(
         frames=_shown(frames, exposures, checks, controls, full_scale_exposure),
         saturated=outside.saturated,
         dark=outside.dark,
-        moved=None if movement is None else movement.found.share + movement.found.spread,
+        moved=None if movement is None else movement.found.share,
+        spread=0.0 if movement is None else movement.found.spread,
     )
     files = store.keep_pictures(total, rendering, details)
     simulation = simulation_summary(frames)

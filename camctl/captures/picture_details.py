@@ -57,6 +57,7 @@ class PictureDetails:
         saturated: share of the samples that every frame saturated
         dark: share of the samples that are too dark
         moved: share of the samples whose frames contradict each other; None: not examined
+        spread: share of those that do by light that spread, which is not in `moved`
     """
 
     camera: CameraInfo
@@ -70,6 +71,7 @@ class PictureDetails:
     saturated: float
     dark: float
     moved: float | None = None
+    spread: float = 0.0
 
     @property
     def total_time_s(self) -> float:

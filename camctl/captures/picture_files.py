@@ -86,8 +86,7 @@ def write_picture_files(
         mapped = threads.submit(tone_map, light)  # while the disk takes the files
     preview = mapped.result()
     write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))
-    moved = None if rendering.movement is None else rendering.movement.cells
-    sheet = contact_sheet(light, preview, details, moved)
+    sheet = contact_sheet(light, preview, details, rendering.movement)
     write_bytes(directory / CONTACT, png_with_metadata(png(sheet), details))
     return {
         "sum": SUM,

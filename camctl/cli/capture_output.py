@@ -34,8 +34,6 @@ TIMES = {"planning_s": "planning", "shooting_s": "shooting", "writing_s": "writi
 
 #: Lamps and reflections: how far they are above the range at least, stops, and their share at most.
 _LAMP_STOPS, _MOST_LAMPS = 2.0, 0.01
-#: Share of light that spread that is named.
-_NOTABLE_SPREAD = 1e-4
 #: Share of the picture that metering cannot tell from black, and that may be darker than the range.
 _NOTABLY_UNSEEN = 0.02
 
@@ -257,6 +255,8 @@ def _measured_rows(measured: MeasuredNoise | None) -> list[tuple[str, str]]:
 
 def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
     """Return how much moved or changed between the frames, and where most of it is."""
+    from camctl.captures.movement import NOTABLE_SPREAD  # loads numpy
+
     if movement is None:
         return []
     shares = (
@@ -264,7 +264,7 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
         f"{format_percent(movement.false_alarms)} by noise alone"
     )
     spread = []
-    if movement.spread >= _NOTABLE_SPREAD:
+    if movement.spread >= NOTABLE_SPREAD:
         bright = f"{format_percent(movement.spread)} of the picture is too bright"
         spread = [("", f"light that spread from saturated samples: {bright}")]
     if not movement.places:

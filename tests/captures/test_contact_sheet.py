@@ -9,7 +9,8 @@ from picture_parts import details, light_of
 from camctl.captures import contact_sheet as sheets
 from camctl.captures import drawing
 from camctl.captures.contact_sheet import contact_sheet
-from camctl.captures.drawing import LINE_HEIGHT, MARGIN, PAPER, Drawing
+from camctl.captures.drawing import LINE_HEIGHT, MARGIN, Drawing
+from camctl.captures.movement import FoundMovement, Movement
 from camctl.captures.picture_details import THUMBNAIL_SIDE, thumbnail
 from camctl.captures.preview import tone_map
 from camctl.controls import ExposureControls, Layout, ResponseOrigin, Steps
@@ -77,22 +78,28 @@ def test_marks_are_where_light_is_out_of_range() -> None:
     rows, columns = 60, 80
     light = np.full((rows, columns), 0.1)
     saturated, dark = np.zeros_like(light), np.zeros_like(light)
-    moved = np.zeros((6, 8), bool)
+    moved, spread = np.zeros((2, 6, 8), bool)
     saturated[:, :20], dark[:, 20:40], moved[:, 4:6] = 1, 1, True
+    spread[:, 6:] = True
     shown = light_of(light, saturated=saturated, dark=dark)
-    pixels = contact_sheet(shown, tone_map(shown), details(), moved)
+    found = FoundMovement(0.2, 0.002, ())
+    marks = np.zeros((rows, columns // 8), np.uint8)
+    movement = Movement((rows, columns), marks, found, 10, moved, spread)
+    pixels = contact_sheet(shown, tone_map(shown), details(), movement)
     top = MARGIN + 2 * LINE_HEIGHT + 5
     second = pixels[top : top + 400, 648:1264]
     width = second.shape[1] // 4
-    for place, colour in enumerate(
-        (sheets._SATURATED_COLOUR, sheets._DARK_COLOUR, sheets._MOVED_COLOUR)
-    ):
+    colours = (
+        sheets._SATURATED_COLOUR,
+        sheets._DARK_COLOUR,
+        sheets._MOVED_COLOUR,
+        sheets._SPREAD_COLOUR,
+    )
+    for place, colour in enumerate(colours):
         part = second[:, place * width + 12 : (place + 1) * width - 12]
         assert colour_share(part, colour) > 0.99
-    rest = second[:, 3 * width + 12 :]
-    assert colour_share(rest, PAPER) < 0.1
-    for colour in (sheets._SATURATED_COLOUR, sheets._DARK_COLOUR, sheets._MOVED_COLOUR):
-        assert colour_share(rest, colour) == 0
+        for other in colours:
+            assert other == colour or colour_share(part, other) == 0
 
 
 def test_a_single_saturated_pixel_is_marked() -> None:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 import camctl
 from camctl.camera import Pixels
+from camctl.captures.brightness_limits import Limits
 from camctl.captures.exposure_check import NeighbourCheck
-from camctl.captures.frame_pairs import Pair, Side, outside
-from camctl.captures.movement import bands_of, find_movement
+from camctl.captures.frame_pairs import Pair, Side
+from camctl.captures.movement import Movement, bands_of, find_movement
 from camctl.captures.movement_map import FALSE_ALARMS
 from camctl.response.camera import standard_response
 
@@ -66,9 +67,10 @@ def test_bytes_are_compared_as_wider_samples_are(colours: int) -> None:
         axis=-1,
     )
     assert 0.1 < expected.mean() < 0.9
-    assert np.array_equal(outside((low, high), short, long), expected)
+    limits = Limits(low, high)
+    assert np.array_equal(limits.outside(short, long), expected)
     wide = (each.astype(np.uint16) for each in (short, long))
-    assert np.array_equal(outside((low, high), *wide), expected)
+    assert np.array_equal(limits.outside(*wide), expected)
 
 
 def test_frames_without_noise_have_no_false_alarms() -> None:
@@ -179,6 +181,63 @@ def compressed(picture: Floats, quality: int) -> NDArray[Any]:
     return np.asarray(decoded)
 
 
+def movement_of(frames: list[Pixels], exposures: tuple[float, ...]) -> Movement:
+    """Return what moved in photographs in sRGB, whose noise is not known."""
+    check = NeighbourCheck(standard_response("srgb", 8), 0, camctl.Layout.RGB)
+    samples = [check.sample(frame) for frame in frames]
+    sides = [Side(k, exposure, None) for k, exposure in enumerate(exposures)]
+    pairs = [
+        Pair(check.scale, short, long, long.exposure / short.exposure, both, 3)
+        for (short, long), both in zip(pairwise(sides), pairwise(samples), strict=True)
+    ]
+    movement = find_movement(frames.__getitem__, pairs, lambda place: bands_of(frames[place]))
+    assert movement is not None
+    return movement
+
+
+def window(exposures: tuple[float, ...]) -> list[Floats]:
+    """Return photographs of a bright window with bars in a dim wall, at 1 = full scale."""
+    rng = np.random.default_rng(0)
+    light = np.broadcast_to(np.geomspace(0.002, 0.02, 640), (480, 640)).copy()
+    light[80:400, 160:480] = 0.35
+    for bar in range(4):
+        light[80:400, 160 + bar : 480 : 24] = light[80 + bar : 400 : 40, 160:480] = 0.01
+    light = light[..., None] * np.array([1.0, 0.8, 0.6])
+    frames = [light * exposure for exposure in exposures]
+    return [E + np.sqrt(E / 8000) * rng.normal(size=E.shape) for E in frames]
+
+
+def test_errors_of_jpeg_files_at_edges_are_no_movement() -> None:
+    exposures = (1.0, 2.0, 4.0, 8.0)
+    frames = [compressed(np.clip(E, 0, 1.001), 75) for E in window(exposures)]
+    movement = movement_of(frames, exposures)
+    assert movement.found.places == ()
+    assert movement.found.share < 1.1 * FALSE_ALARMS
+    assert movement.rows(80, 400)[:, 160:480].mean() < 1.5 * FALSE_ALARMS
+
+
+@pytest.mark.parametrize("changed", [0.02, 0.8])
+def test_a_box_that_only_the_longest_photograph_has_is_found_in_all_of_its_parts(
+    changed: float,
+) -> None:
+    """Its brightness is rare elsewhere: it must not be taken for what that brightness shows."""
+    exposures, box = (1.0, 4.0, 16.0), (slice(200, 280), slice(100, 220))
+    rng = np.random.default_rng(2)
+    light = np.broadcast_to(np.geomspace(0.003, 0.9, 640), (480, 640))[..., None]
+    frames = []
+    for exposure in exposures:
+        E = light * exposure * np.array([1.0, 0.8, 0.6])
+        if exposure == exposures[-1]:
+            E[box] = changed
+        E = E + np.sqrt(E / 8000) * rng.normal(size=E.shape)
+        frames.append(compressed(np.clip(E, 0, 1.001), 92))
+    movement = movement_of(frames, exposures)
+    marks = movement.rows(0, 480).max(axis=2)
+    halves = np.hsplit(marks[box], 2)
+    assert min(half.mean() for half in halves) > 0.9
+    assert marks.mean() < 0.05
+
+
 @pytest.mark.parametrize("quality", [75, 92])
 @pytest.mark.parametrize("moves", [False, True])
 def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: bool) -> None:
@@ -195,14 +254,7 @@ def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: 
             E[200:260, 300:380] *= 0.3
         noisy = E + np.sqrt(E / 5000) * rng.normal(size=E.shape)
         frames.append(compressed(np.clip(noisy, 0, 1.001), quality))
-    check = NeighbourCheck(standard_response("srgb", 8), 0, camctl.Layout.RGB)
-    samples = [check.sample(frame) for frame in frames]
-    pairs = [
-        Pair(check.scale, Side(k, 4.0**k, None), Side(k + 1, 4.0 ** (k + 1), None), 4.0, both, 3)
-        for k, both in enumerate(pairwise(samples))
-    ]
-    movement = find_movement(frames.__getitem__, pairs, lambda place: bands_of(frames[place]))
-    assert movement is not None
+    movement = movement_of(frames, exposures)
     share, stated = movement.found.share, movement.found.false_alarms
     assert 0.6 * FALSE_ALARMS < stated < 1.1 * FALSE_ALARMS  # files have whole codes
     if not moves:
