@@ -38,6 +38,9 @@ _MOST_LINES, _RING_SAMPLES = 512, 200
 #: Charge flows along columns if so many times as many contradicting pixels are connected to
 #: saturated ones along the columns as along the rows, and so many more.
 _STREAKS, _LEAST_STREAKS = 2.0, 20
+#: Pixels of a column of which most must be darker in the shorter frame than what saturates the
+#: longer one, if charge has flooded them.
+_AROUND = 9
 #: Or if fewer than `LOST` of those connected are darker in the longer frame than expected.
 #: With unknown noise that proves nothing: what became darker may not be found in the pair before.
 #: Light spreads if this share of the pixels beside saturated ones contradict.  It ends where the
@@ -128,6 +131,12 @@ class LightSpread:
         spread = np.zeros_like(source)
         if self.streaks:
             spread |= _connected_runs(_any_colour(found), source)
+            # Single samples of a short exposure have too much noise there, those of a streak not.
+            low, high = (each[:, self.white - 1] for each in limits)
+            darker = ~comparable & (short < low + (high - low) // 2)
+            flooded = darker & _mostly(darker & (short < low + (high - low) // 4))
+            spread |= _any_colour(flooded)
+            found |= flooded
         if self.reach:
             box = (2 * self.reach + 1, 2 * min(self.reach, ACROSS) + 1)
             spread |= dilated(source.view(np.uint8), box) > 0
@@ -165,6 +174,13 @@ def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
     """Return which pixels are darker in the longer frame than expected, in any colour."""
     brighter = Limits(np.zeros_like(limits.low), limits.high)
     return _any_colour(brighter.outside(short, long))
+
+
+def _mostly(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where more than half of the pixels around, along the columns, have marks."""
+    ends = np.zeros((_AROUND // 2 + 1, *marks.shape[1:]), np.int32)
+    sums = np.cumsum(np.concatenate([ends, marks, ends[1:]]), axis=0, dtype=np.int32)
+    return np.asarray(sums[_AROUND:] - sums[:-_AROUND] > _AROUND // 2)
 
 
 def _connected_runs(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -30,12 +30,22 @@ def sensor_without_blooming(tmp_path: Path) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("scene", ["room", "night-street", "ball"])
+@pytest.mark.parametrize(
+    ("scene", "count", "least"),
+    [
+        ("room", None, 0.97),
+        ("night-street", None, 0.97),
+        ("ball", None, 0.97),
+        # Two frames are 270 times apart: the shorter one has noise of a quarter of its signal.
+        ("room", 2, 0.97),
+        ("night-street", 2, 0.8),
+    ],
+)
 def test_samples_that_blooming_makes_wrong_are_marked(
-    scene: str, sensor_without_blooming: str
+    scene: str, count: int | None, least: float, sensor_without_blooming: str
 ) -> None:
     """The truth is what the same sensor, but without blooming, shows with the same exposures."""
-    report = shot("ccd", scene, camctl.CaptureRequest(dynamic_range="auto"))
+    report = shot("ccd", scene, camctl.CaptureRequest(dynamic_range="auto", count=count))
     times = [frame.applied_s for frame in report.frames]
     request = camctl.CaptureRequest(
         dynamic_range=report.plan.dynamic_range,
@@ -48,7 +58,7 @@ def test_samples_that_blooming_makes_wrong_are_marked(
     factor = report.radiance()[in_range] / truth.radiance()[in_range]
     wrong, right = factor > 1.5, np.abs(np.log(factor)) < 0.1
     assert wrong.mean() > MUCH_SPREAD
-    assert marked[in_range][wrong].mean() > 0.97
+    assert marked[in_range][wrong].mean() > least
     assert marked[in_range][right].mean() < 0.01
     movement = report.movement
     assert movement is not None
