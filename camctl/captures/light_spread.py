@@ -114,15 +114,17 @@ class LightSpread:
         return cls(white, _reach(found, source), bool(streaks))
 
     def separated(
-        self, found: NDArray[np.bool_], long: Pixels
+        self, limits: Limits, found: NDArray[np.bool_], short: Pixels, long: Pixels
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_] | None]:
         """Return which samples contradict, which can, and which do by light that spread to them.
 
         The last is None where light does not spread.
 
         Args:
+            limits: of the shorter frame
             found: samples that contradict
-            long: those of the longer frame
+            short: those of the shorter frame
+            long: those of the longer one
         """
         comparable = long < self.white
         if not self.is_any:
@@ -132,7 +134,7 @@ class LightSpread:
         if self.streaks:
             spread |= _connected_runs(_any_colour(found), source)
             # Single samples of a short exposure have too much noise there, those of a streak not.
-            low, high = (each[:, self.white - 1] for each in limits)
+            low, high = (each[:, self.white - 1] for each in (limits.low, limits.high))
             darker = ~comparable & (short < low + (high - low) // 2)
             flooded = darker & _mostly(darker & (short < low + (high - low) // 4))
             spread |= _any_colour(flooded)

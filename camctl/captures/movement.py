@@ -234,7 +234,7 @@ def _mark(
     inner = slice(columns.start - part.start, columns.stop - part.start)
     before, after = short[rows, part], long[rows, part]
     found = limits.outside(before, after, ranges, (rows.start or 0, part.start))
-    found, comparable, spilled = spread.separated(found, after)
+    found, comparable, spilled = spread.separated(limits, found, before, after)
     for packed, each in zip(marks, (found, spilled), strict=True):
         if packed is None or each is None:
             continue
