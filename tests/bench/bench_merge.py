@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -46,7 +47,7 @@ def write_photographs(folder: Path) -> None:
     """Write the photographs as p0.jpg to p5.jpg."""
     small = room(ROWS // 4, COLUMNS // 4).astype(np.float32)
     scene = cv2.resize(small, (COLUMNS, ROWS), interpolation=cv2.INTER_LINEAR)
-    scene *= 2 / np.percentile(small, 90) / TIMES[3]
+    brightness = 2 / float(np.percentile(small, 90)) / TIMES[3]
     levels = standard_response("srgb", 8).levels
     u = np.arange(256) / 255
     curve = np.rint(255 * (0.4 * u + 0.6 * u**2 * (3 - 2 * u))).astype(np.uint8)
@@ -56,14 +57,14 @@ def write_photographs(folder: Path) -> None:
         rng = np.random.default_rng((1, k))
         for row in range(0, ROWS, STRIP):
             strip = slice(row, row + STRIP)
-            light = scene[strip] * np.exp(texture[strip]) * np.float32(time_s)
+            light = scene[strip] * np.exp(texture[strip]) * np.float32(brightness * time_s)
             deviation = np.sqrt(light / WELL + (READ_NOISE / WELL) ** 2)
             light += deviation * rng.standard_normal(light.shape, np.float32)
             picture[strip] = curve[np.searchsorted(levels, light, side="right")]
         cv2.imwrite(str(folder / f"p{k}.jpg"), picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])
 
 
-def measured(label: str, call: Callable[[], object]) -> object:
+def measured(label: str, call: Callable[[], Any]) -> Any:
     """Return what a call returns, and print its times."""
     wall, processor = time.perf_counter(), time.process_time()
     result = call()
@@ -81,7 +82,7 @@ def merge(files: list[Path], folder: Path) -> None:
     profile.runcall(
         measured,
         "camctl: sum, check, render, write",
-        lambda: found.capture(folder / "result", overwrite=False),  # type: ignore[attr-defined]
+        lambda: found.capture(folder / "result", overwrite=False),
     )
     totals = dict.fromkeys(PHASES, 0.0)
     for (file, _, name), (_, _, _, total, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
