@@ -10,18 +10,21 @@ from __future__ import annotations
 import io
 import logging
 import os
+import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 # tifffile logs broken tags; without a handler the text would appear on standard error.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 _STANDARD_ERROR = 2
 
-_lock = threading.Lock()
+T = TypeVar("T")
+
+_lock, _collecting = threading.Lock(), threading.Lock()
 _blocks = 0
 _restore = ExitStack()
 
@@ -58,6 +61,25 @@ def _redirect_standard_error(restore: ExitStack) -> None:
     restore.callback(os.dup2, saved, _STANDARD_ERROR)
     with open(os.devnull, "wb") as nothing:  # noqa: PTH123 - a device
         os.dup2(nothing.fileno(), _STANDARD_ERROR)
+
+
+def with_messages(call: Callable[[], T]) -> tuple[T, str]:
+    """Return what a call returns, and what the process prints on standard error meanwhile.
+
+    Calls of several threads follow each other.  The text is empty where it cannot be collected.
+    """
+    with quiet_libraries(), _collecting, ExitStack() as restore:
+        try:
+            file = restore.enter_context(tempfile.TemporaryFile())
+            saved = os.dup(_STANDARD_ERROR)
+        except OSError:  # as in `_redirect_standard_error`, or the disk is full
+            return call(), ""
+        restore.callback(os.close, saved)
+        restore.callback(os.dup2, saved, _STANDARD_ERROR)
+        os.dup2(file.fileno(), _STANDARD_ERROR)
+        result = call()
+        file.seek(0)
+        return result, file.read().decode("utf-8", "replace")
 
 
 @contextmanager

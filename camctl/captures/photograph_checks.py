@@ -98,6 +98,21 @@ def unstated(photographs: Sequence[Photograph]) -> list[str]:
     return found
 
 
+def flashes(photographs: Sequence[Photograph]) -> list[str]:
+    """Return a line where the flash fired in some photographs, and not in others."""
+    fired, dark = (
+        [each.name for each in photographs if each.flash_fired is is_fired]
+        for is_fired in (True, False)
+    )
+    if not fired or not dark:
+        return []
+    odd, verb = (fired, "fired") if len(fired) <= len(dark) else (dark, "did not fire")
+    return [
+        f"the flash {verb} in {', '.join(odd)} only, where the light is another: leave "
+        f"{'it' if len(odd) == 1 else 'them'} out"
+    ]
+
+
 def swapped_error(one: str, other: str) -> DataError:
     """Return the error of two photographs, given by their names, with each other's exposure."""
     return DataError(
@@ -155,16 +170,19 @@ def invalid_border(pixels: Pixels) -> NDArray[np.bool_]:
     shape = pixels.shape[:2]
     if pixels.ndim == 2:
         return np.zeros(shape, np.bool_)
-    top = np.iinfo(pixels.dtype).max
-    is_top, is_zero = pixels == top, pixels == 0
-    count = is_top.sum(axis=2)
-    pure = (is_top | is_zero).all(axis=2) & (count > 0) & (count < 3)
-    edges = [pure[0], pure[-1], pure[:, 0], pure[:, -1]]
-    if max(float(np.mean(edge)) for edge in edges) < _BORDER_SHARE:
+    edges = (pixels[:1], pixels[-1:], pixels[:, :1], pixels[:, -1:])
+    if max(float(np.mean(_is_pure(edge))) for edge in edges) < _BORDER_SHARE:
         return np.zeros(shape, np.bool_)
+    pure = _is_pure(pixels)
     _, labels = cv2.connectedComponents(pure.astype(np.uint8), connectivity=8)
     touching = np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
     return np.isin(labels, touching[touching > 0])
+
+
+def _is_pure(pixels: Pixels) -> NDArray[np.bool_]:
+    """Return which pixels, (rows, columns, 3), have a pure colour."""
+    is_top, is_zero = pixels == np.iinfo(pixels.dtype).max, pixels == 0
+    return np.asarray((is_top | is_zero).all(axis=2) & is_top.any(axis=2) & is_zero.any(axis=2))
 
 
 def largest_rectangle(valid: NDArray[np.bool_]) -> tuple[slice, slice]:

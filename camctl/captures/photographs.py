@@ -39,6 +39,7 @@ class Photograph:
         f_number: f-number; None where it is not stated
         taken_at: when it was taken; None where that is not stated
         iso: ISO speed as stated; None where it is not
+        flash_fired: whether the flash did; None where it is not stated
     """
 
     name: str
@@ -47,6 +48,7 @@ class Photograph:
     f_number: float | None = None
     taken_at: datetime | None = None
     iso: float | None = None
+    flash_fired: bool | None = None
 
     @property
     def setting(self) -> ExposureSetting:

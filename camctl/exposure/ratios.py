@@ -119,7 +119,13 @@ def estimate_ratios(
     moved = float(np.mean((robust < _LOST * weights)[fit.used]))
     if moved > _MOST_LOST or fit.scatter > _MOST_SCATTER:
         raise differ
-    own = _QUANTILE * fit.standard_errors(robust)
+    try:
+        own = _QUANTILE * fit.standard_errors(robust)
+    except np.linalg.LinAlgError:  # without one block of patches an exposure is unknown
+        raise DataError(
+            "a frame agrees with the others in one small place only: its exposure is not certain",
+            hint="leave it out, or take frames whose exposures lie closer together",
+        ) from None
     exponent = _NORMAL_QUANTILE * scale.exponent_error
     half = np.hypot(own, exponent * x)
     label = labels[reference]

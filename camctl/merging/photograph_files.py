@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from camctl.camera import Pixels
     from camctl.captures.photographs import Photograph
     from camctl.controls import Layout
-    from drivers.common.still_camera import StatedExposure
+    from drivers.common.exif import StatedExposure
     from drivers.common.still_file import Still
 
 #: Largest file of a camera that is read.
@@ -41,7 +41,7 @@ def read_photograph(path: Path) -> tuple[Still, StatedExposure]:
         DataError: it cannot be read
     """
     from camctl.input_files import read_input
-    from drivers.common.still_camera import stated_exposure
+    from drivers.common.exif import stated_exposure
     from drivers.common.still_file import read_still
 
     data = read_input(path, "", most_bytes=_MOST_BYTES)
@@ -50,7 +50,8 @@ def read_photograph(path: Path) -> tuple[Still, StatedExposure]:
     except CameraProtocolError as error:
         raise DataError(
             error.what.removeprefix("the camera's file "),
-            hint="give JPEG, PNG, TIFF or camera raw",
+            hint="copy it from the camera again, or leave it out (JPEG, PNG, TIFF and camera raw "
+            "are read)",
         ) from error
 
 
@@ -69,7 +70,9 @@ def _exposure(path: Path, stated: StatedExposure, time_s: float | None) -> Photo
     if time_s is None:
         raise unknown_time(path)
     gain, iso = stated.gain or 1.0, None if stated.gain is None else round(100 * stated.gain, 6)
-    return Photograph(path.name, time_s, gain, stated.f_number, stated.taken_at, iso)
+    return Photograph(
+        path.name, time_s, gain, stated.f_number, stated.taken_at, iso, stated.flash_fired
+    )
 
 
 @dataclass(frozen=True)
@@ -156,6 +159,8 @@ class PhotographFiles:
         still, stated = read_photograph(path)
         photograph = _exposure(path, stated, time_s)
         is_raw = still.layout.is_mosaic or still.black > 0
+        if not is_raw:
+            self._note(path, still)
         turns = self._turns(path, 0 if is_raw else stated.quarter_turns)
         pixels: Pixels = still.pixels
         if turns:
@@ -164,6 +169,14 @@ class PhotographFiles:
         levels = (still.layout, still.bits, still.black, still.white)
         this = Format(pixels.shape, *levels, is_raw, turns)
         return pixels, this, photograph, (stated.make, stated.model, stated.serial)
+
+    def _note(self, path: Path, still: Still) -> None:
+        """Add what a file's notes say that is not known of the files before it."""
+        self.notes += [
+            f"{path.name}: {each}"
+            for each in still.notes
+            if not any(note.endswith(f": {each}") for note in self.notes)
+        ]
 
     def _turns(self, path: Path, stated: int) -> int:
         """Return by how much to turn all photographs: as the first one says.

@@ -87,6 +87,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         Sight,
         check_order,
         duplicates,
+        flashes,
         unstated,
     )
     from camctl.captures.photograph_contradictions import contradictions
@@ -121,6 +122,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     empty = [k for k, each in enumerate(sights) if each.is_even]
     notes += [f"{photographs[k].name} is one colour everywhere, and left out" for k in empty]
     notes += unstated(photographs)
+    notes += flashes(photographs)
     kept = [k for k in range(len(photographs)) if k not in same and k not in empty]
     photographs = [photographs[k] for k in kept]
     if len(photographs) < 2:

@@ -11,7 +11,7 @@ from camctl.camera import CameraInfo, Pixels
 from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError
 from camctl.profile import StillRecord, load_profile
-from drivers.common.still_camera import stated_exposure
+from drivers.common.exif import stated_exposure
 from drivers.common.still_file import Still
 
 #: Formats in the order in which "auto" prefers them: the fewest changes to the samples first.

@@ -1,40 +1,20 @@
-"""What drivers of still cameras share: records in the profile, times in their files."""
+"""What drivers of still cameras share: records in the profile."""
 
 from __future__ import annotations
 
-import io
-import math
-import struct
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
-from datetime import datetime
 from statistics import median
 
 from camctl.camera import CameraInfo
 from camctl.clock import CaptureTiming
 from camctl.errors import DataError, StorageError
-from camctl.library_output import quiet_libraries
 from camctl.profile import Profile, StillRecord, TimingRecord, change_profile, load_profile
 
 #: Exposures and files whose median times are kept, and by which share of the whole these may
 #: change until the profile is written again.
 _MEASURED = 16
 _SAME_TIME = 0.02
-
-# Tags of EXIF 2.3, section 4.6, with their names in the EXIF directory.
-_EXPOSURE_TIME = (33434, "ExposureTime")
-_F_NUMBER = (33437, "FNumber")
-_ISO = (34855, "ISOSpeedRatings")  # so tifffile names it, as EXIF 2.2 did
-_MAKE, _MODEL = (271, "Make"), (272, "Model")
-_SERIAL = (42033, "BodySerialNumber")
-_DATE, _OFFSET = (36867, "DateTimeOriginal"), (36881, "OffsetTimeOriginal")
-_ORIENTATION = 274
-_QUARTER_TURNS = {1: 0, 3: 2, 6: 3, 8: 1}  # mirrored pictures are no camera's
-_CHANGED = 306  # when the file was made, where it does not say when the picture was taken
-_EXIF_IFD = "ExifTag"
-_LARGEST_ISO = 65535  # of the tag; it stands for higher ones, too
-_APP1, _START_OF_SCAN = 0xE1, 0xDA
 
 
 def save_record(info: CameraInfo, file_format: str, record: StillRecord) -> str | None:
@@ -113,96 +93,3 @@ def _are_near(a: TimingRecord, b: TimingRecord) -> bool:
     )
     whole = b.settling_s + b.readout_s + b.download_s
     return a.overlaps == b.overlaps and max(map(abs, differences)) <= _SAME_TIME * whole
-
-
-@dataclass(frozen=True)
-class StatedExposure:
-    """The exposure that a file states; None or "" where it does not.
-
-    Attributes:
-        time_s: exposure time
-        gain: sensitivity, 1 for ISO 100
-        f_number: of the lens
-        make, model, serial: of the camera
-        taken_at: when the picture was taken; in the local zone where the file states none
-        quarter_turns: by which it must be turned anticlockwise to be upright, 0 to 3
-    """
-
-    time_s: float | None = None
-    gain: float | None = None
-    f_number: float | None = None
-    make: str = ""
-    model: str = ""
-    serial: str = ""
-    taken_at: datetime | None = None
-    quarter_turns: int = 0
-
-
-def stated_exposure(data: bytes) -> StatedExposure:
-    """Return the exposure in the tags of a file (EXIF 2.3, sections 4.6.4 and 4.6.5).
-
-    Args:
-        data: a whole JPEG or TIFF file, or any other bytes
-    """
-    import tifffile
-
-    tags = _exif_of_jpeg(data) if data.startswith(b"\xff\xd8") else data
-    if tags is None:
-        return StatedExposure()
-    try:
-        with quiet_libraries(), tifffile.TiffFile(io.BytesIO(tags)) as file:
-            top = file.pages.first.tags
-            exif = top[_EXIF_IFD].value if _EXIF_IFD in top else {}
-            make, model, serial, date, offset = (
-                _text(top[tag].value if tag in top else exif.get(name))
-                for tag, name in (_MAKE, _MODEL, _SERIAL, _DATE, _OFFSET)
-            )
-            turns = _QUARTER_TURNS.get(top[_ORIENTATION].value if _ORIENTATION in top else 1, 0)
-            date = date or _text(top[_CHANGED].value if _CHANGED in top else None)
-            time_s, f_number, iso = (
-                _number(top[tag].value if tag in top else exif.get(name))
-                for tag, name in (_EXPOSURE_TIME, _F_NUMBER, _ISO)
-            )
-    except Exception:  # a damaged tag can cause any error in tifffile
-        return StatedExposure()
-    gain = iso / 100 if iso is not None and iso < _LARGEST_ISO else None
-    return StatedExposure(time_s, gain, f_number, make, model, serial, _date(date, offset), turns)
-
-
-def exposure_time_s(data: bytes) -> float | None:
-    """Return the exposure time that a file states, s; None if it is missing or invalid."""
-    return stated_exposure(data).time_s
-
-
-def _text(value: object) -> str:
-    return value.strip("\0 ") if isinstance(value, str) else ""
-
-
-def _date(date: str, offset: str) -> datetime | None:
-    """Return the time that EXIF states as "2026:11:22 08:30:00" and "+01:00"; None: it is none."""
-    for text, form in ((date + offset, "%Y:%m:%d %H:%M:%S%z"), (date, "%Y:%m:%d %H:%M:%S")):
-        with suppress(ValueError, OverflowError, OSError):  # the last two: years without a zone
-            return datetime.strptime(text, form).astimezone()
-    return None
-
-
-def _number(value: object) -> float | None:
-    """Return a positive finite number: an integer, or a fraction of two; None for others."""
-    try:
-        if isinstance(value, tuple):
-            value = value[0] / value[1] if len(value) == 2 else value[0]
-        number = float(value)  # type: ignore[arg-type]  # other types raise TypeError
-    except (TypeError, ValueError, ZeroDivisionError, IndexError):
-        return None
-    return number if math.isfinite(number) and number > 0 else None
-
-
-def _exif_of_jpeg(data: bytes) -> bytes | None:
-    """Return the EXIF data of application segment 1, which has the structure of a TIFF file."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF and data[at + 1] != _START_OF_SCAN:
-        (length,) = struct.unpack_from(">H", data, at + 2)
-        if data[at + 1] == _APP1 and data[at + 4 : at + 10] == b"Exif\0\0":
-            return data[at + 10 : at + 2 + length]
-        at += 2 + max(length, 2)
-    return None

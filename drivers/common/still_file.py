@@ -9,10 +9,9 @@ OpenCV and tifffile are imported when the first file is read, since listing came
 from __future__ import annotations
 
 import io
-import re
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
@@ -22,9 +21,11 @@ from numpy.typing import NDArray
 from camctl.camera import Pixels
 from camctl.controls import Layout
 from camctl.errors import CameraProtocolError, UsageError
-from camctl.library_output import quiet_libraries
+from camctl.library_output import quiet_libraries, with_messages
 from camctl.picture_operations import required_opencv
 from camctl.profile import StillRecord
+from drivers.common.exif import PNG, png_chunks
+from drivers.common.jpeg_file import CUT_SHORT, JpegStructure
 
 # The largest pictures of still cameras (medium format with pixel shift) have 400 million pixels.
 MAX_PIXELS = 1 << 29
@@ -34,17 +35,10 @@ MAX_PIXELS = 1 << 29
 _MAX_PIXELS_PER_BYTE = 1040
 
 _JPEG = b"\xff\xd8\xff"
-_PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TIFF_SUFFIXES = (".tif", ".tiff")
 _DNG_VERSION = 50706
 _MIN_IS_BLACK, _RGB = 1, 2  # TIFF 6.0, PhotometricInterpretation
-
-# JPEG, ITU-T T.81 table B.1: frame headers are these without DHT, JPG and DAC.  A marker in
-# entropy-coded data is FF, not followed by a stuffed zero, a restart marker or a fill byte.
-_FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
-_MARKER = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
 
 # LibRaw's names of 2 x 2 colour filter patterns, row by row.
 _PATTERNS = {
@@ -113,7 +107,7 @@ def _read(data: bytes, name: str) -> Still:
     suffix = PurePath(name).suffix.lower()
     if data.startswith(_JPEG):
         return _read_jpeg(data, name)
-    if data.startswith(_PNG):
+    if data.startswith(PNG):
         return _read_png(data, name)
     if data.startswith(_TIFF):
         return _read_tiff_family(data, name, is_plain=suffix in _TIFF_SUFFIXES)
@@ -139,56 +133,54 @@ def _check_size(name: str, rows: int, columns: int, bytes_in_file: int) -> None:
 
 
 def _read_jpeg(data: bytes, name: str) -> Still:
-    _check_size(name, *_jpeg_size(data, name), len(data))
-    return _decode(data, name)
+    structure = JpegStructure.of(data)
+    rows = structure.rows
+    if rows:
+        _check_size(name, rows, structure.columns, len(data))
+    if structure.why:
+        is_cut = structure.why == CUT_SHORT and rows
+        known = structure.undamaged_rows(data, _printed) if is_cut else None
+        missing = "" if known is None else f": what is below row {known} of {rows} is missing"
+        raise _damaged(name, structure.why + missing)
+    if (zeros := structure.zeros(data)) is not None:
+        known = JpegStructure.of(data[:zeros]).undamaged_rows(data[:zeros], _printed)
+        raise _damaged(name, f"its data from row {known} of {rows} on are damaged (zeros)")
+    still, text = with_messages(lambda: _decode(data, name))
+    if damage := structure.damage(data, text):
+        known = structure.undamaged_rows(data, _printed)
+        where = "" if known is None else f" in or above row {known + 1} of {rows}"
+        raise _damaged(name, f"its data are damaged{where if known != rows else ''} ({damage})")
+    if count := structure.remaining_bytes(data, text):
+        note = (
+            f"{count} bytes remain after the last row: the file is damaged, or the camera wrote "
+            "data of its own"
+        )
+        return replace(still, notes=(note,))
+    return still
 
 
-def _jpeg_size(data: bytes, name: str) -> tuple[int, int]:
-    """Return (rows, columns) after a check of all markers up to the end of the image.
+def _printed(data: bytes) -> str:
+    """Return what OpenCV prints when it decodes a JPEG."""
+    import cv2
 
-    libjpeg fills the missing part of a file cut short with grey, so its end is checked here.
-    """
-    size: tuple[int, int] | None = None
-    at = 2
-    while (found := _MARKER.search(data, at)) is not None:
-        marker, at = data[found.end() - 1], found.end()
-        if marker == _END_OF_IMAGE:
-            if size is None:
-                raise _damaged(name, "it has no frame header")
-            return size
-        if at + 2 > len(data):
-            break
-        (length,) = struct.unpack_from(">H", data, at)
-        if marker in _FRAME_HEADERS:
-            if length < 8 or at + 8 > len(data):
-                break
-            precision, rows, columns, channels = struct.unpack_from(">BHHB", data, at + 2)
-            if precision != 8 or channels not in (1, 3):
-                raise _damaged(name, f"a JPEG of {channels} x {precision} bits is not supported")
-            size = (rows, columns)
-        at += max(length, 2)
-    raise _damaged(name, "it ends too early")
+    buffer = np.frombuffer(data, np.uint8)
+    return with_messages(lambda: cv2.imdecode(buffer, cv2.IMREAD_REDUCED_GRAYSCALE_8))[1]
 
 
 def _read_png(data: bytes, name: str) -> Still:
-    at, size = len(_PNG), None
-    while at + 12 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        end = at + 12 + length
-        if end > len(data):
-            break
-        if zlib.crc32(memoryview(data)[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end]):
+    size = None
+    for kind, start, end in png_chunks(data):
+        if zlib.crc32(memoryview(data)[start - 4 : end]) != int.from_bytes(data[end : end + 4]):
             raise _damaged(name, f"the checksum of its chunk {kind!r} is wrong")
-        if kind == b"IHDR" and length == 13:
-            columns, rows = struct.unpack_from(">II", data, at + 8)
+        if kind == b"IHDR" and end - start == 13:
+            columns, rows = struct.unpack_from(">II", data, start)
             size = (rows, columns)
         if kind == b"IEND":
             if size is None:
                 break
             _check_size(name, *size, len(data))
             return _decode(data, name)
-        at = end
-    raise _damaged(name, "it ends too early")
+    raise _damaged(name, CUT_SHORT)
 
 
 def _decode(data: bytes, name: str) -> Still:
@@ -248,7 +240,7 @@ def _read_tiff_family(data: bytes, name: str, *, is_plain: bool) -> Still:
 def _check_segments(page: Any, name: str, bytes_in_file: int) -> None:
     segments = zip(page.dataoffsets, page.databytecounts, strict=False)
     if any(offset + count > bytes_in_file for offset, count in segments):
-        raise _damaged(name, "it ends too early")
+        raise _damaged(name, CUT_SHORT)
 
 
 def _read_page(page: Any, name: str, bytes_in_file: int) -> Still:

@@ -17,8 +17,8 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from drivers.common.exif import exposure_time_s
 from drivers.common.serial_link import SerialLink
-from drivers.common.still_camera import exposure_time_s
 from drivers.common.still_file import Still
 from drivers.coolpix.pictures import (
     CardPicture,

@@ -27,6 +27,7 @@ from camctl.controls import (
 )
 from camctl.errors import CameraError, CameraProtocolError, UsageError
 from camctl.response.camera import named_response
+from drivers.common.exif import stated_exposure
 from drivers.common.known_format import (
     FormatChangedError,
     KnownFormat,
@@ -35,12 +36,7 @@ from drivers.common.known_format import (
     saved_format,
 )
 from drivers.common.response_option import ResponseOptions
-from drivers.common.still_camera import (
-    StillTimes,
-    forget_record,
-    save_record,
-    stated_exposure,
-)
+from drivers.common.still_camera import StillTimes, forget_record, save_record
 from drivers.common.still_file import Still, read_still
 from drivers.common.usb import device_name, usb_identity
 from drivers.ptp.body import Body

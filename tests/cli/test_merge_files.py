@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from bracketed_photographs import (
 from command_line import Run
 
 from camctl import Layout, read_report
+from camctl.merging.photograph_files import PhotographFiles
 from sim.devices.still_files import RawImage, encode
 
 
@@ -186,3 +188,30 @@ def test_times_that_are_given_replace_nothing_but_the_times(run: Run) -> None:
     assert [each["gain"] for each in found["photographs"]] == [1.0, 4.0, 4.0]
     assert {each["f_number"] for each in found["photographs"]} == {8.0}
     assert [each["time_s"] for each in found["photographs"]] == [1 / 256, 1 / 256, 1 / 64]
+
+
+def test_a_damaged_photograph_is_named_with_the_place(run: Run, series: Series) -> None:
+    line = series(TIMES[2:6], ".jpg")
+    data = Path("p03.jpg").read_bytes()
+    at = len(data) // 2
+    Path("p03.jpg").write_bytes(data[:at] + bytes(2000) + data[at + 2000 :])
+    for command in ("merge", "calibrate response"):
+        error = run(*command.split(), *line).error
+        assert error.startswith("p03.jpg cannot be read: its data from row ")
+        assert "copy it from the camera again, or leave it out" in error
+    Path("p03.jpg").write_bytes(data[:-2] + bytes(range(1, 90)) + data[-2:])
+    paths = [Path(f"p{k:02d}.jpg") for k in (2, 3)]
+    (note,) = PhotographFiles(paths, (1.0, 2.0)).notes
+    assert re.match(r"p03.jpg: \d+ bytes remain after the last row: ", note)
+
+
+def test_a_flash_in_one_photograph_is_named(run: Run) -> None:
+    names = []
+    for k, (time_s, flash) in enumerate(((1, 16), (8, 16), (64, 9))):
+        tags = [(33434, 5, 1, (time_s, 512), True), (37385, 3, 1, flash, True)]
+        names.append(f"p{k}.tif")
+        tifffile.imwrite(names[-1], photograph(time_s / 512), photometric="rgb", extratags=tags)
+    ran = run("merge", *names, "--curve", "srgb", "-o", "hall")
+    assert "the flash fired in p2.tif only, where the light is another: leave it out" in ran.err
+    ran = run("merge", *names[:2], "--curve", "srgb", "-o", "dark")
+    assert "flash" not in ran.err

@@ -190,3 +190,11 @@ def test_moved_camera_is_refused() -> None:
         shoot(np.roll(light, (60, 75), axis=(0, 1)), 1.0, real, seed=1),
     ]
     assert "moved" in refused(frames, [0.4, 1.0], real)
+
+
+def test_a_frame_that_shares_one_small_place_with_the_others_is_refused() -> None:
+    real = linear_response(8, phase=0.5)
+    frames = [shoot(smooth(), exposure, real, seed=k) for k, exposure in enumerate((0.25, 0.5, 1))]
+    frames[2][: -len(frames[2]) // 16] = 255  # the rest is one of 16 blocks
+    with pytest.raises(DataError, match="agrees with the others in one small place only"):
+        estimate_ratios(frames, (0.25, 0.5, 1), LightScale(real, 0))
