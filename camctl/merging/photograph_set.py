@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,7 +80,6 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         UsageError: an exposure is missing, or an option does not fit the files
     """
     from camctl.calibration.response_series import Series
-    from camctl.captures.exposure_check import NeighbourCheck
     from camctl.captures.photograph_alignment import misaligned
     from camctl.captures.photograph_camera import PhotographCamera
     from camctl.captures.photograph_checks import (
@@ -149,17 +148,27 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     if source.labels != "exact":
         photographs, corrected = corrected_exposures(photographs, patches, scale)
         facts += corrected
-    camera = PhotographCamera(
-        photographs, lambda k: area(files.pixels(kept[k])), controls, files.taken_by
-    )
-    check = NeighbourCheck(controls.levels, controls.black, controls.layout)
-    notes += wrong_labels(
+    is_exact = source.labels == "exact"
+    wrong = wrong_labels(
         photographs,
         patches,
         scale,
-        check,
-        is_exact=source.labels == "exact",
+        is_exact=is_exact,
         is_known=source.curve is not None or response not in FROM_PHOTOGRAPHS,
+    )
+    notes += wrong.notes
+    facts += wrong.facts
+    if is_exact:  # what is named must not falsify the picture
+        right = [k for k in range(len(photographs)) if k not in wrong.factors]
+        kept, patches = [kept[k] for k in right], [patches[k] for k in right]
+        photographs = [photographs[k] for k in right]
+    else:
+        photographs = [
+            replace(each, time_s=each.time_s * wrong.factors.get(k, 1.0))
+            for k, each in enumerate(photographs)
+        ]
+    camera = PhotographCamera(
+        photographs, lambda k: area(files.pixels(kept[k])), controls, files.taken_by
     )
     planes = [each.shape for each in files.format.layout.planes(area(files.pixels(kept[0])))]
     facts += contradictions(photographs, patches, scale, planes)

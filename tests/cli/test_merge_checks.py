@@ -59,14 +59,29 @@ def test_one_wrong_label_is_named(run: Run, series: Series, place: int) -> None:
     assert f"the exposure of p0{place}.png is wrong: it says {time_text(labels[place])}" in ran.err
     assert f"its pixels say {time_text(times[place])}" in ran.err
     assert ran.err.count(" is wrong: ") == 1
+    assert ran.status == 0
+    used = [each["time_s"] for each in read_report("hall").source["photographs"]]
+    assert used[place] == pytest.approx(times[place], rel=0.05)
+
+
+def test_an_exact_label_that_is_wrong_is_left_out(run: Run, series: Series) -> None:
+    labels = [each * (1.7 if k == 2 else 1) for k, each in enumerate(TIMES[2:8])]
+    line = series(TIMES[2:8], labels=labels)
+    ran = run("merge", *line, "--curve", "srgb", "--labels", "exact", "-o", "hall", "--json")
+    assert "the exposure of p02.png is wrong" in ran.err
+    assert ": it is left out; " in ran.err
+    assert "p02.png" not in [each["file"] for each in ran.json["photographs"]]
+    assert ran.status == 0
 
 
 def test_a_frame_that_contradicts_is_named_by_its_file(run: Run, series: Series) -> None:
-    labels = list(TIMES[2:8])
-    labels[2] *= 1.7
-    line = series(TIMES[2:8], labels=labels)
-    ran = run("merge", *line, "--curve", "srgb", "-n", "6", "--labels", "exact", "-o", "hall")
-    assert "times as bright as p01.png" in ran.err
+    labels = [TIMES[5], 1.7 * TIMES[6]]
+    line = series(TIMES[5:7], labels=labels)
+    ran = run("merge", *line, "--curve", "srgb", "-n", "2", "-o", "hall")
+    assert ran.status == 3
+    assert "p01.png is 2.01 times as bright as p00.png" in ran.err
+    assert "(two photographs do not show which)" in ran.err
+    assert "not trustworthy" in ran.err
     assert re.search(r"frame \d", ran.err) is None
 
 
@@ -106,7 +121,8 @@ def test_three_photographs_without_a_response_do_not_show_which_label_is_wrong(
     labels = [TIMES[2], TIMES[3] * 1.8, TIMES[4]]
     line = series(TIMES[2:5], labels=labels, change=lambda _, pixels: film(pixels))
     ran = run("merge", *line, "-o", "hall")
-    assert "the set does not show which" in ran.err
+    assert "three photographs do not show which while the response is estimated" in ran.err
+    assert ran.status == 3
 
 
 def test_light_that_changed_is_no_wrong_label(run: Run, series: Series) -> None:
