@@ -10,9 +10,10 @@ from __future__ import annotations
 import io
 import logging
 import os
+import tempfile
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,7 +22,7 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 _STANDARD_ERROR = 2
 
-_lock = threading.Lock()
+_lock, _hearing = threading.Lock(), threading.Lock()
 _blocks = 0
 _restore = ExitStack()
 
@@ -46,6 +47,27 @@ def quiet_libraries() -> Iterator[None]:
             _blocks -= 1
             if _blocks == 0:
                 _restore.close()
+
+
+@contextmanager
+def heard_libraries() -> Iterator[Callable[[], str]]:
+    """Collect what C libraries print on standard error while the block runs.
+
+    Yields a function that returns it, within the block.  One block at a time runs, and only within a block of
+    `quiet_libraries`; where standard error is closed, nothing is collected.
+    """
+    with _hearing, tempfile.TemporaryFile() as printed, ExitStack() as restore:
+
+        def text() -> str:
+            printed.seek(0)
+            return printed.read().decode("utf-8", "replace")
+
+        with suppress(OSError):
+            saved = os.dup(_STANDARD_ERROR)
+            restore.callback(os.close, saved)
+            restore.callback(os.dup2, saved, _STANDARD_ERROR)
+            os.dup2(printed.fileno(), _STANDARD_ERROR)
+        yield text
 
 
 def _redirect_standard_error(restore: ExitStack) -> None:

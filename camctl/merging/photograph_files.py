@@ -104,6 +104,7 @@ class PhotographFiles:
         taken_by: make, model and serial number of the camera, as the files state them; empty where
             they do not
         notes: what the user should know, one line each
+        damaged: what the decoder says of files that are damaged, by their positions
 
     Raises:
         DataError: a file cannot be read, or differs in size or format
@@ -119,6 +120,7 @@ class PhotographFiles:
         found: Format | None = None
         self.taken_by = ("", "", "")
         self.notes: list[str] = []
+        self.damaged: dict[int, str] = {}
         self._quarter_turns: int | None = None
         for position, path in enumerate(self._paths):
             pixels, this, photograph, taken_by = self._read(position)
@@ -154,6 +156,8 @@ class PhotographFiles:
         import numpy as np
 
         still, stated = read_photograph(path)
+        if still.damage:
+            self.damaged[position] = still.damage
         photograph = _exposure(path, stated, time_s)
         is_raw = still.layout.is_mosaic or still.black > 0
         turns = self._turns(path, 0 if is_raw else stated.quarter_turns)

@@ -131,8 +131,8 @@ def wrong_labels(
     found = LabelErrors()
     if len(photographs) == 2 and not is_known:
         found.facts.append(
-            "two photographs do not show whether their exposures are right while the response is "
-            "estimated from them"
+            "two photographs show whether their exposures are right only if the response is known: "
+            "give --curve"
         )
     for run in _runs(photographs, patches, scale):
         if len(run.members) == 1:
@@ -147,7 +147,8 @@ def wrong_labels(
         if not wrong:
             continue
         if agree < least_agree or agree <= len(wrong):
-            found.notes.extend(_unknown(members, run.jumps, limit, is_known=is_known))
+            why = _why_unknown(len(members), len(photographs), is_known=is_known)
+            found.notes.extend(_unknown(members, run.jumps, limit, why))
             continue
         names, stated = [each.name for each in members], [each.exposure for each in members]
         _check_swapped(names, np.log(stated), errors, wrong)
@@ -257,26 +258,27 @@ def _changed_light(
     )
 
 
-def _unknown(
-    photographs: Sequence[Photograph], jumps: Sequence[float], limit: float, *, is_known: bool
-) -> list[str]:
-    """Return a line for each pair of neighbours that differs, and why none of the two is named."""
-    if len(photographs) == 2:
-        why = "two photographs do not show which"
-    elif not is_known and len(photographs) <= _AGREE_WITHOUT:
-        why = (
+def _why_unknown(members: int, photographs: int, *, is_known: bool) -> str:
+    """Return why so many members of a run do not show which of their exposures is wrong."""
+    if members == 2:
+        others = "" if photographs == 2 else "they share no well exposed part with others, and "
+        return f"{others}two photographs do not show which"
+    if members <= _AGREE_WITHOUT and not is_known:
+        return (
             "three photographs do not show which while the response is estimated from them: add "
             "some, or give --curve"
         )
-    else:
-        why = "the set does not show which: as many say the one as the other"
-    lines = []
-    for (dark, bright), jump in zip(pairwise(photographs), jumps, strict=True):
-        ratio = bright.exposure / dark.exposure
-        if abs(jump) > limit:
-            lines.append(
-                f"{bright.name} is {ratio * math.exp(jump):.3g} times as bright as {dark.name}, "
-                f"and its exposure is {ratio:.3g} times as long: one of the two exposures is "
-                f"wrong, or the light has changed ({why})"
-            )
-    return lines
+    return "the set does not show which: as many say the one as the other"
+
+
+def _unknown(
+    photographs: Sequence[Photograph], jumps: Sequence[float], limit: float, why: str
+) -> list[str]:
+    """Return a line for each pair of neighbours that differs."""
+    return [
+        f"{bright.name} is {ratio * math.exp(jump):.3g} times as bright as {dark.name}, and its "
+        f"exposure is {ratio:.3g} times as long: one of the two exposures is wrong, or the light "
+        f"has changed ({why})"
+        for (dark, bright), jump in zip(pairwise(photographs), jumps, strict=True)
+        if abs(jump) > limit and (ratio := bright.exposure / dark.exposure)
+    ]

@@ -119,8 +119,16 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     ]
     empty = [k for k, each in enumerate(sights) if each.is_even]
     notes += [f"{photographs[k].name} is one colour everywhere, and left out" for k in empty]
+    damaged = files.damaged
+    if 2 * len(damaged) > len(photographs):  # a camera that fills up its files
+        facts.append(f"most of the files are not quite valid ({next(iter(damaged.values()))})")
+        damaged = {}
+    notes += [
+        f"{photographs[k].name} is damaged ({what}), and left out" for k, what in damaged.items()
+    ]
     notes += unstated(photographs)
-    kept = [k for k in range(len(photographs)) if k not in same and k not in empty]
+    left_out = {*same, *empty, *damaged}
+    kept = [k for k in range(len(photographs)) if k not in left_out]
     photographs = [photographs[k] for k in kept]
     if len(photographs) < 2:
         raise UsageError("one photograph makes no merge", hint="give two or more exposures")

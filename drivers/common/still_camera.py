@@ -26,6 +26,8 @@ _SAME_TIME = 0.02
 _EXPOSURE_TIME = (33434, "ExposureTime")
 _F_NUMBER = (33437, "FNumber")
 _ISO = (34855, "ISOSpeedRatings")  # so tifffile names it, as EXIF 2.2 did
+# The same as logarithms (APEX, EXIF 2.3, annex C): t = 2^-Tv, N = 2^(Av / 2).
+_SHUTTER_SPEED, _APERTURE = (37377, "ShutterSpeedValue"), (37378, "ApertureValue")
 _MAKE, _MODEL = (271, "Make"), (272, "Model")
 _SERIAL = (42033, "BodySerialNumber")
 _DATE, _OFFSET = (36867, "DateTimeOriginal"), (36881, "OffsetTimeOriginal")
@@ -33,6 +35,7 @@ _ORIENTATION = 274
 _QUARTER_TURNS = {1: 0, 3: 2, 6: 3, 8: 1}  # mirrored pictures are no camera's
 _CHANGED = 306  # when the file was made, where it does not say when the picture was taken
 _EXIF_IFD = "ExifTag"
+_LARGEST_APEX = 24.0  # 1/16,000,000 s, or 194 days
 _LARGEST_ISO = 65535  # of the tag; it stands for higher ones, too
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
 
@@ -159,13 +162,15 @@ def stated_exposure(data: bytes) -> StatedExposure:
             )
             turns = _QUARTER_TURNS.get(top[_ORIENTATION].value if _ORIENTATION in top else 1, 0)
             date = date or _text(top[_CHANGED].value if _CHANGED in top else None)
-            time_s, f_number, iso = (
+            time_s, f_number, iso, speed, aperture = (
                 _number(top[tag].value if tag in top else exif.get(name))
-                for tag, name in (_EXPOSURE_TIME, _F_NUMBER, _ISO)
+                for tag, name in (_EXPOSURE_TIME, _F_NUMBER, _ISO, _SHUTTER_SPEED, _APERTURE)
             )
     except Exception:  # a damaged tag can cause any error in tifffile
         return StatedExposure()
-    gain = iso / 100 if iso is not None and iso < _LARGEST_ISO else None
+    gain = iso / 100 if iso is not None and 0 < iso < _LARGEST_ISO else None
+    time_s = _positive(time_s) or _from_apex(speed, -1.0)
+    f_number = _positive(f_number) or _from_apex(aperture, 0.5)
     return StatedExposure(time_s, gain, f_number, make, model, serial, _date(date, offset), turns)
 
 
@@ -186,15 +191,24 @@ def _date(date: str, offset: str) -> datetime | None:
     return None
 
 
+def _positive(value: float | None) -> float | None:
+    return value if value is not None and value > 0 else None
+
+
+def _from_apex(value: float | None, power: float) -> float | None:
+    """Return 2 to the power of a logarithm times `power`; None where it cannot be one."""
+    return None if value is None or abs(value) > _LARGEST_APEX else math.exp2(power * value)
+
+
 def _number(value: object) -> float | None:
-    """Return a positive finite number: an integer, or a fraction of two; None for others."""
+    """Return a finite number: an integer, or a fraction of two; None for others."""
     try:
         if isinstance(value, tuple):
             value = value[0] / value[1] if len(value) == 2 else value[0]
         number = float(value)  # type: ignore[arg-type]  # other types raise TypeError
     except (TypeError, ValueError, ZeroDivisionError, IndexError):
         return None
-    return number if math.isfinite(number) and number > 0 else None
+    return number if math.isfinite(number) else None
 
 
 def _exif_of_jpeg(data: bytes) -> bytes | None:

@@ -12,7 +12,7 @@ import io
 import re
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from camctl.camera import Pixels
 from camctl.controls import Layout
 from camctl.errors import CameraProtocolError, UsageError
-from camctl.library_output import quiet_libraries
+from camctl.library_output import heard_libraries, quiet_libraries
 from camctl.picture_operations import required_opencv
 from camctl.profile import StillRecord
 
@@ -45,6 +45,8 @@ _MIN_IS_BLACK, _RGB = 1, 2  # TIFF 6.0, PhotometricInterpretation
 _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 _MARKER = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
+# What libjpeg prints of data that it decodes all the same.
+_CORRUPT = re.compile(r"Corrupt JPEG data.*|.*premature end.*", re.IGNORECASE)
 
 # LibRaw's names of 2 x 2 colour filter patterns, row by row.
 _PATTERNS = {
@@ -67,6 +69,7 @@ class Still:
         black: brightness without light, DN
         white: brightness from which a sample is saturated, DN
         notes: what the user should know, one line each
+        damage: what libjpeg says of data that it decoded all the same; empty: nothing
     """
 
     pixels: Pixels
@@ -75,6 +78,7 @@ class Still:
     black: int
     white: int
     notes: tuple[str, ...] = ()
+    damage: str = ""
 
     @property
     def record(self) -> StillRecord:
@@ -140,7 +144,10 @@ def _check_size(name: str, rows: int, columns: int, bytes_in_file: int) -> None:
 
 def _read_jpeg(data: bytes, name: str) -> Still:
     _check_size(name, *_jpeg_size(data, name), len(data))
-    return _decode(data, name)
+    with heard_libraries() as printed:
+        still = _decode(data, name)
+        found = _CORRUPT.search(printed())
+    return replace(still, damage=found[0].strip()) if found else still
 
 
 def _jpeg_size(data: bytes, name: str) -> tuple[int, int]:

@@ -77,9 +77,9 @@ def test_an_exact_label_that_is_wrong_is_left_out(run: Run, series: Series) -> N
 def test_a_frame_that_contradicts_is_named_by_its_file(run: Run, series: Series) -> None:
     labels = [TIMES[5], 1.7 * TIMES[6]]
     line = series(TIMES[5:7], labels=labels)
-    ran = run("merge", *line, "--curve", "srgb", "-n", "2", "-o", "hall")
+    ran = run("merge", *line, "--curve", "srgb", "--black", "0", "-n", "2", "-o", "hall")
     assert ran.status == 3
-    assert "p01.png is 2.01 times as bright as p00.png" in ran.err
+    assert "p01.png is 2 times as bright as p00.png" in ran.err
     assert "(two photographs do not show which)" in ran.err
     assert "not trustworthy" in ran.err
     assert re.search(r"frame \d", ran.err) is None
@@ -221,3 +221,15 @@ def test_a_few_photographs_without_a_response_are_taken_for_srgb(run: Run, serie
     ran = run("merge", *series((TIMES[0], TIMES[-1])), "-o", "hall")
     assert ran.status == 0
     assert "the response is taken for srgb" in ran.err
+
+
+def test_a_damaged_jpeg_is_named_and_left_out(run: Run, series: Series) -> None:
+    line = series(TIMES[2:8], suffix=".jpg")
+    data = bytearray(Path("p03.jpg").read_bytes())
+    start = len(data) * 2 // 3
+    del data[start : start + len(data) // 8]
+    Path("p03.jpg").write_bytes(data)
+    ran = run("merge", *line, "--curve", "srgb", "-o", "hall")
+    assert "p03.jpg is damaged (Corrupt JPEG data: " in ran.err
+    assert ran.status == 0
+    assert "wrong" not in ran.err

@@ -13,6 +13,7 @@ from command_line import Run
 
 from camctl import read_report
 from camctl.response.camera import standard_response
+from drivers.common.still_camera import stated_exposure
 
 NAMES = ("a.tif", "b.tif", "c.tif")
 _ORIENTATION, _EXPOSURE_TIME, _ISO = 274, 33434, 34855
@@ -76,3 +77,16 @@ def test_a_file_that_is_no_picture_is_named(tagged: Run) -> None:
     Path("notes.txt").write_text("a line of notes that is longer than a header")
     error = tagged("merge", *NAMES, "notes.txt", "-o", "hall").error
     assert error.startswith("notes.txt cannot be read: it is no picture of a known format")
+
+
+def test_logarithms_of_time_and_aperture_are_read_where_their_values_are_missing(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.tif"
+    tags = [(37377, 10, 1, (-15, 10), True), (37378, 5, 1, (6, 1), True)]
+    tifffile.imwrite(path, np.zeros((8, 8), np.uint8), extratags=tags)
+    stated = stated_exposure(path.read_bytes())
+    assert stated.time_s == pytest.approx(2**1.5)
+    assert stated.f_number == pytest.approx(8)
+    tifffile.imwrite(path, np.zeros((8, 8), np.uint8), extratags=[(37377, 10, 1, (0, 1), True)])
+    assert stated_exposure(path.read_bytes()).time_s == 1
