@@ -53,7 +53,7 @@ def quiet_libraries() -> Iterator[None]:
 def heard_libraries() -> Iterator[Callable[[], str]]:
     """Collect what C libraries print on standard error while the block runs.
 
-    Yields a function that returns it, within the block.  One block at a time runs, and only within a block of
+    Yields a function that returns it, within the block.  One block at a time runs, within one of
     `quiet_libraries`; where standard error is closed, nothing is collected.
     """
     with _hearing, tempfile.TemporaryFile() as printed, ExitStack() as restore:

@@ -113,6 +113,7 @@ def wrong_labels(
     *,
     is_exact: bool,
     is_known: bool,
+    is_assumed: bool = False,
 ) -> LabelErrors:
     """Return which photographs' pixels contradict the exposures that they state.
 
@@ -122,6 +123,7 @@ def wrong_labels(
         scale: of the camera's response
         is_exact: the exposures were not corrected from the pixels
         is_known: the response is, and not estimated from the photographs with their exposures
+        is_assumed: nothing says that the response is the right one: no photograph is named
 
     Raises:
         DataError: the labels of two photographs are swapped
@@ -129,11 +131,6 @@ def wrong_labels(
     limit = math.log(_WRONG_EXACT if is_exact else MOST_CORRECTED)
     least_agree = _AGREE_WITH if is_known else _AGREE_WITHOUT
     found = LabelErrors()
-    if len(photographs) == 2 and not is_known:
-        found.facts.append(
-            "two photographs show whether their exposures are right only if the response is known: "
-            "give --curve"
-        )
     for run in _runs(photographs, patches, scale):
         if len(run.members) == 1:
             found.facts.append(
@@ -146,12 +143,19 @@ def wrong_labels(
         members = [photographs[k] for k in run.members]
         if not wrong:
             continue
+        if is_assumed:
+            found.notes.append(
+                f"the exposures of {', '.join(each.name for each in members)} contradict their "
+                "pixels if the response is srgb, as is assumed: give --curve, or correct them"
+            )
+            continue
+        names, stated = [each.name for each in members], [each.exposure for each in members]
+        if is_known or agree >= least_agree:
+            _check_swapped(names, np.log(stated), errors, wrong)
         if agree < least_agree or agree <= len(wrong):
             why = _why_unknown(len(members), len(photographs), is_known=is_known)
             found.notes.extend(_unknown(members, run.jumps, limit, why))
             continue
-        names, stated = [each.name for each in members], [each.exposure for each in members]
-        _check_swapped(names, np.log(stated), errors, wrong)
         found.factors.update({run.members[k]: math.exp(errors[k]) for k in wrong})
         found.notes.extend(_named(members, errors, wrong, is_exact=is_exact))
     return found

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, DataError, UsageError
 from camctl.merging.photograph_files import PhotographFiles
-from camctl.merging.photograph_response import FROM_PHOTOGRAPHS, known_controls
+from camctl.merging.photograph_response import (
+    ASSUMED,
+    FROM_PHOTOGRAPHS,
+    OF_THEIR_EXPOSURES,
+    known_controls,
+)
 from camctl.number_text import percent_text, time_text
 
 if TYPE_CHECKING:
@@ -59,6 +64,7 @@ class OpenedPhotographs:
         response: where the response is from
         facts: what the user may want to know
         notes: what the user should know, one line each
+        displaced: by name, how photographs lie that do not lie where the others do
     """
 
     camera: PhotographCamera
@@ -66,6 +72,7 @@ class OpenedPhotographs:
     response: str
     facts: tuple[str, ...]
     notes: tuple[str, ...]
+    displaced: dict[str, str]
 
 
 def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> OpenedPhotographs:
@@ -149,20 +156,26 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     check_order(photographs, series.patches, white)
     for k, factor in doubted.items():  # a wrong label must not bend the response
         series.exposures[k] *= factor
-    notes += misaligned([sights[k] for k in kept])
+    displaced = misaligned([sights[k] for k in kept])
     controls, response = known_controls(files, source.curve, series, notes, facts)
     patches = [np.minimum(each, controls.white) for each in series.patches]
     scale = LightScale(controls.levels, controls.black)
-    if source.labels != "exact":
+    if source.labels != "exact" and response != ASSUMED:
         photographs, corrected = corrected_exposures(photographs, patches, scale)
         facts += corrected
     is_exact = source.labels == "exact"
+    if len(photographs) <= 3 and response in OF_THEIR_EXPOSURES:
+        facts.append(
+            "three photographs or fewer do not always show that an exposure is wrong while the "
+            "response is not known: give --curve"
+        )
     wrong = wrong_labels(
         photographs,
         patches,
         scale,
         is_exact=is_exact,
         is_known=source.curve is not None or response not in FROM_PHOTOGRAPHS,
+        is_assumed=response == ASSUMED,
     )
     notes += wrong.notes
     facts += wrong.facts
@@ -186,6 +199,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         response,
         tuple(facts),
         tuple(notes),
+        displaced,
     )
 
 
