@@ -26,7 +26,8 @@ from camctl.exposure.patches import LightScale, Patches
 from camctl.number_text import time_text
 from camctl.response.camera import FloatArray
 
-#: Factor by which a label is wrong if exposures are not corrected from the pixels.
+#: Factor by which a label is wrong if exposures are not corrected from the pixels, and errors of an
+#: estimated response are none of theirs.
 _WRONG_EXACT = 1.1
 #: Factor of a first guess from which the exposures are estimated.
 _SUSPECT = 1.15
@@ -128,7 +129,7 @@ def wrong_labels(
     Raises:
         DataError: the labels of two photographs are swapped
     """
-    limit = math.log(_WRONG_EXACT if is_exact else MOST_CORRECTED)
+    limit = math.log(_WRONG_EXACT if is_exact and is_known else MOST_CORRECTED)
     least_agree = _AGREE_WITH if is_known else _AGREE_WITHOUT
     found = LabelErrors()
     for run in _runs(photographs, patches, scale):
