@@ -9,7 +9,7 @@ ECCV 2002).  No pixel is compared with a pixel: small movements do not matter, a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise, permutations
 from typing import TypeAlias
@@ -136,25 +136,43 @@ def guess_exposures(counts: NDArray[np.int64], edges: FloatArray) -> FloatArray:
     Raises:
         DataError: two neighbours have too few brightness levels in common
     """
+    logs = np.zeros(len(counts))
+    for dark, bright, step in neighbour_steps(counts, edges):
+        if step is None:
+            raise DataError(
+                "the exposures cannot be estimated: two frames have too few brightness levels in "
+                "common",
+                hint="add a frame between them, use a scene with many shades, or give --times",
+            )
+        logs[bright] = logs[dark] + step
+    return np.asarray(np.exp(logs))
+
+
+def neighbour_steps(
+    counts: NDArray[np.int64], edges: FloatArray
+) -> Iterator[tuple[int, int, float | None]]:
+    """Yield frames of neighbouring mean brightness, and their ratio as if the response were sRGB.
+
+    Arguments are those of `guess_exposures`.
+
+    Yields:
+        position of the darker one, of the brighter one, and the logarithm of the ratio of their
+        exposures; None where they have too few brightness levels in common
+    """
     levels = edges[-1] + 1
     below, places = _below(counts, edges)
     order = np.argsort(-below.sum(axis=1))
     nodes = np.linspace(*_GUESSED, _NODES) * levels
-    logs = np.zeros(len(counts))
     for dark, bright in pairwise(order.tolist()):
         number = np.interp(nodes, places, below[bright])
         low = np.interp(number, below[dark], places)
         used = (low > _GUESSED[0] * levels) & (low < _GUESSED[1] * levels)
         used &= np.gradient(number, nodes) * levels / NOISE_STEPS >= LEAST_PIXELS
         if np.count_nonzero(used) < _LEAST_NODES:
-            raise DataError(
-                "the exposures cannot be estimated: two frames have too few brightness levels in "
-                "common",
-                hint="add a frame between them, use a scene with many shades, or give --times",
-            )
+            yield dark, bright, None
+            continue
         steps = np.log(srgb_to_linear(nodes[used] / levels) / srgb_to_linear(low[used] / levels))
-        logs[bright] = logs[dark] + np.median(steps)
-    return np.asarray(np.exp(logs))
+        yield dark, bright, float(np.median(steps))
 
 
 def _below(counts: NDArray[np.int64], edges: FloatArray) -> tuple[FloatArray, FloatArray]:

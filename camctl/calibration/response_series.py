@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.response_matches import LARGEST_RATIO, guess_exposures
+from camctl.calibration.response_matches import LARGEST_RATIO, guess_exposures, neighbour_steps
 from camctl.calibration.response_movement import moved_samples
 from camctl.calibration.spill import SampleGrid, grid_counts
 from camctl.controls import Layout
@@ -222,9 +222,41 @@ class Series:
         Raises:
             DataError: two frames have too little in common
         """
+        self.exposures = guess_exposures(*self._counts_of_levels()).tolist()
+
+    def connected(self) -> list[int]:
+        """Return the positions of the most frames whose neighbours share brightness levels.
+
+        They are in the order of their brightness, the darkest first.
+        """
+        runs: list[list[int]] = []
+        for dark, bright, step in neighbour_steps(*self._counts_of_levels()):
+            runs = runs or [[dark]]
+            runs = [*runs, [bright]] if step is None else [*runs[:-1], [*runs[-1], bright]]
+        return max(runs, key=len, default=[0])
+
+    def part(self, positions: Sequence[int]) -> Series:
+        """Return a series of some of the frames, without notes."""
+
+        def chosen(values: list[Any]) -> list[Any]:
+            return [values[k] for k in positions]
+
+        return replace(
+            self,
+            names=chosen(self.names),
+            exposures=chosen(self.exposures),
+            patches=chosen(self.patches),
+            notes=[],
+            _counts=chosen(self._counts),
+            _grids=chosen(self._grids),
+            _moved={},
+        )
+
+    def _counts_of_levels(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return the samples of all channels of each frame at each level, and the levels."""
         edges = np.arange(1.0, self.white - self.black + 1)
         counts = [self.counts_between(name, self.black + edges) for name in self.channels]
-        self.exposures = guess_exposures(np.sum(counts, axis=0), edges).tolist()
+        return np.asarray(np.sum(counts, axis=0)), edges
 
     def _dark_level(self, order: Sequence[int]) -> float:
         """Return the brightness that the darkest patches have at exposure 0; 0 where unknown."""

@@ -18,8 +18,8 @@ _DISPLACED, _DISPLACED_IN_COPY = 1.3, 0.15
 _Place = NDArray[np.float64]
 
 
-def misaligned(sights: Sequence[Sight]) -> list[str]:
-    """Return a line for each photograph that does not lie where most of the others do."""
+def misaligned(sights: Sequence[Sight]) -> dict[str, str]:
+    """Return by name how each photograph lies that does not lie where most of the others do."""
     order = sorted(range(len(sights)), key=lambda k: sights[k].photograph.exposure)
     # Photographs that can be compared one after the other, each with its place on the first one.
     chains = [[(order[0], np.zeros(4))]] if order else []
@@ -27,13 +27,21 @@ def misaligned(sights: Sequence[Sight]) -> list[str]:
         found = displacement(sights[one].grey, sights[other].grey)
         if found is None:
             chains.append([(other, np.zeros(4))])
-        else:
-            chains[-1].append((other, chains[-1][-1][1] + found))
-    return [line for chain in chains for line in _misplaced(sights, chain)]
+            continue
+        place = chains[-1][-1][1]
+        if found.any() and len(chains[-1]) > 1 and (chains[-1][-2][1] != place).any():
+            # The one between is displaced: what errors of its place make is no displacement.
+            direct = displacement(sights[chains[-1][-2][0]].grey, sights[other].grey)
+            if direct is not None:
+                found, place = direct, chains[-1][-2][1]
+        chains[-1].append((other, place + found))
+    return dict(line for chain in chains for line in _misplaced(sights, chain))
 
 
-def _misplaced(sights: Sequence[Sight], chain: Sequence[tuple[int, _Place]]) -> list[str]:
-    """Return a line for each photograph that is not in the place of most."""
+def _misplaced(
+    sights: Sequence[Sight], chain: Sequence[tuple[int, _Place]]
+) -> list[tuple[str, str]]:
+    """Return the name of each photograph that is not in the place of most, and how it lies."""
     shape, scale = sights[chain[0][0]].grey.shape, sights[chain[0][0]].scale
     limit = max(_DISPLACED / scale, _DISPLACED_IN_COPY)
 
@@ -55,10 +63,8 @@ def _misplaced(sights: Sequence[Sight], chain: Sequence[tuple[int, _Place]]) -> 
         near = min(others, key=lambda o: abs(math.log(sights[o].photograph.exposure / exposure)))
         how = _described(place - usual, shape, scale, limit)
         how[0] = how[0].replace(" by ", f" against {sights[near].photograph.name} by ", 1)
-        found.append(
-            f"{sights[k].photograph.name} is {' and '.join(how)}, and the picture will be blurred: "
-            "align the photographs first"
-        )
+        name = sights[k].photograph.name
+        found.append((name, f"{name} is {' and '.join(how)}"))
     return found
 
 

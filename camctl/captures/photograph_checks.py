@@ -19,11 +19,12 @@ from camctl.picture_operations import reduced_by_area, required_opencv
 
 #: Longest side of the grey copies in which alignment is measured, pixels.
 _SIDE = 1024
-#: A median brightness lower by this share of full scale contradicts a longer exposure.
-_DARKER = 0.02
+#: A longer exposure is contradicted where patches are darker by this share of full scale, so many
+#: times more of them than are brighter by it, and this share of all: a thing that moved is less.
+_DARKER, _TIMES_MORE, _DARKER_SHARE = 0.02, 3, 0.03
 #: Exposures that differ by less than this factor have no order.
 SAME_EXPOSURE = 1.05
-_CORRECT = "correct them with --times, one for each file"
+_CORRECT = "correct them with --times, one for each file, or leave out a damaged file"
 #: Pixels of one pure colour along a border, as share of its length, that make it an invalid one.
 _BORDER_SHARE = 0.05
 
@@ -128,24 +129,28 @@ def check_order(photographs: Sequence[Photograph], patches: Sequence[Patches], w
     Raises:
         DataError: it is not; names the photographs whose labels were swapped or do not fit
     """
-    brightness = [float(np.mean(each)) / white for each in patches]
+    means = [each.mean(axis=1) / white for each in patches]
+
+    def is_reversed(short: int, long: int) -> bool:
+        change = means[long] - means[short]
+        darker, brighter = (float(np.mean(sign * change > _DARKER)) for sign in (-1, 1))
+        return darker > max(_DARKER_SHARE, _TIMES_MORE * brighter)
+
     by_label = sorted(range(len(photographs)), key=lambda k: photographs[k].exposure)
     wrong = [
         (short, long)
         for short, long in combinations(by_label, 2)
         if photographs[long].exposure >= SAME_EXPOSURE * photographs[short].exposure
-        and brightness[short] - brightness[long] > _DARKER
+        and is_reversed(short, long)
     ]
     if not wrong:
         return
-    by_light = sorted(by_label, key=lambda k: brightness[k])
+    by_light = sorted(by_label, key=lambda k: float(means[k].mean()))
     names = [photographs[k].name for k in sorted({k for pair in wrong for k in pair})]
     hint = _CORRECT
     for one, other in wrong:
         swapped = [other if k == one else one if k == other else k for k in by_label]
-        if all(
-            brightness[short] - brightness[long] <= _DARKER for short, long in pairwise(swapped)
-        ):
+        if not any(is_reversed(short, long) for short, long in pairwise(swapped)):
             raise swapped_error(photographs[one].name, photographs[other].name)
     if by_light == by_label[::-1]:
         raise DataError(

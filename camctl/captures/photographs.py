@@ -12,7 +12,7 @@ import numpy as np
 from camctl.controls import ExposureSetting
 from camctl.errors import DataError
 from camctl.exposure.patches import LightScale, Patches
-from camctl.exposure.ratios import estimate_ratios
+from camctl.exposure.ratios import comparable_frames, estimate_ratios
 
 #: Stated times that are labels of a dial agree with one of these to this relative difference.
 _SAME_LABEL = 0.015
@@ -122,24 +122,24 @@ def corrected_exposures(
     where the stated one lies outside the 95 % interval of the estimate, by `MOST_CORRECTED` at
     most: what differs by more has a wrong label.
     """
-    stated = [each.exposure for each in photographs]
+    result, facts = list(photographs), list[str]()
+    shown = sorted(comparable_frames(patches, scale))
+    stated = [photographs[k].exposure for k in shown]
     try:
-        found = estimate_ratios(patches, stated, scale)
+        found = estimate_ratios([patches[k] for k in shown], stated, scale)
     except DataError:
-        return list(photographs), []
-    # The unit is that of most photographs, and not of the reference alone.
+        return result, facts
+    # The unit is that of one with as many above as below: two that contradict are not averaged.
     factors = np.array(found.exposures) / stated
-    unit = float(np.median(factors))
-    result, facts = [], []
-    for k, photograph in enumerate(photographs):
-        factor = float(factors[k]) / unit
+    unit = float(np.sort(factors)[(factors.size - 1) // 2])
+    for k, position in enumerate(shown):
+        photograph, factor = photographs[position], float(factors[k]) / unit
         is_stated = found.low[k] <= stated[k] * unit <= found.high[k]
         if is_stated or abs(math.log(factor)) > math.log(MOST_CORRECTED):
-            result.append(photograph)
             continue
-        result.append(replace(photograph, time_s=photograph.time_s * factor))
+        result[position] = replace(photograph, time_s=photograph.time_s * factor)
         if abs(factor - 1) > _NOTABLE:
             facts.append(f"{photograph.name} {factor:.2f}")
     if not facts:
-        return result, []
+        return result, facts
     return result, [f"exposures in the pixels, over those stated: {', '.join(facts)}"]

@@ -166,7 +166,7 @@ def merge(
     FolderStore.check_free(directory, overwrite=force)
     known = asdict(source)
     found = plan_merge(known.pop("files"), request, PhotographOptions(**known))
-    for note in found.opened.notes:
+    for note in found.notes:
         print_warning(note)
     with noting_completion(directory) as complete:
         report = complete(found.capture(directory, overwrite=force))

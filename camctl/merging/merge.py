@@ -61,13 +61,29 @@ class MergePlan:
         ]
 
     @property
+    def notes(self) -> list[str]:
+        """What the user should know of the photographs, one line each."""
+        used = {each["file"] for each in self.photographs if each["used"]}
+        is_sum = len(used) > 1
+        return [
+            *self.opened.notes,
+            *(
+                f"{how}, and the picture will be blurred: align the photographs first"
+                if is_sum and name in used
+                else f"{how}; the picture is not blurred by it, since "
+                f"{'it is the only one' if name in used else 'it is not'} used"
+                for name, how in self.opened.displaced.items()
+            ),
+        ]
+
+    @property
     def facts(self) -> dict[str, Any]:
         """What the report says of the photographs, as `CaptureReport.source`."""
         return {
             "photographs": self.photographs,
             "response_from": self.opened.response,
             "facts": list(self.opened.facts),
-            "notes": list(self.opened.notes),
+            "notes": self.notes,
         }
 
     def capture(self, path: str | os.PathLike[str] | None, *, overwrite: bool) -> CaptureReport:

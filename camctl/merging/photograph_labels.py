@@ -2,14 +2,15 @@
 
 Most of the photographs of a set state the right exposure.  Before the response is known, pixels say
 exposures up to an exponent, and three photographs that agree are needed to tell which one does not;
-with a response two are.
+with a response two are.  Neighbours in brightness are compared, and only what differs by more than
+shutters and responses do counts: small errors do not add up over a long series.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -17,23 +18,40 @@ import numpy as np
 from camctl.calibration.response import estimate_response
 from camctl.calibration.response_labels import label_errors
 from camctl.calibration.response_series import Series
-from camctl.captures.exposure_check import NeighbourCheck, lamp_factor
 from camctl.captures.photograph_checks import SAME_EXPOSURE, swapped_error
+from camctl.captures.photograph_ratios import pair_ratio
 from camctl.captures.photographs import MOST_CORRECTED, Photograph
 from camctl.errors import DataError
 from camctl.exposure.patches import LightScale, Patches
-from camctl.exposure.ratios import estimate_ratios
 from camctl.number_text import time_text
 from camctl.response.camera import FloatArray
 
-#: Factor by which a label is wrong if exposures are not corrected from the pixels.
+#: Factor by which a label is wrong if exposures are not corrected from the pixels, and errors of an
+#: estimated response are none of theirs.
 _WRONG_EXACT = 1.1
 #: Factor of a first guess from which the exposures are estimated.
 _SUSPECT = 1.15
+#: Of the logarithm of the factor by which a label is wrong, the share that neighbours may differ.
+_STEADY = 0.6
 #: Photographs that must agree: without a response, and with one.
 _AGREE_WITHOUT, _AGREE_WITH = 3, 2
 #: Labels are swapped, and several photographs differ alike, up to this error of a logarithm.
 _ALIKE = 0.15
+
+
+@dataclass(frozen=True)
+class LabelErrors:
+    """What is wrong with the exposures that photographs state.
+
+    Attributes:
+        factors: by position, what the pixels say over what is stated, where it is wrong
+        notes: one line each
+        facts: what cannot be checked, one line each
+    """
+
+    factors: dict[int, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    facts: list[str] = field(default_factory=list)
 
 
 def doubted_labels(series: Series) -> dict[int, float]:
@@ -44,10 +62,11 @@ def doubted_labels(series: Series) -> dict[int, float]:
     Raises:
         DataError: the labels of two photographs are swapped
     """
-    if len(series.exposures) <= _AGREE_WITHOUT:
+    shown = series.connected()
+    if len(shown) <= _AGREE_WITHOUT:
         return {}
-    logs = np.log(series.exposures)
-    free = replace(series, exposures=list(series.exposures), notes=[])
+    free = series.part(shown)
+    logs = np.log(free.exposures)
     is_seen = np.ones(logs.size, np.bool_)
     try:
         free.guess_exposures()
@@ -58,12 +77,14 @@ def doubted_labels(series: Series) -> dict[int, float]:
         found = estimate_response(free, is_scene_checked=False).exposures
     except DataError:
         return {}
-    errors = label_errors(logs, np.log(found), is_seen)
-    wrong = np.flatnonzero(np.abs(errors) > math.log(MOST_CORRECTED)).tolist()
+    limit = math.log(MOST_CORRECTED)
+    jumps = np.diff(label_errors(logs, np.log(found), is_seen))
+    errors = _steady(jumps, [_STEADY * limit] * jumps.size)
+    wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
     if logs.size - len(wrong) < max(_AGREE_WITHOUT, len(wrong) + 1):
         return {}
-    _check_swapped(series.names, logs, errors, wrong)
-    return {k: math.exp(errors[k]) for k in wrong}
+    _check_swapped(free.names, logs, errors, wrong)
+    return {shown[k]: math.exp(errors[k]) for k in wrong}
 
 
 def check_doubted(
@@ -90,50 +111,118 @@ def wrong_labels(
     photographs: Sequence[Photograph],
     patches: Sequence[Patches],
     scale: LightScale,
-    check: NeighbourCheck,
     *,
     is_exact: bool,
     is_known: bool,
-) -> list[str]:
-    """Return a line for each photograph whose pixels contradict the exposure that it states.
+    is_assumed: bool = False,
+) -> LabelErrors:
+    """Return which photographs' pixels contradict the exposures that they state.
 
     Args:
         photographs: with the exposures that are used
         patches: samples of each
         scale: of the camera's response
-        check: likewise
         is_exact: the exposures were not corrected from the pixels
         is_known: the response is, and not estimated from the photographs with their exposures
+        is_assumed: nothing says that the response is the right one: no photograph is named
 
     Raises:
         DataError: the labels of two photographs are swapped
     """
-    stated = np.array([each.exposure for each in photographs])
-    try:
-        found = np.log(estimate_ratios(patches, stated.tolist(), scale).exposures / stated)
-    except DataError:
-        return _wrong_pairs(photographs, patches, check)
-    # Where most labels are right, their unit gives the least sum of the errors' square roots.
-    unit = min(found.tolist(), key=lambda each: float(np.sqrt(np.abs(found - each)).sum()))
-    errors = found - unit
-    limit = math.log(_WRONG_EXACT if is_exact else MOST_CORRECTED)
-    wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
-    agree = len(photographs) - len(wrong)
-    if not wrong:
-        return []
-    if agree < (_AGREE_WITH if is_known else _AGREE_WITHOUT) or agree <= len(wrong):
-        return _wrong_pairs(photographs, patches, check) or [
-            f"the exposures of {', '.join(each.name for each in photographs)} contradict their "
-            "pixels: one is wrong, or the light has changed (the set does not show which)"
-        ]
-    _check_swapped([each.name for each in photographs], np.log(stated), errors, wrong)
+    limit = math.log(_WRONG_EXACT if is_exact and is_known else MOST_CORRECTED)
+    least_agree = _AGREE_WITH if is_known else _AGREE_WITHOUT
+    found = LabelErrors()
+    for run in _runs(photographs, patches, scale):
+        if len(run.members) == 1:
+            found.facts.append(
+                f"the exposure of {photographs[run.members[0]].name} is not checked: no part of it "
+                "is well exposed in the photograph of the next brightness, too"
+            )
+        errors = _steady(run.jumps, [max(_STEADY * limit, each) for each in run.tolerances])
+        wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
+        agree = len(run.members) - len(wrong)
+        members = [photographs[k] for k in run.members]
+        if not wrong:
+            continue
+        if is_assumed:
+            found.notes.append(
+                f"the exposures of {', '.join(each.name for each in members)} contradict their "
+                "pixels if the response is srgb, as is assumed: give --curve, or correct them"
+            )
+            continue
+        names, stated = [each.name for each in members], [each.exposure for each in members]
+        if is_known or agree >= least_agree:
+            _check_swapped(names, np.log(stated), errors, wrong)
+        if agree < least_agree or agree <= len(wrong):
+            why = _why_unknown(len(members), len(photographs), is_known=is_known)
+            found.notes.extend(_unknown(members, run.jumps, limit, why))
+            continue
+        found.factors.update({run.members[k]: math.exp(errors[k]) for k in wrong})
+        found.notes.extend(_named(members, errors, wrong, is_exact=is_exact))
+    return found
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Photographs of ascending brightness of which neighbours can be compared.
+
+    Attributes:
+        members: their positions
+        jumps: logarithm of the ratio of light over that of exposures of each one and the one before
+        tolerances: largest errors of these from rounding and black level
+    """
+
+    members: list[int]
+    jumps: list[float] = field(default_factory=list)
+    tolerances: list[float] = field(default_factory=list)
+
+
+def _runs(
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
+) -> list[_Run]:
+    order = sorted(range(len(photographs)), key=lambda k: float(np.mean(patches[k])))
+    runs = [_Run(order[:1])]
+    for dark, bright in pairwise(order):
+        ratio = pair_ratio(patches[dark], patches[bright], scale)
+        if ratio is None:
+            runs.append(_Run([bright]))
+            continue
+        stated = math.log(photographs[bright].exposure / photographs[dark].exposure)
+        runs[-1].members.append(bright)
+        runs[-1].jumps.append(ratio.log - stated)
+        runs[-1].tolerances.append(ratio.error)
+    return runs
+
+
+def _named(
+    photographs: Sequence[Photograph], errors: FloatArray, wrong: Sequence[int], *, is_exact: bool
+) -> list[str]:
+    """Return a line for each photograph that is wrong, or one where several differ alike."""
     if group := _changed_light(photographs, errors, wrong):
-        return [group]
+        return [f"{group}: {'they are left out' if is_exact else 'that is used'}"]
+    agree = len(photographs) - len(wrong)
+    what = "it is left out" if is_exact else "that is used"
     return [
-        f"{_wrong_label(photographs[k], math.exp(errors[k]), agree)}: correct it with --times, or "
-        "leave the file out (or the light was different in it)"
+        f"{_wrong_label(photographs[k], math.exp(errors[k]), agree)}: {what}; correct it with "
+        "--times (or the light was different in it)"
         for k in wrong
     ]
+
+
+def _steady(jumps: Sequence[float] | FloatArray, least: Sequence[float]) -> FloatArray:
+    """Return the errors of neighbours whose differences are given.
+
+    What differs from an earlier error by no more than `least` is equal to it: so small differences
+    do not add up.  Where most labels are right, their unit gives the least sum of the errors'
+    square roots.
+    """
+    errors = [0.0]
+    for jump, step in zip(jumps, least, strict=True):
+        error = errors[-1] + jump
+        near = min((errors[-1], *errors), key=lambda each: abs(each - error))
+        errors.append(near if abs(near - error) <= step else error)
+    unit = min(errors, key=lambda each: float(np.sqrt(np.abs(np.subtract(errors, each))).sum()))
+    return np.asarray(errors) - unit
 
 
 def _wrong_label(photograph: Photograph, factor: float, agree: int) -> str:
@@ -161,12 +250,12 @@ def _changed_light(
     photographs: Sequence[Photograph], errors: FloatArray, wrong: Sequence[int]
 ) -> str:
     """Return what to say where several photographs at one end differ alike; empty: they do not."""
-    order = sorted(range(len(photographs)), key=lambda k: photographs[k].exposure)
-    is_end = set(order[: len(wrong)]) == set(wrong) or set(order[-len(wrong) :]) == set(wrong)
+    count = len(photographs)
+    is_end = set(wrong) in (set(range(len(wrong))), set(range(count - len(wrong), count)))
     values = errors[list(wrong)]
     if len(wrong) < 2 or not is_end or float(np.ptp(values)) > _ALIKE:
         return ""
-    names = ", ".join(photographs[k].name for k in order if k in wrong)
+    names = ", ".join(photographs[k].name for k in wrong)
     return (
         f"{names} are all about {math.exp(float(np.median(values))):.3g} times as bright as their "
         "exposures say beside the others: the light or the aperture changed, or their exposures "
@@ -174,24 +263,27 @@ def _changed_light(
     )
 
 
-def _wrong_pairs(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], check: NeighbourCheck
-) -> list[str]:
-    """Return a line for each pair of neighbours whose brightness contradicts their exposures."""
-    order = sorted(range(len(photographs)), key=lambda k: photographs[k].exposure)
-    found = []
-    for one, other in pairwise(order):
-        before, after = photographs[one], photographs[other]
-        result = check.compare(
-            patches[one],
-            patches[other],
-            after.exposure / before.exposure,
-            lamp_factor((before.time_s, after.time_s), None),
+def _why_unknown(members: int, photographs: int, *, is_known: bool) -> str:
+    """Return why so many members of a run do not show which of their exposures is wrong."""
+    if members == 2:
+        others = "" if photographs == 2 else "they share no well exposed part with others, and "
+        return f"{others}two photographs do not show which"
+    if members <= _AGREE_WITHOUT and not is_known:
+        return (
+            "three photographs do not show which while the response is estimated from them: add "
+            "some, or give --curve"
         )
-        if result.contradicts and result.is_of_whole_picture and result.measured is not None:
-            found.append(
-                f"{after.name} is {result.measured:.3g} times as bright as {before.name}, and its "
-                f"exposure is {result.expected:.3g} times as long: one of the two exposures is "
-                "wrong, or the light has changed (the set does not show which)"
-            )
-    return found
+    return "the set does not show which: as many say the one as the other"
+
+
+def _unknown(
+    photographs: Sequence[Photograph], jumps: Sequence[float], limit: float, why: str
+) -> list[str]:
+    """Return a line for each pair of neighbours that differs."""
+    return [
+        f"{bright.name} is {ratio * math.exp(jump):.3g} times as bright as {dark.name}, and its "
+        f"exposure is {ratio:.3g} times as long: one of the two exposures is wrong, or the light "
+        f"has changed ({why})"
+        for (dark, bright), jump in zip(pairwise(photographs), jumps, strict=True)
+        if abs(jump) > limit and (ratio := bright.exposure / dark.exposure)
+    ]

@@ -30,10 +30,11 @@ if TYPE_CHECKING:
 #: photographs as well as an estimated one.
 _FITS = 0.01
 #: Where a response is from that was found in the photographs themselves.
-_FITTING, _ASSUMED = "srgb, which fits the photographs", "srgb, assumed"
+_FITTING, ASSUMED = "srgb, which fits the photographs", "srgb, assumed"
 _ESTIMATED = "estimated from the photographs"
 _ESTIMATED_COMMON = "estimated from the photographs, one for all colours"
-FROM_PHOTOGRAPHS = (_FITTING, _ASSUMED, _ESTIMATED, _ESTIMATED_COMMON)
+OF_THEIR_EXPOSURES = (ASSUMED, _ESTIMATED, _ESTIMATED_COMMON)
+FROM_PHOTOGRAPHS = (_FITTING, *OF_THEIR_EXPOSURES)
 
 
 def known_controls(
@@ -101,7 +102,7 @@ def known_controls(
         if _fit_error(series, standard) <= _FITS:
             return fitting_standard, _FITTING
         notes.append(f"the response is taken for srgb, since it cannot be estimated: {error.what}")
-        return standard, _ASSUMED
+        return standard, ASSUMED
     estimated = _measured(controls, estimate.record)
     # An estimate has errors of its own: where the standard explains the frames as well, it is it.
     errors = [_fit_error(series, each) for each in (standard, estimated)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, DataError, UsageError
 from camctl.merging.photograph_files import PhotographFiles
-from camctl.merging.photograph_response import FROM_PHOTOGRAPHS, known_controls
+from camctl.merging.photograph_response import (
+    ASSUMED,
+    FROM_PHOTOGRAPHS,
+    OF_THEIR_EXPOSURES,
+    known_controls,
+)
 from camctl.number_text import percent_text, time_text
 
 if TYPE_CHECKING:
@@ -59,6 +64,7 @@ class OpenedPhotographs:
         response: where the response is from
         facts: what the user may want to know
         notes: what the user should know, one line each
+        displaced: by name, how photographs lie that do not lie where the others do
     """
 
     camera: PhotographCamera
@@ -66,6 +72,7 @@ class OpenedPhotographs:
     response: str
     facts: tuple[str, ...]
     notes: tuple[str, ...]
+    displaced: dict[str, str]
 
 
 def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> OpenedPhotographs:
@@ -80,7 +87,6 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         UsageError: an exposure is missing, or an option does not fit the files
     """
     from camctl.calibration.response_series import Series
-    from camctl.captures.exposure_check import NeighbourCheck
     from camctl.captures.photograph_alignment import misaligned
     from camctl.captures.photograph_camera import PhotographCamera
     from camctl.captures.photograph_checks import (
@@ -144,24 +150,40 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     check_order(photographs, series.patches, white)
     for k, factor in doubted.items():  # a wrong label must not bend the response
         series.exposures[k] *= factor
-    notes += misaligned([sights[k] for k in kept])
+    displaced = misaligned([sights[k] for k in kept])
     controls, response = known_controls(files, source.curve, series, notes, facts)
     patches = [np.minimum(each, controls.white) for each in series.patches]
     scale = LightScale(controls.levels, controls.black)
-    if source.labels != "exact":
+    if source.labels != "exact" and response != ASSUMED:
         photographs, corrected = corrected_exposures(photographs, patches, scale)
         facts += corrected
-    camera = PhotographCamera(
-        photographs, lambda k: area(files.pixels(kept[k])), controls, files.taken_by
-    )
-    check = NeighbourCheck(controls.levels, controls.black, controls.layout)
-    notes += wrong_labels(
+    is_exact = source.labels == "exact"
+    if len(photographs) <= 3 and response in OF_THEIR_EXPOSURES:
+        facts.append(
+            "three photographs or fewer do not always show that an exposure is wrong while the "
+            "response is not known: give --curve"
+        )
+    wrong = wrong_labels(
         photographs,
         patches,
         scale,
-        check,
-        is_exact=source.labels == "exact",
+        is_exact=is_exact,
         is_known=source.curve is not None or response not in FROM_PHOTOGRAPHS,
+        is_assumed=response == ASSUMED,
+    )
+    notes += wrong.notes
+    facts += wrong.facts
+    if is_exact:  # what is named must not falsify the picture
+        right = [k for k in range(len(photographs)) if k not in wrong.factors]
+        kept, patches = [kept[k] for k in right], [patches[k] for k in right]
+        photographs = [photographs[k] for k in right]
+    else:
+        photographs = [
+            replace(each, time_s=each.time_s * wrong.factors.get(k, 1.0))
+            for k, each in enumerate(photographs)
+        ]
+    camera = PhotographCamera(
+        photographs, lambda k: area(files.pixels(kept[k])), controls, files.taken_by
     )
     planes = [each.shape for each in files.format.layout.planes(area(files.pixels(kept[0])))]
     facts += contradictions(photographs, patches, scale, planes)
@@ -171,6 +193,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         response,
         tuple(facts),
         tuple(notes),
+        displaced,
     )
 
 

@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.captures.photograph_alignment import misaligned
-from camctl.captures.photograph_checks import Sight, unstated
+from camctl.captures.photograph_checks import Sight, check_order, unstated
 from camctl.captures.photographs import Photograph
+from camctl.errors import DataError
 from camctl.response.camera import standard_response
 
 Light = NDArray[np.float32]
@@ -32,7 +33,7 @@ def test_a_shift_is_that_of_the_whole_picture_where_tiles_have_lines_of_one_dire
         light = np.roll(scene, shift, (0, 1)) * photograph.time_s
         noisy = np.clip(np.rint(light + rng.normal(0, 2, scene.shape)), 0, 255)
         sights.append(Sight.of(photograph, noisy.astype(np.uint8), 255))
-    (line,) = misaligned(sights)
+    (line,) = misaligned(sights).values()
     assert line.startswith("b is shifted against a by about +9 columns and +5 rows")
 
 
@@ -62,14 +63,14 @@ def bracket(shifted: int | None, columns: int = 9) -> list[Sight]:
 @pytest.mark.parametrize("shifted", [0, 1, 2, 3])
 def test_the_photograph_that_is_not_where_the_others_are_is_named(shifted: int) -> None:
     pytest.importorskip("cv2", reason="OpenCV is blocked")
-    (line,) = misaligned(bracket(shifted))
+    (line,) = misaligned(bracket(shifted)).values()
     assert line.startswith(f"p{shifted} is shifted against p")
     assert "by about +9 columns" in line
 
 
 def test_noise_is_no_shift() -> None:
     pytest.importorskip("cv2", reason="OpenCV is blocked")
-    assert misaligned(bracket(None)) == []
+    assert misaligned(bracket(None)) == {}
 
 
 def smooth_bracket(
@@ -98,8 +99,8 @@ def test_a_shift_of_a_smooth_photograph_is_named(shifted: int, columns: int, row
     def shift(k: int, scene: Light) -> Light:
         return np.roll(scene, (rows, columns), (0, 1)) if k == shifted else scene
 
-    (line,) = misaligned(smooth_bracket(shift))
-    found = re.match(r"p(\d) is shifted against p\d by about (\S+) columns and (\S+) rows,", line)
+    (line,) = misaligned(smooth_bracket(shift)).values()
+    found = re.match(r"p(\d) is shifted against p\d by about (\S+) columns and (\S+) rows$", line)
     assert found is not None, line
     assert int(found[1]) == shifted
     assert (int(found[2]), int(found[3])) == pytest.approx((columns, rows), abs=1)
@@ -108,10 +109,10 @@ def test_a_shift_of_a_smooth_photograph_is_named(shifted: int, columns: int, row
 @pytest.mark.parametrize(
     ("degrees", "zoom", "words"),
     [
-        (0.5, 1.0, "p2 is turned against p1 by about 0.5 degrees clockwise, and"),
-        (-1.0, 1.0, "p2 is turned against p1 by about 1.0 degrees anticlockwise, and"),
-        (0.0, 1.01, "p2 is enlarged against p1 by about 1.0 %, and"),
-        (0.0, 0.98, "p2 is reduced against p1 by about 2.0 %, and"),
+        (0.5, 1.0, "p2 is turned against p1 by about 0.5 degrees clockwise"),
+        (-1.0, 1.0, "p2 is turned against p1 by about 1.0 degrees anticlockwise"),
+        (0.0, 1.01, "p2 is enlarged against p1 by about 1.0 %"),
+        (0.0, 0.98, "p2 is reduced against p1 by about 2.0 %"),
     ],
 )
 def test_a_turned_or_enlarged_photograph_is_named(degrees: float, zoom: float, words: str) -> None:
@@ -124,7 +125,7 @@ def test_a_turned_or_enlarged_photograph_is_named(degrees: float, zoom: float, w
         matrix = cv2.getRotationMatrix2D(middle, -degrees, zoom)  # positive is anticlockwise there
         return np.asarray(cv2.warpAffine(scene, matrix, scene.shape[::-1]))
 
-    (line,) = misaligned(smooth_bracket(change))
+    (line,) = misaligned(smooth_bracket(change)).values()
     assert line.startswith(words)
 
 
@@ -136,4 +137,25 @@ def test_a_thing_that_moves_is_no_shift() -> None:
         changed[180:260, left + 30 : left + 110] = 2.0
         return changed
 
-    assert misaligned(smooth_bracket(move)) == []
+    assert misaligned(smooth_bracket(move)) == {}
+
+
+def test_the_neighbours_of_a_turned_photograph_are_not_turned() -> None:
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is blocked")
+
+    def change(k: int, scene: Light) -> Light:
+        middle = (scene.shape[1] - 1) / 2, (scene.shape[0] - 1) / 2
+        matrix = cv2.getRotationMatrix2D(middle, -5.0, 1.0)
+        return np.asarray(cv2.warpAffine(scene, matrix, scene.shape[::-1])) if k == 1 else scene
+
+    assert list(misaligned(smooth_bracket(change))) == ["p1"]
+
+
+def test_a_dark_thing_in_one_of_two_bright_photographs_does_not_swap_them() -> None:
+    patches = np.full((2, 1000, 64), 250, np.uint16)
+    patches[0, :200] = 200  # the darkest of the scene
+    patches[1, 850:] = 30  # a thing
+    photographs = [Photograph("a", 1.0), Photograph("b", 4.0)]
+    check_order(photographs, list(patches), 255)
+    with pytest.raises(DataError, match="swapped"):
+        check_order(photographs, [patches[1, :850], patches[0, :850]], 255)

@@ -59,14 +59,29 @@ def test_one_wrong_label_is_named(run: Run, series: Series, place: int) -> None:
     assert f"the exposure of p0{place}.png is wrong: it says {time_text(labels[place])}" in ran.err
     assert f"its pixels say {time_text(times[place])}" in ran.err
     assert ran.err.count(" is wrong: ") == 1
+    assert ran.status == 0
+    used = [each["time_s"] for each in read_report("hall").source["photographs"]]
+    assert used[place] == pytest.approx(times[place], rel=0.05)
+
+
+def test_an_exact_label_that_is_wrong_is_left_out(run: Run, series: Series) -> None:
+    labels = [each * (1.7 if k == 2 else 1) for k, each in enumerate(TIMES[2:8])]
+    line = series(TIMES[2:8], labels=labels)
+    ran = run("merge", *line, "--curve", "srgb", "--labels", "exact", "-o", "hall", "--json")
+    assert "the exposure of p02.png is wrong" in ran.err
+    assert ": it is left out; " in ran.err
+    assert "p02.png" not in [each["file"] for each in ran.json["photographs"]]
+    assert ran.status == 0
 
 
 def test_a_frame_that_contradicts_is_named_by_its_file(run: Run, series: Series) -> None:
-    labels = list(TIMES[2:8])
-    labels[2] *= 1.7
-    line = series(TIMES[2:8], labels=labels)
-    ran = run("merge", *line, "--curve", "srgb", "-n", "6", "--labels", "exact", "-o", "hall")
-    assert "times as bright as p01.png" in ran.err
+    labels = [TIMES[5], 1.7 * TIMES[6]]
+    line = series(TIMES[5:7], labels=labels)
+    ran = run("merge", *line, "--curve", "srgb", "--black", "0", "-n", "2", "-o", "hall")
+    assert ran.status == 3
+    assert "p01.png is 2 times as bright as p00.png" in ran.err
+    assert "(two photographs do not show which)" in ran.err
+    assert "not trustworthy" in ran.err
     assert re.search(r"frame \d", ran.err) is None
 
 
@@ -92,6 +107,23 @@ def test_one_wrong_label_does_not_bend_the_response(
     assert f"its pixels say {time_text(times[place])}" in note
 
 
+@pytest.mark.parametrize(
+    ("place", "factor", "curve"), [(0, 2.0, None), (2, 0.5, None), (0, 0.5, "srgb"), (5, 2, "srgb")]
+)
+def test_a_wrong_label_is_named_where_photographs_are_nearly_black(
+    run: Run, series: Series, place: int, factor: float, curve: str | None
+) -> None:
+    times = tuple(2.0 ** (2 * k - 14) for k in range(6))
+    labels = [each * (factor if k == place else 1) for k, each in enumerate(times)]
+    line = series(times, labels=labels, change=lambda _, pixels: pixels if curve else film(pixels))
+    names = list(map(Path, line[: line.index("--times")]))
+    found = open_photographs(names, PhotographOptions(times=tuple(labels), curve=curve))
+    (note,) = found.notes
+    assert note.startswith(f"the exposure of p0{place}.png is wrong: ")
+    used = found.camera.photographs[place].time_s
+    assert used == pytest.approx(times[place], rel=0.1)
+
+
 def test_a_label_that_turns_the_order_is_named(run: Run, series: Series) -> None:
     labels = list(TIMES[1:7])
     labels[1] *= 5
@@ -106,7 +138,22 @@ def test_three_photographs_without_a_response_do_not_show_which_label_is_wrong(
     labels = [TIMES[2], TIMES[3] * 1.8, TIMES[4]]
     line = series(TIMES[2:5], labels=labels, change=lambda _, pixels: film(pixels))
     ran = run("merge", *line, "-o", "hall")
-    assert "the set does not show which" in ran.err
+    assert "three photographs do not show which while the response is estimated" in ran.err
+    assert ran.status == 3
+
+
+def test_a_response_that_is_assumed_makes_no_exposure_wrong(run: Run, series: Series) -> None:
+    times = (TIMES[0], TIMES[2], TIMES[4])
+
+    def flat(_: int, pixels: NDArray[Any]) -> NDArray[Any]:  # up to half of full scale
+        return np.asarray(120 * np.sqrt(pixels / 255), np.uint8)
+
+    ran = run("merge", *series(times, change=flat), "--white", "255", "--black", "0", "-o", "hall")
+    assert "the response is taken for srgb" in ran.err
+    assert "is wrong" not in ran.err
+    assert "contradict their pixels if the response is srgb, as is assumed" in ran.err
+    used = [each["time_s"] for each in read_report("hall").source["photographs"]]
+    assert used == pytest.approx(times, rel=0.01)
 
 
 def test_light_that_changed_is_no_wrong_label(run: Run, series: Series) -> None:
@@ -115,16 +162,21 @@ def test_light_that_changed_is_no_wrong_label(run: Run, series: Series) -> None:
     assert "p04.png, p05.png are all about 0.4 times as bright as their exposures say" in ran.err
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_a_shifted_photograph_is_named(run: Run, series: Series, suffix: str) -> None:
+@pytest.mark.parametrize(("suffix", "choice"), [(".png", ()), (".jpg", ("--ratios", "1,2,4"))])
+def test_a_shifted_photograph_is_named(
+    run: Run, series: Series, suffix: str, choice: tuple[str, ...]
+) -> None:
     def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         return np.roll(pixels, (5, -7), axis=(0, 1)) if k == 4 else pixels
 
-    ran = run("merge", *series(suffix=suffix, change=shift), "-o", "hall")
+    ran = run("merge", *series(suffix=suffix, change=shift), *choice, "-o", "hall")
     lines = [line for line in ran.err.splitlines() if "is shifted against" in line]
     assert len(lines) == 1
     assert lines[0].startswith(f"camctl: warning: p04{suffix} is shifted against p03{suffix} by ")
     assert "about -7 columns and +5 rows" in lines[0]
+    used = {each["file"] for each in read_report("hall").source["photographs"] if each["used"]}
+    assert ("will be blurred" in lines[0]) == (f"p04{suffix}" in used)
+    assert lines[0].endswith("it is not used") == (f"p04{suffix}" not in used)
 
 
 def test_a_thing_that_moved_in_one_photograph_is_no_wrong_exposure(
