@@ -82,6 +82,7 @@ class Series:
         with self._owned():
             try:
                 set_s = self._twice(lambda: self._taker.prepare(self.journal))
+                self._set_bytes = self._taker.least_bytes()
                 self._save()
                 self._warn_of_long_sets(set_s)
                 while not self.journal.is_done() and self._wait_for_start():
@@ -139,13 +140,17 @@ class Series:
             return self._taker.take(directory)
 
         try:
-            record.complete(self._twice(take, record))
+            report = self._twice(take, record)
+            record.complete(report)
         except (InterruptedCaptureError, UsageError):
             raise
         except CamctlError as error:
             record.state, record.error = "failed", str(error)
             self._tools.warn(f"{record.folder} failed twice and is left out: {error}")
         else:
+            if not report.trustworthy:
+                because = report.untrustworthy_because
+                self._tools.warn(f"{record.folder} is not trustworthy: {because}")
             self._set_bytes = _folder_bytes(directory)
             record.has_thumbnail = make_thumbnail(self.directory, record)
             self._run_hook(directory, record)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
 from camctl.camera import Camera
+from camctl.captures.accumulator import sum_dtype
 from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.folder_store import read_report
 from camctl.captures.plan import plan_capture
@@ -15,6 +17,7 @@ from camctl.captures.report_file import REPORT, read_report_file
 from camctl.captures.sequence import OnProgress
 from camctl.captures.sequencer import capture, resume
 from camctl.captures.series_journal import SeriesJournal
+from camctl.controls import Layout
 from camctl.exposure.table import ExposureTable
 
 
@@ -48,6 +51,19 @@ class CameraSets:
         if journal.options.meter == "once":
             journal.plan = self._plan
         return self._plan.wall_s
+
+    def least_bytes(self) -> int:
+        """Return the bytes of the frames, the sum and the image: those files are as large."""
+        assert self._plan is not None  # `prepare` has made it
+        controls, count = self._camera.controls, len(self._plan.settings)
+        pixels = math.prod(controls.shape)
+        colours = 1 if controls.layout is Layout.MONO else 3
+        samples = pixels * (3 if controls.layout is Layout.RGB else 1)
+        each = 1 if controls.bits <= 8 else 2
+        return (
+            samples * (count * each + sum_dtype(count, controls.white).itemsize)
+            + 2 * colours * pixels
+        )
 
     def take(self, directory: Path) -> CaptureReport:
         """Take a set into `directory`, or complete the one that is there."""

@@ -32,6 +32,10 @@ class SetTaker(Protocol):
         """
         ...
 
+    def least_bytes(self) -> int:
+        """Return how much space a set takes at least, as it is planned; 0 where it is not known."""
+        ...
+
     def take(self, directory: Path) -> CaptureReport:
         """Take a set into a folder, or complete one that is there."""
         ...

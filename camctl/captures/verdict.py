@@ -83,8 +83,9 @@ def _change_text(
     if not check.is_of_whole_picture:
         return (
             f"frames {position} and {position + 1} can be compared in {check.compared:.2%} of the "
-            f"picture, and {check.contradicting:.0%} of that does not fit their exposures: do not "
-            f"trust it (something moved, its light changed, or a frame has another exposure)"
+            f"picture only, and {check.contradicting:.0%} of that does not fit their exposures: "
+            f"something moved there or its light changed, and only that part is wrong, or one of "
+            f"the frames has another exposure"
         )
     advice = "" if is_estimated else f"; {_MENDS}"
     return (

@@ -299,7 +299,7 @@ def _from_file(
 
 
 def _from_map(path: Path, shape: tuple[int, int] | None) -> Scene:
-    if shape is not None:
+    if shape is not None and path.exists():
         raise UsageError(f"{path}: a radiance map has its own size", hint="leave the size out")
     _check_memory(str(path), read_shape(path), _READING_BYTES_PER_PIXEL)
     values, notes = read_map(path)

@@ -168,6 +168,16 @@ def test_the_disk_must_have_room_for_the_next_set(bench: Bench) -> None:
     assert bench.run(sets, read_series(bench.folder), free=10_000_001).completed == 3
 
 
+def test_the_disk_must_have_room_for_the_first_set(bench: Bench) -> None:
+    sets = FakeSets(bench.clock, least=8_000_000)
+    with pytest.raises(StorageError) as caught:
+        bench.run(sets, journal(repeat=3), free=9_900_000)
+    assert caught.value.what == (
+        "the disk has 10 MB free and the next set needs about 10 MB; 0 of 3 sets are complete"
+    )
+    assert sets.starts == []
+
+
 def test_keys_pause_and_end_a_series(bench: Bench) -> None:
     # No key before the second set; then p, which lasts for 300 looks, p, and no more until q.
     pause = ["p", *[None] * 300, "p"]

@@ -16,7 +16,9 @@ from typing import Any
 import pytest
 from command_line import Run
 from pseudo_terminal import Terminal
+from series_bench import journal
 
+import camctl
 from camctl.captures.series_sets import CameraSets
 from camctl.errors import CaptureError
 from sim.camera import SimulatedCamera
@@ -48,6 +50,26 @@ def test_a_series_is_a_folder_of_captures_with_a_page(run: Run) -> None:
         "the series in day is complete: 3 of 3 sets were taken; take another one with camctl shoot "
         "--repeat N"
     )
+
+
+@pytest.mark.parametrize("sensor", ["standard", "phone", "consumer"])
+def test_the_space_of_a_set_is_known_before_the_first_one(sensor: str, tmp_path: Path) -> None:
+    with camctl.open_camera("sim", sensor=sensor, size="320x240") as camera:
+        series = journal(request=camctl.CaptureRequest(count=2, dynamic_range=256.0), repeat=2)
+        taker = CameraSets(camera, series)
+        taker.prepare(series)
+        least = taker.least_bytes()
+        taker.take(tmp_path / "set")
+    taken = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
+    assert 0.3 * taken < least <= taken
+
+
+def test_a_set_that_is_not_trustworthy_is_named(run: Run) -> None:
+    faults = ("--size", "160x120", "--repeat", "2", "--fault", "corrupt@4", "-n", "3")
+    ran = run("shoot", *faults, "-o", "day")
+    wrong = [each["folder"] for each in sets() if each["trustworthy"] is False]
+    assert len(wrong) == 1
+    assert f"{wrong[0]} is not trustworthy: " in ran.err
 
 
 def test_json_of_a_series_is_its_journal(run: Run) -> None:

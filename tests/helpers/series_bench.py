@@ -52,6 +52,7 @@ class FakeSets:
     seconds: Sequence[float] = ()
     errors: Sequence[BaseException | None] = ()
     bytes: int = 0
+    least: int = 0
     planned_s: float | None = None
     starts: list[float] = field(default_factory=list)
     folders: list[str] = field(default_factory=list)
@@ -60,6 +61,9 @@ class FakeSets:
     def prepare(self, journal: SeriesJournal) -> float | None:
         self.clock.sleep_until(self.clock.now() + 7.3)  # metering
         return self.planned_s
+
+    def least_bytes(self) -> int:
+        return self.least
 
     def take(self, directory: Path) -> CaptureReport:
         attempt = len(self.starts)

@@ -76,6 +76,8 @@ def test_a_radiance_map_beside_the_file_gets_the_units_of_the_file(tmp_path: Pat
         UsageError, match=r"map\.npy: a radiance map has its own size; leave the size out"
     ):
         load_scene(written(tmp_path, picture="map.npy"), (5, 5))
+    with pytest.raises(DataError, match=r"none\.exr: No such file"):
+        load_scene(tmp_path / "none.exr", (5, 5))
 
 
 @pytest.mark.parametrize(
