@@ -122,7 +122,7 @@ class JpegStructure:
 
     def zeros(self, data: bytes) -> int | None:
         """Return where zeros stand in place of data, as on a damaged disk; None: nowhere."""
-        if not self._is_one_scan or self._is_zero_flat or self.end is None:
+        if not (self._is_one_scan and self._scans) or self._is_zero_flat or self.end is None:
             return None
         at = data.find(_ZEROS, self._scans[0], self.end)
         is_filling = at < 0 or not data[at : self.end].strip(b"\0")

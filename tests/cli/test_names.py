@@ -17,6 +17,7 @@ from command_line import Ran, Run
 from camctl.backends import BackendListing
 from camctl.camera import CameraBase, CameraInfo
 from camctl.cli.output import visible
+from camctl.errors import CameraProtocolError
 from drivers.common.still_file import read_still
 from menu.text import fit
 from sim.camera import SimulatedCamera
@@ -167,5 +168,6 @@ def test_library_prints_nothing_of_a_damaged_photograph(capfd: pytest.CaptureFix
     spoilt = data[:-300] + b"\xff\xd9"
     assert cv2.imdecode(np.frombuffer(spoilt, np.uint8), cv2.IMREAD_UNCHANGED) is not None
     assert "Corrupt JPEG data" in capfd.readouterr().err
-    read_still(spoilt, "DSC_0001.JPG")
+    with pytest.raises(CameraProtocolError, match=r"DSC_0001\.JPG .*premature end of data"):
+        read_still(spoilt, "DSC_0001.JPG")
     assert capfd.readouterr() == ("", "")

@@ -116,3 +116,9 @@ def test_bytes_after_the_last_row_are_noted() -> None:
 def test_what_a_library_prints_is_collected() -> None:
     assert with_messages(lambda: os.write(2, b"a line")) == (6, "a line")
     assert with_messages(lambda: 1) == (1, "")
+
+
+def test_a_file_without_picture_data_is_refused() -> None:
+    headless = coded().replace(b"\xff\xda", b"\xff\xe1", 1)
+    with pytest.raises(CameraProtocolError, match=r"p\.jpg cannot be read: "):
+        read_still(headless, "p.jpg")
