@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.request import AUTO, CURVE, XI, CaptureRequest
@@ -45,6 +45,16 @@ class _Trial:
     plan: CapturePlan | None = None
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """A trial with its plan, and the share of the samples that the plan leaves dark."""
+
+    text: str
+    request: CaptureRequest
+    plan: CapturePlan
+    dark: float
+
+
 def dark_advice(
     request: CaptureRequest, plan: CapturePlan, controls: ExposureControls, predict: Predict
 ) -> str | None:
@@ -62,33 +72,56 @@ def dark_advice(
     light = plan.light
     if light is None or request.response == CURVE or request.ratios is not None:
         return None
-    is_seen = light.dark > MUCH
-    if not is_seen and light.unseen <= MUCH:
+    if light.dark > MUCH:
+        best = _most_shown(request, plan, predict)
+        if best is not None and best.dark <= _HELPS * light.dark:
+            best = best if best.dark <= MUCH else _with_another(request, best, predict)
+            return best.text if best.dark <= MUCH else _partly(best.text, best.dark)
+    elif light.unseen <= MUCH:
         return None
-    reach = _reach(plan, controls)
-    best, deeper = (math.inf, ""), ""
+    if light.unseen > MUCH:
+        return _unseen_text(request, plan, controls, predict)
+    return "open the aperture, or light the scene; no option shows it"
+
+
+def _tried(request: CaptureRequest, plan: CapturePlan, predict: Predict) -> Iterator[_Tried]:
+    """Yield the trials that give a picture with enough levels in which no more clips."""
+    assert plan.light is not None  # asked for by the callers
     for trial in _trials(request, plan, predict):
         predicted = trial.plan or predict(trial.request)
         if predicted is None or predicted.light is None:
             continue
         if predicted.effective_levels < min(_LEAST_LEVELS, _FEWER * plan.effective_levels):
             continue
-        share = predicted.light.dark
-        if predicted.light.clips > max(MUCH, light.clips):
-            continue
-        if not deeper and share <= MUCH and _reach(predicted, controls) <= reach / _DEEPER:
-            deeper = trial.text
-        best = min(best, (share, trial.text))
-        if deeper if not is_seen else share <= MUCH:
+        if predicted.light.clips <= max(MUCH, plan.light.clips):
+            yield _Tried(trial.text, trial.request, predicted, predicted.light.dark)
+
+
+def _most_shown(request: CaptureRequest, plan: CapturePlan, predict: Predict) -> _Tried | None:
+    """Return the first trial that leaves little dark, or else the one that leaves least."""
+    best = None
+    for trial in _tried(request, plan, predict):
+        if best is None or trial.dark < best.dark:
+            best = trial
+        if best.dark <= MUCH:
             break
-    share, text = best
-    if is_seen and share <= MUCH:
-        return text
-    if is_seen and share <= _HELPS * light.dark:
-        return _partly(text, share)
-    if light.unseen > MUCH:
-        return _unseen_text(plan, controls, deeper)
-    return "open the aperture, or light the scene; no option shows it"
+    return best
+
+
+def _with_another(request: CaptureRequest, first: _Tried, predict: Predict) -> _Tried:
+    """Return an advice with the one that helps most beside it, or alone if none does."""
+    second = _most_shown(first.request, first.plan, predict)
+    if second is None or second.dark > _HELPS * first.dark:
+        return first
+    if _changed(request, first.request) & _changed(first.request, second.request):
+        return second  # it replaces the first
+    return replace(second, text=f"{first.text}, and also {second.text}")
+
+
+def _changed(request: CaptureRequest, other: CaptureRequest) -> set[str]:
+    """Return the names of the fields that differ."""
+    names = (field.name for field in fields(request))
+    return {name for name in names if getattr(request, name) != getattr(other, name)}
 
 
 def bright_advice(request: CaptureRequest, plan: CapturePlan, predict: Predict) -> str | None:
@@ -133,12 +166,16 @@ def _reach(plan: CapturePlan, controls: ExposureControls) -> float:
     return max(plan.desired.e_min / min(exposures), level / max(exposures))
 
 
-def _unseen_text(plan: CapturePlan, controls: ExposureControls, deeper: str) -> str:
+def _unseen_text(
+    request: CaptureRequest, plan: CapturePlan, controls: ExposureControls, predict: Predict
+) -> str:
     """Return what to say of light that the metering frames could not tell from black."""
     longest_s = max(setting.time_s for setting in plan.settings)
     text = "metering shows no light there"
-    if deeper:
-        return f"{text}; if there is some, this may show it: {deeper}"
+    reach = _reach(plan, controls) / _DEEPER
+    for trial in _tried(request, plan, predict):
+        if trial.dark <= MUCH and _reach(trial.plan, controls) <= reach:
+            return f"{text}; if there is some, this may show it: {trial.text}"
     if longest_s >= _NEARLY * controls.time_s.maximum:
         return (
             f"{text}, and {time_text(longest_s)} is the camera's longest exposure; open the "
@@ -151,7 +188,7 @@ def _trials(request: CaptureRequest, plan: CapturePlan, predict: Predict) -> Ite
     """Yield what may help, in the order in which it is advised."""
     is_auto = request.dynamic_range == AUTO
     if not is_auto:
-        text = "let the light decide it (--range auto)"
+        text = "let the light decide the range (--range auto)"
         yield _Trial(text, replace(request, dynamic_range="auto"))
     if request.compensation_stops < 0:
         text = "leave the compensation (--compensation) out"
@@ -209,5 +246,5 @@ def _less_accuracy(request: CaptureRequest, plan: CapturePlan) -> Iterator[_Tria
         yield _Trial(text, replace(request, accuracy=float(levels)))
     for factor in _FACTORS:
         larger = plan.dynamic_range * factor
-        text = f"ask for a larger one, with less accuracy (--range {larger:.0f})"
+        text = f"ask for a larger range, with less accuracy (--range {larger:.0f})"
         yield _Trial(text, replace(request, dynamic_range=larger))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -109,7 +110,7 @@ class FrameChecks:
 
         Where the whole of a frame does not fit its exposure, as under lamps that flicker, the pair
         has the ratio of light that most patches show; not where things that moved are all that can
-        be compared.
+        be compared, unless it explains far more of the samples.
 
         Args:
             exposures: relative exposures of the frames
@@ -127,9 +128,12 @@ class FrameChecks:
             ratio = long.exposure / short.exposure
             both = samples[short.position], samples[long.position]
             check = self._check.compare(*both, ratio)
-            if check.is_one_ratio and not check.agrees and check.measured is not None:
-                ratio = check.measured
-            found.append(Pair(self._check.scale, short, long, ratio, both, colours))
+            pair = Pair(self._check.scale, short, long, ratio, both, colours)
+            if not check.agrees and check.measured is not None:
+                shown = replace(pair, ratio=check.measured)
+                if check.is_one_ratio or shown.contradicting < pair.contradicting / 2:
+                    pair = shown
+            found.append(pair)
         return found
 
     @property

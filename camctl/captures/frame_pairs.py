@@ -262,6 +262,11 @@ class Pair:
             found.append((before < limits.low[k][after]) | (before > limits.high[k][after]))
         return np.concatenate(found)
 
+    @property
+    def contradicting(self) -> float:
+        """Share of the samples of the patches that contradict by usual limits."""
+        return float(np.mean(self._outside(self.limits(_USUAL_LIMIT))))
+
     @cached_property
     def _scores(self) -> _Floats:
         """Deviations of samples of patches at rest, in standard deviations, the largest ascending.

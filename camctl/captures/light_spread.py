@@ -43,6 +43,9 @@ _STREAKS, _LEAST_STREAKS = 2.0, 20
 _AROUND = 9
 #: Or if fewer than `LOST` of those connected are darker in the longer frame than expected.
 #: With unknown noise that proves nothing: what became darker may not be found in the pair before.
+#: It does not where the first to the ninth tenth of them are brighter by nearly the same factor, up
+#: to this logarithm: their light changed, as that of lamps that flicker.
+_ONE_FACTOR = 0.1
 #: Light spreads if this share of the pixels beside saturated ones contradict.  It ends where the
 #: share is less than the second one of the largest.
 _SPREADS, _ENDS = 0.02, 0.1
@@ -99,7 +102,8 @@ class LightSpread:
         found, source = _on_lines(limits, white, short.columns, long.columns, long.ranges, distance)
         if not (found.any() and source.any()):
             return cls(white, 0, False)
-        along = np.count_nonzero(_connected_runs(found, source)) * every[0]
+        connected = _connected_runs(found, source)
+        along = np.count_nonzero(connected) * every[0]
         distance = (every[1], 1)
         on_rows = _on_lines(limits, white, short.rows, long.rows, long.ranges, distance)
         beside = np.count_nonzero(_connected_runs(*(each.T for each in on_rows))) * every[1]
@@ -109,8 +113,10 @@ class LightSpread:
             darker = _darker(limits, short.columns, long.columns)
             lost = np.count_nonzero(_connected_runs(darker, source)) * every[0]
             streaks = along > _LEAST_STREAKS and lost < LOST * along
+        if streaks and _has_one_factor(pair, connected, short.columns, long.columns):
+            streaks = np.False_
         if streaks:
-            found &= ~_connected_runs(found, source)
+            found &= ~connected
         return cls(white, _reach(found, source), bool(streaks))
 
     def separated(
@@ -170,6 +176,19 @@ def _on_lines(
     """Return which pixels contradict in any colour, and which are saturated and do not."""
     found = limits.outside(short, long, ranges, every=every)
     return _any_colour(found), _any_colour((long >= white) & ~found)
+
+
+def _has_one_factor(pair: Pair, marks: NDArray[np.bool_], short: Pixels, long: Pixels) -> bool:
+    """Return whether marked pixels of the longer frame are brighter by one factor than expected."""
+    white, light = pair.saturated, pair.scale.light
+    compared = (short < white) & (long < white)
+    compared &= marks if marks.ndim == short.ndim else marks[..., np.newaxis]
+    before, after = (light[each[compared]] for each in (short, long))
+    both = (before > 0) & (after > 0)
+    if not both.any():
+        return False
+    low, high = np.quantile(np.log(after[both] / before[both]), (0.1, 0.9))
+    return bool(high - low < _ONE_FACTOR)
 
 
 def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:

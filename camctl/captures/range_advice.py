@@ -91,5 +91,7 @@ def _wider(request: CaptureRequest, plan: CapturePlan, is_taken: bool) -> str:
     if plan.light is not None and plan.light.advice is not None:
         return plan.light.advice
     if request.dynamic_range != AUTO:
-        return "let the light decide it (--range auto), for which the shadows are metered, too"
+        return (
+            "let the light decide the range (--range auto), for which the shadows are metered, too"
+        )
     return "open the aperture, or light the scene; the metering frames showed more light"

@@ -162,6 +162,17 @@ def wrong_labels(
     return found
 
 
+def neighbours_differ(
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
+) -> float:
+    """Return by how much neighbours in brightness differ from their exposures, in all.
+
+    It is the sum of the magnitudes of logarithms.  Arguments are those of `wrong_labels`.
+    """
+    jumps = [jump for run in _runs(photographs, patches, scale) for jump in run.jumps]
+    return float(np.abs(jumps).sum())
+
+
 @dataclass(frozen=True)
 class _Run:
     """Photographs of ascending brightness of which neighbours can be compared.

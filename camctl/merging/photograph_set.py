@@ -99,7 +99,12 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     from camctl.captures.photograph_contradictions import contradictions
     from camctl.captures.photographs import corrected_exposures
     from camctl.exposure.patches import LightScale
-    from camctl.merging.photograph_labels import check_doubted, doubted_labels, wrong_labels
+    from camctl.merging.photograph_labels import (
+        check_doubted,
+        doubted_labels,
+        neighbours_differ,
+        wrong_labels,
+    )
 
     files = PhotographFiles(paths, source.times)
     photographs, facts = _with_labels(files.photographs, source.labels)
@@ -155,8 +160,11 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     patches = [np.minimum(each, controls.white) for each in series.patches]
     scale = LightScale(controls.levels, controls.black)
     if source.labels != "exact" and response != ASSUMED:
-        photographs, corrected = corrected_exposures(photographs, patches, scale)
-        facts += corrected
+        corrected, changed = corrected_exposures(photographs, patches, scale)
+        # An estimated response has errors that the estimate of exposures takes for theirs.
+        stated_differ = neighbours_differ(photographs, patches, scale)
+        if neighbours_differ(corrected, patches, scale) < stated_differ:
+            photographs, facts = corrected, [*facts, *changed]
     is_exact = source.labels == "exact"
     if len(photographs) <= 3 and response in OF_THEIR_EXPOSURES:
         facts.append(

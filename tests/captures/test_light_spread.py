@@ -66,6 +66,17 @@ def test_samples_that_blooming_makes_wrong_are_marked(
     assert marked.mean() == pytest.approx(movement.share + movement.spread)
 
 
+@pytest.mark.parametrize(("sensor", "stops"), [("phone", -0.5), ("ccd", -1.0)])
+def test_light_of_lamps_that_flicker_has_not_spread(sensor: str, stops: float) -> None:
+    """Where the longest frame is not saturated, all of it is brighter by one factor."""
+    request = camctl.CaptureRequest(dynamic_range=16.0, compensation_stops=stops)
+    report = shot(sensor, "pwm-lamp", request)
+    assert report.frames[-1].saturated_fraction > 0.5
+    assert report.movement is not None
+    assert report.movement.spread < MUCH_SPREAD
+    assert not [each for each in report.warnings if "spread" in each]
+
+
 @pytest.mark.parametrize("scene", ["room", "night-street", "ball"])
 def test_the_advice_against_light_that_spreads_helps(scene: str) -> None:
     report = shot("ccd", scene, camctl.CaptureRequest(dynamic_range="auto"))

@@ -75,7 +75,7 @@ def test_lamps_that_flicker_are_the_second_exception_and_the_advice_mends_it(sen
 
     report = taken(0.0)
     assert report.achieved.saturated_fraction > MOST_OUTSIDE
-    advised = re.findall(r"light changed.*--compensation (-[0-9.]+)", " ".join(report.warnings))
+    advised = re.findall(r"light changed.*?--compensation (-[0-9.]+)", " ".join(report.warnings))
     assert len(advised) == 1
     achieved = taken(float(advised[0])).achieved
     assert achieved.saturated_fraction + achieved.dark_fraction < MOST_OUTSIDE
@@ -155,6 +155,15 @@ def test_what_is_too_bright_for_two_reasons_gets_one_advice(tmp_path: Path) -> N
     fields = {"compensation_stops": 2.0, "clip_percent": 20.0}
     shares, warning = follow("cloth", fields, tmp_path)
     assert shares[0][0] > MUCH
+    assert len(shares) == 2
+    assert not warning
+
+
+@pytest.mark.parametrize("response", ["log", pytest.param("linear", marks=pytest.mark.slow)])
+def test_what_is_too_dark_for_two_reasons_gets_one_advice(response: str, tmp_path: Path) -> None:
+    fields = {"clip_percent": 0.0, "dynamic_range": 1000.0, "response": response}
+    shares, warning = follow("night-street", fields, tmp_path)
+    assert shares[0][1] > MUCH
     assert len(shares) == 2
     assert not warning
 
