@@ -8,17 +8,22 @@ from __future__ import annotations
 import ctypes
 from contextlib import suppress
 
-#: `M_ARENA_MAX` of malloc.h.
-_MOST_POOLS = -8
+#: `M_ARENA_MAX`, `M_MMAP_MAX` and `M_TRIM_THRESHOLD` of malloc.h.
+_MOST_POOLS, _MOST_MAPPED, _LEAST_RETURNED = -8, -4, -1
 
 
 def share_free_memory() -> None:
     """Let threads that begin from now on use what others have freed.
 
-    Otherwise each has a pool of its own, which keeps what it has freed.
+    Otherwise each has a pool of its own, which keeps what it has freed.  Large blocks stay in the
+    pool, too, until `return_free_memory`: the system takes longer to give a new one than a picture
+    takes to be computed in it.
     """
     with suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).mallopt(_MOST_POOLS, 1)
+        library = ctypes.CDLL(None)
+        library.mallopt(_MOST_POOLS, 1)
+        library.mallopt(_MOST_MAPPED, 0)
+        library.mallopt(_LEAST_RETURNED, 1 << 30)
 
 
 def return_free_memory() -> None:

@@ -31,7 +31,7 @@ from camctl.captures.report_file import clean_details
 from camctl.captures.wall_time import predicted_wall_s, wall_time_warnings
 from camctl.controls import Layout
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
-from camctl.free_memory import share_free_memory
+from camctl.free_memory import return_free_memory, share_free_memory
 from camctl.interrupts import uninterrupted
 from camctl.system_errors import resource_error
 
@@ -110,6 +110,8 @@ class Sequence:
                 raise self._failure(str(refused), type(refused)) from error
             error.add_note("; ".join(self._kept()))
             raise
+        finally:
+            return_free_memory()
 
     @property
     def _done(self) -> int:
