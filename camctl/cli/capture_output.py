@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from camctl.captures.sequence import Progress
     from camctl.noise_model import MeasuredNoise
 
+UNTRUSTWORTHY = 3
+"""Exit status for a picture whose frames contradict their exposures."""
+
 TIMES = {"planning_s": "planning", "shooting_s": "shooting", "writing_s": "writing"}
 """Keys of `CaptureReport.timing` that the summary shows, and their labels."""
 

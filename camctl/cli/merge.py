@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING
 import click
 
 from camctl.cli import options
-from camctl.cli.capture_output import capture_text, new_directory, noting_completion
+from camctl.cli.capture_output import (
+    UNTRUSTWORTHY,
+    capture_text,
+    new_directory,
+    noting_completion,
+)
 from camctl.cli.commands import command
 from camctl.cli.output import (
     format_duration,
@@ -26,9 +31,6 @@ from camctl.cli.response_options import STANDARDS, DesiredOptions, desired_optio
 if TYPE_CHECKING:
     from camctl.captures.report import CaptureReport
     from camctl.merging.merge import MergePlan
-
-UNTRUSTWORTHY = 3
-"""Exit status for a picture whose frames contradict their exposures."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from camctl.cli.capture_output import UNTRUSTWORTHY
 from camctl.cli.output import (
     ProgressBar,
     format_duration,
@@ -265,7 +266,7 @@ def _text(journal: SeriesJournal, directory: Path) -> str:
 
 
 def _exit_status(journal: SeriesJournal, directory: Path) -> None:
-    """End with status 1 where sets or hooks have failed."""
+    """End with status 1 where sets or hooks have failed, else 3 where a set is not trustworthy."""
     problems = []
     if journal.failed:
         names = ", ".join(each.folder for each in journal.failed[:3])
@@ -276,3 +277,5 @@ def _exit_status(journal: SeriesJournal, directory: Path) -> None:
     if problems:
         print_error(f"{'; '.join(problems)}; see {directory}/index.html")
         click.get_current_context().exit(CaptureError.exit_status)
+    if journal.count(lambda each: not each.trustworthy):
+        click.get_current_context().exit(UNTRUSTWORTHY)

@@ -12,6 +12,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.capture_output import (
+    UNTRUSTWORTHY,
     capture_progress,
     capture_text,
     draws_bars,
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
     from camctl.captures.request import CaptureRequest
 
     _Complete = Callable[[CaptureReport], CaptureReport]
-
-UNTRUSTWORTHY = 3
-"""Exit status for a picture whose frames contradict their exposures."""
 
 MOST_FOR_TOLERANCE = 6
 """Exposures that --tolerance may take where -n is not given."""

@@ -69,7 +69,7 @@ def test_a_set_that_is_not_trustworthy_is_named(run: Run) -> None:
     ran = run("shoot", *faults, "-o", "day")
     wrong = [each["folder"] for each in sets() if each["trustworthy"] is False]
     assert len(wrong) == 1
-    assert f"{wrong[0]} is not trustworthy: " in ran.err
+    assert (ran.status, f"{wrong[0]} is not trustworthy: " in ran.err) == (3, True)
 
 
 def test_json_of_a_series_is_its_journal(run: Run) -> None:
