@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from typing import Any
 
@@ -83,20 +83,36 @@ def duplicates(sights: Sequence[Sight]) -> dict[int, int]:
     return found
 
 
-def unstated(photographs: Sequence[Photograph]) -> list[str]:
-    """Return a line for what some photographs do not state of their exposures, and others do."""
-    found = []
-    for what, taken_for, stated in (
-        ("ISO speed", "ISO 100", [each.iso for each in photographs]),
-        ("f-number", "f/1", [each.f_number for each in photographs]),
+def with_all_stated(photographs: Sequence[Photograph]) -> tuple[list[Photograph], list[str]]:
+    """Return photographs with what some do not state of their exposures, and others do.
+
+    It is the value of the others where that is the same in all, else ISO 100 and f/1.  The second
+    result has a line for each.
+    """
+    found, notes = list(photographs), []
+    for what, prefix, field, default in (
+        ("ISO speed", "ISO ", "iso", 100.0),
+        ("f-number", "f/", "f_number", 1.0),
     ):
-        silent = [each.name for each, value in zip(photographs, stated, strict=True) if not value]
-        if 0 < len(silent) < len(photographs):
-            more = f" (and {len(silent) - 1} more)" if len(silent) > 1 else ""
-            found.append(
-                f"{silent[0]}{more} states no {what}, and others do: {taken_for} is assumed"
-            )
-    return found
+        values = [getattr(each, field) for each in found]
+        silent, stated = (
+            [k for k, value in enumerate(values) if not value],
+            set(filter(None, values)),
+        )
+        if not silent or not stated:
+            continue
+        value = stated.pop() if len(stated) == 1 else default
+        changes: dict[str, Any] = {field: value}
+        if field == "iso":
+            changes["gain"] = value / 100
+        for k in silent:
+            found[k] = replace(found[k], **changes)
+        more = f" (and {len(silent) - 1} more)" if len(silent) > 1 else ""
+        notes.append(
+            f"{found[silent[0]].name}{more} states no {what}, and others do: {prefix}{value:g} is "
+            "assumed"
+        )
+    return found, notes
 
 
 def flashes(photographs: Sequence[Photograph]) -> list[str]:

@@ -326,7 +326,7 @@ def meter_light(camera: Camera, request: CaptureRequest) -> Metered:
     metered = whole.limited(request, camera.controls)
     assert metered.light is not None  # `whole` has it
     said = metered.light.share_above(1.0)
-    if metering.highlight >= 1.0 and said < max(metering.clipped, NOTABLE_SHARE):
+    if metering.highlight >= 1.0 and NOTABLE_SHARE <= metering.clipped > said:
         clipped = f"{metering.clipped:.2%} of the samples are clipped"
         return replace(metered, warnings=(f"{clipped} even at the shortest exposure",))
     return metered

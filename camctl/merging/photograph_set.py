@@ -94,7 +94,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         check_order,
         duplicates,
         flashes,
-        unstated,
+        with_all_stated,
     )
     from camctl.captures.photograph_contradictions import contradictions
     from camctl.captures.photographs import corrected_exposures
@@ -107,7 +107,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     )
 
     files = PhotographFiles(paths, source.times)
-    photographs, facts = _with_labels(files.photographs, source.labels)
+    photographs, unstated = with_all_stated(files.photographs)
+    photographs, facts = _with_labels(photographs, source.labels)
     black = files.format.black if source.black is None else source.black
     white = files.format.white if source.white is None else source.white
     if not black < white < 2**files.format.bits:
@@ -132,7 +133,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     ]
     empty = [k for k, each in enumerate(sights) if each.is_even]
     notes += [f"{photographs[k].name} is one colour everywhere, and left out" for k in empty]
-    notes += unstated(photographs)
+    notes += unstated
     notes += flashes(photographs)
     kept = [k for k in range(len(photographs)) if k not in same and k not in empty]
     photographs = [photographs[k] for k in kept]

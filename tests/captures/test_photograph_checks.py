@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.captures.photograph_alignment import misaligned
-from camctl.captures.photograph_checks import Sight, check_order, unstated
+from camctl.captures.photograph_checks import Sight, check_order, with_all_stated
 from camctl.captures.photographs import Photograph
 from camctl.errors import DataError
 from camctl.response.camera import standard_response
@@ -37,15 +37,29 @@ def test_a_shift_is_that_of_the_whole_picture_where_tiles_have_lines_of_one_dire
     assert line.startswith("b is shifted against a by about +9 columns and +5 rows")
 
 
-def test_what_only_some_photographs_state_is_named() -> None:
+def test_what_only_some_photographs_state_is_assumed_and_named() -> None:
     alike = [Photograph("a", 1.0, 2.0, 8.0, iso=200.0), Photograph("b", 2.0, 2.0, 8.0, iso=200.0)]
-    assert unstated(alike) == []
-    assert unstated([Photograph("a", 1.0), Photograph("b", 2.0)]) == []
-    lines = unstated([*alike, Photograph("c", 4.0, 1.0, 8.0), Photograph("d", 8.0, 2.0, iso=200.0)])
+    assert with_all_stated(alike) == (alike, [])
+    silent = [Photograph("a", 1.0), Photograph("b", 2.0)]
+    assert with_all_stated(silent) == (silent, [])
+    found, lines = with_all_stated(
+        [*alike, Photograph("c", 4.0), Photograph("d", 8.0, 2.0, iso=200.0)]
+    )
+    assert lines == [
+        "c states no ISO speed, and others do: ISO 200 is assumed",
+        "c (and 1 more) states no f-number, and others do: f/8 is assumed",
+    ]
+    assert [(each.gain, each.f_number, each.iso) for each in found] == [(2.0, 8.0, 200.0)] * 4
+
+
+def test_what_others_state_differently_is_not_taken_from_them() -> None:
+    others = [Photograph("a", 1.0, 1.0, 8.0, iso=100.0), Photograph("b", 1.0, 4.0, 4.0, iso=400.0)]
+    found, lines = with_all_stated([*others, Photograph("c", 1.0)])
     assert lines == [
         "c states no ISO speed, and others do: ISO 100 is assumed",
-        "d states no f-number, and others do: f/1 is assumed",
+        "c states no f-number, and others do: f/1 is assumed",
     ]
+    assert (found[2].gain, found[2].f_number) == (1.0, 1.0)
 
 
 def bracket(shifted: int | None, columns: int = 9) -> list[Sight]:
