@@ -62,9 +62,14 @@ def doubted_labels(series: Series) -> dict[int, float]:
     Raises:
         DataError: the labels of two photographs are swapped
     """
+    return _doubted(series) or {}
+
+
+def _doubted(series: Series) -> dict[int, float] | None:
+    """Return the same; None where it cannot be told which are wrong."""
     shown = series.connected()
     if len(shown) <= _AGREE_WITHOUT:
-        return {}
+        return None
     free = series.part(shown)
     logs = np.log(free.exposures)
     is_seen = np.ones(logs.size, np.bool_)
@@ -76,35 +81,50 @@ def doubted_labels(series: Series) -> dict[int, float]:
         free.exposures_are_stated = False
         found = estimate_response(free, is_scene_checked=False).exposures
     except DataError:
-        return {}
+        return None
     limit = math.log(MOST_CORRECTED)
     jumps = np.diff(label_errors(logs, np.log(found), is_seen))
     errors = _steady(jumps, [_STEADY * limit] * jumps.size)
     wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
     if logs.size - len(wrong) < max(_AGREE_WITHOUT, len(wrong) + 1):
-        return {}
+        return None
     _check_swapped(free.names, logs, errors, wrong)
     return {shown[k]: math.exp(errors[k]) for k in wrong}
 
 
 def check_doubted(
-    photographs: Sequence[Photograph], doubted: Mapping[int, float], patches: Sequence[Patches]
+    photographs: Sequence[Photograph], doubted: Mapping[int, float], series: Series
 ) -> None:
     """Check that no label is so wrong that a longer exposure would be the darker one.
 
     Raises:
-        DataError: one is; names the photograph, what it states, and what its pixels say
+        DataError: one is; names the photograph, what it states, and what its pixels say, or the
+            two whose labels are swapped
     """
-    brightness = [float(np.mean(each)) for each in patches]
+    brightness = [float(np.mean(each)) for each in series.patches]
     for k, factor in doubted.items():
-        for other, each in enumerate(photographs):
-            longer = photographs[k].exposure - each.exposure
-            if other not in doubted and longer * (brightness[k] - brightness[other]) < 0:
-                count = len(photographs) - len(doubted)
-                raise DataError(
-                    _wrong_label(photographs[k], factor, count),
-                    hint="correct it with --times, one for each file, or leave the file out",
-                )
+        reverse = [
+            other
+            for other, each in enumerate(photographs)
+            if other not in doubted
+            and (photographs[k].exposure - each.exposure) * (brightness[k] - brightness[other]) < 0
+        ]
+        if not reverse:
+            continue
+        if len(reverse) == 1 and _agree_when_swapped(series, k, reverse[0]):
+            raise swapped_error(photographs[k].name, photographs[reverse[0]].name)
+        raise DataError(
+            _wrong_label(photographs[k], factor, len(photographs) - len(doubted)),
+            hint="correct it with --times, one for each file, or leave the file out",
+        )
+
+
+def _agree_when_swapped(series: Series, one: int, other: int) -> bool:
+    """Return whether all exposures are right if two photographs have each other's."""
+    swapped = series.part(range(len(series.exposures)))
+    exposures = swapped.exposures
+    exposures[one], exposures[other] = exposures[other], exposures[one]
+    return _doubted(swapped) == {}
 
 
 def wrong_labels(

@@ -152,7 +152,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     for k, photograph in zip(kept, photographs, strict=True):
         series.add(area(files.pixels(k)), photograph.exposure, photograph.name)
     doubted = doubted_labels(series)
-    check_doubted(photographs, doubted, series.patches)
+    check_doubted(photographs, doubted, series)
     check_order(photographs, series.patches, white)
     for k, factor in doubted.items():  # a wrong label must not bend the response
         series.exposures[k] *= factor
