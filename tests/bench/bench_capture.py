@@ -74,6 +74,12 @@ class RowsCamera(CameraBase):
             yield Frame(pixels, setting, setting, self.clock.now(), index, 0, 250)
 
 
+def frame_shape(megapixels: float) -> tuple[int, int]:
+    """Return rows and columns of a 3:2 frame, both even."""
+    columns = round((megapixels * 1e6 * 1.5) ** 0.5) // 2 * 2
+    return round(megapixels * 1e6 / columns) // 2 * 2, columns
+
+
 def memory(layout: Layout, megapixels: float) -> None:
     """Print the peak memory of one capture."""
     import cv2  # noqa: F401  imported here, so that it counts as memory from before the capture
@@ -81,8 +87,7 @@ def memory(layout: Layout, megapixels: float) -> None:
     import OpenEXR  # noqa: F401
     import tifffile  # noqa: F401
 
-    columns = round((megapixels * 1e6 * 1.5) ** 0.5) // 2 * 2
-    rows = round(megapixels * 1e6 / columns) // 2 * 2
+    rows, columns = frame_shape(megapixels)
     request = CaptureRequest("log", 16000.0, ratios=RATIOS, base_s=1e-3)
     with RowsCamera((rows, columns), layout) as camera, tempfile.TemporaryDirectory() as folder:
         samples = rows * columns * (3 if layout is Layout.RGB else 1)
@@ -104,8 +109,7 @@ def pictures(layout: Layout, megapixels: float) -> None:
     in a process of its own, as its users run it, and once more in one with the memory settings of a
     capture, from which it gains, too.  Each is the fastest of three runs that alternate.
     """
-    columns = round((megapixels * 1e6 * 1.5) ** 0.5) // 2 * 2
-    rows = round(megapixels * 1e6 / columns) // 2 * 2
+    rows, columns = frame_shape(megapixels)
     request = CaptureRequest("log", 16000.0, ratios=RATIOS, base_s=1e-3)
     spent: list[float] = []
     merged: list[float] = []
