@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.response_matches import LARGEST_RATIO, guess_exposures, neighbour_steps
-from camctl.calibration.response_movement import moved_samples
 from camctl.calibration.spill import SampleGrid, grid_counts
 from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
+from camctl.exposure.moved_parts import moved_samples
 from camctl.exposure.patches import Patches, sample_patches
 from camctl.response.camera import FloatArray
 
@@ -178,7 +178,9 @@ class Series:
         self._moved.clear()
 
     def _moved_between(self, short: int, long: int) -> NDArray[np.bool_] | None:
-        return moved_samples(self._grids[short], self._grids[long], self.black, self.white)
+        return moved_samples(
+            self._grids[short].planes, self._grids[long].planes, self.black, self.white
+        )
 
     @property
     def moved_share(self) -> float:

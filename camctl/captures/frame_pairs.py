@@ -3,8 +3,9 @@
 The brightness of the longer frame gives the light, and noise gives the interval in which the
 brightness of the shorter one then lies.  The noise model of the camera predicts it where it is
 known; else, as for photographs, both the middle and the width of the interval are measured in the
-frames themselves, at each brightness of each colour.  Quartiles are measured, which what moved in
-less than a quarter of a brightness's samples does not change much.
+frames themselves, at each brightness of each colour, without the patches in which something moved,
+see `camctl.exposure.moved_parts`.  Quartiles are measured, which what moved by little in less than
+a quarter of a brightness's samples does not change much.
 
 What a noise model lacks (non-linearity, lag, rows that differ) makes samples scatter more than
 predicted, and the tails of unknown noise are longer than those of a normal variable.  One factor
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.captures.brightness_limits import EdgeLimits, Limits, edge_levels
+from camctl.exposure.moved_parts import moved_patches
 from camctl.exposure.patches import LightScale, Patches
 from camctl.noise_model import FrameNoise
 
@@ -116,7 +118,11 @@ class Pair:
         They are indexed by the brightness of the longer frame.
         """
         if self.short.noise is None or self.long.noise is None:
-            planes_of = [np.array_split(each, self.colours) for each in self.samples]
+            rests = np.array_split(~self._moved, self.colours)
+            planes_of = [
+                [plane[rest] for plane, rest in zip(planes, rests, strict=True)]
+                for planes in (np.array_split(each, self.colours) for each in self.samples)
+            ]
             parts = [self._measured(*planes) for planes in zip(*planes_of, strict=True)]
             means, deviations = zip(*parts, strict=True)
             table = np.array((means, deviations))
@@ -175,6 +181,12 @@ class Pair:
         spread[scale.light > _MOST_BEYOND * scale.light[levels[-_BIN_SAMPLES]]] = np.inf
         return light + middle, np.hypot(spread, rounding)
 
+    @cached_property
+    def _moved(self) -> NDArray[np.bool_]:
+        """Which patches, (P,), show what moved and would look like noise if that is measured."""
+        scale = self.scale
+        return moved_patches(*self.samples, self.colours, scale.black, scale.white)
+
     @property
     def _least_reach(self) -> float:
         return _LEAST_REACH if self.is_known else _LEAST_REACH_UNKNOWN
@@ -227,7 +239,8 @@ class Pair:
         errors = self.scale.light[before] - means
         count = np.maximum(np.count_nonzero(usable, axis=1), 1)
         if not self.is_known:
-            return self._usual(np.where(usable, errors / step, 0.0), count)
+            mean = np.where(usable, errors / step, 0.0).sum(axis=1) / count
+            return self._usual(mean) & ~self._moved
         size = np.where(usable, np.maximum(np.abs(errors) - self._offset, 0.0) / step, 0.0)
         square = np.sum(np.minimum(size, 6.0) ** 2, axis=1) / count
         lit = square[usable.any(axis=1)]
@@ -244,12 +257,12 @@ class Pair:
         parts = zip(table, np.array_split(levels, self.colours), strict=True)
         return np.concatenate([values[each] for values, each in parts])
 
-    @staticmethod
-    def _usual(deviations: _Floats, count: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def _usual(self, mean: _Floats) -> NDArray[np.bool_]:
         """Return which patches deviate in the mean as most do; noise and contours average out."""
-        mean = deviations.sum(axis=1) / count
-        error = np.abs(mean - np.median(mean))
-        return np.asarray(error <= _REST_SIGMAS * 1.4826 * max(float(np.median(error)), 1e-3))
+        rests = ~self._moved
+        error = np.abs(mean - np.median(mean[rests]))
+        spread = 1.4826 * max(float(np.median(error[rests])), 1e-3)
+        return np.asarray(error <= _REST_SIGMAS * spread)
 
     def _outside(self, limits: Limits, rows: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
         """Return which samples of the patches contradict, or of some of the patches."""

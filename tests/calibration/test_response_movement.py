@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.calibration.response import ResponseEstimate, estimate_response
-from camctl.calibration.response_movement import moved_samples
 from camctl.calibration.response_series import Series
 from camctl.calibration.spill import SampleGrid
 from camctl.controls import Layout
+from camctl.exposure.moved_parts import moved_samples
 from camctl.response.camera import FloatArray
 
 Curve = Callable[[FloatArray], FloatArray]
@@ -128,7 +128,7 @@ def test_samples_of_a_thing_are_found_at_any_depth_and_layout(layout: Layout) ->
         for each in pair
     ]
     grids = [SampleGrid.of(frame, layout) for frame in frames]
-    moved = moved_samples(grids[0], grids[1], 60, 4060)
+    moved = moved_samples(grids[0].planes, grids[1].planes, 60, 4060)
     assert moved is not None
     scale = 2 if layout.is_mosaic else 1
     inside = moved[104 // scale : 156 // scale, 104 // scale : 196 // scale]

@@ -238,6 +238,35 @@ def test_a_box_that_only_the_longest_photograph_has_is_found_in_all_of_its_parts
     assert marks.mean() < 0.05
 
 
+@pytest.mark.parametrize("is_plain", [True, False])
+@pytest.mark.parametrize("moves", [(1,), (0, 1, 2)])
+def test_a_thing_that_covers_a_third_of_the_picture_is_not_taken_for_noise(
+    is_plain: bool, moves: tuple[int, ...]
+) -> None:
+    """Noise that is not known is measured where nothing moved."""
+    exposures, rng = (1.0, 4.0, 16.0), np.random.default_rng(3)
+    y, x = np.mgrid[:480, :640]
+    wall = 0.02 * np.exp(np.sin(x / 37) + np.sin(y / 23) + x / 640)
+    thing = 0.004 * (np.ones_like(wall) if is_plain else np.exp(np.sin(x / 11) + np.sin(y / 17)))
+    lights, frames = [], []
+    for k, exposure in enumerate(exposures):
+        covered = np.zeros(wall.shape, np.bool_)
+        if k in moves:
+            covered[60:420, 40 + 90 * k : 320 + 90 * k] = True
+        lights.append(np.where(covered, thing, wall))
+        E = lights[-1][..., None] * exposure * np.array([1.0, 0.8, 0.6])
+        E = E + np.sqrt(E / 8000) * rng.normal(size=E.shape)
+        frames.append(compressed(np.clip(E, 0, 1.001), 92))
+    ratio = np.max(lights, axis=0) / np.min(lights, axis=0)
+    differs = ratio > 1.5
+    assert 0.15 < differs.mean() < 0.45
+    movement = movement_of(frames, exposures)
+    marks = movement.rows(0, 480).any(axis=2)
+    assert marks[differs].mean() > 0.9
+    assert marks[ratio == 1].mean() < 0.015
+    assert movement.found.false_alarms < 1.25 * FALSE_ALARMS
+
+
 @pytest.mark.parametrize("quality", [75, 92])
 @pytest.mark.parametrize("moves", [False, True])
 def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: bool) -> None:

@@ -1,4 +1,4 @@
-"""Where two frames of an exposure series contradict each other: something moved between them.
+"""Which parts of two frames of different exposure show something that moved between them.
 
 Brightness in the longer frame of a pair decides, but for noise, that in the shorter one, whatever
 the response is.  Samples in which nothing moved lie along one ascending curve of their joint
@@ -6,17 +6,20 @@ histogram, and those of a moving thing beside it.  The curve is the ascending pa
 brightness of either frame implies that of the other one best: a thing of one brightness makes a
 column or a row, of which no sample says where in it the others are.
 
-Cells of neighbouring samples are judged by their mean, in which noise averages out.
+Cells of neighbouring samples, or patches, are judged by their mean, in which noise averages out.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.spill import SampleGrid
+from camctl.exposure.patches import Patches
 from camctl.response.camera import FloatArray
 
 #: Brightness levels that are distinguished; of more bits than eight, equal steps of the square root
@@ -44,13 +47,13 @@ _LEAST_MOVED, _MOST_MOVED = 0.002, 0.5
 
 
 def moved_samples(
-    short: SampleGrid, long: SampleGrid, black: int, white: int
+    short: Sequence[NDArray[Any]], long: Sequence[NDArray[Any]], black: int, white: int
 ) -> NDArray[np.bool_] | None:
     """Return which samples of the grids of two frames show something that moved between them.
 
     Args:
-        short: of the frame of shorter exposure
-        long: of the other one
+        short: of the frame of shorter exposure, (rows, columns) for each colour
+        long: of the other one, likewise
         black: brightness without light, DN
         white: brightness from which samples are saturated, DN
 
@@ -60,14 +63,16 @@ def moved_samples(
     """
     pairs = [
         (_as_levels(one, black, white), _as_levels(other, black, white))
-        for one, other in zip(short.planes, long.planes, strict=True)
+        for one, other in zip(short, long, strict=True)
     ]
     rows = min(each.shape[0] for pair in pairs for each in pair)
     columns = min(each.shape[1] for pair in pairs for each in pair)
     shape = (max(1, rows // _SIDE), max(1, columns // _SIDE))
     count = np.zeros(shape, np.intp)
     for before, after in pairs:
-        count += _moved_cells(before[:rows, :columns], after[:rows, :columns], shape)
+        count += _deviates(
+            before[:rows, :columns], after[:rows, :columns], partial(_cell_means, shape=shape)
+        )
     moved: NDArray[np.bool_] = count >= min(_COLOURS, len(pairs))
     moved &= _neighbours(moved) >= _NEIGHBOURS
     if not _LEAST_MOVED < moved.mean() < _MOST_MOVED:
@@ -80,19 +85,47 @@ def moved_samples(
     return np.asarray(moved[np.ix_(*place)])
 
 
-def _as_levels(plane: NDArray[np.generic], black: int, white: int) -> NDArray[np.intp]:
+def moved_patches(
+    short: Patches, long: Patches, colours: int, black: int, white: int
+) -> NDArray[np.bool_]:
+    """Return which patches of two frames show something that moved between them, (patches,).
+
+    None do where so many differ that it is no moving thing.
+
+    Args:
+        short: of the frame of shorter exposure, see `sample_patches`
+        long: of the other one
+        colours: that have responses of their own; each has as many patches
+        black: brightness without light, DN
+        white: brightness from which samples are saturated, DN
+    """
+    count = np.zeros(len(short) // colours, np.intp)
+    parts = (np.array_split(_as_levels(each, black, white), colours) for each in (short, long))
+    for before, after in zip(*parts, strict=True):
+        count += _deviates(before, after, lambda values: np.asarray(values.mean(axis=1)))
+    moved = np.tile(count >= min(_COLOURS, colours), colours)
+    return moved & bool(moved.mean() < _MOST_MOVED)
+
+
+def _as_levels(samples: NDArray[np.generic], black: int, white: int) -> NDArray[np.intp]:
     share = np.clip((np.arange(white + 1) - black) / (white - black), 0, 1)
     if white - black >= _LEVELS:
         share = np.sqrt(share + _READ_NOISE) - math.sqrt(_READ_NOISE)
         share /= share[-1]
     table: NDArray[np.intp] = np.rint((_LEVELS - 1) * share).astype(np.intp)
-    return np.asarray(table[np.minimum(plane, white).astype(np.intp)])
+    return np.asarray(table[np.minimum(samples, white).astype(np.intp)])
 
 
-def _moved_cells(
-    before: NDArray[np.intp], after: NDArray[np.intp], shape: tuple[int, int]
+def _deviates(
+    before: NDArray[np.intp], after: NDArray[np.intp], means: Callable[[FloatArray], FloatArray]
 ) -> NDArray[np.intp]:
-    """Return 1 in the cells that deviate from the curve of most, and 0 in the others."""
+    """Return 1 in the cells that deviate from the curve of most, and 0 in the others.
+
+    Args:
+        before: levels of the samples of the shorter frame
+        after: of the longer one
+        means: returns the mean of each cell of values of the samples
+    """
     counts = np.bincount((after * _LEVELS + before).ravel(), minlength=_LEVELS**2)
     seen = counts.reshape(_LEVELS, _LEVELS)[:_SATURATED, :_SATURATED]
     seen[0] = seen[:, 0] = 0  # clipped at black
@@ -105,12 +138,12 @@ def _moved_cells(
     expected: FloatArray = np.where(is_saturated, least, curve[np.minimum(after, _SATURATED - 1)])
     errors: FloatArray = before - expected
     errors = np.where(is_saturated, np.minimum(errors, 0.0), errors)
-    mean, level = _cell_means(errors, shape), _cell_means(after.astype(np.float64), shape)
+    mean, level = means(errors), means(after.astype(np.float64))
     band = (level // _BAND).astype(np.intp)
-    noise = np.zeros(shape)
+    noise = np.zeros(mean.shape)
     for each in np.unique(band):
         noise[band == each] = float(np.median(np.abs(mean[band == each])))
-    limit = _LEAST_DEVIATION + _LEAST_SHARE * _cell_means(expected, shape)
+    limit = _LEAST_DEVIATION + _LEAST_SHARE * means(expected)
     limit = np.maximum(limit, np.minimum(_DEVIATIONS * noise, _MOST_NOISE))
     deviates: NDArray[np.bool_] = np.abs(mean) > limit
     return deviates.astype(np.intp)
