@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -14,17 +14,27 @@ from camctl.captures.photograph_shift import displacement
 
 #: A displacement counts from so many pixels of the photographs, and of their grey copies.
 _DISPLACED, _DISPLACED_IN_COPY = 1.3, 0.15
+#: Fine structure that is in the same place is displaced by less than this, pixels.
+_FINE = 8.0
 
 _Place = NDArray[np.float64]
 
 
-def misaligned(sights: Sequence[Sight]) -> dict[str, str]:
-    """Return by name how each photograph lies that does not lie where most of the others do."""
-    order = sorted(range(len(sights)), key=lambda k: sights[k].photograph.exposure)
+def misaligned(sights: Sequence[Sight], alike: Collection[frozenset[int]] = ()) -> dict[int, str]:
+    """Return by position how each photograph lies that does not lie where most of the others do.
+
+    Args:
+        sights: of the photographs
+        alike: pairs of positions of photographs whose fine structure is in the same place, so that
+            a large displacement is that of a thing that moved
+    """
+    order = sorted(range(len(sights)), key=lambda k: float(sights[k].grey.mean()))
     # Photographs that can be compared one after the other, each with its place on the first one.
     chains = [[(order[0], np.zeros(4))]] if order else []
     for one, other in pairwise(order):
         found = displacement(sights[one].grey, sights[other].grey)
+        if found is not None and frozenset((one, other)) in alike:
+            found = found * (_extent(found, sights[one]) < _FINE / sights[one].scale)
         if found is None:
             chains.append([(other, np.zeros(4))])
             continue
@@ -38,17 +48,23 @@ def misaligned(sights: Sequence[Sight]) -> dict[str, str]:
     return dict(line for chain in chains for line in _misplaced(sights, chain))
 
 
+def _extent(place: _Place, sight: Sight) -> float:
+    """Return by how much a displacement moves what it moves most, pixels of the grey copy."""
+    columns, rows, turn, growth = place.tolist()
+    half = max(sight.grey.shape) / 2
+    return float(math.hypot(columns, rows) + math.hypot(turn, growth) * half)
+
+
 def _misplaced(
     sights: Sequence[Sight], chain: Sequence[tuple[int, _Place]]
-) -> list[tuple[str, str]]:
-    """Return the name of each photograph that is not in the place of most, and how it lies."""
-    shape, scale = sights[chain[0][0]].grey.shape, sights[chain[0][0]].scale
+) -> list[tuple[int, str]]:
+    """Return the position of each photograph that is not in the place of most, and how it lies."""
+    first = sights[chain[0][0]]
+    shape, scale = first.grey.shape, first.scale
     limit = max(_DISPLACED / scale, _DISPLACED_IN_COPY)
 
     def is_alike(one: _Place, other: _Place) -> bool:
-        columns, rows, turn, growth = (other - one).tolist()
-        half = max(shape) / 2
-        return bool(math.hypot(columns, rows) + math.hypot(turn, growth) * half < limit)
+        return _extent(other - one, first) < limit
 
     def alike(place: _Place) -> list[int]:
         return [k for k, other in chain if is_alike(place, other)]
@@ -63,8 +79,7 @@ def _misplaced(
         near = min(others, key=lambda o: abs(math.log(sights[o].photograph.exposure / exposure)))
         how = _described(place - usual, shape, scale, limit)
         how[0] = how[0].replace(" by ", f" against {sights[near].photograph.name} by ", 1)
-        name = sights[k].photograph.name
-        found.append((name, f"{name} is {' and '.join(how)}"))
+        found.append((k, f"{sights[k].photograph.name} is {' and '.join(how)}"))
     return found
 
 

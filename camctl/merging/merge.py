@@ -63,16 +63,16 @@ class MergePlan:
     @property
     def notes(self) -> list[str]:
         """What the user should know of the photographs, one line each."""
-        used = {each["file"] for each in self.photographs if each["used"]}
+        used = [k for k, each in enumerate(self.photographs) if each["used"]]
         is_sum = len(used) > 1
         return [
             *self.opened.notes,
             *(
                 f"{how}, and the picture will be blurred: align the photographs first"
-                if is_sum and name in used
+                if is_sum and k in used
                 else f"{how}; the picture is not blurred by it, since "
-                f"{'it is the only one' if name in used else 'it is not'} used"
-                for name, how in self.opened.displaced.items()
+                f"{'it is the only one' if k in used else 'it is not'} used"
+                for k, how in self.opened.displaced.items()
             ),
         ]
 

@@ -31,8 +31,8 @@ from camctl.response.camera import FloatArray
 _WRONG_EXACT = 1.1
 #: Factor of a first guess from which the exposures are estimated.
 _SUSPECT = 1.15
-#: Of the logarithm of the factor by which a label is wrong, the share that neighbours may differ.
-_STEADY = 0.6
+STEADY = 0.6
+"""Of the logarithm of the factor that counts, the share by which neighbours may differ."""
 #: Photographs that must agree: without a response, and with one.
 _AGREE_WITHOUT, _AGREE_WITH = 3, 2
 #: Labels are swapped, and several photographs differ alike, up to this error of a logarithm.
@@ -84,7 +84,7 @@ def _doubted(series: Series) -> dict[int, float] | None:
         return None
     limit = math.log(MOST_CORRECTED)
     jumps = np.diff(label_errors(logs, np.log(found), is_seen))
-    errors = _steady(jumps, [_STEADY * limit] * jumps.size)
+    errors = steady_errors(jumps, [STEADY * limit] * jumps.size)
     wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
     if logs.size - len(wrong) < max(_AGREE_WITHOUT, len(wrong) + 1):
         return None
@@ -158,7 +158,7 @@ def wrong_labels(
                 f"the exposure of {photographs[run.members[0]].name} is not checked: no part of it "
                 "is well exposed in the photograph of the next brightness, too"
             )
-        errors = _steady(run.jumps, [max(_STEADY * limit, each) for each in run.tolerances])
+        errors = steady_errors(run.jumps, [max(STEADY * limit, each) for each in run.tolerances])
         wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
         agree = len(run.members) - len(wrong)
         members = [photographs[k] for k in run.members]
@@ -194,7 +194,7 @@ def neighbours_differ(
 
 
 @dataclass(frozen=True)
-class _Run:
+class Run:
     """Photographs of ascending brightness of which neighbours can be compared.
 
     Attributes:
@@ -210,13 +210,13 @@ class _Run:
 
 def _runs(
     photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
-) -> list[_Run]:
+) -> list[Run]:
     order = sorted(range(len(photographs)), key=lambda k: float(np.mean(patches[k])))
-    runs = [_Run(order[:1])]
+    runs = [Run(order[:1])]
     for dark, bright in pairwise(order):
         ratio = pair_ratio(patches[dark], patches[bright], scale)
         if ratio is None:
-            runs.append(_Run([bright]))
+            runs.append(Run([bright]))
             continue
         stated = math.log(photographs[bright].exposure / photographs[dark].exposure)
         runs[-1].members.append(bright)
@@ -240,7 +240,7 @@ def _named(
     ]
 
 
-def _steady(jumps: Sequence[float] | FloatArray, least: Sequence[float]) -> FloatArray:
+def steady_errors(jumps: Sequence[float] | FloatArray, least: Sequence[float]) -> FloatArray:
     """Return the errors of neighbours whose differences are given.
 
     What differs from an earlier error by no more than `least` is equal to it: so small differences

@@ -49,13 +49,10 @@ def known_controls(
     Args:
         files: the photographs
         curve: see `PhotographOptions`
-        series: histograms and patches of them
+        series: histograms and patches of them, with black and white level
         notes: warnings, to which this adds
         facts: what the user may want to know, to which this adds
     """
-    series.find_limits()
-    facts += series.notes
-    series.notes.clear()
     rows, columns = series.shape[:2]
     controls = ExposureControls(
         time_s=Choices((1.0,)),

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from camctl.camera import Pixels
     from camctl.captures.photograph_camera import PhotographCamera
     from camctl.captures.photographs import Photograph
+    from camctl.controls import ExposureControls
     from camctl.exposure.patches import Patches
+    from camctl.merging.photograph_selection import Selection
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ class OpenedPhotographs:
         response: where the response is from
         facts: what the user may want to know
         notes: what the user should know, one line each
-        displaced: by name, how photographs lie that do not lie where the others do
+        displaced: by position in `camera`, how photographs lie that are used and do not lie where
+            others do
     """
 
     camera: PhotographCamera
@@ -72,11 +75,11 @@ class OpenedPhotographs:
     response: str
     facts: tuple[str, ...]
     notes: tuple[str, ...]
-    displaced: dict[str, str]
+    displaced: dict[int, str]
 
 
 def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> OpenedPhotographs:
-    """Read and check photographs.
+    """Read and check photographs, and leave out those that do not fit most others.
 
     Args:
         paths: of their files
@@ -86,16 +89,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         DataError: a file cannot be read or does not fit the others
         UsageError: an exposure is missing, or an option does not fit the files
     """
-    from camctl.calibration.response_series import Series
-    from camctl.captures.photograph_alignment import misaligned
     from camctl.captures.photograph_camera import PhotographCamera
-    from camctl.captures.photograph_checks import (
-        Sight,
-        check_order,
-        duplicates,
-        flashes,
-        with_all_stated,
-    )
+    from camctl.captures.photograph_checks import Sight, check_order, flashes, with_all_stated
     from camctl.captures.photograph_contradictions import contradictions
     from camctl.captures.photographs import corrected_exposures
     from camctl.exposure.patches import LightScale
@@ -105,60 +100,35 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         neighbours_differ,
         wrong_labels,
     )
+    from camctl.merging.photograph_selection import distinct, of_one_view
 
     files = PhotographFiles(paths, source.times)
     photographs, unstated = with_all_stated(files.photographs)
     photographs, facts = _with_labels(photographs, source.labels)
-    black = files.format.black if source.black is None else source.black
-    white = files.format.white if source.white is None else source.white
-    if not black < white < 2**files.format.bits:
-        raise UsageError(
-            f"invalid levels: black {black} and white {white} in files of {files.format.bits} bits",
-            hint=f"expected black < white < {2**files.format.bits}",
-        )
+    black, white = _levels(files, source)
     area, cut = _valid_area(files, source.mask, black)
     facts += cut
     sights = [
         Sight.of(photograph, area(files.pixels(k)), white)
         for k, photograph in enumerate(photographs)
     ]
-    same = duplicates(sights)
-    notes = [
-        *files.notes,
-        *(
-            f"{photographs[k].name} is the same photograph as {photographs[earlier].name}, and "
-            "left out"
-            for k, earlier in same.items()
-        ),
-    ]
-    empty = [k for k, each in enumerate(sights) if each.is_even]
-    notes += [f"{photographs[k].name} is one colour everywhere, and left out" for k in empty]
-    notes += unstated
-    notes += flashes(photographs)
-    kept = [k for k in range(len(photographs)) if k not in same and k not in empty]
-    photographs = [photographs[k] for k in kept]
-    if len(photographs) < 2:
-        raise UsageError("one photograph makes no merge", hint="give two or more exposures")
-    series = Series(
-        files.format.layout,
-        files.format.bits,
-        black,
-        white,
-        phase=0.5 if black else 0.0,
-        levels_are_stated=source.black is not None
-        or source.white is not None
-        or files.format.is_raw,
-    )
-    for k, photograph in zip(kept, photographs, strict=True):
-        series.add(area(files.pixels(k)), photograph.exposure, photograph.name)
+    notes = list(files.notes)
+    kept = distinct(sights, notes)
+    notes += [*unstated, *flashes(photographs)]
+    selection = _selection(files, photographs, kept, area, source)
+    selection, displaced = of_one_view(selection, [sights[k] for k in kept], notes)
+    series = selection.series
     doubted = doubted_labels(series)
-    check_doubted(photographs, doubted, series)
-    check_order(photographs, series.patches, white)
+    check_doubted(selection.photographs, doubted, series)
+    check_order(selection.photographs, series.patches, white)
     for k, factor in doubted.items():  # a wrong label must not bend the response
         series.exposures[k] *= factor
-    displaced = misaligned([sights[k] for k in kept])
-    controls, response = known_controls(files, source.curve, series, notes, facts)
-    patches = [np.minimum(each, controls.white) for each in series.patches]
+    series.find_limits()
+    facts += series.notes
+    series.notes.clear()
+    selection, controls, response = _with_response(files, source, selection, notes, facts)
+    photographs = selection.photographs
+    patches = [np.minimum(each, controls.white) for each in selection.series.patches]
     scale = LightScale(controls.levels, controls.black)
     if source.labels != "exact" and response != ASSUMED:
         corrected, changed = corrected_exposures(photographs, patches, scale)
@@ -182,19 +152,21 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     )
     notes += wrong.notes
     facts += wrong.facts
+    positions = selection.positions
     if is_exact:  # what is named must not falsify the picture
         right = [k for k in range(len(photographs)) if k not in wrong.factors]
-        kept, patches = [kept[k] for k in right], [patches[k] for k in right]
+        positions, patches = [positions[k] for k in right], [patches[k] for k in right]
         photographs = [photographs[k] for k in right]
+        displaced = {place: displaced[k] for place, k in enumerate(right) if k in displaced}
     else:
         photographs = [
             replace(each, time_s=each.time_s * wrong.factors.get(k, 1.0))
             for k, each in enumerate(photographs)
         ]
     camera = PhotographCamera(
-        photographs, lambda k: area(files.pixels(kept[k])), controls, files.taken_by
+        photographs, lambda k: area(files.pixels(positions[k])), controls, files.taken_by
     )
-    planes = [each.shape for each in files.format.layout.planes(area(files.pixels(kept[0])))]
+    planes = [each.shape for each in files.format.layout.planes(area(files.pixels(positions[0])))]
     facts += contradictions(photographs, patches, scale, planes)
     return OpenedPhotographs(
         camera,
@@ -204,6 +176,69 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         tuple(notes),
         displaced,
     )
+
+
+def _levels(files: PhotographFiles, source: PhotographOptions) -> tuple[int, int]:
+    """Return black and white level of the files, as stated or of their format."""
+    black = files.format.black if source.black is None else source.black
+    white = files.format.white if source.white is None else source.white
+    if not black < white < 2**files.format.bits:
+        raise UsageError(
+            f"invalid levels: black {black} and white {white} in files of {files.format.bits} bits",
+            hint=f"expected black < white < {2**files.format.bits}",
+        )
+    return black, white
+
+
+def _selection(
+    files: PhotographFiles,
+    photographs: Sequence[Photograph],
+    kept: list[int],
+    area: Callable[[Pixels], Pixels],
+    source: PhotographOptions,
+) -> Selection:
+    """Return the photographs at some positions, with their histograms and patches."""
+    from camctl.calibration.response_series import Series
+    from camctl.merging.photograph_selection import Selection
+
+    black, white = _levels(files, source)
+    series = Series(
+        files.format.layout,
+        files.format.bits,
+        black,
+        white,
+        phase=0.5 if black else 0.0,
+        levels_are_stated=source.black is not None
+        or source.white is not None
+        or files.format.is_raw,
+    )
+    for k in kept:
+        series.add(area(files.pixels(k)), photographs[k].exposure, photographs[k].name)
+    return Selection(kept, [photographs[k] for k in kept], series)
+
+
+def _with_response(
+    files: PhotographFiles,
+    source: PhotographOptions,
+    selection: Selection,
+    notes: list[str],
+    facts: list[str],
+) -> tuple[Selection, ExposureControls, str]:
+    """Return the photographs of one colour, what is known of them, and where the response is from.
+
+    Warnings are added to `notes`, and what the user may want to know to `facts`.
+    """
+    from camctl.merging.photograph_selection import of_one_colour
+
+    found: tuple[list[str], list[str]] = ([], [])
+    controls, response = known_controls(files, source.curve, selection.series, *found)
+    used = selection if response == ASSUMED else of_one_colour(selection, controls, notes)
+    if used is not selection:  # other colours must not bend the response
+        found = ([], [])
+        controls, response = known_controls(files, source.curve, used.series, *found)
+    notes += found[0]
+    facts += found[1]
+    return used, controls, response
 
 
 def _with_labels(photographs: list[Photograph], labels: str) -> tuple[list[Photograph], list[str]]:

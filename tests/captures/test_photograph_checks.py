@@ -162,7 +162,7 @@ def test_the_neighbours_of_a_turned_photograph_are_not_turned() -> None:
         matrix = cv2.getRotationMatrix2D(middle, -5.0, 1.0)
         return np.asarray(cv2.warpAffine(scene, matrix, scene.shape[::-1])) if k == 1 else scene
 
-    assert list(misaligned(smooth_bracket(change))) == ["p1"]
+    assert list(misaligned(smooth_bracket(change))) == [1]
 
 
 def test_a_dark_thing_in_one_of_two_bright_photographs_does_not_swap_them() -> None:

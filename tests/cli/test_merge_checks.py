@@ -162,21 +162,30 @@ def test_light_that_changed_is_no_wrong_label(run: Run, series: Series) -> None:
     assert "p04.png, p05.png are all about 0.4 times as bright as their exposures say" in ran.err
 
 
-@pytest.mark.parametrize(("suffix", "choice"), [(".png", ()), (".jpg", ("--ratios", "1,2,4"))])
-def test_a_shifted_photograph_is_named(
-    run: Run, series: Series, suffix: str, choice: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_shifted_photograph_is_named_and_left_out(run: Run, series: Series, suffix: str) -> None:
     def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         return np.roll(pixels, (5, -7), axis=(0, 1)) if k == 4 else pixels
 
-    ran = run("merge", *series(suffix=suffix, change=shift), *choice, "-o", "hall")
+    ran = run("merge", *series(suffix=suffix, change=shift), "-o", "hall")
     lines = [line for line in ran.err.splitlines() if "is shifted against" in line]
     assert len(lines) == 1
     assert lines[0].startswith(f"camctl: warning: p04{suffix} is shifted against p03{suffix} by ")
     assert "about -7 columns and +5 rows" in lines[0]
-    used = {each["file"] for each in read_report("hall").source["photographs"] if each["used"]}
-    assert ("will be blurred" in lines[0]) == (f"p04{suffix}" in used)
-    assert lines[0].endswith("it is not used") == (f"p04{suffix}" not in used)
+    assert lines[0].endswith("and is left out: align it with the others to use it")
+    report = read_report("hall")
+    assert f"p04{suffix}" not in {each["file"] for each in report.source["photographs"]}
+    assert report.trustworthy
+
+
+def test_photographs_of_which_each_is_shifted_are_all_used(run: Run, series: Series) -> None:
+    def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
+        return np.roll(pixels, (3 * k, 2 * k), axis=(0, 1))
+
+    ran = run("merge", *series(TIMES[2:6], change=shift), "-o", "hall")
+    lines = [line for line in ran.err.splitlines() if "is shifted against p00.png by" in line]
+    assert [line[:24] for line in lines] == [f"camctl: warning: p0{k}.png" for k in (1, 2, 3)]
+    assert "left out" not in ran.err
 
 
 def test_a_thing_that_moved_in_one_photograph_is_no_wrong_exposure(

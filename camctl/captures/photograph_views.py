@@ -1,0 +1,170 @@
+"""Which photographs do not show what the others show: another view or scene, or less sharp.
+
+The fine structure of two photographs is compared within small patches, where it is the same
+whatever their exposures are and wherever something moved: the brightness of the longer exposure is
+turned into that of the shorter one by equal ranks in their histograms, as in
+`camctl.captures.photograph_shift`, and correlated with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.exposure.patches import Patches
+
+#: Brightness from which on a sample may be saturated, and up to which it may be black, as shares
+#: of full scale.
+_SATURATED, _BLACK = 0.92, 0.01
+#: Samples on each side of a square that is averaged, against noise.
+_POOLED = 2
+#: Standard deviation of the brightness within a patch that is structure, share of full scale, and
+#: how many patches must have it.
+_STRUCTURE, _FEWEST = 4 / 255, 20
+#: Two photographs show the same if the median correlation of their patches is at least the first
+#: number; another view has less than the second one.
+_SAME, _OTHER = 0.9, 0.6
+#: Contrast with the other one as its measure up to which a photograph is less sharp, and from which
+#: the other one is.
+_LESS_SHARP, _SHARPER = 0.8, 1.1
+#: Each photograph is compared with so many of the next brightness.
+_NEXT = 4
+
+_Floats = NDArray[np.float64]
+
+
+class Likeness(NamedTuple):
+    """How much the fine structure of a darker photograph is that of a brighter one.
+
+    Attributes:
+        correlation: median of that of the patches
+        contrast: median of their contrast over that which the brighter one has
+    """
+
+    correlation: float
+    contrast: float
+
+    @property
+    def is_same(self) -> bool:
+        """Whether both show the same, equally sharp."""
+        return self.correlation >= _SAME
+
+
+Likenesses = dict[tuple[int, int], Likeness]
+"""Those of the pairs of photographs that can be compared: darker and brighter one, by position."""
+
+
+def likenesses(patches: Sequence[Patches], colours: int, white: int) -> Likenesses:
+    """Return how much each photograph is like those of the next brightness.
+
+    Args:
+        patches: of each photograph, see `sample_patches`
+        colours: planes that they are of
+        white: brightness from which samples are saturated, DN
+    """
+    order = sorted(range(len(patches)), key=lambda k: float(patches[k].mean()))
+    return {
+        pair: each
+        for place, dark in enumerate(order)
+        for pair in ((dark, bright) for bright in order[place + 1 : place + 1 + _NEXT])
+        if (each := likeness(patches[pair[0]], patches[pair[1]], colours, white)) is not None
+    }
+
+
+def unlike_others(found: Likenesses, count: int) -> dict[int, str]:
+    """Return by position how photographs differ that do not show what most of `count` show.
+
+    None does where it cannot be told which ones are right: more than half must be alike.
+    """
+    alike = _largest_group(count, [pair for pair, each in found.items() if each.is_same])
+    if len(alike) <= count / 2:
+        return {}
+    result = {}
+    for k in range(count):
+        against = {pair: each for pair, each in found.items() if k in pair and alike & {*pair}}
+        if k in alike or not against:
+            continue
+        if max(each.correlation for each in against.values()) < _OTHER:
+            result[k] = "does not show what the others show (another view or scene)"
+        elif all(
+            each.contrast < _LESS_SHARP if pair[0] == k else each.contrast > _SHARPER
+            for pair, each in against.items()
+        ):
+            result[k] = "is less sharp than the others (out of focus, or shaken)"
+    return result
+
+
+def unlike_each_other(found: Likenesses, count: int) -> tuple[int, int] | None:
+    """Return two of `count` photographs that differ, where most do not show what others show."""
+    alike = _largest_group(count, [pair for pair, each in found.items() if each.is_same])
+    if len(alike) > count / 2:
+        return None
+    least = min(found, key=lambda pair: found[pair].correlation, default=None)
+    return least if least is not None and found[least].correlation < _OTHER else None
+
+
+def _largest_group(count: int, links: Iterable[tuple[int, int]]) -> set[int]:
+    """Return the most of `count` members that are linked to each other, one by one."""
+    groups = [{each} for each in range(count)]
+    for pair in links:
+        first, second = (next(group for group in groups if k in group) for k in pair)
+        if first is not second:
+            first |= second
+            groups = [group for group in groups if group is not second]
+    return max(groups, key=len)
+
+
+def likeness(dark: Patches, bright: Patches, colours: int, white: int) -> Likeness | None:
+    """Return how much two photographs are alike; None: they show no fine structure in common.
+
+    Args:
+        dark: patches of the darker one
+        bright: of the brighter one
+        colours: planes that they are of
+        white: brightness from which samples are saturated, DN
+    """
+    planes = [np.array_split(each, colours) for each in (dark, bright)]
+    found = [_compared(planes[0][k], planes[1][k], white) for k in range(colours)]
+    correlations, contrasts = np.concatenate(found, axis=1)
+    if correlations.size < _FEWEST:
+        return None
+    return Likeness(float(np.median(correlations)), float(np.median(contrasts)))
+
+
+def _compared(dark: Patches, bright: Patches, white: int) -> _Floats:
+    """Return correlation and contrast of each patch that has structure, (2, patches)."""
+    usable = (bright.max(axis=1) < _SATURATED * white) & (dark.min(axis=1) > _BLACK * white)
+    if not usable.any():
+        return np.empty((2, 0))
+    matched = np.interp(_ranks(bright, white), _ranks(dark, white), np.arange(white + 1))
+    seen, expected = (
+        _structure(each) for each in (dark[usable].astype(np.float64), matched[bright[usable]])
+    )
+    variances = [np.mean(each**2, axis=1) for each in (seen, expected)]
+    # Structure that only the darker one has may be its noise.
+    has = variances[1] > (_STRUCTURE * white) ** 2
+    common = np.mean(seen * expected, axis=1)[has]
+    of_seen, of_expected = (each[has] for each in variances)
+    size = np.sqrt(np.maximum(of_seen * of_expected, np.finfo(np.float64).tiny))
+    return np.array((common / size, common / of_expected))
+
+
+def _ranks(samples: Patches, white: int) -> _Floats:
+    """Return the rank of each brightness among the samples, 0 to 1: the middle of equal ones."""
+    counts = np.bincount(samples.ravel(), minlength=white + 1)
+    return (np.cumsum(counts) - counts / 2) / samples.size
+
+
+def _structure(patches: _Floats) -> _Floats:
+    """Return means of small squares of each patch, without the mean of the patch."""
+    side = math.isqrt(patches.shape[1])
+    cut = side - side % _POOLED
+    squares = patches.reshape(-1, side, side)[:, :cut, :cut]
+    half = cut // _POOLED
+    small = squares.reshape(-1, half, _POOLED, half, _POOLED).mean(axis=(2, 4))
+    small = small.reshape(len(small), -1)
+    return np.asarray(small - small.mean(axis=1, keepdims=True))
