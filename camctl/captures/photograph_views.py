@@ -25,12 +25,16 @@ _POOLED = 2
 #: Standard deviation of the brightness within a patch that is structure, share of full scale, and
 #: how many patches must have it.
 _STRUCTURE, _FEWEST = 4 / 255, 20
-#: Two photographs show the same if the median correlation of their patches is at least the first
-#: number; another view has less than the second one.
-_SAME, _OTHER = 0.9, 0.6
-#: Contrast with the other one as its measure up to which a photograph is less sharp, and from which
-#: the other one is.
-_LESS_SHARP, _SHARPER = 0.8, 1.1
+#: Two photographs show the same if the median correlation of their patches is at least this.
+_SAME = 0.9
+#: They show different views if it is less than the first number and not even a quarter of them have
+#: the second one: three quarters may have moved.  Of two photographs that are all it is less than
+#: the third one: noise makes it small, too.
+_OTHER, _BEST_OF_OTHER, _SURELY_OTHER = 0.6, 0.75, 0.35
+#: A photograph is less sharp if three quarters of its patches have less contrast than this share of
+#: that of a brighter one, or a darker one has more than the second share of its contrast in half of
+#: them, and more than the third one in three quarters.
+_LESS_SHARP, _SHARPER, _AS_SHARP = 0.8, 1.15, 0.9
 #: Each photograph is compared with so many of the next brightness.
 _NEXT = 4
 
@@ -42,16 +46,33 @@ class Likeness(NamedTuple):
 
     Attributes:
         correlation: median of that of the patches
-        contrast: median of their contrast over that which the brighter one has
+        best: correlation that a quarter of them exceed
+        contrast: quartiles of the contrast of patches over that which the brighter one has
     """
 
     correlation: float
-    contrast: float
+    best: float
+    contrast: tuple[float, float, float]
 
     @property
     def is_same(self) -> bool:
         """Whether both show the same, equally sharp."""
-        return self.correlation >= _SAME
+        return self.correlation >= _SAME and self.contrast[1] <= _SHARPER
+
+    @property
+    def is_other(self) -> bool:
+        """Whether they show different views or scenes."""
+        return self.correlation < _OTHER and self.best < _BEST_OF_OTHER
+
+    @property
+    def is_darker_less_sharp(self) -> bool:
+        """Whether the darker one has less contrast, wherever things moved."""
+        return self.contrast[2] < _LESS_SHARP
+
+    @property
+    def is_brighter_less_sharp(self) -> bool:
+        """Whether the brighter one has, likewise."""
+        return self.contrast[1] > _SHARPER and self.contrast[0] > _AS_SHARP
 
 
 Likenesses = dict[tuple[int, int], Likeness]
@@ -88,10 +109,10 @@ def unlike_others(found: Likenesses, count: int) -> dict[int, str]:
         against = {pair: each for pair, each in found.items() if k in pair and alike & {*pair}}
         if k in alike or not against:
             continue
-        if max(each.correlation for each in against.values()) < _OTHER:
+        if all(each.is_other for each in against.values()):
             result[k] = "does not show what the others show (another view or scene)"
         elif all(
-            each.contrast < _LESS_SHARP if pair[0] == k else each.contrast > _SHARPER
+            each.is_darker_less_sharp if pair[0] == k else each.is_brighter_less_sharp
             for pair, each in against.items()
         ):
             result[k] = "is less sharp than the others (out of focus, or shaken)"
@@ -104,7 +125,9 @@ def unlike_each_other(found: Likenesses, count: int) -> tuple[int, int] | None:
     if len(alike) > count / 2:
         return None
     least = min(found, key=lambda pair: found[pair].correlation, default=None)
-    return least if least is not None and found[least].correlation < _OTHER else None
+    if least is None or not found[least].is_other:
+        return None
+    return least if found[least].correlation < _SURELY_OTHER else None
 
 
 def _largest_group(count: int, links: Iterable[tuple[int, int]]) -> set[int]:
@@ -132,7 +155,9 @@ def likeness(dark: Patches, bright: Patches, colours: int, white: int) -> Likene
     correlations, contrasts = np.concatenate(found, axis=1)
     if correlations.size < _FEWEST:
         return None
-    return Likeness(float(np.median(correlations)), float(np.median(contrasts)))
+    correlation, best = np.quantile(correlations, (0.5, 0.75)).tolist()
+    low, middle, high = np.quantile(contrasts, (0.25, 0.5, 0.75)).tolist()
+    return Likeness(correlation, best, (low, middle, high))
 
 
 def _compared(dark: Patches, bright: Patches, white: int) -> _Floats:

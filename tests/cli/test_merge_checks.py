@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -186,6 +187,62 @@ def test_photographs_of_which_each_is_shifted_are_all_used(run: Run, series: Ser
     lines = [line for line in ran.err.splitlines() if "is shifted against p00.png by" in line]
     assert [line[:24] for line in lines] == [f"camctl: warning: p0{k}.png" for k in (1, 2, 3)]
     assert "left out" not in ran.err
+
+
+def test_a_photograph_of_something_else_does_not_spoil_the_picture(
+    run: Run, series: Series
+) -> None:
+    line = series(TIMES[1:8], change=lambda k, pixels: pixels[:, ::-1] if k == 2 else pixels)
+    assert run("merge", *line, "-o", "hall").err.splitlines() == [
+        "camctl: warning: p02.png does not show what the others show (another view or scene), and "
+        "is left out"
+    ]
+    assert error_of("hall") < 0.05
+
+
+def test_two_photographs_of_different_things_are_named(run: Run, series: Series) -> None:
+    line = series(TIMES[4:6], change=lambda k, pixels: pixels[:, ::-1] if k else pixels)
+    err = run("merge", *line, "--curve", "srgb", "-o", "hall").err
+    assert "p00.png and p01.png do not show the same view or scene, and the photographs do" in err
+
+
+def with_colours(times: Sequence[float], colours: Sequence[Sequence[float]]) -> list[Path]:
+    """Write photographs whose red and blue are these times those of the scene."""
+    return [
+        save(Path(f"p{k}.png"), photograph(time_s, SCENE * np.array([red, 1.0, blue])))
+        for k, (time_s, (red, blue)) in enumerate(zip(times, colours, strict=True))
+    ]
+
+
+@pytest.mark.parametrize("place", [1, 3])
+@pytest.mark.parametrize("curve", ["srgb", None])
+def test_a_photograph_of_another_white_balance_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: int, curve: str | None
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    times = TIMES[1:6]
+    files = with_colours(times, [(1.15, 0.9) if k == place else (1, 1) for k in range(5)])
+    found = open_photographs(files, PhotographOptions(times=times, curve=curve))
+    (note,) = found.notes
+    assert note == (
+        f"p{place}.png has another white balance than the others, or the light had another colour "
+        "(1.15 times as much red and 0.90 times as much blue), and is left out"
+    )
+    assert len(found.camera.photographs) == 4
+
+
+def test_a_white_balance_that_changes_halfway_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    times = TIMES[2:6]
+    files = with_colours(times, [(1, 1), (1, 1), (1.2, 1), (1.2, 1)])
+    found = open_photographs(files, PhotographOptions(times=times, curve="srgb"))
+    assert found.notes == (
+        "the white balance, or the colour of the light, changes between p0.png and p3.png: red "
+        "against green by up to 1.20 times, and the colours of the picture are not right",
+    )
+    assert len(found.camera.photographs) == 4
 
 
 def test_a_thing_that_moved_in_one_photograph_is_no_wrong_exposure(
