@@ -1,9 +1,10 @@
 """Which photographs do not show what the others show: another view or scene, or less sharp.
 
 The fine structure of two photographs is compared within small patches, where it is the same
-whatever their exposures are and wherever something moved: the brightness of the longer exposure is
-turned into that of the shorter one by equal ranks in their histograms, as in
-`camctl.captures.photograph_shift`, and correlated with it.
+whatever their exposures are: the brightness of the longer exposure is turned into that of the
+shorter one by equal ranks in their histograms, as in `camctl.captures.photograph_shift`, and
+correlated with it.  A thing that moved has other structure, too, but only in its place: of another
+view nearly all of the picture has another brightness, and of one out of focus none.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.exposure.moved_parts import deviating_patches
 from camctl.exposure.patches import Patches
 
 #: Brightness from which on a sample may be saturated, and up to which it may be black, as shares
@@ -34,7 +36,16 @@ _OTHER, _BEST_OF_OTHER, _SURELY_OTHER = 0.6, 0.75, 0.35
 #: A photograph is less sharp if three quarters of its patches have less contrast than this share of
 #: that of a brighter one, or a darker one has more than the second share of its contrast in half of
 #: them, and more than the third one in three quarters.
-_LESS_SHARP, _SHARPER, _AS_SHARP = 0.8, 1.15, 0.9
+_LESS_SHARP, _SHARPER, _AS_SHARP = (
+    0.8,
+    1.15,
+    0.9,
+)  #: Neighbouring patches that are one part of the picture, and how many of them can be compared.
+_PART, _OF_PART = 6, 4
+#: Share of the parts that have the expected brightness in another view, at most, and share of the
+#: patches that do not where only the sharpness differs.
+_AGREEING, _DEVIATING = 0.4, 0.03
+
 #: Each photograph is compared with so many of the next brightness.
 _NEXT = 4
 
@@ -48,11 +59,15 @@ class Likeness(NamedTuple):
         correlation: median of that of the patches
         best: correlation that a quarter of them exceed
         contrast: quartiles of the contrast of patches over that which the brighter one has
+        deviating: share of the patches that have another brightness than most
+        agreeing: share of the parts of the picture in which no patch has
     """
 
     correlation: float
     best: float
     contrast: tuple[float, float, float]
+    deviating: float
+    agreeing: float
 
     @property
     def is_same(self) -> bool:
@@ -61,30 +76,32 @@ class Likeness(NamedTuple):
 
     @property
     def is_other(self) -> bool:
-        """Whether they show different views or scenes."""
+        """Whether they show different structure."""
         return self.correlation < _OTHER and self.best < _BEST_OF_OTHER
 
     @property
     def is_darker_less_sharp(self) -> bool:
-        """Whether the darker one has less contrast, wherever things moved."""
-        return self.contrast[2] < _LESS_SHARP
+        """Whether the darker one has less contrast all over it."""
+        return self.contrast[2] < _LESS_SHARP and self.deviating < _DEVIATING
 
     @property
     def is_brighter_less_sharp(self) -> bool:
         """Whether the brighter one has, likewise."""
-        return self.contrast[1] > _SHARPER and self.contrast[0] > _AS_SHARP
+        is_less_sharp = self.contrast[1] > _SHARPER and self.contrast[0] > _AS_SHARP
+        return is_less_sharp and self.deviating < _DEVIATING
 
 
 Likenesses = dict[tuple[int, int], Likeness]
 """Those of the pairs of photographs that can be compared: darker and brighter one, by position."""
 
 
-def likenesses(patches: Sequence[Patches], colours: int, white: int) -> Likenesses:
+def likenesses(patches: Sequence[Patches], colours: int, black: int, white: int) -> Likenesses:
     """Return how much each photograph is like those of the next brightness.
 
     Args:
         patches: of each photograph, see `sample_patches`
         colours: planes that they are of
+        black: brightness without light, DN
         white: brightness from which samples are saturated, DN
     """
     order = sorted(range(len(patches)), key=lambda k: float(patches[k].mean()))
@@ -92,7 +109,8 @@ def likenesses(patches: Sequence[Patches], colours: int, white: int) -> Likeness
         pair: each
         for place, dark in enumerate(order)
         for pair in ((dark, bright) for bright in order[place + 1 : place + 1 + _NEXT])
-        if (each := likeness(patches[pair[0]], patches[pair[1]], colours, white)) is not None
+        if (each := _likeness(patches[pair[0]], patches[pair[1]], colours, black, white))
+        is not None
     }
 
 
@@ -109,7 +127,8 @@ def unlike_others(found: Likenesses, count: int) -> dict[int, str]:
         against = {pair: each for pair, each in found.items() if k in pair and alike & {*pair}}
         if k in alike or not against:
             continue
-        if all(each.is_other for each in against.values()):
+        agreeing = float(np.mean([each.agreeing for each in against.values()]))
+        if agreeing < _AGREEING and all(each.is_other for each in against.values()):
             result[k] = "does not show what the others show (another view or scene)"
         elif all(
             each.is_darker_less_sharp if pair[0] == k else each.is_brighter_less_sharp
@@ -125,7 +144,7 @@ def unlike_each_other(found: Likenesses, count: int) -> tuple[int, int] | None:
     if len(alike) > count / 2:
         return None
     least = min(found, key=lambda pair: found[pair].correlation, default=None)
-    if least is None or not found[least].is_other:
+    if least is None or found[least].agreeing > _AGREEING:
         return None
     return least if found[least].correlation < _SURELY_OTHER else None
 
@@ -141,15 +160,10 @@ def _largest_group(count: int, links: Iterable[tuple[int, int]]) -> set[int]:
     return max(groups, key=len)
 
 
-def likeness(dark: Patches, bright: Patches, colours: int, white: int) -> Likeness | None:
-    """Return how much two photographs are alike; None: they show no fine structure in common.
-
-    Args:
-        dark: patches of the darker one
-        bright: of the brighter one
-        colours: planes that they are of
-        white: brightness from which samples are saturated, DN
-    """
+def _likeness(
+    dark: Patches, bright: Patches, colours: int, black: int, white: int
+) -> Likeness | None:
+    """Return how much two photographs are alike; None: they show no fine structure in common."""
     planes = [np.array_split(each, colours) for each in (dark, bright)]
     found = [_compared(planes[0][k], planes[1][k], white) for k in range(colours)]
     correlations, contrasts = np.concatenate(found, axis=1)
@@ -157,7 +171,24 @@ def likeness(dark: Patches, bright: Patches, colours: int, white: int) -> Likene
         return None
     correlation, best = np.quantile(correlations, (0.5, 0.75)).tolist()
     low, middle, high = np.quantile(contrasts, (0.25, 0.5, 0.75)).tolist()
-    return Likeness(correlation, best, (low, middle, high))
+    return Likeness(
+        correlation, best, (low, middle, high), *_deviations(dark, bright, colours, black, white)
+    )
+
+
+def _deviations(
+    dark: Patches, bright: Patches, colours: int, black: int, white: int
+) -> tuple[float, float]:
+    """Return the shares of patches that deviate, and of parts of the picture where none does."""
+    deviating = deviating_patches(dark, bright, colours, black, white)
+    means = [each.mean(axis=1).reshape(colours, -1).mean(axis=0) for each in (dark, bright)]
+    seen = (means[0] > black + _BLACK * (white - black)) & (means[1] < _SATURATED * white)
+    whole = seen.size - seen.size % _PART
+    parts = [(each & seen)[:whole].reshape(-1, _PART).sum(axis=1) for each in (seen, deviating)]
+    compared = parts[0] >= _OF_PART
+    agreeing = parts[1][compared] == 0
+    shares = [each.mean() if each.size else 0.0 for each in (deviating[seen], agreeing)]
+    return float(shares[0]), float(shares[1])
 
 
 def _compared(dark: Patches, bright: Patches, white: int) -> _Floats:

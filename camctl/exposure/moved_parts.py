@@ -90,7 +90,16 @@ def moved_patches(
 ) -> NDArray[np.bool_]:
     """Return which patches of two frames show something that moved between them, (patches,).
 
-    None do where so many differ that it is no moving thing.
+    None do where so many differ that it is no moving thing.  Arguments as `deviating_patches`.
+    """
+    deviating = deviating_patches(short, long, colours, black, white)
+    return np.tile(deviating & bool(deviating.mean() < _MOST_MOVED), colours)
+
+
+def deviating_patches(
+    short: Patches, long: Patches, colours: int, black: int, white: int
+) -> NDArray[np.bool_]:
+    """Return which patches of a frame do not have the brightness that most have in another one.
 
     Args:
         short: of the frame of shorter exposure, see `sample_patches`
@@ -98,13 +107,15 @@ def moved_patches(
         colours: that have responses of their own; each has as many patches
         black: brightness without light, DN
         white: brightness from which samples are saturated, DN
+
+    Returns:
+        (patches of one colour,), the same for all
     """
     count = np.zeros(len(short) // colours, np.intp)
     parts = (np.array_split(_as_levels(each, black, white), colours) for each in (short, long))
     for before, after in zip(*parts, strict=True):
         count += _deviates(before, after, lambda values: np.asarray(values.mean(axis=1)))
-    moved = np.tile(count >= min(_COLOURS, colours), colours)
-    return moved & bool(moved.mean() < _MOST_MOVED)
+    return count >= min(_COLOURS, colours)
 
 
 def _as_levels(samples: NDArray[np.generic], black: int, white: int) -> NDArray[np.intp]:

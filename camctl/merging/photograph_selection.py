@@ -79,7 +79,7 @@ def of_one_view(
         those photographs, and by place among them how they lie where no place is that of most
     """
     series, count = selection.series, len(sights)
-    found = likenesses(series.patches, len(series.colours()), series.white)
+    found = likenesses(series.patches, len(series.colours()), series.black, series.white)
     unlike = unlike_others(found, count)
     displaced = misaligned(
         sights, {frozenset(pair) for pair, each in found.items() if each.is_same}
