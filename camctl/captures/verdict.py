@@ -12,6 +12,8 @@ from camctl.captures.report import UnfinishedCapture
 #: A frame contradicts the metered light if this share of its samples is saturated, beyond those
 #: that were expected to be: less may be noise or blooming near saturation, or a lamp.
 _BEYOND_METERED = 0.6
+#: Share of a picture that is most of it.
+_MOST = 0.5
 #: Largest factor between two frames that lamps may explain.
 _LAMPS = (1 + LAMP_DEPTH) / (1 - LAMP_DEPTH)
 #: What helps where the light of the whole picture changes.
@@ -37,7 +39,11 @@ def judge(
     measure = f"measure the control delay with camctl calibrate delay --camera {delay_of}"
     are_photographs = capture.camera.driver == PHOTOGRAPHS
     wrong = [(k, check) for k, check in enumerate(checks) if check and not check.agrees]
-    certain = [(k, check) for k, check in wrong if check.contradicts]
+    certain = [
+        (k, check)
+        for k, check in wrong
+        if check.contradicts and (not are_photographs or _is_no_movement(check))
+    ]
     reasons = [_difference_text(capture, k, check) for k, check in certain]
     if not reasons and delay_of and (brighter := _brighter_than_metered(capture)):
         reasons.append(brighter)
@@ -74,6 +80,16 @@ def judge(
         for k, check in wrong
         if not check.contradicts
     ]
+
+
+def _is_no_movement(check: RatioCheck) -> bool:
+    """Return whether photographs contradict each other by one ratio, or in most of the picture.
+
+    Their exposures were compared before, so that the rest is things that moved.
+    """
+    if check.measured is not None and check.is_of_whole_picture:
+        return True
+    return check.compared * check.contradicting > _MOST
 
 
 def _change_text(

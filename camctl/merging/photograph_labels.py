@@ -114,7 +114,7 @@ def check_doubted(
         if len(reverse) == 1 and _agree_when_swapped(series, k, reverse[0]):
             raise swapped_error(photographs[k].name, photographs[reverse[0]].name)
         raise DataError(
-            _wrong_label(photographs[k], factor, len(photographs) - len(doubted)),
+            _wrong_label(photographs, k, factor, len(photographs) - len(doubted)),
             hint="correct it with --times, one for each file, or leave the file out",
         )
 
@@ -234,7 +234,7 @@ def _named(
     agree = len(photographs) - len(wrong)
     what = "it is left out" if is_exact else "that is used"
     return [
-        f"{_wrong_label(photographs[k], math.exp(errors[k]), agree)}: {what}; correct it with "
+        f"{_wrong_label(photographs, k, math.exp(errors[k]), agree)}: {what}; correct it with "
         "--times (or the light was different in it)"
         for k in wrong
     ]
@@ -256,13 +256,28 @@ def steady_errors(jumps: Sequence[float] | FloatArray, least: Sequence[float]) -
     return np.asarray(errors) - unit
 
 
-def _wrong_label(photograph: Photograph, factor: float, agree: int) -> str:
+def _wrong_label(
+    photographs: Sequence[Photograph], position: int, factor: float, agree: int
+) -> str:
+    photograph = photographs[position]
     says = time_text(photograph.time_s * factor)
     much = f"{factor:.3g} times as long" if factor > 1 else f"{1 / factor:.3g} times as short"
     return (
         f"the exposure of {photograph.name} is wrong: it says {time_text(photograph.time_s)}, and "
         f"beside the {agree} photographs that agree its pixels say {says}, {much}"
+        f"{_odd_iso(photographs, position, factor)}"
     )
+
+
+def _odd_iso(photographs: Sequence[Photograph], position: int, factor: float) -> str:
+    """Return what to say where the ISO speed of all others would make an exposure right."""
+    photograph = photographs[position]
+    others = {each.iso for k, each in enumerate(photographs) if k != position}
+    if photograph.iso is None or len(others) != 1 or (iso := others.pop()) is None:
+        return ""
+    if iso == photograph.iso or abs(math.log(photograph.iso * factor / iso)) > _ALIKE:
+        return ""
+    return f", as with ISO {iso:g}, which the others state, in place of its ISO {photograph.iso:g}"
 
 
 def _check_swapped(

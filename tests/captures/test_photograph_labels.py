@@ -26,8 +26,13 @@ def series(labels: tuple[float, ...]) -> Series:
     return found
 
 
-def checked(labels: tuple[float, ...], doubted: dict[int, float]) -> str:
-    photographs = [Photograph(f"p{k}", label) for k, label in enumerate(labels)]
+def checked(
+    labels: tuple[float, ...], doubted: dict[int, float], iso: tuple[float, ...] = (100.0,) * 4
+) -> str:
+    photographs = [
+        Photograph(f"p{k}", label, each / 100, iso=each)
+        for k, (label, each) in enumerate(zip(labels, iso, strict=True))
+    ]
     with pytest.raises(DataError) as raised:
         check_doubted(photographs, doubted, series(labels))
     return raised.value.what
@@ -41,3 +46,9 @@ def test_one_of_two_swapped_labels_is_doubted_and_both_are_named() -> None:
 def test_a_wrong_label_is_not_called_swapped() -> None:
     labels = (TRUE_S[0], TRUE_S[0] / 2.5, *TRUE_S[2:])
     assert checked(labels, {1: 5.0}).startswith("the exposure of p1 is wrong")
+
+
+def test_an_iso_speed_that_explains_a_wrong_exposure_is_named() -> None:
+    what = checked(TRUE_S, {1: 0.25}, (100.0, 400.0, 100.0, 100.0))
+    assert what.endswith(", as with ISO 100, which the others state, in place of its ISO 400")
+    assert "ISO" not in checked(TRUE_S, {1: 0.5}, (100.0, 400.0, 100.0, 100.0))

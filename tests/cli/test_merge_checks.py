@@ -245,6 +245,28 @@ def test_a_white_balance_that_changes_halfway_is_named(
     assert len(found.camera.photographs) == 4
 
 
+def test_a_thing_that_is_all_that_can_be_compared_makes_no_exposure_wrong(
+    run: Run, tmp_path: Path
+) -> None:
+    """The wall behind it is saturated in the longer photograph."""
+    files = []
+    y, x = np.mgrid[:240, :320]
+    wall = 18 * np.exp(0.7 * (np.sin(x / 9) + np.sin(y / 7)))[..., None] * np.ones(3)
+    for k, time_s in enumerate(times := (1 / 32, 1 / 2)):
+        scene = wall.copy()
+        scene[60:200, 20 + 80 * k : 140 + 80 * k] = 0.3
+        files.append(save(tmp_path / f"p{k}.png", photograph(time_s, scene)))
+    options = ("--curve", "srgb", "--times", ",".join(map(str, times)), "-o", "hall")
+    assert run("merge", *files, *options).status == 0
+    report = read_report("hall")
+    check = report.frames[1].ratio
+    assert check is not None
+    assert check.contradicts
+    assert report.trustworthy
+    assert report.movement is not None
+    assert report.movement.share > 0.1
+
+
 def test_a_thing_that_moved_in_one_photograph_is_no_wrong_exposure(
     run: Run, series: Series
 ) -> None:
