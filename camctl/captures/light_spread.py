@@ -46,9 +46,10 @@ _AROUND = 9
 #: It does not where the first to the ninth tenth of them are brighter by nearly the same factor, up
 #: to this logarithm: their light changed, as that of lamps that flicker.
 _ONE_FACTOR = 0.1
-#: Light spreads if this share of the pixels beside saturated ones contradict.  It ends where the
-#: share is less than the second one of the largest.
-_SPREADS, _ENDS = 0.02, 0.1
+#: Light spreads if this share of the pixels beside saturated ones contradict; the second share with
+#: unknown noise, since errors of JPEG files are larger there.  It ends where the share is less than
+#: the third one of the largest.
+_SPREADS, _SPREADS_UNKNOWN, _ENDS = 0.02, 0.1, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,8 @@ class LightSpread:
             streaks = np.False_
         if streaks:
             found &= ~connected
-        return cls(white, _reach(found, source), bool(streaks))
+        least = _SPREADS if pair.is_known else _SPREADS_UNKNOWN
+        return cls(white, _reach(found, source, least), bool(streaks))
 
     def separated(
         self, limits: Limits, found: NDArray[np.bool_], short: Pixels, long: Pixels
@@ -222,10 +224,11 @@ def _connected_runs(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> NDAr
     return np.asarray(lines[0, 1:].reshape(columns, rows + 1)[:, :-1].T)
 
 
-def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> int:
+def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_], least: float) -> int:
     """Return how far light spreads from saturated pixels, pixels along the columns.
 
-    It is 0 where as many pixels contradict far from saturated ones, as with things that moved.
+    It does if at least a share of `least` of the pixels beside them contradict.  It is 0 where as
+    many contradict far from saturated ones, as with things that moved.
     """
     within, rates = source, []
     for distance in _DISTANCES:
@@ -235,7 +238,7 @@ def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> int:
         rates.append(np.count_nonzero(found & ring) / size if size >= _RING_SAMPLES else np.nan)
         within = reached
     most = max(rates[:2])
-    if not most >= _SPREADS:
+    if not most >= least:
         return 0
     for nearer, rate in zip(_DISTANCES[:-1], rates[1:], strict=True):
         if rate <= _ENDS * most:

@@ -40,6 +40,9 @@ NOTABLE_SPREAD = 1e-4
 #: The limits are set again where false alarms differ by this share, how often at most, and for
 #: how many times as many at most.
 _NEAR_RATE, _TRIES, _MOST_RATE = 0.05, 6, 8.0
+#: How often at most they are set again where whole frames have more false alarms than the bands, by
+#: this factor.
+_TRIES_WHOLE, _MOST_ALARMS = 3, 1.1
 #: Width of the bands in which they are set again, and pixels of all bands of a frame, about: by
 #: chance the share of their false alarms differs by 3 %.
 _BAND, _BANDS_PIXELS = 64, 500_000
@@ -125,7 +128,14 @@ def find_movement(
         return None
     if all(pair.is_known for pair in pairs):
         return _marked(frame, pairs, FALSE_ALARMS)
-    return _marked(frame, pairs, _corrected_total(bands, pairs))
+    total = _corrected_total(bands, pairs)
+    for _ in range(_TRIES_WHOLE):
+        found = _marked(frame, pairs, total)
+        alarms = found.found.false_alarms
+        if alarms <= _MOST_ALARMS * FALSE_ALARMS:
+            break
+        total *= FALSE_ALARMS / alarms
+    return found
 
 
 def _corrected_total(bands: Callable[[int], Pixels], pairs: Sequence[Pair]) -> float:
