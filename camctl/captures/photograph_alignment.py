@@ -16,17 +16,25 @@ from camctl.captures.photograph_shift import displacement
 _DISPLACED, _DISPLACED_IN_COPY = 1.3, 0.15
 #: Fine structure that is in the same place is displaced by less than this, pixels.
 _FINE = 8.0
+#: Share of the longer side by which photographs of one view are displaced at most.
+_ALIGNABLE = 0.1
 
 _Place = NDArray[np.float64]
 
 
-def misaligned(sights: Sequence[Sight], alike: Collection[frozenset[int]] = ()) -> dict[int, str]:
+def misaligned(
+    sights: Sequence[Sight],
+    alike: Collection[frozenset[int]] = (),
+    other_views: Collection[int] = (),
+) -> dict[int, str]:
     """Return by position how each photograph lies that does not lie where most of the others do.
 
     Args:
         sights: of the photographs
         alike: pairs of positions of photographs whose fine structure is in the same place, so that
             a large displacement is that of a thing that moved
+        other_views: positions of photographs with other structure than most: a large displacement
+            of them is a chance likeness, and not returned
     """
     order = sorted(range(len(sights)), key=lambda k: float(sights[k].grey.mean()))
     # Photographs that can be compared one after the other, each with its place on the first one.
@@ -45,7 +53,7 @@ def misaligned(sights: Sequence[Sight], alike: Collection[frozenset[int]] = ()) 
             if direct is not None:
                 found, place = direct, chains[-1][-2][1]
         chains[-1].append((other, place + found))
-    return dict(line for chain in chains for line in _misplaced(sights, chain))
+    return dict(line for chain in chains for line in _misplaced(sights, chain, other_views))
 
 
 def _extent(place: _Place, sight: Sight) -> float:
@@ -56,7 +64,7 @@ def _extent(place: _Place, sight: Sight) -> float:
 
 
 def _misplaced(
-    sights: Sequence[Sight], chain: Sequence[tuple[int, _Place]]
+    sights: Sequence[Sight], chain: Sequence[tuple[int, _Place]], other_views: Collection[int]
 ) -> list[tuple[int, str]]:
     """Return the position of each photograph that is not in the place of most, and how it lies."""
     first = sights[chain[0][0]]
@@ -73,7 +81,8 @@ def _misplaced(
     others = alike(usual)
     found = []
     for k, place in chain:
-        if k in others:
+        is_chance = k in other_views and _extent(place - usual, first) > _ALIGNABLE * max(shape)
+        if k in others or is_chance:
             continue
         exposure = sights[k].photograph.exposure
         near = min(others, key=lambda o: abs(math.log(sights[o].photograph.exposure / exposure)))

@@ -30,22 +30,21 @@ _STRUCTURE, _FEWEST = 4 / 255, 20
 #: Two photographs show the same if the median correlation of their patches is at least this.
 _SAME = 0.9
 #: They show different views if it is less than the first number and not even a quarter of them have
-#: the second one: three quarters may have moved.  Of two photographs that are all it is less than
-#: the third one: noise makes it small, too.
-_OTHER, _BEST_OF_OTHER, _SURELY_OTHER = 0.6, 0.75, 0.35
+#: the second one: three quarters may have moved.
+_OTHER, _BEST_OF_OTHER = 0.6, 0.75
 #: A photograph is less sharp if three quarters of its patches have less contrast than this share of
 #: that of a brighter one, or a darker one has more than the second share of its contrast in half of
 #: them, and more than the third one in three quarters.
-_LESS_SHARP, _SHARPER, _AS_SHARP = (
-    0.8,
-    1.15,
-    0.9,
-)  #: Neighbouring patches that are one part of the picture, and how many of them can be compared.
+_LESS_SHARP, _SHARPER, _AS_SHARP = 0.8, 1.15, 0.9
+#: Where much is blurred, brightness deviates, too, but not even a quarter of the patches has the
+#: first correlation with a brighter photograph, or the second one with a darker one, whose noise
+#: makes it small: those have it that a moving thing does not cover.
+_BEST_WITH_BRIGHTER, _BEST_WITH_DARKER = 0.9, 0.95
+#: Neighbouring patches that are one part of the picture, and how many of them can be compared.
 _PART, _OF_PART = 6, 4
 #: Share of the parts that have the expected brightness in another view, at most, and share of the
 #: patches that do not where only the sharpness differs.
-_AGREEING, _DEVIATING = 0.4, 0.03
-
+_AGREEING, _DEVIATING = 0.5, 0.03
 #: Each photograph is compared with so many of the next brightness.
 _NEXT = 4
 
@@ -130,10 +129,7 @@ def unlike_others(found: Likenesses, count: int) -> dict[int, str]:
         agreeing = float(np.mean([each.agreeing for each in against.values()]))
         if agreeing < _AGREEING and all(each.is_other for each in against.values()):
             result[k] = "does not show what the others show (another view or scene)"
-        elif all(
-            each.is_darker_less_sharp if pair[0] == k else each.is_brighter_less_sharp
-            for pair, each in against.items()
-        ):
+        elif _is_less_sharp(k, against):
             result[k] = "is less sharp than the others (out of focus, or shaken)"
     return result
 
@@ -143,10 +139,32 @@ def unlike_each_other(found: Likenesses, count: int) -> tuple[int, int] | None:
     alike = _largest_group(count, [pair for pair, each in found.items() if each.is_same])
     if len(alike) > count / 2:
         return None
-    least = min(found, key=lambda pair: found[pair].correlation, default=None)
-    if least is None or found[least].agreeing > _AGREEING:
-        return None
-    return least if found[least].correlation < _SURELY_OTHER else None
+    # Those that have a part in common with one of a view show it, too, whatever moves in it.
+    view = _largest_group(count, [pair for pair, each in found.items() if not each.is_other])
+    others = [
+        pair
+        for pair, each in found.items()
+        if each.agreeing < _AGREEING and len(view & {*pair}) < 2
+    ]
+    return min(others, key=lambda pair: found[pair].correlation, default=None)
+
+
+def _is_less_sharp(k: int, against: Likenesses) -> bool:
+    """Return whether photograph `k` is less sharp than those of the pairs with it."""
+    if all(
+        each.is_darker_less_sharp if pair[0] == k else each.is_brighter_less_sharp
+        for pair, each in against.items()
+    ):
+        return True
+    brighter = [each for pair, each in against.items() if pair[0] == k]
+    darker = [each for pair, each in against.items() if pair[1] == k]
+    return (
+        bool(brighter)
+        and all(each.contrast[2] < _LESS_SHARP for each in brighter)
+        and all(each.best < _BEST_WITH_BRIGHTER for each in brighter)
+        and all(each.best < _BEST_WITH_DARKER for each in darker)
+        and all(each.contrast[0] > 0 for each in against.values())
+    )
 
 
 def _largest_group(count: int, links: Iterable[tuple[int, int]]) -> set[int]:

@@ -81,9 +81,8 @@ def of_one_view(
     series, count = selection.series, len(sights)
     found = likenesses(series.patches, len(series.colours()), series.black, series.white)
     unlike = unlike_others(found, count)
-    displaced = misaligned(
-        sights, {frozenset(pair) for pair, each in found.items() if each.is_same}
-    )
+    alike = {frozenset(pair) for pair, each in found.items() if each.is_same}
+    displaced = misaligned(sights, alike, unlike)
     names = [each.name for each in selection.photographs]
     if not displaced and (pair := unlike_each_other(found, count)) is not None:
         notes.append(

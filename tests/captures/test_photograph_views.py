@@ -28,9 +28,15 @@ def scene(seed: int = 0) -> Light:
     return np.asarray(E / np.quantile(E, 0.995))
 
 
-def blurred(light: Light) -> Light:
+def gravel() -> Light:
+    """Return irradiance with fine structure of high contrast everywhere, (rows, columns)."""
+    light = np.exp(1.2 * blurred(np.random.default_rng(0).normal(size=(ROWS, COLUMNS))) * 7.1)
+    return np.asarray(light / np.quantile(light, 0.995))
+
+
+def blurred(light: Light, sigma: float = 2.0) -> Light:
     cv2 = pytest.importorskip("cv2", reason="OpenCV is blocked")
-    return np.asarray(cv2.GaussianBlur(light, (0, 0), 2.0))
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma))
 
 
 def bracket(
@@ -38,9 +44,10 @@ def bracket(
     change: Callable[[Light], Light] = lambda light: light,
     exposures: tuple[float, ...] = EXPOSURES,
     electrons: float = 5000,
+    shown: Callable[[], Light] = scene,
 ) -> list[Patches]:
     """Return patches of photographs of which one shows something else."""
-    rng, light = np.random.default_rng(1), scene()
+    rng, light = np.random.default_rng(1), shown()
     levels = standard_response("srgb", 8).levels
     found = []
     for k, exposure in enumerate(exposures):
@@ -85,6 +92,16 @@ def test_another_view_is_named(change: Callable[[Light], Light], place: int) -> 
 def test_a_photograph_out_of_focus_is_named(place: int) -> None:
     found = unlike_others(likenesses(bracket(place, blurred), 1, 0, 255), 5)
     assert found == {place: "is less sharp than the others (out of focus, or shaken)"}
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_strong_blur_is_named_where_it_changes_brightness(place: int) -> None:
+    """Of the brightest photograph it is not: noise of the darker ones may look the same."""
+    patches = bracket(place, partial(blurred, sigma=4.0), shown=gravel)
+    found = likenesses(patches, 1, 0, 255)
+    assert max(each.deviating for pair, each in found.items() if place in pair) > 0.03
+    named = unlike_others(found, 5)
+    assert named == {place: "is less sharp than the others (out of focus, or shaken)"}
 
 
 @pytest.mark.parametrize("share", [0.2, 0.45])
