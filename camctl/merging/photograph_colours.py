@@ -19,8 +19,9 @@ from camctl.merging.photograph_labels import STEADY, Run, steady_errors
 
 #: Factor of one colour against green from which it is another white balance.
 _NOTABLE = 1.05
-#: Largest error of a ratio from rounding and black level, logarithm: dark colours do not count.
-_SURE = 0.08
+#: Largest error of a ratio from rounding and black level, logarithm: darker colours do not count,
+#: and with more than the first one only a difference that is larger than the error does.
+_SURE, _MOST_UNSURE = 0.08, 0.2
 #: Planes of the colours that are compared with green, and its plane.
 _COLOURS, _GREEN = {"red": 0, "blue": 2}, 1
 #: Photographs that must agree for each one that does not.
@@ -75,10 +76,13 @@ def _runs(patches: Sequence[Patches], plane: int, scales: Sequence[LightScale]) 
         of_colour, of_green = (
             pair_ratio(both[0][each], both[1][each], scales[each]) for each in (plane, _GREEN)
         )
-        if of_colour is None or of_green is None or of_colour.error + of_green.error > _SURE:
+        ratios = [each for each in (of_colour, of_green) if each is not None]
+        error = sum(each.error for each in ratios)
+        if len(ratios) < 2 or error > _MOST_UNSURE:
             runs.append(Run([bright]))
             continue
+        jump = ratios[0].log - ratios[1].log
         runs[-1].members.append(bright)
-        runs[-1].jumps.append(of_colour.log - of_green.log)
-        runs[-1].tolerances.append(of_colour.error + of_green.error)
+        runs[-1].jumps.append(jump if error <= _SURE or abs(jump) > error else 0.0)
+        runs[-1].tolerances.append(error)
     return runs

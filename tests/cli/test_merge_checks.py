@@ -231,6 +231,18 @@ def test_a_photograph_of_another_white_balance_is_left_out(
     assert len(found.camera.photographs) == 4
 
 
+def test_another_white_balance_of_the_darkest_photograph_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rounding hides small differences in it, and not this one."""
+    monkeypatch.chdir(tmp_path)
+    times = [each / 16 for each in TIMES[:8:2]]
+    files = with_colours(times, [(1.4, 1), (1, 1), (1, 1), (1, 1)])
+    (note,) = open_photographs(files, PhotographOptions(times=times, curve="srgb")).notes
+    assert "p0.png has another white balance" in note
+    assert "as much red)" in note
+
+
 def test_a_white_balance_that_changes_halfway_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
