@@ -236,7 +236,7 @@ def test_another_white_balance_of_the_darkest_photograph_is_named(
 ) -> None:
     """Rounding hides small differences in it, and not this one."""
     monkeypatch.chdir(tmp_path)
-    times = [each / 16 for each in TIMES[:8:2]]
+    times = tuple(each / 16 for each in TIMES[:8:2])
     files = with_colours(times, [(1.4, 1), (1, 1), (1, 1), (1, 1)])
     (note,) = open_photographs(files, PhotographOptions(times=times, curve="srgb")).notes
     assert "p0.png has another white balance" in note
