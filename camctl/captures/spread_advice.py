@@ -27,9 +27,11 @@ def spread_warnings(
     """
     if spread < MUCH_SPREAD:
         return []
+    # Where the noise is unknown, a bright thing beside saturated samples looks the same.
+    thing = ", or a thing beside them that moved" if is_taken else ""
     return [
-        f"light that spread from saturated samples: {spread:.1%} of the picture is too bright "
-        f"(mask bit 4, marked in the contact sheet): {_advice(request, plan, is_taken)}"
+        f"light that spread from saturated samples{thing}: {spread:.1%} of the picture is too "
+        f"bright (mask bit 4, marked in the contact sheet): {_advice(request, plan, is_taken)}"
     ]
 
 
