@@ -37,15 +37,18 @@ from camctl.threads import in_threads
 NOTABLE_SPREAD = 1e-4
 """Share of light that spread that is named."""
 
-#: The limits are set again where false alarms differ by this share, how often at most, and for
-#: how many times as many at most.
-_NEAR_RATE, _TRIES, _MOST_RATE = 0.05, 6, 8.0
+#: The limits are set again until false alarms are between these shares of those aimed at, how often
+#: at most, and for how many times as many at most.
+_LEAST_ALARMS, _NEAR_ALARMS, _TRIES, _MOST_RATE = 0.75, 1.05, 6, 8.0
+#: Those of the pairs may sum to this share of what is set for them.
+_NEAR_SUM = 0.95
 #: How often at most they are set again where whole frames have more false alarms than the bands, by
 #: this factor.
-_TRIES_WHOLE, _MOST_ALARMS = 3, 1.1
-#: Width of the bands in which they are set again, and pixels of all bands of a frame, about: by
-#: chance the share of their false alarms differs by 3 %.
-_BAND, _BANDS_PIXELS = 64, 500_000
+_TRIES_WHOLE, _MOST_ALARMS = 3, 1.25
+#: Pixels of all bands of a frame in which they are set again, about: by chance the share of their
+#: false alarms differs by 3 %.  A wide frame has narrow bands, so that there are so many of them.
+_BANDS_PIXELS, _LEAST_BANDS = 500_000, 8
+_NARROWEST, _WIDEST = 16, 64
 #: Samples that are compared at a time.
 _STRIP_SAMPLES = 1 << 19
 
@@ -108,8 +111,9 @@ class Movement:
 def bands_of(pixels: Pixels) -> Pixels:
     """Return bands of columns of a frame, all over it, of about half a million pixels together."""
     rows, columns = pixels.shape[:2]
-    step = _BAND * -(-rows * columns // _BANDS_PIXELS)
-    return pixels[:, np.arange(columns) % step < _BAND].copy()
+    every = -(-rows * columns // _BANDS_PIXELS)
+    width = min(max(columns // (_LEAST_BANDS * every), _NARROWEST), _WIDEST)
+    return pixels[:, np.arange(columns) % (width * every) < width].copy()
 
 
 def find_movement(
@@ -128,13 +132,14 @@ def find_movement(
         return None
     if all(pair.is_known for pair in pairs):
         return _marked(frame, pairs, FALSE_ALARMS)
-    total = _corrected_total(bands, pairs)
+    total, before = _corrected_total(bands, pairs), 0.0
     for _ in range(_TRIES_WHOLE):
         found = _marked(frame, pairs, total)
         alarms = found.found.false_alarms
-        if alarms <= _MOST_ALARMS * FALSE_ALARMS:
+        if alarms <= _MOST_ALARMS * FALSE_ALARMS or alarms == before:
             break
         total *= FALSE_ALARMS / alarms
+        before = alarms
     return found
 
 
@@ -147,9 +152,9 @@ def _corrected_total(bands: Callable[[int], Pixels], pairs: Sequence[Pair]) -> f
     total, most, before = FALSE_ALARMS, high, -1.0
     for _ in range(_TRIES):
         alarms = _marked(bands, pairs, total, in_memory=True).found.false_alarms
-        is_few = alarms < (1 + _NEAR_RATE) * FALSE_ALARMS
+        is_few = alarms < _NEAR_ALARMS * FALSE_ALARMS
         low, high = (total, high) if is_few else (low, total)
-        if is_few and (alarms > (1 - _NEAR_RATE) * FALSE_ALARMS or total == most):
+        if is_few and (alarms > _LEAST_ALARMS * FALSE_ALARMS or total == most):
             break
         # Limits that are the least ones do not change.
         total = most if alarms in (0, before) else min(total * FALSE_ALARMS / alarms, most)
@@ -264,7 +269,7 @@ def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float
     for _ in range(_TRIES):
         found = list(in_threads(partial(Pair.calibrated, rate=rate), pairs))
         reached = sum(share * pair.compared for (_, share), pair in zip(found, pairs, strict=True))
-        if reached > (1 - _NEAR_RATE) * total or rate >= total or not reached:
+        if reached > _NEAR_SUM * total or rate >= total or not reached:
             break
         rate = min(rate * total / reached, total)
     return found

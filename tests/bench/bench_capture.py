@@ -37,7 +37,8 @@ _NOISY_ROWS, _ELECTRONS, _READ_NOISE = 64, 40.0, 0.5
 class RowsCamera(CameraBase):
     """Frames of any size from one row of light with noise, 8 bits.
 
-    Each row is one of `_NOISY_ROWS`: what follows does not depend on rows that are equal.
+    Each row is one of `_NOISY_ROWS`, moved by some columns against the one before, as of a picture
+    no column of which has one brightness only.
     """
 
     def __init__(self, shape: tuple[int, int], layout: Layout) -> None:
@@ -53,8 +54,8 @@ class RowsCamera(CameraBase):
             response_origin=ResponseOrigin.STATED,
         )
         colours = (3,) if layout is Layout.RGB else ()
-        light = np.geomspace(1e3, 1.0, shape[1])
-        self._row = np.broadcast_to(light.reshape(-1, *[1] * len(colours)), (shape[1], *colours))
+        light = np.tile(np.geomspace(1e3, 1.0, shape[1]), 2)
+        self._row = np.broadcast_to(light.reshape(-1, *[1] * len(colours)), (light.size, *colours))
 
     def _open(self) -> None:
         pass
@@ -69,7 +70,12 @@ class RowsCamera(CameraBase):
             rows = rng.poisson(np.broadcast_to(electrons, (_NOISY_ROWS, *electrons.shape)))
             noisy = np.rint(rows / _ELECTRONS + rng.normal(0, _READ_NOISE, rows.shape))
             codes = np.clip(noisy, 0, 255).astype(np.uint8)
-            pixels = codes[rng.integers(0, _NOISY_ROWS, self.controls.shape[0])]
+            height, columns = self.controls.shape
+            moved = np.linspace(0, columns, height, endpoint=False, dtype=int)
+            chosen = rng.integers(0, _NOISY_ROWS, height)
+            pixels = np.empty((height, columns, *codes.shape[2:]), np.uint8)
+            for row, noise, first in zip(pixels, chosen, moved, strict=True):
+                row[:] = codes[noise, first : first + columns]
             self.clock.sleep_until(self.clock.now() + setting.time_s)
             yield Frame(pixels, setting, setting, self.clock.now(), index, 0, 250)
 

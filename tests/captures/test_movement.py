@@ -299,10 +299,12 @@ def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: 
 def test_bands_are_parts_of_a_large_frame_from_all_over_it() -> None:
     frame = np.arange(1000 * 2100).reshape(1000, 2100).astype(np.uint16)
     bands = bands_of(frame)
-    begins = range(0, 2100, 5 * 64)  # 2.1 million pixels: every fifth band
-    assert np.array_equal(bands, np.hstack([frame[:, start : start + 64] for start in begins]))
+    begins = range(0, 2100, 5 * 52)  # 2.1 million pixels: every fifth band
+    assert np.array_equal(bands, np.hstack([frame[:, start : start + 52] for start in begins]))
     small = frame[:, :500]
     assert np.array_equal(bands_of(small), small)
+    columns = bands_of(np.broadcast_to(np.arange(6000, dtype=np.uint16), (4000, 6000)))[0]
+    assert np.flatnonzero(np.diff(columns) > 1).size == 7  # eight bands, and not two wide ones
 
 
 def test_false_alarms_of_large_photographs_are_set_on_their_bands() -> None:
