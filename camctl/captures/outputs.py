@@ -150,7 +150,8 @@ def complete(
                         unfinished.request,
                         plan,
                         saturated=outside.saturated,
-                        dark=outside.dark,
+                        # What a mask leaves out of photographs is dark in the sum alone.
+                        dark=plan.light.dark if is_taken and plan.light else outside.dark,
                         is_taken=is_taken,
                     )
                 ),

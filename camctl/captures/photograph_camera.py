@@ -29,6 +29,7 @@ class PhotographCamera(CameraBase):
         load: returns the pixels of a photograph by its position
         controls: what is known of the frames; `time_s` is not used
         taken_by: make, model and serial number of the camera that took them, for the report
+        metered: returns likewise the pixels by which the light is metered; None: those of `load`
 
     Attributes:
         photographs: as given
@@ -41,10 +42,12 @@ class PhotographCamera(CameraBase):
         load: Callable[[int], Pixels],
         controls: ExposureControls,
         taken_by: tuple[str, str, str] = ("", "", ""),
+        metered: Callable[[int], Pixels] | None = None,
     ) -> None:
         super().__init__("the set of photographs", RealClock())
         self.photographs = tuple(photographs)
         self._load, self._given, self._taken_by = load, controls, taken_by
+        self._metered = metered or load
         unit = photographs[0].exposure / photographs[0].time_s
         times: list[float] = []
         order = sorted(range(len(photographs)), key=lambda k: photographs[k].exposure)
@@ -56,10 +59,10 @@ class PhotographCamera(CameraBase):
         self.open()
 
     def preview(self, setting: ExposureSetting) -> Frame:
-        """Return the photograph at `setting`."""
+        """Return the photograph at `setting`, for metering."""
         self._check_ready()
         self.controls.check(setting)
-        return self._frame(setting, 0)
+        return self._frame(setting, 0, self._metered)
 
     def chosen(self, settings: Sequence[ExposureSetting]) -> list[int]:
         """Return the positions of the photographs at `settings`."""
@@ -76,9 +79,9 @@ class PhotographCamera(CameraBase):
 
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         for index, setting in enumerate(settings):
-            yield self._frame(setting, index)
+            yield self._frame(setting, index, self._load)
 
-    def _frame(self, setting: ExposureSetting, index: int) -> Frame:
+    def _frame(self, setting: ExposureSetting, index: int, load: Callable[[int], Pixels]) -> Frame:
         (position,) = self.chosen([setting])
         controls, photograph = self.controls, self.photographs[position]
         details: dict[str, str | float] = {"file": photograph.name}
@@ -87,7 +90,7 @@ class PhotographCamera(CameraBase):
         if photograph.taken_at is not None:
             details["taken_at"] = photograph.taken_at.isoformat()
         return Frame(
-            self._load(position),
+            load(position),
             setting,
             photograph.setting,
             self.clock.now(),

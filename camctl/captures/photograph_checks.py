@@ -228,10 +228,3 @@ def largest_rectangle(valid: NDArray[np.bool_]) -> tuple[slice, slice]:
     if not best:
         raise DataError("no pixel is valid in all photographs", hint="check --mask")
     return found
-
-
-def blackened(pixels: Pixels, invalid: NDArray[np.bool_], black: int) -> Pixels:
-    """Return pixels without light where they are invalid."""
-    changed: NDArray[Any] = pixels.copy()
-    changed[invalid] = black
-    return changed

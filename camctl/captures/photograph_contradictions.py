@@ -78,9 +78,9 @@ def _odd_ones(
     counts = np.zeros((3, count, size), np.int64)
     for one, other in permutations(range(count), 2):
         factor = photographs[one].exposure / photographs[other].exposure
-        results = _compared(means[one], means[other], factor, scale, planes)
+        both = usable[one] & usable[other]
+        results = _compared(means[one], means[other], both, factor, scale, planes)
         for kind, result in enumerate(results):
-            result &= usable[one] & usable[other]
             counts[kind, one] += result
             if kind < 2:  # the other is darker than the one, or brighter
                 counts[1 - kind, other] += result
@@ -98,9 +98,13 @@ def _odd_ones(
 
 
 def _compared(
-    seen: _Floats, other: _Floats, factor: float, scale: LightScale, planes: int
+    seen: _Floats, other: _Floats, usable: _Mask, factor: float, scale: LightScale, planes: int
 ) -> tuple[_Mask, _Mask, _Mask]:
-    """Return where `seen` is brighter than `other` predicts, darker, and as it predicts."""
+    """Return where `seen` is brighter than `other` predicts, darker, and as it predicts.
+
+    Patches that are not usable, as those with saturated samples, are none of these, and do not
+    count for the median difference.
+    """
     codes = np.arange(scale.light.size, dtype=np.float64)
     error = _ERROR * scale.white + _RELATIVE_ERROR * np.maximum(other - scale.black, 0)
 
@@ -112,7 +116,7 @@ def _compared(
     # Each plane has a response of its own.
     plane = np.arange(seen.size) // (seen.size // planes)
     bins = np.minimum(middle / scale.white * _BINS, _BINS - 1).astype(int) + _BINS * plane
-    known = (high - low < _KNOWN * 2 * scale.white) & (middle < _BRIGHTEST * scale.white)
+    known = (high - low < _KNOWN * 2 * scale.white) & (middle < _BRIGHTEST * scale.white) & usable
     difference = seen - middle
     for k in np.unique(bins[known]):
         members = bins == k

@@ -120,20 +120,29 @@ class PhotographFiles:
         self._full = _largest_of_exr(self._paths)
         self.photographs: list[Photograph] = []
         found: Format | None = None
-        self.taken_by = ("", "", "")
         self.notes: list[str] = []
         self._quarter_turns: int | None = None
+        self.taken_by = ("", "", "")
+        cameras: dict[str, str] = {}
         for position, path in enumerate(self._paths):
             pixels, this, photograph, taken_by = self._read(position)
             self.photographs.append(photograph)
             if not any(self.taken_by):
                 self.taken_by = taken_by
+            if model := " ".join(filter(None, taken_by[:2])):
+                cameras.setdefault(model, path.name)
             if found is None:
                 found = this
             _check_alike(path, this, self._paths[0], found)
             self._keep(position, pixels)
         assert found is not None  # there is a file
         self.format = found
+        if len(cameras) > 1:
+            whose = " and ".join(f"{name} by {model}" for model, name in cameras.items())
+            self.notes.append(
+                f"the photographs were taken by different cameras ({whose}), whose responses may "
+                "differ: give those of one camera"
+            )
         self._name_apart()
 
     def pixels(self, position: int) -> Pixels:

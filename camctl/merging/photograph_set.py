@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camctl.errors import CameraProtocolError, DataError, UsageError
+from camctl.errors import UsageError
 from camctl.merging.photograph_files import PhotographFiles
 from camctl.merging.photograph_response import (
     ASSUMED,
@@ -18,15 +17,15 @@ from camctl.merging.photograph_response import (
     OF_THEIR_EXPOSURES,
     known_controls,
 )
-from camctl.number_text import percent_text, time_text
+from camctl.number_text import time_text
 
 if TYPE_CHECKING:
-    from camctl.camera import Pixels
     from camctl.captures.photograph_camera import PhotographCamera
     from camctl.captures.photographs import Photograph
     from camctl.controls import ExposureControls
     from camctl.exposure.patches import Patches
     from camctl.merging.photograph_selection import Selection
+    from camctl.merging.valid_area import ValidArea
 
 
 @dataclass(frozen=True)
@@ -101,15 +100,16 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         wrong_labels,
     )
     from camctl.merging.photograph_selection import distinct, of_one_view
+    from camctl.merging.valid_area import ValidArea
 
     files = PhotographFiles(paths, source.times)
     photographs, unstated = with_all_stated(files.photographs)
     photographs, facts = _with_labels(photographs, source.labels)
-    black, white = _levels(files, source)
-    area, cut = _valid_area(files, source.mask, black)
-    facts += cut
+    _, white = _levels(files, source)
+    area = ValidArea.of(files, source.mask)
+    facts += area.facts
     sights = [
-        Sight.of(photograph, area(files.pixels(k)), white)
+        Sight.of(photograph, area.seen(files.pixels(k)), white)
         for k, photograph in enumerate(photographs)
     ]
     notes = list(files.notes)
@@ -164,9 +164,14 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
             for k, each in enumerate(photographs)
         ]
     camera = PhotographCamera(
-        photographs, lambda k: area(files.pixels(positions[k])), controls, files.taken_by
+        photographs,
+        lambda k: area.shown(files.pixels(positions[k]), controls.black),
+        controls,
+        files.taken_by,
+        metered=lambda k: area.seen(files.pixels(positions[k])),
     )
-    planes = [each.shape for each in files.format.layout.planes(area(files.pixels(positions[0])))]
+    first = area.seen(files.pixels(positions[0]))
+    planes = [each.shape for each in files.format.layout.planes(first)]
     facts += contradictions(photographs, patches, scale, planes)
     return OpenedPhotographs(
         camera,
@@ -194,7 +199,7 @@ def _selection(
     files: PhotographFiles,
     photographs: Sequence[Photograph],
     kept: list[int],
-    area: Callable[[Pixels], Pixels],
+    area: ValidArea,
     source: PhotographOptions,
 ) -> Selection:
     """Return the photographs at some positions, with their histograms and patches."""
@@ -213,7 +218,7 @@ def _selection(
         or files.format.is_raw,
     )
     for k in kept:
-        series.add(area(files.pixels(k)), photographs[k].exposure, photographs[k].name)
+        series.add(area.seen(files.pixels(k)), photographs[k].exposure, photographs[k].name)
     return Selection(kept, [photographs[k] for k in kept], series)
 
 
@@ -265,55 +270,3 @@ def _with_labels(photographs: list[Photograph], labels: str) -> tuple[list[Photo
         f"the times are taken for labels of a dial: {', '.join(pairs[:3])}{more} (else give "
         "--labels exact)"
     ]
-
-
-def _valid_area(
-    files: PhotographFiles, mask: str | None, black: int
-) -> tuple[Callable[[Pixels], Pixels], list[str]]:
-    """Return a function that leaves the valid part of a photograph, and what it leaves out."""
-    from camctl.captures.photograph_checks import blackened, invalid_border, largest_rectangle
-
-    rows, columns = files.format.shape[:2]
-    if mask is not None:
-        invalid = _read_mask(mask, (rows, columns))
-        share = percent_text(float(np.mean(invalid)))
-        return (
-            lambda pixels: blackened(pixels, invalid, black),
-            [f"{share} of the pixels are masked, and too dark in the result"],
-        )
-    invalid = np.zeros((rows, columns), np.bool_)
-    for position in range(len(files.photographs)):
-        invalid |= invalid_border(files.pixels(position))
-    if not invalid.any():
-        return lambda pixels: pixels, []
-    high, wide = largest_rectangle(~invalid)
-    if files.format.layout.is_mosaic:  # the colours of the pattern stay where they are
-        high, wide = (slice(each.start + each.start % 2, each.stop) for each in (high, wide))
-    fact = (
-        f"cut to {wide.stop - wide.start} x {high.stop - high.start} pixels from column "
-        f"{wide.start}, row {high.start}: the border around has one pure colour"
-    )
-    return lambda pixels: np.ascontiguousarray(pixels[high, wide]), [fact]
-
-
-def _read_mask(path: str, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return which pixels a mask leaves out."""
-    from camctl.input_files import read_input
-    from drivers.common.still_file import read_still
-
-    try:
-        pixels = read_still(read_input(path, "mask", most_bytes=1 << 28), path).pixels
-    except CameraProtocolError as error:
-        raise DataError(
-            error.what.replace("the camera's file", "mask", 1), hint="give a PNG file"
-        ) from error
-    if pixels.shape[:2] != shape:
-        raise DataError(
-            f"mask {path} has {pixels.shape[1]} x {pixels.shape[0]} pixels, and the photographs "
-            f"have {shape[1]} x {shape[0]}",
-            hint="give a mask of their size",
-        )
-    black = pixels == 0 if pixels.ndim == 2 else (pixels == 0).all(axis=2)
-    if black.all():
-        raise DataError(f"mask {path} is black everywhere", hint="white is what is valid")
-    return np.asarray(black, np.bool_)

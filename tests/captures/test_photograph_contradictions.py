@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.captures.photograph_contradictions import contradictions
+from camctl.captures.photograph_contradictions import _compared, contradictions
 from camctl.captures.photographs import Photograph
 from camctl.exposure.patches import LightScale, sample_patches
 from camctl.response.camera import standard_response
@@ -61,3 +61,16 @@ def test_the_photograph_and_the_place_are_named(changed: int, light: float) -> N
 
 def test_two_of_five_photographs_with_the_same_change_are_not_named() -> None:
     assert found({1: (200, 300, 0.1), 2: (200, 300, 0.1)}) == []
+
+
+def test_patches_with_saturated_samples_are_no_measure_for_the_others() -> None:
+    """Most patches of the longer photograph have some, and are less bright than predicted."""
+    other = np.full(100, 80.0)
+    longer = np.interp(80.0, np.arange(256), SCALE.light) * 2
+    seen = np.full(100, np.interp(longer, SCALE.light, np.arange(256)))
+    is_usable = np.arange(100) >= 60
+    seen[~is_usable] -= 40
+    brighter, darker, alike = _compared(seen, other, is_usable, 2.0, SCALE, 1)
+    assert not brighter.any()
+    assert not darker.any()
+    assert np.array_equal(alike, is_usable)

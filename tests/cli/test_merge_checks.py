@@ -344,6 +344,35 @@ def test_a_mask_leaves_pixels_out(run: Run, series: Series) -> None:
     )
 
 
+def test_a_masked_part_is_not_taken_for_a_part_of_the_scene(run: Run, series: Series) -> None:
+    """Black pixels would hide the pedestal, and be the darkest light of the picture."""
+    valid = np.full(SCENE.shape[:2], 255, np.uint8)
+    valid[80:200, 40:200] = 0
+    save(Path("mask.png"), valid)
+    files = series(change=lambda k, pixels: np.maximum(pixels, 17))
+    without = run("merge", *files, "-o", "hall", "--json").json
+    ran = run("merge", *files, "--mask", "mask.png", "-o", "masked", "--json")
+    assert ran.err == ""
+    assert "the black level is 17" in str(ran.json["facts"])
+    assert ran.json["request"]["dynamic_range"] == without["request"]["dynamic_range"]
+    used = [[each["used"] for each in found["photographs"]] for found in (without, ran.json)]
+    assert used[0] == used[1]
+    left = valid > 0
+    light = [read_report(name).radiance()[left] for name in ("hall", "masked")]
+    assert np.median(np.abs(np.log(light[1] / light[0]))) < 0.01
+
+
+def test_a_mask_that_is_black_around_cuts(run: Run, series: Series) -> None:
+    valid = np.zeros(SCENE.shape[:2], np.uint8)
+    valid[20:230, 30:310] = 255
+    save(Path("mask.png"), valid)
+    found = run("merge", *series(), "--mask", "mask.png", "-o", "hall", "--json").json
+    assert "cut to 280 x 210 pixels from column 30, row 20: the mask is black around" in str(
+        found["facts"]
+    )
+    assert error_of("hall", SCENE[20:230, 30:310]) < 0.02
+
+
 def test_photographs_of_one_colour_are_left_out(run: Run, series: Series) -> None:
     def white(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         return np.full_like(pixels, 255) if k >= 5 else pixels

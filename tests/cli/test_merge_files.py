@@ -68,6 +68,22 @@ def test_exposures_come_from_exif_data(run: Run) -> None:
     assert exact["photographs"][0]["time_s"] == pytest.approx(1 / 60)
 
 
+def test_photographs_of_different_cameras_are_named(run: Run) -> None:
+    names = []
+    for k, model in enumerate(("X-T0", "X-T0", "Phone", "X-T0")):
+        pixels = photograph(2.0 ** (2 * k - 6), SCENE / 4)
+        tags = [(271, 2, 0, "Maker", True), (272, 2, 0, model, True)]
+        tifffile.imwrite(f"p{k}.tif", pixels, photometric="rgb", extratags=tags)
+        names.append(f"p{k}.tif")
+    times = ("--times", "1/64,1/16,1/4,1", "-o", "hall")
+    assert run("merge", *names, *times).err.splitlines()[0] == (
+        "camctl: warning: the photographs were taken by different cameras (p0.tif by Maker X-T0 "
+        "and p2.tif by Maker Phone), whose responses may differ: give those of one camera"
+    )
+    alike = [names[k] for k in (0, 1, 3)]
+    assert "different cameras" not in run("merge", *alike, "--times", "1/64,1/16,1", "-o", "b").err
+
+
 def test_a_profile_of_the_camera_in_the_exif_data_is_used(run: Run) -> None:
     from camctl.camera import CameraInfo
     from camctl.profile import Profile, change_profile
