@@ -16,7 +16,6 @@ Reproduction for Digital Images, 2002) with three changes:
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -52,8 +51,9 @@ _UNLIT = 0.15
 _READABLE, _MOST_READ = 0.5, 1024
 #: Of a natural logarithm's deviation that of a logarithm to the base 2.
 _LOG2_E = np.float32(1 / np.log(2))
-#: Rows of a band: what is made of them is small beside the picture.
-_ROWS = 64
+#: Rows of a band: what is made of them is small beside the picture.  Noise is filtered out of more,
+#: since those around them are, too.
+_ROWS, _CLEANED_ROWS = 64, 128
 #: Least variance of log2 of the light, less than that of any picture.
 _LEAST_VARIANCE = np.float32(1e-9)
 #: Luminance of the sRGB primaries.
@@ -62,22 +62,14 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 def tone_map(light: Light) -> NDArray[np.uint8]:
     """Return the preview in sRGB, (rows, columns) or (rows, columns, 3)."""
-    irradiance, noise, unlit = _averaged_in_the_dark(light)
-    logs = np.maximum(irradiance, NO_LIGHT, out=irradiance)
-    np.log2(logs, out=logs)
-    _filter_noise(logs, noise)
-    largest = largest_channel(logs).copy()
-    logs -= largest[..., np.newaxis]
-    colours = np.exp2(logs, out=logs)  # relative to the largest
-    pixel_noise = np.asarray(sum(channels_of(noise)) / np.float32(noise.shape[2]), np.float32)
+    largest, colours, pixel_noise, unlit = _cleaned(light)
     exposure, white = _exposure(largest, colours, pixel_noise, light)
     surround = _surround(largest)
     around = box_means(pixel_noise, 2) if colours.shape[2] > 1 else pixel_noise
     darkest = np.float32(_UNLIT if (light.unlit < ALL).any() else 0.0)
     codes: NDArray[np.uint8] = np.empty(colours.shape, np.uint8)
 
-    def encode(start: int) -> None:
-        rows = slice(start, start + _ROWS)
+    def encode(rows: slice) -> None:
         # The operator, x (1 + S / white^2) / (1 + S) for light x in the surround S.
         shown, near = np.exp2(largest[rows] + exposure), np.exp2(surround[rows] + exposure)
         shown *= (1 + near / white**2) / (1 + near)
@@ -93,7 +85,7 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
             colour = 1 + (colour - 1) * known[..., np.newaxis]
         codes[rows] = srgb_codes(colour * shown[..., np.newaxis])
 
-    _in_bands(encode, len(codes))
+    _in_bands(encode, len(codes), _ROWS)
     return codes[..., 0] if codes.shape[-1] == 1 else codes
 
 
@@ -128,15 +120,49 @@ def _exposure(
     return exposure, np.float32(max(1.0, 2.0 ** (brightest + float(exposure))))
 
 
-def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
+def _cleaned(light: Light) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the light without its noise, band by band.
+
+    Returns:
+        log2 of the largest channel; the channels relative to it; noise of a pixel, relative to its
+        light; share without light
+    """
+    border = sum(_DARK_WINDOWS) + sum(radius for radius, _ in _NOISE_WINDOWS)
+    shape = light.unlit.shape
+    largest, noise, unlit = (np.empty(shape, np.float32) for _ in range(3))
+    colours = np.empty_like(light.irradiance)
+
+    def clean(rows: slice) -> None:
+        first = max(0, rows.start - border)
+        around, inner = slice(first, rows.stop + border), slice(rows.start - first, None)
+        logs, errors, dark = _averaged_in_the_dark(
+            light.irradiance[around], light.noise[around], light.unlit[around]
+        )
+        np.log2(np.maximum(logs, NO_LIGHT, out=logs), out=logs)
+        for plane, error in zip(channels_of(logs), channels_of(errors), strict=True):
+            plane[...] = _without_noise(plane, error * _LOG2_E)
+        count = len(largest[rows])
+        logs, errors, dark = (each[inner][:count] for each in (logs, errors, dark))
+        largest[rows] = brightest = largest_channel(logs)
+        np.exp2(logs - brightest[..., np.newaxis], out=colours[rows])
+        noise[rows] = sum(channels_of(errors)) / np.float32(errors.shape[2])
+        unlit[rows] = dark
+
+    _in_bands(clean, len(largest), _CLEANED_ROWS)
+    return largest, colours, noise, unlit
+
+
+def _averaged_in_the_dark(
+    irradiance: Floats, noise: Floats, without: NDArray[np.uint8]
+) -> tuple[Floats, Floats, Floats]:
     """Return irradiance, noise, and the share without light; each averaged where noise is large.
 
     Only such pixels are averaged, so that no bright light comes into the dark beside it.
     """
-    irradiance, noise = light.irradiance.copy(), light.noise.copy()
-    unlit = np.asarray(light.unlit / np.float32(ALL), np.float32)
+    irradiance, noise = irradiance.copy(), noise.copy()
+    unlit = np.asarray(without / np.float32(ALL), np.float32)
     least, low, high = map(np.float32, _HIDDEN)
-    has_unlit = bool(light.unlit.any())
+    has_unlit = bool(without.any())
     for radius in _DARK_WINDOWS:
         # Beside samples without light the noise of the others decides which of them have some.
         doubt = largest_channel(noise)
@@ -146,7 +172,7 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
             factor += 1
             doubt = np.multiply(doubt, factor, out=factor)
         if doubt.max() <= low:
-            break
+            continue
         hidden, counts = _share(doubt, low, high), _share(doubt, least, low)
         area = box_means(counts, radius)
         np.maximum(area, _LEAST_VARIANCE, out=area)
@@ -167,10 +193,8 @@ def _averaged_in_the_dark(light: Light) -> tuple[Floats, Floats, Floats]:
             error -= errors
             error *= hidden
             errors += error
-            del error, average
         if has_unlit:
             unlit += (box_means(unlit * counts, radius) / area - unlit) * hidden
-        del doubt, hidden, counts, area  # memory for the next ones
     return irradiance, noise, np.clip(unlit, 0, 1)
 
 
@@ -181,25 +205,9 @@ def _share(values: Floats, low: np.float32, high: np.float32) -> Floats:
     return np.clip(found, 0, 1, out=found)
 
 
-def _filter_noise(logs: Floats, noise: Floats) -> None:
-    """Filter noise, relative to the light, out of log2 of the light, (rows, columns, channels)."""
-    border = sum(radius for radius, _ in _NOISE_WINDOWS)
-    filtered = np.empty(logs.shape[:2], np.float32)
-
-    def filter_band(plane: Floats, errors: Floats, start: int) -> None:
-        first, stop = max(0, start - border), start + _ROWS
-        around = slice(first, stop + border)
-        found = _without_noise(plane[around], errors[around] * _LOG2_E)
-        filtered[start:stop] = found[start - first :][:_ROWS]
-
-    for plane, errors in zip(channels_of(logs), channels_of(noise), strict=True):
-        _in_bands(partial(filter_band, plane, errors), len(plane))
-        plane[...] = filtered
-
-
-def _in_bands(work: Callable[[int], None], rows: int) -> None:
-    """Call `work` with the first row of each band of `_ROWS` rows; two threads share them."""
-    for _ in in_threads(work, range(0, rows, _ROWS)):
+def _in_bands(work: Callable[[slice], None], rows: int, step: int) -> None:
+    """Call `work` with each band of so many rows; two threads share them."""
+    for _ in in_threads(work, (slice(top, top + step) for top in range(0, rows, step))):
         pass
 
 
@@ -224,6 +232,7 @@ def _surround(logs: Floats) -> Floats:
     slope /= np.maximum(slope, 0, out=slope) + np.float32(_EDGE)
     offset -= slope * offset
     surround = box_means(slope, radius)
+    del slope
     surround *= logs
     surround += box_means(offset, radius)
     return surround
