@@ -28,7 +28,7 @@ from camctl.cli.parameter_types import PATH, Number, Ratios, Seconds
 from camctl.cli.response_options import DesiredOptions, desired_options, levels_wanted
 from camctl.cli.resumed_camera import refuse_other_options, resumed_camera
 from camctl.cli.series_options import SeriesRequest, series_options
-from camctl.errors import UsageError
+from camctl.errors import DataError, UsageError
 
 if TYPE_CHECKING:
     from camctl.captures.report import CaptureReport
@@ -322,6 +322,7 @@ def _shoot(
 
 
 def _resume(directory: Path, camera_options: CameraOptions, complete: _Complete) -> CaptureReport:
+    from camctl.camera import PHOTOGRAPHS
     from camctl.captures.folder_store import read_capture
     from camctl.captures.sequencer import already_complete, resume
 
@@ -329,6 +330,11 @@ def _resume(directory: Path, camera_options: CameraOptions, complete: _Complete)
     report = read_capture(directory)
     if report.status == "complete":
         raise already_complete(directory, report)
+    if report.camera.driver == PHOTOGRAPHS:
+        raise DataError(
+            f"{directory} is no capture of a camera, but was begun by camctl merge",
+            hint="merge the photographs again, with --force",
+        )
     opened = resumed_camera(camera_options, report.source, directory, "report.json")
     with opened as camera, capture_progress() as progress:
         return complete(resume(camera, directory, progress=progress))
