@@ -15,6 +15,8 @@ from camctl.captures.report import CaptureReport
 from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.controls import ExposureControls
+from camctl.exposure.effective import EffectiveCamera
+from camctl.exposure.inverse import Posterior
 from camctl.exposure.patches import Patches
 from camctl.noise_model import FrameNoise, MeasuredNoise, NoiseModel
 from camctl.response.camera import linear_response
@@ -88,23 +90,29 @@ def test_unknown_noise_is_measured() -> None:
     assert not any("frames show" in warning for warning in report.warnings)
 
 
-def patches(light: NDArray[np.float64], electrons: float, seed: int = 0) -> list[Patches]:
-    """Return frames of (patches, samples) light with photon noise and read noise of 0.3 levels."""
+def patches(
+    light: NDArray[np.float64],
+    electrons: float,
+    seed: int = 0,
+    *,
+    exposures: Sequence[float] = EXPOSURES,
+    read_noise: float = 0.3,
+) -> list[Patches]:
+    """Return frames of (patches, samples) light with photon noise and read noise, levels."""
     rng = np.random.default_rng(seed)
     frames = []
-    for exposure in EXPOSURES:
+    for exposure in exposures:
         signal = rng.poisson(exposure * light * 256 * electrons) / electrons
-        frames.append(
-            np.clip(np.floor(signal + 0.3 * rng.standard_normal(light.shape)), 0, 255).astype(
-                np.uint16
-            )
-        )
+        signal += read_noise * rng.standard_normal(light.shape)
+        frames.append(np.clip(np.floor(signal), 0, 255).astype(np.uint16))
     return frames
 
 
-def measure(frames: Sequence[Patches]) -> MeasuredNoise | None:
+def measure(
+    frames: Sequence[Patches], exposures: Sequence[float] = EXPOSURES
+) -> MeasuredNoise | None:
     noise = [FrameNoise(np.inf, 0.0)] * 3
-    return measure_noise(RESPONSE, LOG, frames, EXPOSURES, noise, [1.0] * 3)
+    return measure_noise(RESPONSE, LOG, frames, exposures, noise, [1.0] * 3)
 
 
 LIGHT = np.geomspace(1e-3, 1, 600)[:, np.newaxis] * np.linspace(0.97, 1.03, 64)
@@ -131,6 +139,38 @@ def test_uncertainty_is_the_scatter_of_repeated_captures() -> None:
     stated = np.median([each.uncertainty for each in found if each is not None])
     assert len(levels) == 16
     assert 0.4 < stated / np.std(levels, ddof=1) < 2.5
+
+
+@pytest.mark.parametrize("contrast", [0.0, 0.08])
+@pytest.mark.parametrize("ratio", [27.0, 35.0])
+def test_frames_with_little_light_in_common_say_how_uncertain_they_are(
+    ratio: float, contrast: float
+) -> None:
+    """Both are in range for light of 4 to 8 levels, with noise of a third of a step."""
+    light = np.geomspace(1e-4, 1, 1500)[:, np.newaxis] * np.linspace(1 - contrast, 1 + contrast, 64)
+    exposures = (1.0, ratio, ratio**2)
+    camera = EffectiveCamera.of(RESPONSE, exposures)
+    truth = Posterior(camera, LOG, [FrameNoise(39.0, 0.08)] * 3).inverse.effective_levels
+    found = [
+        measure(patches(light, 39.0, seed, exposures=exposures, read_noise=0.08), exposures)
+        for seed in range(12)
+    ]
+    measured = [each for each in found if each is not None]
+    errors = np.array([each.effective_levels - truth for each in measured])
+    stated = np.median([each.uncertainty for each in measured])
+    assert len(measured) > 8
+    assert not any(each.contradicts(truth) for each in measured)
+    assert 0.4 < stated / np.sqrt(np.mean(errors**2)) < 2.5
+
+
+@pytest.mark.parametrize("contrast", [0.0, 0.03, 0.08])
+def test_noise_far_below_a_step_is_measured(contrast: float) -> None:
+    """All samples of a patch are rounded alike there: its spread depends on its light."""
+    light = np.geomspace(1e-3, 1, 1500)[:, np.newaxis] * np.linspace(1 - contrast, 1 + contrast, 64)
+    measured = measure(patches(light, 200.0, read_noise=0.05))
+    assert measured is not None
+    assert measured.electrons_per_level == pytest.approx(200, rel=0.12)
+    assert measured.read_noise_levels < 0.1
 
 
 def test_a_curved_camera_has_an_uncertainty_of_like_size() -> None:
