@@ -14,6 +14,7 @@ from camctl.captures.capture_plan import Metering, relative_exposures
 from camctl.captures.pictures import DARK, sum_mask
 from camctl.captures.request import AUTO, CaptureRequest, build_desired
 from camctl.captures.scene_range import (
+    LEAST_RANGE,
     PlannedLight,
     SceneLight,
 )
@@ -31,10 +32,10 @@ LEAST_SHARE = 0.5
 """Share of the effective levels at 1:256 that a range must have, unless the request says how many
 levels: so the steps of constant contrast over 1:250,000 are four times as large at most."""
 
-STOPS = tuple(2.0**n for n in range(4, 21))
+STOPS = tuple(LEAST_RANGE * 2.0**n for n in range(17))
 """Ranges that are chosen from where the camera's noise is known: exposures for one of them are
-solved in about a second, and kept for all scenes of this range.  A smaller one would show noise as
-contrast, and the light that a lens scatters hides what a larger one has."""
+solved in about a second, and kept for all scenes of this range.  The light that a lens scatters
+hides what a larger one has."""
 
 TABLE = tuple(sorted(RANGES.values()))
 """Ranges that are chosen from where it is not: solving by xi takes up to minutes for many levels,

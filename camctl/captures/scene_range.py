@@ -28,6 +28,12 @@ LAMP_FACTOR = 4.0
 """They clip only if they are this many times as bright as the rest, so that the range gains two
 stops."""
 
+#: Lamps are apart from the rest where the stop between them has fewer samples than this share.
+_GAP_SHARE = 1e-5
+
+LEAST_RANGE = 16.0
+"""A smaller one would show noise as contrast."""
+
 #: Where the metering frames cannot tell the shadows from black, these are assumed to be darker by
 #: so many stops at least and at most.
 _LEAST_UNSEEN_STOPS, _MOST_UNSEEN_STOPS = 1.0, 4.0
@@ -101,6 +107,21 @@ class SceneLight:
         end = float(self.irradiance[allowed[0]]) if allowed.size else self.brightest
         return min(self.brightest, end)
 
+    def _below_lamps(self, end: float) -> float:
+        """Return the brightest of the rest where that is apart from the lamps, else `end`.
+
+        A range is a power of two, `LEAST_RANGE` at least: it is filled, but not made larger, and
+        where unseen shadows decide it, it has no place.
+        """
+        if self.is_open:
+            return end
+        needed = self.needed_range(end)
+        largest = end * max(LEAST_RANGE, 2.0 ** math.ceil(math.log2(needed))) / needed
+        for light in self.irradiance[(self.irradiance >= end) & (self.irradiance <= largest)]:
+            if self.share_above(light) - self.share_above(2 * light) <= _GAP_SHARE:
+                return float(light)
+        return end
+
     def upper_end(self, clip: float | None, dynamic_range: float | None) -> float:
         """Return the light that just saturates the shortest exposure.
 
@@ -114,6 +135,7 @@ class SceneLight:
         end = self.highlights(LAMP_SHARE)
         if end * LAMP_FACTOR > self.brightest or dynamic_range == math.inf:
             return self.brightest
+        end = self._below_lamps(end)
         if dynamic_range is None:
             return end
         return min(self.brightest, max(end, self.shadows * dynamic_range))

@@ -17,7 +17,7 @@ from camctl.camera import FrameStream, StreamingCamera
 from camctl.captures.metering import OUTLIER_SHARE, MeteringFrames, light_histogram, meter
 from camctl.captures.photograph_camera import PhotographCamera
 from camctl.captures.photographs import Photograph
-from camctl.captures.scene_range import SceneLight
+from camctl.captures.scene_range import LAMP_SHARE, SceneLight
 from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import CaptureError, UsageError
 from camctl.profile import change_profile
@@ -201,3 +201,25 @@ def test_a_single_frame_that_does_not_follow_is_taken_again() -> None:
         frames = [source.take(setting) for setting in settings]
     assert source.count == 4
     assert frames[1].pixels.mean() == pytest.approx(16 * frames[0].pixels.mean(), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("between", "darkest", "is_apart"),
+    [
+        (0, 1e-3, True),  # the lamps clip alone
+        (50, 1e-3, False),  # no dark stop between them and the rest: as much as lamps may clip
+        (0, 0.12, False),  # shadows that are not seen decide the range
+    ],
+)
+def test_lamps_clip_alone_where_they_are_apart(
+    between: int, darkest: float, *, is_apart: bool
+) -> None:
+    """The rest spans 1:10, and the range is 1:16 anyway."""
+    rest = np.geomspace(0.1, 1.0, 2000)
+    E = np.concatenate([rest, np.geomspace(1.0, 1000.0, between + 2)[1:]])
+    shares = np.full(E.size, 1.0)
+    shares[rest.size :] = 4 / (E.size - rest.size)
+    light = SceneLight(E, shares / shares.sum(), darkest, float(E[-1]))
+    cut = light.highlights(LAMP_SHARE)
+    assert 0.9 < cut < 1.0
+    assert light.upper_end(None, None) == (1.0 if is_apart else cut)
