@@ -1,7 +1,7 @@
 """The light of a capture as people see it on an sRGB display: the picture of preview.png.
 
 Reinhard's photographic operator (Reinhard, Stark, Shirley and Ferwerda, Photographic Tone
-Reproduction for Digital Images, 2002) with three changes:
+Reproduction for Digital Images, 2002) with four changes:
 
 - What surrounds a pixel is found by a guided filter (He, Sun and Tang, Guided Image Filtering,
   2010), which stops at edges, instead of by Gaussian surrounds: no halos.
@@ -11,10 +11,12 @@ Reproduction for Digital Images, 2002) with three changes:
   the dark pixels around.  Elsewhere it is filtered out where the picture around shows no more
   variation than it (Lee, Digital Image Enhancement and Noise Filtering by Use of Local Statistics,
   1980).  It takes the colour out where it is as large as the light.
+- The darkest light that the frames show is lifted to where a display still differs from black.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -30,6 +32,9 @@ from camctl.threads import in_threads
 _KEY = 0.22
 #: Share of the light, in per cent, that is no darker than the darkest, and no brighter than white.
 _DARKEST, _WHITE = 1.0, 99.5
+#: The darkest light has this brightness at least, 1 = white, or 4 of 255: what is below the second
+#: brightness, or 25 of 255, is lifted for it, the more the darker it is.
+_LEAST_SHOWN, _LIFTED = 0.0012, 0.01
 #: Radius of the surround, as a share of the longer side.
 _SURROUND = 1 / 40
 #: Variance of log2 of the light up to which the surround is smooth: half a stop, squared.
@@ -63,7 +68,7 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 def tone_map(light: Light) -> NDArray[np.uint8]:
     """Return the preview in sRGB, (rows, columns) or (rows, columns, 3)."""
     largest, colours, pixel_noise, unlit = _cleaned(light)
-    exposure, white = _exposure(largest, colours, pixel_noise, light)
+    exposure, white, power = _exposure(largest, colours, pixel_noise, light)
     surround = _surround(largest)
     around = box_means(pixel_noise, 2) if colours.shape[2] > 1 else pixel_noise
     darkest = np.float32(_UNLIT if (light.unlit < ALL).any() else 0.0)
@@ -74,6 +79,9 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
         shown, near = np.exp2(largest[rows] + exposure), np.exp2(surround[rows] + exposure)
         shown *= (1 + near / white**2) / (1 + near)
         np.minimum(shown, 1, out=shown)
+        if power < 1:
+            lifted = np.float32(_LIFTED)
+            shown = np.where(shown < lifted, lifted * (shown / lifted) ** power, shown)
         shown *= 1 + (darkest - 1) * np.square(unlit[rows])
         # A pixel of which one channel is saturated keeps the colour of its neighbours that are not.
         full = light.white[rows] / np.float32(ALL)
@@ -98,8 +106,8 @@ def srgb_codes(light: NDArray[Any]) -> NDArray[np.uint8]:
 
 def _exposure(
     largest: Floats, colours: Floats, noise: Floats, light: Light
-) -> tuple[np.float32, np.float32]:
-    """Return log2 of the factor before the operator, and the light after it that becomes white.
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Return log2 of the factor before the operator, its white, and the power of what is lifted.
 
     Reinhard, Parameter Estimation for Photographic Tone Reproduction, 2002: a scene of mostly dark
     light stays dark.
@@ -117,7 +125,11 @@ def _exposure(
     key = _KEY * 4.0 ** np.clip((2 * mean - low - high) / span, -0.5, 0.5)
     exposure = np.float32(np.log2(key) - mean)
     brightest = float(np.percentile(largest[readable], _WHITE))
-    return exposure, np.float32(max(1.0, 2.0 ** (brightest + float(exposure))))
+    white = max(1.0, 2.0 ** (brightest + float(exposure)))
+    # The operator leaves dark light as it is.
+    darkest = min(2.0 ** (low + float(exposure)), _LEAST_SHOWN)
+    power = math.log(_LIFTED / _LEAST_SHOWN) / math.log(_LIFTED / darkest)
+    return exposure, np.float32(white), np.float32(power)
 
 
 def _cleaned(light: Light) -> tuple[Floats, Floats, Floats, Floats]:

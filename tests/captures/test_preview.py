@@ -128,6 +128,18 @@ def test_all_saturated_is_white_and_no_light_is_black() -> None:
     assert (tone_map(light_of(everywhere * 1e-9, noise=9.0, dark=everywhere)) == 0).all()
 
 
+def test_the_darkest_light_in_range_is_not_black() -> None:
+    """Steps of 1 to 1:300,000, the three darkest on 2 % of the picture each."""
+    light = np.ones((200, 300, 3)) * [0.5, 1.0, 0.8]
+    steps = np.geomspace(0.01, 1 / 300_000, 10)
+    for place, step in enumerate(steps):
+        light[20:60, 30 * place : 30 * place + 30] *= step
+    codes = tone_map(light_of(light)).astype(int)
+    shown = codes[40, 15::30]
+    assert shown.min() > 0
+    assert (np.diff(shown[:, 1]) < 0).all()
+
+
 @pytest.mark.parametrize("noise", [0.1, 0.4])
 def test_noise_of_the_predicted_size_is_filtered_out(noise: float) -> None:
     rng = np.random.default_rng(0)
