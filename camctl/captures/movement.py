@@ -49,6 +49,8 @@ _TRIES_WHOLE, _MOST_ALARMS = 3, 1.25
 #: false alarms differs by 3 %.  A wide frame has narrow bands, so that there are so many of them.
 _BANDS_PIXELS, _LEAST_BANDS = 500_000, 8
 _NARROWEST, _WIDEST = 16, 64
+#: Where fewer samples than this share can be compared it is not known what moved.
+_LEAST_COMPARED = 1e-3
 #: Samples that are compared at a time.
 _STRIP_SAMPLES = 1 << 19
 
@@ -69,7 +71,9 @@ class FoundMovement:
             than by noise; larger than `share`, since not each sample of a block does
         block: side of a block of the map, pixels
         spread: share of the samples that contradict by light that spread to them from saturated
-            ones of a longer exposure: the picture is too bright there.  All have marks, too
+            ones of a longer exposure: the picture is too bright there.  All have marks, too.  A
+            bright thing that moved beside such samples looks the same
+        compared: share of the samples that two frames have in range, of the two that have most
     """
 
     share: float
@@ -78,6 +82,12 @@ class FoundMovement:
     area: float = 0.0
     block: int = 0
     spread: float = 0.0
+    compared: float = 1.0
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether enough samples could be compared to say that nothing moved."""
+        return self.compared >= _LEAST_COMPARED
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +189,7 @@ def _marked(
 
     def compare(
         work: tuple[Pair, tuple[Limits, float], tuple[tuple[Pixels, Lines], tuple[Pixels, Lines]]],
-    ) -> tuple[NDArray[np.uint8], float, NDArray[np.uint8] | None, tuple[int, ...]]:
+    ) -> tuple[NDArray[np.uint8], float, float, NDArray[np.uint8] | None, tuple[int, ...]]:
         pair, (limits, rate), ((short, short_lines), (long, long_lines)) = work
         rows, columns = short.shape[:2]
         channels = short.shape[2] if short.ndim == 3 else 1
@@ -188,8 +198,8 @@ def _marked(
         spilled = np.zeros_like(marks) if spread.is_any else None
         mark = partial(_mark, (marks, spilled), limits, spread, short, long, long_lines.ranges)
         areas = _areas(rows, columns, channels, spread)
-        compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas))
-        return marks, rate * compared / short.size, spilled, short.shape
+        compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas)) / short.size
+        return marks, compared, rate * compared, spilled, short.shape
 
     positions = [pairs[0].short.position, *(pair.long.position for pair in pairs)]
     # The next frame is read while two are compared.
@@ -197,9 +207,10 @@ def _marked(
     calibrated = _calibrated(pairs, total)
     work = zip(pairs, calibrated, pairwise(frames), strict=True)
     results = in_threads(compare, work) if in_memory else map(compare, work)
-    marks, alarms, spilled, shape = next(results)
-    for each, share, more, _ in results:
+    marks, compared, alarms, spilled, shape = next(results)
+    for each, comparable, share, more, _ in results:
         marks |= each
+        compared = max(compared, comparable)
         alarms += share
         if more is not None:
             spilled = more if spilled is None else np.bitwise_or(spilled, more, out=spilled)
@@ -210,6 +221,7 @@ def _marked(
         limits = (limits for limits, _ in calibrated)
         spread = light_spread_cells(moves, cell, zip(pairs, limits, both, strict=True))
     movement, at_rest = _summed(shape, marks, alarms, cell, counts, moves, spread)
+    movement = replace(movement, found=replace(movement.found, compared=compared))
     if spilled is not None:
         movement = _with_spread(movement, spilled, counts, is_known=is_known)
     is_coarse = pairs[0].scale.is_coarse  # its noise is not near a normal distribution

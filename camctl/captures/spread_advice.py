@@ -27,11 +27,11 @@ def spread_warnings(
     """
     if spread < MUCH_SPREAD:
         return []
-    # Where the noise is unknown, a bright thing beside saturated samples looks the same.
-    thing = ", or a thing beside them that moved" if is_taken else ""
+    # A bright thing beside saturated samples looks the same.
     return [
-        f"light that spread from saturated samples{thing}: {spread:.1%} of the picture is too "
-        f"bright (mask bit 4, marked in the contact sheet): {_advice(request, plan, is_taken)}"
+        f"light that spread from saturated samples, or a thing beside them that moved: "
+        f"{spread:.1%} of the picture is too bright (mask bit 4, marked in the contact sheet): "
+        f"{_advice(request, plan, is_taken)}"
     ]
 
 

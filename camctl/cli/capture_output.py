@@ -269,7 +269,12 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
     spread = []
     if movement.spread >= NOTABLE_SPREAD:
         bright = f"{format_percent(movement.spread)} of the picture is too bright"
-        spread = [("", f"light that spread from saturated samples: {bright}")]
+        spread = [("", f"light that spread from saturated samples, or a thing there: {bright}")]
+    if not movement.is_seen:
+        compared = (
+            f"no two frames have more than {format_percent(movement.compared)} of the samples"
+        )
+        return [("movement", f"not known: {compared} in range")]
     if not movement.places:
         return [("movement", f"none; {shares}"), *spread]
     area = format_percent(movement.area)

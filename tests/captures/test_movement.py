@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from small_cameras import small_camera
 
 import camctl
 from camctl.camera import Pixels
@@ -335,3 +336,13 @@ def test_false_alarms_of_large_photographs_are_set_on_their_bands() -> None:
     assert movement.found.places == ()
     assert movement.found.share == pytest.approx(movement.found.false_alarms, rel=0.1)
     assert 0.6 * FALSE_ALARMS < movement.found.share < 1.1 * FALSE_ALARMS
+
+
+def test_frames_without_samples_in_common_show_no_movement_and_no_rest() -> None:
+    with small_camera("standard", np.full((48, 64), 0.5, np.float32)) as camera:
+        far = camctl.capture(camera, camctl.CaptureRequest(ratios=(1, 1000), base_s=0.01))
+        near = camctl.capture(camera, camctl.CaptureRequest(ratios=(1, 1.5), base_s=0.01))
+    assert far.movement is not None
+    assert near.movement is not None
+    assert (far.movement.compared, far.movement.is_seen) == (0.0, False)
+    assert (near.movement.compared, near.movement.is_seen) == (1.0, True)
