@@ -48,9 +48,9 @@ _UNREAD_SHARE = 0.005
 #: Frames are compared whose exposures differ by this factor or more.  The pixels do not follow
 #: where their light changes by less than this power of it: an unknown gamma curve has 0.4.
 _COMPARED_FACTOR, _LEAST_POWER = 4.0, 0.25
-#: Share of the samples that must show it: the centre of the sun stays as dark in any exposure where
-#: the reset level of the sensor has its light, too.
-_LEAST_COMPARED = 0.01
+#: Share of the samples that must show it: a thing that moved does, and the centre of the sun, which
+#: stays as dark in any exposure where the reset level of the sensor has its light, too.
+_LEAST_COMPARED = 0.1
 #: Irradiances that stand for one brightness in a histogram.
 _SPREAD = 16
 

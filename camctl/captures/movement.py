@@ -51,6 +51,8 @@ _BANDS_PIXELS, _LEAST_BANDS = 500_000, 8
 _NARROWEST, _WIDEST = 16, 64
 #: Where fewer samples than this share can be compared it is not known what moved.
 _LEAST_COMPARED = 1e-3
+#: Share of the blocks below which what moved is in a part of the picture.
+_MOST_LOCAL = 0.25
 #: Samples that are compared at a time.
 _STRIP_SAMPLES = 1 << 19
 
@@ -88,6 +90,11 @@ class FoundMovement:
     def is_seen(self) -> bool:
         """Whether enough samples could be compared to say that nothing moved."""
         return self.compared >= _LEAST_COMPARED
+
+    @property
+    def is_local(self) -> bool:
+        """Whether things moved in a part of the picture, and most of it is at rest."""
+        return bool(self.places) and self.area < _MOST_LOCAL
 
 
 @dataclass(frozen=True, eq=False)

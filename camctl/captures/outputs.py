@@ -83,10 +83,18 @@ def complete(
         posterior.inverse.effective_levels if controls.noise else quality.effective_levels
     )
     gains = [setting.gain for setting in applied]
-    measured = measure_noise(controls.levels, desired, checks.samples, exposures, noise, gains)
     no_light = _no_light(total, unfinished.black_total, controls.levels.M, outside.saturated)
     pairs = checks.pairs(exposures, noise if controls.noise else None)
     movement = find_movement(store.frame, pairs, checks.bands.__getitem__)
+    measured = measure_noise(controls.levels, desired, checks.samples, exposures, noise, gains)
+    if (
+        measured is not None
+        and controls.noise
+        and movement is not None
+        and movement.found.is_local
+        and measured.contradicts(effective_levels)
+    ):
+        measured = None  # it may be that of the things that moved alone
     return_free_memory()
     rendering = Rendering(
         controls.layout, tables, desired, full_scale_exposure, controls.hot_pixels, movement

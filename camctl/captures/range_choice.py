@@ -116,6 +116,7 @@ class Metered:
         """Return how much of the light the chosen exposures hold."""
         if self.light is None:
             return None
+        assert self.metering is not None  # there is no light without
         end = self._upper_end(chosen.settings[0].exposure)
         return PlannedLight(
             span=self.light.brightest / self.light.seen_shadows,
@@ -126,6 +127,7 @@ class Metered:
             dark=_dark_share(self.light.relative_to(end), chosen, controls),
             needed=self.light.needed_range(end),
             needed_levels=chosen.needed_levels,
+            is_cut=self.metering.highlight >= 1.0 and self.metering.clipped > 0,
         )
 
     def _upper_end(self, exposure: float) -> float:

@@ -161,6 +161,8 @@ class PlannedLight:
         needed_levels: effective levels that `needed` would have; None where it is planned, or
             where they are not known
         unseen: share of the samples that metering could not tell from black
+        is_cut: whether the brightest light saturates the camera's shortest exposure: then, too, the
+            scene spans more
         advice: what to do where light is darker than the range; None where none is known
         bright_advice: the same where light is brighter
     """
@@ -173,5 +175,6 @@ class PlannedLight:
     needed: float
     needed_levels: float | None = None
     unseen: float = 0.0
+    is_cut: bool = False
     advice: str | None = None
     bright_advice: str | None = None

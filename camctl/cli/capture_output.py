@@ -116,19 +116,19 @@ def plan_text(plan: CapturePlan) -> str:
 def light_text(light: PlannedLight) -> str:
     """Return one line on the light that was metered, and what of it the picture will not hold."""
 
-    def spans(ratio: float) -> str:
-        return ("more than " if light.is_open else "") + range_text(float(f"{ratio:.2g}"))
+    def spans(ratio: float, *, more: bool) -> str:
+        return ("more than " if more else "") + range_text(float(f"{ratio:.2g}"))
 
     from camctl.captures.scene_range import NOTABLE_SHARE  # loads numpy
 
-    text = f"the scene spans {spans(light.span)}"
+    text = f"the scene spans {spans(light.span, more=light.is_open or light.is_cut)}"
     if light.clips >= NOTABLE_SHARE:
         are_lamps = light.clips_stops >= _LAMP_STOPS and light.clips <= _MOST_LAMPS
         what = "lamps, reflections" if are_lamps else "the brightest parts"
         text += f"; {format_percent(light.clips)} ({what}) will clip"
         rest = light.span / 2.0**light.clips_stops
         if light.clips_stops >= _LAMP_STOPS and rest > 1:
-            text += f", and the rest spans {spans(rest)}"
+            text += f", and the rest spans {spans(rest, more=light.is_open)}"
     if light.dark >= NOTABLE_SHARE:
         text += f"; {format_percent(light.dark)} will be darker than the range"
     if light.unseen > light.dark + _NOTABLY_UNSEEN:

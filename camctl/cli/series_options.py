@@ -61,12 +61,15 @@ class SeriesRequest:
             meter="each" if metering == "each" else "once",
         )
 
-    def check(self, metering: str | None) -> None:
-        """Raise `UsageError` where an option for a series is given without one."""
+    def check(self, metering: str | None, *, is_resumed: bool) -> None:
+        """Raise `UsageError` where an option for a series is given without one.
+
+        One that `is_resumed` has its options, but for the hook.
+        """
         for option, value in (
             ("--interval", self.interval_s),
             ("--name", self.name),
-            ("--hook", self.hook),
+            ("--hook", None if is_resumed else self.hook),
             ("--meter each", metering == "each" or None),
         ):
             if value is not None and not self.is_series:

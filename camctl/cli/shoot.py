@@ -231,7 +231,7 @@ def shoot(
     (report.json). The exit status is 3 where the pixels of the frames contradict their exposures:
     the files are there, and not trustworthy.
     """
-    series.check(light.metering)
+    series.check(light.metering, is_resumed=resume_directory is not None)
     if resume_directory is not None and (resume_directory / "series.json").exists():
         from camctl.cli.series import continued_series
 

@@ -10,6 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from small_cameras import WrappedCamera, gradient, small_camera
 
+import camctl
+from camctl.captures import outputs
 from camctl.captures.measured_noise import measure_noise
 from camctl.captures.report import CaptureReport
 from camctl.captures.request import CaptureRequest
@@ -186,3 +188,19 @@ def test_a_curved_camera_has_an_uncertainty_of_like_size() -> None:
 def test_frames_that_do_not_overlap_show_nothing() -> None:
     assert measure(patches(LIGHT[:40], 40.0)) is None
     assert measure(patches(np.full((600, 64), 1e-4), 40.0)) is None
+
+
+@pytest.mark.parametrize("scene", ["moving-target", "tile-floor"])
+def test_noise_beside_a_thing_that_moves_contradicts_nothing(
+    scene: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where most of the rest is saturated in the longer frames, the patches may be those of it."""
+    found = MeasuredNoise(6.2, 0.2, 0.4, 0.1, 8000)
+    monkeypatch.setattr(outputs, "measure_noise", lambda *_: found)
+    with camctl.open_camera("sim", scene=scene, size="320x240") as camera:
+        report = camctl.capture(camera, CaptureRequest(dynamic_range="auto"))
+    assert report.movement is not None
+    moves = scene == "moving-target"
+    assert report.movement.is_local == moves
+    assert report.achieved.measured == (None if moves else found)
+    assert any("frames show" in warning for warning in report.warnings) != moves

@@ -285,8 +285,9 @@ def test_a_killed_series_is_resumed(tmp_path: Path) -> None:
     content = json.loads((folder / "series.json").read_text())
     content["options"]["repeat"] = len(content["sets"]) + 1
     (folder / "series.json").write_text(json.dumps(content))
+    hook = f"echo $CAMCTL_NUMBER >> {tmp_path}/numbers"
     resumed = subprocess.run(
-        [sys.executable, "-c", PROGRAM, "shoot", "--resume", str(folder)],
+        [sys.executable, "-c", PROGRAM, "shoot", "--resume", str(folder), "--hook", hook],
         capture_output=True,
         text=True,
         check=False,
@@ -294,3 +295,6 @@ def test_a_killed_series_is_resumed(tmp_path: Path) -> None:
     assert resumed.returncode == 0, resumed.stderr
     states = [each["state"] for each in sets(str(folder))]
     assert states == ["complete"] * content["options"]["repeat"]
+    # The hook is run for the sets that were taken now.
+    last = str(content["options"]["repeat"])
+    assert (tmp_path / "numbers").read_text().split()[-1] == last
