@@ -66,10 +66,6 @@ class _Patches:
     phases: NDArray[np.complexfloating[Any, Any]]
     freedom: _Floats
 
-    def part(self, rows: NDArray[np.bool_] | slice) -> _Patches:
-        """Return some of the patches."""
-        return _Patches(*(getattr(self, each.name)[rows] for each in fields(self)))
-
     @staticmethod
     def joined(parts: Sequence[_Patches]) -> _Patches:
         """Return the patches of all parts."""
@@ -277,20 +273,14 @@ def _pair(
     photon = middle * (gains[0] + gains[1] / ratio)
     read = np.full(middle.size, gains[0] ** 2 + (gains[1] / ratio) ** 2)
     terms = np.stack([np.maximum(photon, 0.0), read], axis=1)
-    steps = np.interp(long, light, np.arange(light.size))
-    phases = np.stack(
-        [
-            (np.exp(2j * math.pi * k * steps) * usable).sum(axis=1) / np.maximum(count, 1)
-            for k in range(1, _HARMONICS + 1)
-        ],
-        axis=1,
-    )
-    patches = _Patches(
-        spread,
-        terms,
-        mean(squared_step[samples[0]]),
-        mean(squared_step[samples[1]]) / 12 / ratio**2,
+    steps = np.interp(long[used], light, np.arange(light.size))
+    turns = np.exp(2j * math.pi * steps[..., np.newaxis] * np.arange(1, _HARMONICS + 1))
+    phases = (turns * usable[used, :, np.newaxis]).sum(axis=1) / count[used, np.newaxis]
+    return _Patches(
+        spread[used],
+        terms[used],
+        mean(squared_step[samples[0]])[used],
+        mean(squared_step[samples[1]])[used] / 12 / ratio**2,
         phases,
-        np.maximum(count - 1.0, 1.0),
+        np.maximum(count[used] - 1.0, 1.0),
     )
-    return patches.part(used)

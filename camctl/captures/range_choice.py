@@ -13,11 +13,7 @@ import numpy as np
 from camctl.captures.capture_plan import Metering, relative_exposures
 from camctl.captures.pictures import DARK, sum_mask
 from camctl.captures.request import AUTO, CaptureRequest, build_desired
-from camctl.captures.scene_range import (
-    LEAST_RANGE,
-    PlannedLight,
-    SceneLight,
-)
+from camctl.captures.scene_range import LEAST_RANGE, PlannedLight, SceneLight
 from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.accuracy import TooInaccurateError
