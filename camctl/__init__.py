@@ -16,44 +16,10 @@ from typing import TYPE_CHECKING
 __version__ = "0.2.0.dev0"
 
 if TYPE_CHECKING:
-    from camctl.backends import BackendListing as BackendListing
-    from camctl.backends import BackendOptions as BackendOptions
-    from camctl.backends import CameraBackend as CameraBackend
-    from camctl.backends import FrameShape as FrameShape
-    from camctl.backends import list_backends as list_backends
-    from camctl.backends import list_cameras as list_cameras
-    from camctl.backends import open_camera as open_camera
-    from camctl.camera import Camera as Camera
-    from camctl.camera import CameraBase as CameraBase
-    from camctl.camera import CameraInfo as CameraInfo
-    from camctl.camera import Frame as Frame
-    from camctl.camera import FrameStream as FrameStream
-    from camctl.camera import OriginalFile as OriginalFile
-    from camctl.camera import PreviewingCamera as PreviewingCamera
-    from camctl.camera import StreamingCamera as StreamingCamera
-    from camctl.captures.capture_plan import CapturePlan as CapturePlan
-    from camctl.captures.capture_plan import Metering as Metering
-    from camctl.captures.folder_store import read_report as read_report
-    from camctl.captures.frame_record import FrameRecord as FrameRecord
-    from camctl.captures.frame_record import RatioCheck as RatioCheck
     from camctl.captures.plan import plan_capture as plan_capture
-    from camctl.captures.report import Achieved as Achieved
-    from camctl.captures.report import CaptureReport as CaptureReport
-    from camctl.captures.report import Irradiance as Irradiance
-    from camctl.captures.request import CaptureRequest as CaptureRequest
     from camctl.captures.sequence import Progress as Progress
     from camctl.captures.sequencer import capture as capture
     from camctl.captures.sequencer import resume as resume
-    from camctl.clock import CaptureTiming as CaptureTiming
-    from camctl.clock import Clock as Clock
-    from camctl.clock import RealClock as RealClock
-    from camctl.clock import VirtualClock as VirtualClock
-    from camctl.controls import Choices as Choices
-    from camctl.controls import ExposureControls as ExposureControls
-    from camctl.controls import ExposureSetting as ExposureSetting
-    from camctl.controls import Layout as Layout
-    from camctl.controls import ResponseOrigin as ResponseOrigin
-    from camctl.controls import Steps as Steps
     from camctl.errors import CamctlError as CamctlError
     from camctl.errors import CameraBusyError as CameraBusyError
     from camctl.errors import CameraDisconnectedError as CameraDisconnectedError
@@ -69,6 +35,7 @@ if TYPE_CHECKING:
     from camctl.errors import ResourceError as ResourceError
     from camctl.errors import StorageError as StorageError
     from camctl.errors import UsageError as UsageError
+    from camctl.evidence.ratio_check import RatioCheck as RatioCheck
     from camctl.exposure.accuracy import AccuracySolution as AccuracySolution
     from camctl.exposure.accuracy import solve_accuracy as solve_accuracy
     from camctl.exposure.evaluation import Evaluation as Evaluation
@@ -81,38 +48,71 @@ if TYPE_CHECKING:
     from camctl.exposure.solver import Solution as Solution
     from camctl.exposure.solver import solve as solve
     from camctl.exposure.table import ExposureTable as ExposureTable
-    from camctl.merging.merge import merge as merge
-    from camctl.merging.photograph_set import PhotographOptions as PhotographOptions
-    from camctl.noise_model import FrameNoise as FrameNoise
-    from camctl.noise_model import NoiseModel as NoiseModel
-    from camctl.response.camera import CameraResponse as CameraResponse
-    from camctl.response.camera import linear_response as linear_response
-    from camctl.response.camera import standard_response as standard_response
-    from camctl.response.desired import DesiredResponse as DesiredResponse
-    from camctl.response.desired import desired_response as desired_response
-    from camctl.response.measured import measured_response as measured_response
-    from camctl.response.tabulated import tabulated_desired as tabulated_desired
+    from camctl.interface.backends import BackendListing as BackendListing
+    from camctl.interface.backends import BackendOptions as BackendOptions
+    from camctl.interface.backends import CameraBackend as CameraBackend
+    from camctl.interface.backends import FrameShape as FrameShape
+    from camctl.interface.backends import list_backends as list_backends
+    from camctl.interface.backends import list_cameras as list_cameras
+    from camctl.interface.camera import Camera as Camera
+    from camctl.interface.camera import CameraBase as CameraBase
+    from camctl.interface.camera import CameraInfo as CameraInfo
+    from camctl.interface.camera import Frame as Frame
+    from camctl.interface.camera import FrameStream as FrameStream
+    from camctl.interface.camera import OriginalFile as OriginalFile
+    from camctl.interface.camera import PreviewingCamera as PreviewingCamera
+    from camctl.interface.camera import StreamingCamera as StreamingCamera
+    from camctl.interface.clock import CaptureTiming as CaptureTiming
+    from camctl.interface.clock import Clock as Clock
+    from camctl.interface.clock import RealClock as RealClock
+    from camctl.interface.clock import VirtualClock as VirtualClock
+    from camctl.interface.controls import Choices as Choices
+    from camctl.interface.controls import ExposureControls as ExposureControls
+    from camctl.interface.controls import ExposureSetting as ExposureSetting
+    from camctl.interface.controls import Layout as Layout
+    from camctl.interface.controls import ResponseOrigin as ResponseOrigin
+    from camctl.interface.controls import Steps as Steps
+    from camctl.model.noise import FrameNoise as FrameNoise
+    from camctl.model.noise import NoiseModel as NoiseModel
+    from camctl.model.response.camera import CameraResponse as CameraResponse
+    from camctl.model.response.camera import linear_response as linear_response
+    from camctl.model.response.camera import standard_response as standard_response
+    from camctl.model.response.desired import DesiredResponse as DesiredResponse
+    from camctl.model.response.desired import desired_response as desired_response
+    from camctl.model.response.measured import measured_response as measured_response
+    from camctl.model.response.tabulated import tabulated_desired as tabulated_desired
+    from camctl.photographs.merge import merge as merge
+    from camctl.photographs.photograph_set import PhotographOptions as PhotographOptions
+    from camctl.profiles.calibrated import open_camera as open_camera
+    from camctl.records.capture_plan import CapturePlan as CapturePlan
+    from camctl.records.capture_plan import Metering as Metering
+    from camctl.records.folder_store import read_report as read_report
+    from camctl.records.frame import FrameRecord as FrameRecord
+    from camctl.records.report import Achieved as Achieved
+    from camctl.records.report import CaptureReport as CaptureReport
+    from camctl.records.report import Irradiance as Irradiance
+    from camctl.records.request import CaptureRequest as CaptureRequest
 
 #: Where each public name is defined: the names of one module of camctl in a line.
 _NAMES = {
-    "backends": (
-        "BackendListing BackendOptions CameraBackend FrameShape list_backends list_cameras "
-        "open_camera"
+    "interface.backends": (
+        "BackendListing BackendOptions CameraBackend FrameShape list_backends list_cameras"
     ),
-    "camera": (
+    "interface.camera": (
         "Camera CameraBase CameraInfo Frame FrameStream OriginalFile PreviewingCamera "
         "StreamingCamera"
     ),
-    "captures.folder_store": "read_report",
+    "records.folder_store": "read_report",
     "captures.plan": "plan_capture",
-    "captures.frame_record": "FrameRecord RatioCheck",
-    "captures.report": "Achieved CaptureReport Irradiance",
-    "captures.capture_plan": "CapturePlan Metering",
-    "captures.request": "CaptureRequest",
+    "records.frame": "FrameRecord",
+    "evidence.ratio_check": "RatioCheck",
+    "records.report": "Achieved CaptureReport Irradiance",
+    "records.capture_plan": "CapturePlan Metering",
+    "records.request": "CaptureRequest",
     "captures.sequence": "Progress",
     "captures.sequencer": "capture resume",
-    "clock": "CaptureTiming Clock RealClock VirtualClock",
-    "controls": "Choices ExposureControls ExposureSetting Layout ResponseOrigin Steps",
+    "interface.clock": "CaptureTiming Clock RealClock VirtualClock",
+    "interface.controls": "Choices ExposureControls ExposureSetting Layout ResponseOrigin Steps",
     "errors": (
         "CamctlError CameraBusyError CameraDisconnectedError CameraError CameraNotFoundError "
         "CameraProtocolError CameraTimeoutError CaptureError DataError InterruptedCaptureError "
@@ -124,13 +124,14 @@ _NAMES = {
     "exposure.objective": "Objective",
     "exposure.solver": "SearchOptions Solution solve",
     "exposure.table": "ExposureTable",
-    "merging.merge": "merge",
-    "merging.photograph_set": "PhotographOptions",
-    "noise_model": "FrameNoise NoiseModel",
-    "response.camera": "CameraResponse linear_response standard_response",
-    "response.desired": "DesiredResponse desired_response",
-    "response.measured": "measured_response",
-    "response.tabulated": "tabulated_desired",
+    "photographs.merge": "merge",
+    "photographs.photograph_set": "PhotographOptions",
+    "profiles.calibrated": "open_camera",
+    "model.noise": "FrameNoise NoiseModel",
+    "model.response.camera": "CameraResponse linear_response standard_response",
+    "model.response.desired": "DesiredResponse desired_response",
+    "model.response.measured": "measured_response",
+    "model.response.tabulated": "tabulated_desired",
 }
 _MODULES = {name: f"camctl.{module}" for module, names in _NAMES.items() for name in names.split()}
 

@@ -100,7 +100,7 @@ class RefusedSettingError(CameraError):
     """The camera cannot do a requested setting.
 
     Attributes:
-        control: name of the control, a field of `camctl.controls.ExposureSetting`
+        control: name of the control, a field of `camctl.ExposureSetting`
         requested: the value asked for, in SI units
         nearest: the nearest value that the camera can do, in the same units
 

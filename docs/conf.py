@@ -37,7 +37,7 @@ myst_heading_anchors = 3
 def resolve_public_name(
     app: Sphinx, env: BuildEnvironment, node: pending_xref, text: TextElement
 ) -> Element | None:
-    """Link camctl.camera.Frame, as a type hint names it, to its public name camctl.Frame."""
+    """Link camctl.interface.camera.Frame, as a hint names it, to its public name camctl.Frame."""
     target = re.sub(r"^camctl\.[a-z_.]+\.(?=[A-Za-z]\w*)", "camctl.", node.get("reftarget", ""))
     if node.get("refdomain") != "py" or target.split(".")[1:2] == []:
         return None

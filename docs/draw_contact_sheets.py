@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import camctl
-from camctl.captures.drawing import MARGIN, SMALL_TEXT, Drawing
 from camctl.captures.response_preview import preview_responses
-from camctl.merging.merge import merge
-from camctl.merging.photograph_set import PhotographOptions
+from camctl.photographs.merge import merge
+from camctl.photographs.photograph_set import PhotographOptions
+from camctl.pictures.drawing import MARGIN, SMALL_TEXT, Drawing
 from sim.scenes.scene import scene_names
 
 SENSORS = {"outdoor-sun": "security", "pwm-lamp": "security", "stars": "ccd"}

@@ -18,10 +18,10 @@ from unittest.mock import patch
 import numpy as np
 
 import camctl
-from camctl.camera import Camera
-from camctl.captures.file_names import REPORT
 from camctl.errors import CamctlError
-from camctl.picture_operations import png
+from camctl.interface.camera import Camera
+from camctl.records.file_names import REPORT
+from camctl.system.picture_operations import png
 from menu import camera_job
 from menu.camera_job import CameraJob
 from menu.data import CameraEntry, Choice, Cost, Past, Progress, Settings

@@ -15,8 +15,8 @@ from pathlib import Path
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.lower_bound import certify
 from camctl.exposure.solver import solve
-from camctl.response.camera import linear_response
-from camctl.response.desired import DesiredResponse
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import DesiredResponse
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 from cells import CELLS

@@ -1,1 +1,1 @@
-"""Real cameras, each behind the interface of `camctl.camera`."""
+"""Real cameras, each behind the interface of `camctl.interface.camera`."""

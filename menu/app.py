@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
-from camctl.interrupts import uninterrupted
+from camctl.system.interrupts import uninterrupted
 from menu.data import Settings, Summary
 from menu.entries import SAVERS, seconds
 from menu.machine import step

@@ -10,10 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from camctl.backends import list_cameras
-from camctl.camera import Camera, PreviewingCamera
 from camctl.captures.metering import MeteringFrames, meter
-from camctl.captures.request import AUTO, CaptureRequest
 from camctl.errors import (
     CamctlError,
     CameraError,
@@ -22,7 +19,10 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
-from camctl.free_memory import return_free_memory
+from camctl.interface.backends import list_cameras
+from camctl.interface.camera import Camera, PreviewingCamera
+from camctl.records.request import AUTO, CaptureRequest
+from camctl.system.memory import return_free_memory
 from menu.capture_list import list_captures, next_folder
 from menu.data import (
     CameraEntry,
@@ -42,8 +42,8 @@ from menu.thumbnails import frame_histogram, frame_picture
 from menu.views import entry_of, needed_bytes, plan_view, progress_view, summary_view
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
-    from camctl.captures.capture_plan import CapturePlan
-    from camctl.captures.report import CaptureReport
+    from camctl.records.capture_plan import CapturePlan
+    from camctl.records.report import CaptureReport
 
 OpenCamera = Callable[[str], tuple[Camera, Mapping[str, Any]]]
 """Returns an open camera for an id, "" the default one, and what a report keeps of it."""
@@ -262,7 +262,7 @@ class CameraJob:
 
     def look(self, past: Past) -> Summary:
         """Read the report and the picture of a capture."""
-        from camctl.captures.folder_store import read_report
+        from camctl.records.folder_store import read_report
 
         folder = self._parent / past.name
         return summary_view(read_report(folder), folder)

@@ -11,9 +11,9 @@ import re
 from datetime import datetime
 from pathlib import Path
 
-from camctl.captures.file_names import REPORT
 from camctl.errors import CamctlError
-from camctl.input_files import read_own_file
+from camctl.records.file_names import REPORT
+from camctl.system.input_files import read_own_file
 from menu.data import Past
 
 _NUMBERED = re.compile(r"capture-(\d{4,7})(?:-\d{8}-\d{6})?", re.ASCII)

@@ -59,7 +59,7 @@ class Choice:
     """What the user selected.
 
     Attributes:
-        response: desired response, one of `camctl.response.desired.RESPONSES`, or "auto"
+        response: desired response, one of `camctl.model.response.desired.RESPONSES`, or "auto"
         dynamic_range: desired dynamic range, brightest over darkest; None: that of the scene
         count: number of exposures; None: as many as the other two need
         time_budget_s: longest time of the capture, s

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.characters import coverage
+from camctl.system.characters import coverage
 from menu.data import Picture
 from menu.layout import arranged, best, binned, button_texts, hidden_buttons_mark
 from menu.ports import Mood, Screen

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from camctl.number_text import range_text
+from camctl.system.number_text import range_text
 from menu.data import Choice, Settings
 from menu.model import Action, Goal, Model, State
 

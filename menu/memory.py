@@ -6,7 +6,7 @@ import ctypes
 import os
 from contextlib import suppress
 
-from camctl.free_memory import share_free_memory
+from camctl.system.memory import share_free_memory
 
 _M_MMAP_THRESHOLD = -3
 """Parameter of mallopt(3) of the C library of GNU."""

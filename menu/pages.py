@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 import camctl
-from camctl.number_text import range_text
+from camctl.system.number_text import range_text
 from menu.data import Plan, Summary
 from menu.entries import RESPONSES, choice
 from menu.model import Model

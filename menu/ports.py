@@ -138,7 +138,7 @@ class Panel(Protocol):
 class Job(Protocol):
     """The work behind the menu.  Methods are called from one worker thread, one at a time.
 
-    All raise `camctl.errors.CamctlError` for what cannot be done.  What a camera needs is done
+    All raise `camctl.CamctlError` for what cannot be done.  What a camera needs is done
     again by the next call of `open`, such as after it was unplugged.
     """
 
@@ -179,7 +179,7 @@ class Job(Protocol):
         """Shoot exactly the settings of `plan`.
 
         Once `cancelled` returns True, stop, keep the frames shot so far, and raise
-        `camctl.errors.InterruptedCaptureError` with one line that states where they are.
+        `camctl.InterruptedCaptureError` with one line that states where they are.
         """
         ...
 

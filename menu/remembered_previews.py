@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
-from camctl.camera import CameraInfo, Frame, FrameStream, PreviewingCamera
-from camctl.clock import Clock
-from camctl.controls import ExposureControls, ExposureSetting
+from camctl.interface.camera import CameraInfo, Frame, FrameStream, PreviewingCamera
+from camctl.interface.clock import Clock
+from camctl.interface.controls import ExposureControls, ExposureSetting
 
 
 class RememberedPreviews:
-    """A `camctl.camera.PreviewingCamera` that keeps the previews of an open camera by setting.
+    """A `camctl.PreviewingCamera` that keeps the previews of an open camera by setting.
 
     It does not close that camera.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from camctl.number_text import range_text
+from camctl.system.number_text import range_text
 from menu import pages
 from menu.data import Cost
 from menu.diagram import KEYS

@@ -9,8 +9,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from camctl.errors import CamctlError, DataError
-from camctl.files import make_folder, remove_leftovers, storage_error, write_bytes
-from camctl.input_files import read_own_file
+from camctl.system.files import make_folder, remove_leftovers, storage_error, write_bytes
+from camctl.system.input_files import read_own_file
 from menu.data import Settings
 from menu.entries import (
     ACCURACIES,

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Frame
-from camctl.controls import Layout
 from camctl.errors import DataError
-from camctl.picture_operations import png_pixels
+from camctl.interface.camera import Frame
+from camctl.interface.controls import Layout
+from camctl.system.picture_operations import png_pixels
 from menu.data import Picture
 
 COLUMNS, ROWS = 240, 180
@@ -45,7 +45,7 @@ def frame_picture(frame: Frame, layout: Layout) -> Picture:
     elif layout is Layout.RGB:
         colours = small
     else:
-        from camctl.captures.pictures import colour_of
+        from camctl.pictures.render import colour_of
 
         places = [(row, column) for row in (0, 1) for column in (0, 1)]
         owners = [colour_of(layout, *place) for place in places]
@@ -64,7 +64,7 @@ def preview_picture(folder: Path) -> Picture:
     Raises:
         DataError: the file is missing or damaged
     """
-    from camctl.captures.picture_files import PREVIEW, read_preview  # loaded: there is a report
+    from camctl.pictures.files import PREVIEW, read_preview  # loaded: there is a report
 
     data = read_preview(folder)
     try:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from camctl.camera import CameraInfo
-from camctl.controls import ExposureControls, ExposureSetting, Layout
+from camctl.interface.camera import CameraInfo
+from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
 from menu.data import CameraEntry, Plan, Progress, Summary
 from menu.text import format_exact_time
 from menu.thumbnails import preview_picture
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
-    from camctl.captures.capture_plan import CapturePlan
-    from camctl.captures.report import CaptureReport
-    from camctl.captures.request import CaptureRequest
     from camctl.captures.sequence import Progress as CaptureProgress
+    from camctl.records.capture_plan import CapturePlan
+    from camctl.records.report import CaptureReport
+    from camctl.records.request import CaptureRequest
 
 #: Bytes of the pictures of a capture for each sample of a frame: sum, image and radiance.
 _PICTURE_BYTES = 40

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 
 from camctl.errors import CamctlError, InterruptedCaptureError
-from camctl.interrupts import uninterrupted
+from camctl.system.interrupts import uninterrupted
 from menu.data import Choice, Past, Plan, Settings
 from menu.ports import Job
 from menu.tables import Cancel, Effect, Event, Outcome, Start, Work

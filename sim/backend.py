@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from camctl.backends import BackendOptions, FrameShape
-from camctl.camera import CameraInfo
-from camctl.clock import Clock, RealClock, VirtualClock
 from camctl.errors import CameraNotFoundError
+from camctl.interface.backends import BackendOptions, FrameShape
+from camctl.interface.camera import CameraInfo
+from camctl.interface.clock import Clock, RealClock, VirtualClock
 from sim.camera import SimulatedCamera
 from sim.faults import Faults, fault_fields
 from sim.scenes.scene import DEFAULT_SCENE, load_scene

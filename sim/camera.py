@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from statistics import median
 
-from camctl.camera import CameraBase, CameraInfo, Frame, Pixels
-from camctl.clock import Clock, VirtualClock
-from camctl.controls import ExposureControls, ExposureSetting, ResponseOrigin
 from camctl.errors import CameraBusyError, CameraTimeoutError, UsageError
-from camctl.profile import load_profile
+from camctl.interface.camera import CameraBase, CameraInfo, Frame, Pixels
+from camctl.interface.clock import Clock, VirtualClock
+from camctl.interface.controls import ExposureControls, ExposureSetting, ResponseOrigin
+from camctl.profiles.profile import load_profile
 from camctl.streaming import (
     ControlDelay,
     DelayOrigin,

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import from_json
 
 from camctl.errors import CamctlError, DataError
-from camctl.input_files import read_input_text
+from camctl.system.input_files import read_input_text
 
 LEAST, MOST = 1e-12, 1e12
 """Limits of numbers in the files: far beyond any scene and sensor, and powers of them are finite in

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from camctl.camera import Pixels
 from camctl.errors import UsageError, unknown_name
+from camctl.interface.camera import Pixels
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
 from camctl.errors import UsageError
+from camctl.interface.camera import Pixels
 from sim.compiled import KernelChoice
 from sim.effects import EFFECTS
 from sim.effects.budget import FramePlan, check_tolerance, plan_frame

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camctl.camera import Pixels
-from camctl.clock import Clock
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraDisconnectedError
+from camctl.interface.camera import Pixels
+from camctl.interface.clock import Clock
+from camctl.interface.controls import ExposureSetting
 from sim.sensors.sensor import Sensor
 
 #: Finished frames that wait for the consumer at most: the default number of V4L2 buffers in OpenCV.

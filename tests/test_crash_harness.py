@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from crash_points import Operation, PowerLoss, is_possible, run
 
-from camctl.files import make_folder, write_array, write_bytes
+from camctl.system.files import make_folder, write_array, write_bytes
 
 pytestmark = pytest.mark.skipif(not is_possible(), reason="crash points need Linux on x86-64")
 

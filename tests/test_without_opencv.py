@@ -12,8 +12,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SOME_TESTS = (
     "tests/menu/test_camera_job.py::test_settings_reviewed_are_the_settings_shot[0-1-3]",
-    "tests/captures/test_contact_sheet.py",
-    "tests/captures/test_picture_files.py",
+    "tests/pictures/test_contact_sheet.py",
+    "tests/pictures/test_files.py",
 )
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.controls import Layout
 from camctl.errors import DataError
-from camctl.input_files import read_input_text
-from camctl.picture_operations import required_opencv
-from camctl.response.camera import FloatArray, srgb_to_linear
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray, srgb_to_linear
+from camctl.system.input_files import read_input_text
+from camctl.system.picture_operations import required_opencv
 
 #: Patches that a file may list, and the least number.
 _MOST_PATCHES, _LEAST_PATCHES = 1000, 3

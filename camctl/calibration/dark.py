@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Camera
-from camctl.controls import ExposureSetting
 from camctl.errors import DataError
-from camctl.noise_record import (
+from camctl.interface.camera import Camera
+from camctl.interface.controls import ExposureSetting
+from camctl.model.response.camera import FloatArray
+from camctl.profiles.noise import (
     MOST_HOT_PIXELS,
     DarkRecord,
     Figure,
@@ -26,8 +27,7 @@ from camctl.noise_record import (
     HotPixel,
     NoiseRecord,
 )
-from camctl.response.camera import FloatArray
-from camctl.response_record import Z_95
+from camctl.profiles.response import Z_95
 
 #: Shutter times, and the longest one unless another is asked for, s.
 TIMES, LONGEST_S = 5, 4.0

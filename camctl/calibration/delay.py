@@ -16,10 +16,10 @@ from datetime import UTC, datetime
 import numpy as np
 
 from camctl.calibration.timing import measure_stream_timing
-from camctl.camera import Camera, Frame, StreamingCamera
-from camctl.controls import Control, ExposureSetting
 from camctl.errors import CameraProtocolError, CaptureError, UsageError
-from camctl.profile import DelayRecord
+from camctl.interface.camera import Camera, Frame, StreamingCamera
+from camctl.interface.controls import Control, ExposureSetting
+from camctl.profiles.profile import DelayRecord
 
 TRIALS = 12
 #: Exposure of the bright setting over that of the dark one: far apart, and both within the range
@@ -109,7 +109,7 @@ def measure_delay(
     """Measure the delay of a camera's exposure controls in front of a steady scene.
 
     Args:
-        camera: an open `camctl.camera.StreamingCamera`
+        camera: an open `camctl.StreamingCamera`
         trials: number of steps; a delay that rarely varies needs many
         progress: called with the share that is done, 0 to 1
         warn: called with one line for each irregularity

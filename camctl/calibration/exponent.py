@@ -21,7 +21,7 @@ from camctl.calibration.response_fit import (
     ResponseFit,
     light_terms,
 )
-from camctl.response.camera import FloatArray, srgb_to_linear
+from camctl.model.response.camera import FloatArray, srgb_to_linear
 
 #: Brightness, share of full scale, at which the steepness is compared with that of sRGB, and the
 #: relative standard deviation of the exponent (tests/bench/bench_response.py).

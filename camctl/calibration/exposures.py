@@ -1,7 +1,7 @@
 """The true exposures of a camera's settings, from the pixels of a scene that does not move.
 
 Each setting is shot several times, in rising and falling order, so that a slow change of the light
-cancels.  `camctl.exposure.ratios` estimates all exposures together.
+cancels.  `camctl.evidence.ratios` estimates all exposures together.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from camctl.camera import Camera
-from camctl.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
 from camctl.errors import CaptureError
-from camctl.exposure.patches import LightScale, Patches, sample_patches
-from camctl.exposure.ratios import RatioEstimates, comparable_frames, estimate_ratios
-from camctl.exposure_record import Correction, ExposureRecord
-from camctl.response.camera import CameraResponse, FloatArray
+from camctl.evidence.patches import LightScale, Patches, sample_patches
+from camctl.evidence.ratios import RatioEstimates, comparable_frames, estimate_ratios
+from camctl.interface.camera import Camera
+from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.profiles.exposures import Correction, ExposureRecord
 
 REPEATS = 3
 #: Longest shutter time that is measured unless another one is asked for, s.

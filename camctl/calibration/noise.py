@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from camctl.calibration.noise_frames import NoiseFrames, estimate_noise, same_response
-from camctl.camera import Camera
-from camctl.controls import Control, ExposureSetting
 from camctl.errors import CaptureError
-from camctl.noise_record import NoiseRecord
-from camctl.response.camera import CameraResponse
+from camctl.interface.camera import Camera
+from camctl.interface.controls import Control, ExposureSetting
+from camctl.model.response.camera import CameraResponse
+from camctl.profiles.noise import NoiseRecord
 
 EXPOSURES = 12
 #: Longest shutter time that is used unless another one is asked for, s.

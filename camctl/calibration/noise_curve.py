@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.noise_pairs import PairPatches
-from camctl.response.camera import CameraResponse, FloatArray
+from camctl.model.response.camera import CameraResponse, FloatArray
 
 #: Standard deviations of the quadrature, and its nodes, close enough for the corner at black.
 _REACH, _NODES = 6.0, 161

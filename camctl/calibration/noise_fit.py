@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from camctl.calibration.noise_curve import LEAST_VARIANCE, NoiseCurve, TransferCurve
 from camctl.calibration.noise_pairs import PairPatches
 from camctl.errors import DataError
-from camctl.response.camera import FloatArray
-from camctl.response_record import Z_95
+from camctl.model.response.camera import FloatArray
+from camctl.profiles.response import Z_95
 
 #: Rounds of reweighted least squares; they end at this relative change.
 _ROUNDS = 10

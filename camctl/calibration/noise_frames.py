@@ -21,10 +21,10 @@ from camctl.calibration.noise_curve import NoiseCurve
 from camctl.calibration.noise_fit import NoiseFit, combine_fits, fit_noise
 from camctl.calibration.noise_pairs import FramePair, PairPatches, channel_names, reduce_pair
 from camctl.calibration.pixel_pattern import root_of_ratio
-from camctl.controls import ExposureSetting, Layout
 from camctl.errors import DataError
-from camctl.noise_record import CurvePoint, Figure, GainNoise, NoiseRecord
-from camctl.response.camera import CameraResponse
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.model.response.camera import CameraResponse
+from camctl.profiles.noise import CurvePoint, Figure, GainNoise, NoiseRecord
 
 #: A change of the light within a pair that is noted, and one from which a pair is not used.
 _NOTED_CHANGE, _MOST_CHANGE = 0.02, 0.2

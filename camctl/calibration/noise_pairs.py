@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.controls import ExposureSetting, Layout
 from camctl.errors import DataError
-from camctl.exposure.patches import Patches, sample_patches
-from camctl.response.camera import FloatArray
+from camctl.evidence.patches import Patches, sample_patches
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.model.response.camera import FloatArray
 
 #: Samples of a patch that reach white, as a share, from which it counts as saturated.
 _SATURATED = 0.5

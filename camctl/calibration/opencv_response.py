@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
-from camctl.picture_operations import required_opencv
-from camctl.response.camera import FloatArray
-from camctl.response_record import ChannelResponse, ResponseRecord
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray
+from camctl.profiles.response import ChannelResponse, ResponseRecord
+from camctl.system.picture_operations import required_opencv
 
 #: Least relative rise from level to level, where OpenCV's curve does not ascend.
 _LEAST_RISE = 1e-6

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Camera
-from camctl.controls import ExposureControls, ExposureSetting, Layout
 from camctl.errors import CaptureError, DataError
-from camctl.exposure.patches import LightScale, sample_patches
-from camctl.noise_record import DarkRecord, Figure, NoiseRecord
-from camctl.response.camera import CameraResponse, FloatArray
+from camctl.evidence.patches import LightScale, sample_patches
+from camctl.interface.camera import Camera
+from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.profiles.noise import DarkRecord, Figure, NoiseRecord
 
 #: Frames of a view with each time, and the number of times, a factor of 2 apart.
 _REPEATS, _TIMES = 4, 3

@@ -46,9 +46,9 @@ from camctl.calibration.response_noise import correct_matches
 from camctl.calibration.response_series import Series
 from camctl.calibration.spill import below_saturation, spills_over
 from camctl.errors import DataError
-from camctl.number_text import percent_text
-from camctl.response.camera import FloatArray
-from camctl.response_record import ChannelResponse, ResponseRecord
+from camctl.model.response.camera import FloatArray
+from camctl.profiles.response import ChannelResponse, ResponseRecord
+from camctl.system.number_text import percent_text
 
 #: Share of the samples from which some are saturated.
 _FEW = 0.01

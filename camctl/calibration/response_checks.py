@@ -14,8 +14,8 @@ from camctl.calibration.response_labels import STEADY, LabelCheck
 from camctl.calibration.response_matches import Matches
 from camctl.calibration.response_series import Series
 from camctl.errors import DataError
-from camctl.response.camera import FloatArray
-from camctl.response_record import Z_95, ResponseRecord
+from camctl.model.response.camera import FloatArray
+from camctl.profiles.response import Z_95, ResponseRecord
 
 #: A frame is black if less than this share of its pixels is above the first level, % of full scale.
 _LIT_SHARE, _LIT_LEVEL = 0.01, 0.04

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from camctl.calibration.response_series import Series
-from camctl.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray
 
 AS_WELL = 1.2
 """A simpler response explains frames as well up to this multiple of the other's disagreement."""

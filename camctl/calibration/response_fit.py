@@ -33,7 +33,7 @@ from camctl.calibration.ascending_fit import ascending
 from camctl.calibration.response_knots import COEFFICIENTS, Knots
 from camctl.calibration.response_matches import LEAST_PIXELS, NOISE_STEPS, Matches
 from camctl.errors import DataError
-from camctl.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray
 
 #: Weight of what makes knots close at the shoulder.
 _SHOULDER = 0.5

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camctl.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray
 
 #: Number of knots, and what is added to brightness, and to its distance from full scale, before the
 #: logarithm.

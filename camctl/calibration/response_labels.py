@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from camctl.calibration.exponent import expected_exponent
 from camctl.calibration.response_fit import ResponseFit
 from camctl.errors import DataError
-from camctl.response.camera import FloatArray
-from camctl.response_record import Z_95
+from camctl.model.response.camera import FloatArray
+from camctl.profiles.response import Z_95
 
 #: Relative errors of the exposures from which there is a note, and from which there is no result:
 #: film at long exposures (reciprocity failure) can be 25 % darker.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError
-from camctl.response.camera import FloatArray, srgb_to_linear
+from camctl.model.response.camera import FloatArray, srgb_to_linear
 
 #: Brightness levels at which frames are matched.
 _NODES = 254

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from camctl.calibration.response_fit import ResponseFit
 from camctl.calibration.response_matches import Matches
 from camctl.calibration.response_series import Series
-from camctl.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray
 
 #: Brightness of patches in which noise is measured, as shares of full scale, and how many are
 #: needed.

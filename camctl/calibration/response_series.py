@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from camctl.calibration.response_matches import LARGEST_RATIO, guess_exposures, neighbour_steps
 from camctl.calibration.spill import SampleGrid, grid_counts
-from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
-from camctl.exposure.moved_parts import moved_samples
-from camctl.exposure.patches import Patches, sample_patches
-from camctl.response.camera import FloatArray
+from camctl.evidence.moved_parts import moved_samples
+from camctl.evidence.patches import Patches, sample_patches
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray
 
 #: Rows of a histogram that are counted at once, so that little memory is needed.
 _PIXELS_AT_ONCE = 1 << 20

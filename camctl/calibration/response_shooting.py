@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.response_series import Series
-from camctl.camera import Camera
-from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError
-from camctl.exposure_record import exposure_mode
-from camctl.profile import load_profile
+from camctl.interface.camera import Camera
+from camctl.interface.controls import ExposureSetting
+from camctl.profiles.exposures import exposure_mode
+from camctl.profiles.profile import load_profile
 
 FRAMES = 8
 #: Longest shutter time that is used unless another one is asked for, s.

@@ -16,10 +16,10 @@ from camctl.calibration.pixel_pattern import (
     shoot_view,
     view_settings,
 )
-from camctl.camera import Camera, StreamingCamera
-from camctl.controls import ExposureSetting
-from camctl.exposure_record import exposure_mode
-from camctl.profile import Profile, load_profile
+from camctl.interface.camera import Camera, StreamingCamera
+from camctl.interface.controls import ExposureSetting
+from camctl.profiles.exposures import exposure_mode
+from camctl.profiles.profile import Profile, load_profile
 
 
 def _ignore(_text: str) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.response_matches import Matches
-from camctl.controls import Layout
+from camctl.interface.controls import Layout
 
 #: Rows and columns of the grid of samples of a colour.
 _GRID = 512

@@ -18,7 +18,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from camctl.calibrated import EXPOSURES, RESPONSE
 from camctl.calibration.exposures import measure_exposures
 from camctl.calibration.response import ResponseEstimate, estimate_response
 from camctl.calibration.response_series import Series
@@ -34,11 +33,12 @@ from camctl.calibration.single_steps import (
     delay_step,
     noise_step,
 )
-from camctl.camera import Camera
 from camctl.errors import CamctlError, CaptureError, DataError
-from camctl.exposure_record import ExposureRecord, exposure_mode
-from camctl.profile import Profile, change_profile, load_profile
-from camctl.response_record import ResponseRecord
+from camctl.interface.camera import Camera
+from camctl.profiles.calibrated import EXPOSURES, RESPONSE
+from camctl.profiles.exposures import ExposureRecord, exposure_mode
+from camctl.profiles.profile import Profile, change_profile, load_profile
+from camctl.profiles.response import ResponseRecord
 
 #: Response and exposures are measured in turn if the exposures differ by this from their labels,
 #: until they change by less than the second number: each round about halves the errors that wrong

@@ -5,10 +5,10 @@ from __future__ import annotations
 from itertools import pairwise
 from statistics import fmean, median, pstdev
 
-from camctl.camera import Camera, StreamingCamera
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraProtocolError
-from camctl.profile import FrameTiming
+from camctl.interface.camera import Camera, StreamingCamera
+from camctl.interface.controls import ExposureSetting
+from camctl.profiles.profile import FrameTiming
 
 #: Frames of a stream whose times are compared, and frames of which the arrival is measured.
 _STREAMED, _ARRIVED = 32, 8

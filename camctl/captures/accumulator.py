@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
 from camctl.errors import CaptureError, UsageError
+from camctl.interface.camera import Pixels
 
 #: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small.
 _TILE = 1 << 20

@@ -7,17 +7,17 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from camctl.captures.request import ACCURACY, DEFAULT_COUNT, XI, CaptureRequest
 from camctl.captures.setting_selection import BASE_SLACK_STOPS, at_most, given_base
 from camctl.captures.wall_time import predicted_wall_s, time_costs
-from camctl.controls import Choices, Control, ExposureControls, ExposureSetting
 from camctl.errors import UsageError
 from camctl.exposure.accuracy import COUNTS, estimate_levels
 from camctl.exposure.accuracy_lookup import look_up_accurate, without_idle_limits
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.response.desired import DesiredResponse
+from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.desired import DesiredResponse
+from camctl.records.request import ACCURACY, DEFAULT_COUNT, XI, CaptureRequest
 
 #: Whole flicker periods that are tried as shutter times, at most.
 _PERIODS = 200

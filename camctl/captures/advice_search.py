@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.request import AUTO, CURVE, XI, CaptureRequest
-from camctl.captures.scene_range import LAMP_SHARE
-from camctl.controls import ExposureControls
-from camctl.number_text import time_text
+from camctl.interface.controls import ExposureControls
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.request import AUTO, CURVE, XI, CaptureRequest
+from camctl.records.scene_light import LAMP_SHARE
+from camctl.system.number_text import time_text
 
 MUCH = 0.05
 """Share of the samples outside the range from which a capture gets a warning."""

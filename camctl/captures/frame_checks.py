@@ -10,19 +10,20 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import PHOTOGRAPHS, Camera, Pixels
-from camctl.captures.delay_check import ShotLog
-from camctl.captures.exposure_check import MOST_CHANGE, NeighbourCheck
-from camctl.captures.frame_pairs import Pair, Side
-from camctl.captures.frame_record import ExposureRatio, RatioCheck, StoredFrame
-from camctl.captures.movement import bands_of
-from camctl.captures.picture_details import thumbnail
-from camctl.captures.report import UnfinishedCapture
 from camctl.captures.true_exposures import choose_exposures, estimate_exposures
 from camctl.captures.verdict import judge, suspects
-from camctl.controls import Layout
-from camctl.exposure.patches import Patches
-from camctl.noise_model import FrameNoise
+from camctl.evidence.delay import ShotLog
+from camctl.evidence.light_ratio import MOST_CHANGE, NeighbourCheck
+from camctl.evidence.movement import bands_of
+from camctl.evidence.pair import Pair, Side
+from camctl.evidence.patches import Patches
+from camctl.evidence.ratio_check import RatioCheck
+from camctl.interface.camera import PHOTOGRAPHS, Camera, Pixels
+from camctl.interface.controls import Layout
+from camctl.model.noise import FrameNoise
+from camctl.pictures.details import thumbnail
+from camctl.records.frame import ExposureRatio, StoredFrame
+from camctl.records.report import UnfinishedCapture
 
 
 class FrameChecks:

@@ -9,13 +9,13 @@ from urllib.parse import quote
 
 import numpy as np
 
-from camctl.captures.picture_files import CONTACT, PREVIEW, read_preview
-from camctl.captures.series_journal import GALLERY, THUMBNAILS, SeriesJournal, SetRecord
 from camctl.errors import DataError
-from camctl.files import make_folder, storage_error, write_bytes
-from camctl.library_output import quiet_libraries
-from camctl.number_text import range_text
-from camctl.picture_operations import opencv
+from camctl.pictures.files import CONTACT, PREVIEW, read_preview
+from camctl.records.journal import GALLERY, THUMBNAILS, SeriesJournal, SetRecord
+from camctl.system.files import make_folder, storage_error, write_bytes
+from camctl.system.library_output import quiet_libraries
+from camctl.system.number_text import range_text
+from camctl.system.picture_operations import opencv
 
 #: Longest side of a thumbnail, pixels, and the quality of its JPEG file.
 _SIDE, _QUALITY = 480, 85

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import PHOTOGRAPHS, Camera, Frame, PreviewingCamera
-from camctl.captures.capture_plan import Metering
-from camctl.captures.exposure_check import NeighbourCheck
-from camctl.captures.scene_range import SceneLight
-from camctl.controls import ExposureSetting
 from camctl.errors import CaptureError, UsageError
-from camctl.number_text import time_text
-from camctl.response.camera import FloatArray
+from camctl.evidence.light_ratio import NeighbourCheck
+from camctl.interface.camera import PHOTOGRAPHS, Camera, Frame, PreviewingCamera
+from camctl.interface.controls import ExposureSetting
+from camctl.model.response.camera import FloatArray
+from camctl.records.capture_plan import Metering
+from camctl.records.scene_light import SceneLight
+from camctl.system.number_text import time_text
 
 #: Share of a channel's samples above the highlights: reflections of lamps, and hot pixels.
 OUTLIER_SHARE = 1e-4

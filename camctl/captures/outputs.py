@@ -8,28 +8,28 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import PHOTOGRAPHS
 from camctl.captures.frame_checks import FrameChecks
-from camctl.captures.frame_record import FrameRecord, StoredFrame
-from camctl.captures.frame_store import CaptureStore
-from camctl.captures.light_shares import light_shares
-from camctl.captures.measured_noise import measure_noise
 from camctl.captures.metering import BLACK_SHARE, OUTLIER_SHARE
-from camctl.captures.movement import find_movement
-from camctl.captures.picture_details import PictureDetails, ShownFrame
-from camctl.captures.pictures import Rendering, Tables
 from camctl.captures.range_advice import outside_warnings
-from camctl.captures.report import Achieved, CaptureReport, Irradiance, UnfinishedCapture
-from camctl.captures.simulation_summary import simulation_summary, without_plan
 from camctl.captures.spread_advice import spread_warnings
 from camctl.captures.true_exposures import relative
-from camctl.controls import ExposureControls
-from camctl.exposure.effective import EffectiveCamera
+from camctl.evidence.movement import find_movement
+from camctl.evidence.noise import measure_noise
 from camctl.exposure.evaluation import evaluate
-from camctl.exposure.inverse import Posterior
 from camctl.exposure.objective import Objective
-from camctl.free_memory import return_free_memory
-from camctl.noise_model import MeasuredNoise
+from camctl.interface.camera import PHOTOGRAPHS
+from camctl.interface.controls import ExposureControls
+from camctl.model.effective import EffectiveCamera
+from camctl.model.inverse import Posterior
+from camctl.model.noise import MeasuredNoise
+from camctl.pictures.details import PictureDetails, ShownFrame
+from camctl.pictures.light_shares import light_shares
+from camctl.pictures.render import Rendering, Tables
+from camctl.records.frame import FrameRecord, StoredFrame
+from camctl.records.frame_store import CaptureStore
+from camctl.records.report import Achieved, CaptureReport, Irradiance, UnfinishedCapture
+from camctl.records.simulation_summary import simulation_summary, without_plan
+from camctl.system.memory import return_free_memory
 
 #: A picture with more than this share of its samples saturated gets a warning.
 _MOST_SATURATED = 0.99

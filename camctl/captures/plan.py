@@ -9,18 +9,14 @@ from functools import partial
 
 import numpy as np
 
-from camctl.camera import PHOTOGRAPHS, Camera, PreviewingCamera
 from camctl.captures.accurate_settings import (
     accurate_settings,
     estimated_levels,
     objective_of,
 )
 from camctl.captures.advice_search import bright_advice, dark_advice
-from camctl.captures.capture_plan import CapturePlan, relative_exposures
 from camctl.captures.metering import MeteringFrames, light_histogram, meter
 from camctl.captures.range_choice import Chosen, Metered, choose_range
-from camctl.captures.request import ACCURACY, AUTO, XI, CaptureRequest
-from camctl.captures.scene_range import NOTABLE_SHARE
 from camctl.captures.setting_selection import (
     SettingChooser,
     reach_shadows,
@@ -29,17 +25,21 @@ from camctl.captures.setting_selection import (
 )
 from camctl.captures.time_budget import Found, shutter_budget, within_budget
 from camctl.captures.wall_time import predicted_wall_s
-from camctl.controls import Choices, ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.build import look_up
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import Objective, xi
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.exposure.table import ExposureTable
-from camctl.number_text import range_text
-from camctl.response.camera import CameraResponse
-from camctl.response.desired import DesiredResponse
+from camctl.interface.camera import PHOTOGRAPHS, Camera, PreviewingCamera
+from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.desired import DesiredResponse
+from camctl.records.capture_plan import CapturePlan, relative_exposures
+from camctl.records.request import ACCURACY, AUTO, XI, CaptureRequest
+from camctl.records.scene_light import NOTABLE_SHARE
+from camctl.system.number_text import range_text
 
 #: Effort of a search that the user waits for after metering: its xi is within 1 % of the full one.
 _QUICK_EFFORT = 0.1

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from camctl.captures.advice_search import LOG, MUCH
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.request import AUTO, CURVE, CaptureRequest
-from camctl.number_text import range_text
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.request import AUTO, CURVE, CaptureRequest
+from camctl.system.number_text import range_text
 
 UNEXPECTED = 0.02
 """Share of the samples that are saturated though metering did not show so much light, likewise."""

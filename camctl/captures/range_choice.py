@@ -10,19 +10,19 @@ from functools import cache
 
 import numpy as np
 
-from camctl.captures.capture_plan import Metering, relative_exposures
-from camctl.captures.pictures import DARK, sum_mask
-from camctl.captures.request import AUTO, CaptureRequest, build_desired
-from camctl.captures.scene_range import LEAST_RANGE, PlannedLight, SceneLight
-from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.accuracy import TooInaccurateError
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
-from camctl.exposure.inverse import Posterior
-from camctl.number_text import range_text
-from camctl.response.auto import auto_response
-from camctl.response.desired import RANGES, DesiredResponse
+from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.model.effective import EffectiveCamera
+from camctl.model.inverse import Posterior
+from camctl.model.response.auto import auto_response
+from camctl.model.response.desired import RANGES, DesiredResponse
+from camctl.pictures.render import DARK, sum_mask
+from camctl.records.capture_plan import Metering, relative_exposures
+from camctl.records.request import AUTO, CaptureRequest, build_desired
+from camctl.records.scene_light import LEAST_RANGE, PlannedLight, SceneLight
+from camctl.system.number_text import range_text
 
 LEAST_SHARE = 0.5
 """Share of the effective levels at 1:256 that a range must have, unless the request says how many

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.drawing import (
+from camctl.interface.controls import ExposureSetting
+from camctl.pictures.drawing import (
     LINE_HEIGHT,
     MARGIN,
     PALE,
@@ -17,8 +17,8 @@ from camctl.captures.drawing import (
     TITLE,
     Drawing,
 )
-from camctl.controls import ExposureSetting
-from camctl.number_text import percent_text, range_text, time_text
+from camctl.records.capture_plan import CapturePlan
+from camctl.system.number_text import percent_text, range_text, time_text
 
 PANEL_WIDTH = 520
 """Width of the picture of one response, pixels."""

@@ -19,21 +19,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camctl.camera import Camera, Frame, Pixels
 from camctl.captures.accumulator import Accumulator
-from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.frame_checks import FrameChecks
-from camctl.captures.frame_record import StoredFrame
-from camctl.captures.frame_store import CaptureStore
 from camctl.captures.outputs import complete
-from camctl.captures.report import CaptureReport, UnfinishedCapture
-from camctl.captures.report_file import clean_details
 from camctl.captures.wall_time import predicted_wall_s, wall_time_warnings
-from camctl.controls import Layout
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
-from camctl.free_memory import return_free_memory, share_free_memory
-from camctl.interrupts import uninterrupted
-from camctl.system_errors import resource_error
+from camctl.interface.camera import Camera, Frame, Pixels
+from camctl.interface.controls import Layout
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.frame import StoredFrame
+from camctl.records.frame_store import CaptureStore
+from camctl.records.report import CaptureReport, UnfinishedCapture
+from camctl.records.report_file import clean_details
+from camctl.system.interrupts import uninterrupted
+from camctl.system.memory import return_free_memory, share_free_memory
+from camctl.system.system_errors import resource_error
 
 WAITING_BYTES = 32_000_000
 """Size of the frames that may wait for the worker; at least one may: 16 frames of 2 MP, 8 bits."""

@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 
 import camctl
-from camctl.camera import Camera
 from camctl.captures.accumulator import sum_dtype
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.folder_store import FolderStore
-from camctl.captures.frame_store import CaptureStore, MemoryStore
 from camctl.captures.plan import plan_capture
-from camctl.captures.report import CaptureReport, UnfinishedCapture
-from camctl.captures.report_file import check_camera
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequence import Cancelled, OnProgress, Progress, Sequence
-from camctl.clock import VirtualClock
 from camctl.errors import DataError, UsageError
-from camctl.number_text import range_text
+from camctl.interface.camera import Camera
+from camctl.interface.clock import VirtualClock
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.folder_store import FolderStore
+from camctl.records.frame_store import CaptureStore, MemoryStore
+from camctl.records.report import CaptureReport, UnfinishedCapture
+from camctl.records.report_file import check_camera
+from camctl.records.request import CaptureRequest
+from camctl.system.number_text import range_text
 
 
 def capture(

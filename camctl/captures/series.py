@@ -14,12 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
-from camctl.captures.capture_folder import CaptureFolder
-from camctl.captures.file_names import resume_command
 from camctl.captures.gallery import make_thumbnail, write_gallery
-from camctl.captures.report import CaptureReport
-from camctl.captures.report_file import LOCK
-from camctl.captures.series_journal import SERIES, SeriesJournal, SetRecord
 from camctl.captures.series_tools import SeriesProgress, SeriesTools, SetTaker
 from camctl.errors import (
     CamctlError,
@@ -28,7 +23,12 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
-from camctl.files import make_folder
+from camctl.records.file_names import resume_command
+from camctl.records.folder import CaptureFolder
+from camctl.records.journal import SERIES, SeriesJournal, SetRecord
+from camctl.records.report import CaptureReport
+from camctl.records.report_file import LOCK
+from camctl.system.files import make_folder
 
 #: A start that is late by no more than this share of the interval is not left out.
 _LATE_SHARE = 0.1

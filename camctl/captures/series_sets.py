@@ -7,18 +7,18 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from camctl.camera import Camera
 from camctl.captures.accumulator import sum_dtype
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.folder_store import read_report
 from camctl.captures.plan import plan_capture
-from camctl.captures.report import CaptureReport, UnfinishedCapture
-from camctl.captures.report_file import REPORT, read_report_file
 from camctl.captures.sequence import OnProgress
 from camctl.captures.sequencer import capture, resume
-from camctl.captures.series_journal import SeriesJournal
-from camctl.controls import Layout
 from camctl.exposure.table import ExposureTable
+from camctl.interface.camera import Camera
+from camctl.interface.controls import Layout
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.folder_store import read_report
+from camctl.records.journal import SeriesJournal
+from camctl.records.report import CaptureReport, UnfinishedCapture
+from camctl.records.report_file import REPORT, read_report_file
 
 
 class CameraSets:

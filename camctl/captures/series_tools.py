@@ -9,9 +9,9 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Protocol
 
-from camctl.captures.report import CaptureReport
-from camctl.captures.series_journal import SeriesJournal, SetRecord
-from camctl.clock import Clock, VirtualClock
+from camctl.interface.clock import Clock, VirtualClock
+from camctl.records.journal import SeriesJournal, SetRecord
+from camctl.records.report import CaptureReport
 
 
 class Keys(Protocol):

@@ -13,14 +13,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.request import CaptureRequest
-from camctl.controls import Control, ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import Objective
 from camctl.exposure.settings_grid import SettingsGrid
-from camctl.response.desired import DesiredResponse
+from camctl.interface.controls import Control, ExposureControls, ExposureSetting
+from camctl.model.response.desired import DesiredResponse
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.request import CaptureRequest
 
 #: The shortest exposure may be this far below its limit to fit the camera's steps, in stops.
 BASE_SLACK_STOPS = 1 / 6

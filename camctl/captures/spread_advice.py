@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.request import CURVE, CaptureRequest
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.request import CURVE, CaptureRequest
 
 MUCH_SPREAD = 0.01
 """Share of the samples that are too bright by spread light from which a capture gets a warning."""

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
-from camctl.captures.request import CaptureRequest
 from camctl.captures.setting_selection import at_most
 from camctl.captures.wall_time import time_costs
-from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
+from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.records.request import CaptureRequest
 
 #: Attempts to find settings within a time budget.
 _ATTEMPTS = 6

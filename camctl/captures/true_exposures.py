@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from camctl.captures.frame_record import ExposureRatio, StoredFrame
-from camctl.controls import ExposureControls
 from camctl.errors import DataError
-from camctl.exposure.patches import LightScale, Patches
-from camctl.exposure.ratios import comparable_frames, estimate_ratios
+from camctl.evidence.patches import LightScale, Patches
+from camctl.evidence.ratios import comparable_frames, estimate_ratios
+from camctl.interface.controls import ExposureControls
+from camctl.records.frame import ExposureRatio, StoredFrame
 
 #: An estimate with a wider 95 % interval, relative, is used only where the label lies outside it.
 WIDEST_INTERVAL = 0.01

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camctl.camera import PHOTOGRAPHS
-from camctl.captures.delay_check import DelayError
-from camctl.captures.frame_record import LAMP_DEPTH, RatioCheck
-from camctl.captures.report import UnfinishedCapture
+from camctl.evidence.delay import DelayError
+from camctl.evidence.ratio_check import LAMP_DEPTH, RatioCheck
+from camctl.interface.camera import PHOTOGRAPHS
+from camctl.records.report import UnfinishedCapture
 
 #: A frame contradicts the metered light if this share of its samples is saturated, beyond those
 #: that were expected to be: less may be noise or blooming near saturation, or a lamp.

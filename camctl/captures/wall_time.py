@@ -6,9 +6,9 @@ import itertools
 import math
 from collections.abc import Sequence
 
-from camctl.clock import CaptureTiming
-from camctl.controls import ExposureControls, ExposureSetting
 from camctl.exposure.exposure_choices import TimeCosts
+from camctl.interface.clock import CaptureTiming
+from camctl.interface.controls import ExposureControls, ExposureSetting
 
 NOTABLE = 0.1
 """Relative difference between planned and actual time of a capture from which it is reported."""

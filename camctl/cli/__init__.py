@@ -23,8 +23,8 @@ from camctl.cli.output import (
     visible,
 )
 from camctl.errors import CamctlError, StorageError, UsageError, unknown_name
-from camctl.interrupts import last_interrupt, run_interruptible, signal_handlers
-from camctl.system_errors import resource_error
+from camctl.system.interrupts import last_interrupt, run_interruptible, signal_handlers
+from camctl.system.system_errors import resource_error
 
 _LONG_NAME = re.compile(r"\S{300,}")
 """A name that would fill the screen."""
@@ -192,7 +192,7 @@ def _shortened(line: str) -> str:
 def _describe(error: BaseException) -> tuple[int, str, str, str]:
     """Return the exit status, type name, message and hint of an error; each text is one line."""
     if isinstance(error, ImportError):
-        from camctl.backends import shadowing_error
+        from camctl.interface.backends import shadowing_error
 
         error = shadowing_error(error) or error
     error = resource_error(error) or error

@@ -45,7 +45,7 @@ def cameras(context: click.Context, probe: bool, udev_rules: bool, as_json: bool
 
         print_text(UDEV_RULES.rstrip("\n"))
         return
-    from camctl.backends import list_backends
+    from camctl.interface.backends import list_backends
 
     backends = list_backends(probe=probe)
     for backend in backends:

@@ -19,15 +19,15 @@ from camctl.cli.output import (
     format_table,
     progress_bar,
 )
-from camctl.number_text import range_text
+from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
-    from camctl.captures.capture_plan import CapturePlan
-    from camctl.captures.movement import FoundMovement
-    from camctl.captures.report import CaptureReport
-    from camctl.captures.scene_range import PlannedLight
     from camctl.captures.sequence import Progress
-    from camctl.noise_model import MeasuredNoise
+    from camctl.evidence.movement import FoundMovement
+    from camctl.model.noise import MeasuredNoise
+    from camctl.records.capture_plan import CapturePlan
+    from camctl.records.report import CaptureReport
+    from camctl.records.scene_light import PlannedLight
 
 UNTRUSTWORTHY = 3
 """Exit status for a picture whose frames contradict their exposures."""
@@ -119,7 +119,7 @@ def light_text(light: PlannedLight) -> str:
     def spans(ratio: float, *, more: bool) -> str:
         return ("more than " if more else "") + range_text(float(f"{ratio:.2g}"))
 
-    from camctl.captures.scene_range import NOTABLE_SHARE  # loads numpy
+    from camctl.records.scene_light import NOTABLE_SHARE  # loads numpy
 
     text = f"the scene spans {spans(light.span, more=light.is_open or light.is_cut)}"
     if light.clips >= NOTABLE_SHARE:
@@ -228,7 +228,7 @@ def _timing_text(report: CaptureReport) -> str:
 
 def _wall_rows(report: CaptureReport) -> list[tuple[str, str]]:
     """Return planned and actual time until the last frame; virtual time is marked."""
-    from camctl.camera import PHOTOGRAPHS
+    from camctl.interface.camera import PHOTOGRAPHS
 
     timing = report.timing
     if "actual_wall_s" not in timing or report.camera.driver == PHOTOGRAPHS:
@@ -258,7 +258,7 @@ def _measured_rows(measured: MeasuredNoise | None) -> list[tuple[str, str]]:
 
 def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
     """Return how much moved or changed between the frames, and where most of it is."""
-    from camctl.captures.movement import NOTABLE_SPREAD  # loads numpy
+    from camctl.evidence.movement import NOTABLE_SPREAD  # loads numpy
 
     if movement is None:
         return []
@@ -287,7 +287,7 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
 
 def _shortest_s(report: CaptureReport) -> float:
     """Return the planned time of the shortest exposure; of photographs, the one that it has."""
-    from camctl.camera import PHOTOGRAPHS
+    from camctl.interface.camera import PHOTOGRAPHS
 
     if report.camera.driver != PHOTOGRAPHS:
         return report.plan.base_s
@@ -295,7 +295,7 @@ def _shortest_s(report: CaptureReport) -> float:
 
 
 def _metering_text(report: CaptureReport) -> str:
-    from camctl.camera import PHOTOGRAPHS
+    from camctl.interface.camera import PHOTOGRAPHS
 
     metering = report.plan.metering
     if metering is None:

@@ -35,7 +35,7 @@ from camctl.cli.sensitivity import sensitivity_json, sensitivity_text
 if TYPE_CHECKING:
     from camctl.exposure.evaluation import Evaluation
     from camctl.exposure.robustness import Robustness
-    from camctl.response.desired import DesiredResponse
+    from camctl.model.response.desired import DesiredResponse
 
 QUICK_LEVELS = 2**16
 """Up to this many levels in all frames together, --sensitivity takes less than a second."""

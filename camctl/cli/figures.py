@@ -20,7 +20,7 @@ from camctl.cli.parameter_types import PATH, ListOf, Name, WholeNumber
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
-    from camctl.response_record import ResponseRecord
+    from camctl.profiles.response import ResponseRecord
 
 NUMBERS = ("3", "4", "5", "6", "7", "8", "9", "10")
 """Keys of `camctl.studies.figures.FIGURES`, here because that module imports numpy."""
@@ -127,7 +127,7 @@ def figures(
 
 def _measured(name: str) -> ResponseRecord:
     """Return the newest response in a profile that a colour camera of 8 bits has."""
-    from camctl.profile_folder import find_profile
+    from camctl.profiles.folder import find_profile
 
     found = [
         record

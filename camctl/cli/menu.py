@@ -18,10 +18,11 @@ from camctl.errors import UsageError, unknown_name
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from camctl.camera import Camera
+    from camctl.interface.camera import Camera
     from menu.ports import Panel
 
-CAMERAS, PANELS = "camctl.cameras", "camctl.panels"  # as in `camctl.backends`, which imports numpy
+# As in `camctl.interface.backends`, which imports numpy.
+CAMERAS, PANELS = "camctl.cameras", "camctl.panels"
 
 
 @command(
@@ -74,18 +75,17 @@ def menu(
     from menu.memory import use_little_memory
 
     use_little_memory()
+    from camctl.profiles import calibrated
     from menu.app import run
     from menu.ports import Job
 
     def open_camera(camera_id: str) -> tuple[Camera, dict[str, Any]]:
         if not camera_id or camera_id == camera.camera_id:
             return camera.open(), camera.source()
-        from camctl import backends
-
-        return backends.open_camera(camera_id), {"camera": camera_id, "options": {}}
+        return calibrated.open_camera(camera_id), {"camera": camera_id, "options": {}}
 
     def make_job() -> Job:
-        from camctl.captures.request import CaptureRequest
+        from camctl.records.request import CaptureRequest
         from menu.camera_job import CameraJob
 
         request = CaptureRequest(**light.request_fields())
@@ -108,7 +108,9 @@ def _panel(panel_id: str) -> Panel:
     try:
         kind = point.load()
     except (ImportError, AttributeError):
-        from camctl import backends  # imports numpy, which the first screen does not wait for
+        from camctl.interface import (
+            backends,  # imports numpy, which the first screen does not wait for
+        )
 
         kind = backends.load(PANELS, "panel", name)
     try:

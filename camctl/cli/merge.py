@@ -29,8 +29,8 @@ from camctl.cli.photograph_options import BLACK_OPTION, TIMES_OPTION, WHITE_OPTI
 from camctl.cli.response_options import STANDARDS, DesiredOptions, desired_options
 
 if TYPE_CHECKING:
-    from camctl.captures.report import CaptureReport
-    from camctl.merging.merge import MergePlan
+    from camctl.photographs.merge import MergePlan
+    from camctl.records.report import CaptureReport
 
 
 @dataclass(frozen=True)
@@ -155,10 +155,10 @@ def merge(
     chooses exposures, and summed; the others are named with the reason. The result is a folder as
     that of `camctl shoot`. Unless it is given, the range is that of the light in the photographs.
     """
-    from camctl.captures.folder_store import FolderStore
-    from camctl.captures.request import CaptureRequest
-    from camctl.merging.merge import plan_merge
-    from camctl.merging.photograph_set import PhotographOptions
+    from camctl.photographs.merge import plan_merge
+    from camctl.photographs.photograph_set import PhotographOptions
+    from camctl.records.folder_store import FolderStore
+    from camctl.records.request import CaptureRequest
 
     context = click.get_current_context()
     if choice.ratios is not None:

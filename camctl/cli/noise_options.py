@@ -23,9 +23,9 @@ from camctl.errors import UsageError
 
 if TYPE_CHECKING:
     from camctl.exposure.evaluation import Evaluation
-    from camctl.noise_model import FrameNoise, NoiseModel
-    from camctl.response.camera import CameraResponse
-    from camctl.response.desired import DesiredResponse
+    from camctl.model.noise import FrameNoise, NoiseModel
+    from camctl.model.response.camera import CameraResponse
+    from camctl.model.response.desired import DesiredResponse
 
 _RESPONSE_OPTIONS = {"bits", "phase", "curve", "coefficients"}
 
@@ -102,7 +102,7 @@ class NoiseOptions:
         refuse_together(context, option, _RESPONSE_OPTIONS | {"electrons", "read_noise"})
         if self.sensor is not None and self.camera_id not in (None, "sim"):
             refuse_together(context, "--camera", {"sensor"})
-        from camctl.backends import open_camera
+        from camctl.profiles.calibrated import open_camera
 
         settings = dict(self.camera_settings)
         if self.no_profile:
@@ -124,7 +124,7 @@ class NoiseOptions:
         return bool(given(click.get_current_context()) & names)
 
     def _given(self) -> NoiseModel | None:
-        from camctl.noise_model import NoiseModel
+        from camctl.model.noise import NoiseModel
 
         if self.electrons is None and self.read_noise is None:
             return None

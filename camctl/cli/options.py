@@ -25,7 +25,7 @@ from camctl.cli.parameter_types import (
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
-    from camctl.camera import Camera
+    from camctl.interface.camera import Camera
 
 Decorator = Callable[[Any], Any]
 
@@ -251,7 +251,7 @@ class CameraOptions:
 
     def open(self, *, profile: str = "all") -> Camera:
         """Open the camera, with these parts of its profile unless the user names others."""
-        from camctl.backends import open_camera
+        from camctl.profiles.calibrated import open_camera
 
         return open_camera(self.camera_id, {"profile": profile, **self.camera_options()})
 

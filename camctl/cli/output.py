@@ -15,10 +15,10 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, cast
 
 from camctl.errors import StorageError
-from camctl.number_text import range_text
+from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
-    from camctl.profile import DelayRecord
+    from camctl.profiles.profile import DelayRecord
 
 
 NOISE_UNKNOWN = "noise unknown: quantisation only"

@@ -12,7 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from camctl.errors import DataError, UsageError, unknown_name
-from camctl.input_files import exists, read_input_text
+from camctl.system.input_files import exists, read_input_text
 
 if TYPE_CHECKING:
     AnyType = click.ParamType[Any]
@@ -23,7 +23,7 @@ else:
 PATH = click.Path(path_type=Path, readable=False)
 
 RANGE_NAMES = ("low", "medium", "high")
-"""Names of `camctl.response.desired.RANGES`, here because that module imports numpy."""
+"""Names of `camctl.model.response.desired.RANGES`, here because that module imports numpy."""
 
 
 def invalid_value(option: str, text: str, reason: str) -> UsageError:
@@ -94,7 +94,7 @@ def _built_in_names(folder: str) -> list[str]:
     return sorted(file.name.removesuffix(".json") for file in files if file.name.endswith(".json"))
 
 
-# The entry-point groups are those of `camctl.backends`, which imports numpy.
+# The entry-point groups are those of `camctl.interface.backends`, which imports numpy.
 CAMERA = Text(lambda: _entry_point_names("camctl.cameras"))
 PANEL = Text(lambda: _entry_point_names("camctl.panels"))
 SCENE = Text(lambda: _built_in_names("scenes"), files=True)
@@ -199,7 +199,7 @@ class DynamicRange(_ValueType):
 
     def parse(self, text: str, option: str) -> float | str:
         """Return the dynamic range as a number, or "auto"."""
-        from camctl.response.desired import RANGES
+        from camctl.model.response.desired import RANGES
 
         if self._auto and text.lower() == "auto":
             return "auto"

@@ -17,11 +17,11 @@ from camctl.cli.output import (
     print_warning,
 )
 from camctl.errors import StorageError, UsageError
-from camctl.number_text import range_text
+from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
-    from camctl.captures.request import CaptureRequest
     from camctl.cli.options import CameraOptions
+    from camctl.records.request import CaptureRequest
 
 _SUFFIX = ".png"
 
@@ -42,8 +42,8 @@ def show_responses(
     """
     from camctl.captures.response_preview import preview_responses
     from camctl.captures.response_sheet import NOTABLY_UNSEEN
-    from camctl.files import check_replaceable, write_bytes
-    from camctl.picture_operations import png
+    from camctl.system.files import check_replaceable, write_bytes
+    from camctl.system.picture_operations import png
 
     path = _free_name() if path is None else path
     if path.suffix.lower() != _SUFFIX:

@@ -22,9 +22,9 @@ from camctl.cli.output import (
 from camctl.cli.parameter_types import PATH, Text
 
 if TYPE_CHECKING:
-    from camctl.noise_record import GainNoise
-    from camctl.profile import Profile
-    from camctl.response_record import ResponseRecord
+    from camctl.profiles.noise import GainNoise
+    from camctl.profiles.profile import Profile
+    from camctl.profiles.response import ResponseRecord
 
 profile = LazyGroup(
     "profile",
@@ -38,7 +38,7 @@ profile = LazyGroup(
 
 
 def _profile_names() -> Iterable[str]:
-    from camctl.profile import profile_directory
+    from camctl.profiles.profile import profile_directory
 
     directory = profile_directory()
     return sorted(file.stem for file in directory.glob("*.json"))
@@ -61,8 +61,8 @@ def list_(as_json: bool) -> None:
 
     The first column is the name for show and remove.
     """
-    from camctl.profile import profile_directory
-    from camctl.profile_folder import list_profiles
+    from camctl.profiles.folder import list_profiles
+    from camctl.profiles.profile import profile_directory
 
     found = list_profiles()
     if as_json:
@@ -116,8 +116,8 @@ def _measured(found: Profile) -> str:
 @options.as_json
 def show(name: str, plot: Path | None, force: bool, as_json: bool) -> None:
     """Show all kept measurements of one camera."""
-    from camctl.profile import profile_directory
-    from camctl.profile_folder import find_profile
+    from camctl.profiles.folder import find_profile
+    from camctl.profiles.profile import profile_directory
 
     found = find_profile(name)
     if plot is not None:
@@ -236,8 +236,8 @@ def _curves(response: ResponseRecord) -> list[str]:
 def export(name: str, output: Path | None, force: bool) -> None:
     """Write the profile of one camera as one JSON file."""
     from camctl.errors import StorageError
-    from camctl.files import write_bytes
-    from camctl.profile_folder import find_profile
+    from camctl.profiles.folder import find_profile
+    from camctl.system.files import write_bytes
 
     text = find_profile(name).model_dump_json(indent=2)
     if output is None:
@@ -265,7 +265,7 @@ def import_(file: Path, force: bool, as_json: bool) -> None:
 
     If the camera has a profile, it is replaced: on a terminal you are asked first.
     """
-    from camctl.profile_folder import import_profile
+    from camctl.profiles.folder import import_profile
 
     def replace(earlier: Profile) -> bool:
         if force or not (sys.stdin.isatty() and sys.stderr.isatty()):
@@ -291,7 +291,7 @@ def import_(file: Path, force: bool, as_json: bool) -> None:
 @options.as_json
 def remove(name: str, as_json: bool) -> None:
     """Delete the profile of one camera."""
-    from camctl.profile_folder import remove_profile
+    from camctl.profiles.folder import remove_profile
 
     file = remove_profile(name)
     if as_json:

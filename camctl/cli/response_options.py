@@ -25,12 +25,12 @@ from camctl.cli.parameter_types import (
     WholeNumber,
 )
 from camctl.errors import DataError, UsageError
-from camctl.input_files import exists, read_input_text
+from camctl.system.input_files import exists, read_input_text
 
 if TYPE_CHECKING:
     from camctl.exposure.noise import NoiseTerm
-    from camctl.response.camera import CameraResponse
-    from camctl.response.desired import DesiredResponse
+    from camctl.model.response.camera import CameraResponse
+    from camctl.model.response.desired import DesiredResponse
 
 RESPONSES = ("linear", "gamma", "log")
 STANDARDS = ("srgb", "rec709")
@@ -82,8 +82,8 @@ class DesiredOptions:
 
     def desired(self) -> DesiredResponse:
         """Return the desired response; raise `UsageError`, or `DataError` for a file."""
-        from camctl.response.desired import desired_response
-        from camctl.response.measured import read_desired
+        from camctl.model.response.desired import desired_response
+        from camctl.model.response.measured import read_desired
 
         resolved = self.resolve()
         if resolved.desired_file is not None:
@@ -95,7 +95,7 @@ class DesiredOptions:
 
     def request_fields(self) -> dict[str, Any]:
         """Return the fields of a `CaptureRequest`; raise as `desired` does."""
-        from camctl.response.measured import read_columns, read_desired
+        from camctl.model.response.measured import read_columns, read_desired
 
         resolved = self.resolve()
         values: dict[str, Any] = {
@@ -176,8 +176,8 @@ class RealCameraOptions:
         Raises:
             UsageError, DataError: the curve is unknown, or the file cannot be used
         """
-        from camctl.response.camera import linear_response, standard_response
-        from camctl.response.measured import read_curve
+        from camctl.model.response.camera import linear_response, standard_response
+        from camctl.model.response.measured import read_curve
 
         if self.curve is None:
             if self.coefficients is not None:
@@ -215,7 +215,7 @@ class RealCameraOptions:
         )
 
     def _model_response(self, path: Path) -> CameraResponse:
-        from camctl.response.measured import read_response_model
+        from camctl.model.response.measured import read_response_model
 
         if self.coefficients is None:
             raise DataError(

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from camctl.captures.file_names import resume_command
 from camctl.cli import options
 from camctl.cli.options import CameraOptions
 from camctl.errors import DataError
+from camctl.records.file_names import resume_command
 
 if TYPE_CHECKING:
-    from camctl.camera import Camera
+    from camctl.interface.camera import Camera
 
 
 def refuse_other_options(allowed: Set[str] = frozenset()) -> None:
@@ -47,7 +47,8 @@ def resumed_camera(
     Raises:
         DataError: the file does not name a camera, or one that must be named by the user
     """
-    from camctl.backends import is_local, open_camera
+    from camctl.interface.backends import is_local
+    from camctl.profiles.calibrated import open_camera
 
     if "camera_id" in options.given(click.get_current_context()):
         return camera_options.open()

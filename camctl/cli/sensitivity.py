@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from camctl.cli.output import format_number, format_table
-from camctl.number_text import range_text
+from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.exposure.robustness import Robustness, Spread

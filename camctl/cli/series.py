@@ -33,11 +33,11 @@ from camctl.cli.series_options import SeriesRequest, check_keys, terminal_keys
 from camctl.errors import CaptureError, DataError
 
 if TYPE_CHECKING:
-    from camctl.camera import Camera
-    from camctl.captures.request import CaptureRequest
-    from camctl.captures.series_journal import SeriesJournal, SeriesOptions, SetRecord
     from camctl.captures.series_tools import SeriesProgress
     from camctl.cli.options import CameraOptions
+    from camctl.interface.camera import Camera
+    from camctl.records.journal import SeriesJournal, SeriesOptions, SetRecord
+    from camctl.records.request import CaptureRequest
 
 #: Characters of what a failed hook has printed that are shown, at its end.
 _SHOWN = 200
@@ -54,7 +54,7 @@ def new_series(
     as_json: bool,
 ) -> None:
     """Take a series into a new folder, and print what became of it."""
-    from camctl.captures.series_journal import SeriesJournal, check_series_folder
+    from camctl.records.journal import SeriesJournal, check_series_folder
 
     check_keys(needed=chosen.on_key)
     check_series_folder(directory)
@@ -74,7 +74,7 @@ def continued_series(
     directory: Path, series: SeriesRequest, camera_options: CameraOptions, *, as_json: bool
 ) -> None:
     """Go on with the series in a folder, and print what became of it."""
-    from camctl.captures.series_journal import SERIES, read_series
+    from camctl.records.journal import SERIES, read_series
 
     refuse_other_options({"hook", "hook_limit_s"})
     journal = read_series(directory)
@@ -203,7 +203,7 @@ class _Shown:
     """Shows which set a series is at, and when it will end."""
 
     def __init__(self, bar: ProgressBar, camera: Camera) -> None:
-        from camctl.clock import VirtualClock
+        from camctl.interface.clock import VirtualClock
 
         self._bar = bar
         self._is_virtual = isinstance(camera.clock, VirtualClock)

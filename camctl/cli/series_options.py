@@ -15,11 +15,11 @@ import click
 from camctl.cli.options import option_group
 from camctl.cli.parameter_types import Seconds, Text, WholeNumber
 from camctl.errors import UsageError
-from camctl.interrupts import uninterrupted
+from camctl.system.interrupts import uninterrupted
 
 if TYPE_CHECKING:
-    from camctl.captures.series_journal import SeriesOptions
     from camctl.captures.series_tools import Keys
+    from camctl.records.journal import SeriesOptions
 
 _MOST_SETS = 100_000  # `series_journal.MOST_SETS`, which imports numpy
 _HOOK_LIMIT_S = 60.0
@@ -47,7 +47,7 @@ class SeriesRequest:
         Raises:
             UsageError: the name pattern is invalid, or two options contradict each other
         """
-        from camctl.captures.series_journal import PATTERN, SeriesOptions, check_pattern
+        from camctl.records.journal import PATTERN, SeriesOptions, check_pattern
 
         if self.on_key and self.interval_s is not None:
             raise UsageError(

@@ -31,8 +31,8 @@ from camctl.cli.series_options import SeriesRequest, series_options
 from camctl.errors import DataError, UsageError
 
 if TYPE_CHECKING:
-    from camctl.captures.report import CaptureReport
-    from camctl.captures.request import CaptureRequest
+    from camctl.records.report import CaptureReport
+    from camctl.records.request import CaptureRequest
 
     _Complete = Callable[[CaptureReport], CaptureReport]
 
@@ -241,7 +241,7 @@ def shoot(
         directory = resume_directory
         take = partial(_resume, resume_directory, camera)
     else:
-        from camctl.captures.request import CaptureRequest
+        from camctl.records.request import CaptureRequest
 
         exposure = exposure.check_ratios(desired.response)
         request = CaptureRequest(
@@ -294,10 +294,10 @@ def _shoot(
     *,
     force: bool,
 ) -> CaptureReport:
-    from camctl.captures.folder_store import FolderStore
     from camctl.captures.plan import plan_capture
     from camctl.captures.sequencer import capture
     from camctl.exposure.table import ExposureTable
+    from camctl.records.folder_store import FolderStore
 
     with camera_options.open() as camera, capture_progress() as progress:
         plan = None
@@ -322,9 +322,9 @@ def _shoot(
 
 
 def _resume(directory: Path, camera_options: CameraOptions, complete: _Complete) -> CaptureReport:
-    from camctl.camera import PHOTOGRAPHS
-    from camctl.captures.folder_store import read_capture
     from camctl.captures.sequencer import already_complete, resume
+    from camctl.interface.camera import PHOTOGRAPHS
+    from camctl.records.folder_store import read_capture
 
     refuse_other_options()
     report = read_capture(directory)

@@ -29,8 +29,8 @@ from camctl.cli.parameter_types import PATH, ListOf, Number, Ratios, Seconds
 from camctl.errors import StorageError, unknown_name
 
 if TYPE_CHECKING:
-    from camctl.camera import Frame
-    from camctl.controls import Control
+    from camctl.interface.camera import Frame
+    from camctl.interface.controls import Control
     from sim.camera import SimulatedCamera
     from sim.effects.budget import Decision, FramePlan
     from sim.render import Comparison
@@ -145,7 +145,7 @@ def simulate(
     """
     times_s = settings.requested_times()
     files = _check_files(output, len(times_s), force=force)
-    from camctl.backends import open_camera
+    from camctl.profiles.calibrated import open_camera
     from sim.camera import SimulatedCamera
 
     camera_options = scenery.camera_options() | {"tolerance": tolerance_dn}
@@ -180,7 +180,7 @@ def _take(
     compare: bool,
 ) -> list[_SimulatedFrame]:
     """Shoot the frames at the nearest settings and write the files."""
-    from camctl.controls import ExposureSetting
+    from camctl.interface.controls import ExposureSetting
 
     controls = camera.controls
     for note in controls.notes:
@@ -333,7 +333,7 @@ def _frame_properties(frame: Frame, layout: str) -> dict[str, Any]:
 
 
 def _write(frame: Frame, output: Path) -> None:
-    from camctl.files import write_array, write_bytes
+    from camctl.system.files import write_array, write_bytes
 
     kind = output.suffix.lower()
     if kind == ".npy":
@@ -341,7 +341,7 @@ def _write(frame: Frame, output: Path) -> None:
         return
     data = io.BytesIO()
     if kind == ".png":
-        from camctl.picture_operations import png
+        from camctl.system.picture_operations import png
 
         data.write(png(frame.pixels))
     else:

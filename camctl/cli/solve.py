@@ -39,8 +39,8 @@ from camctl.errors import UsageError
 if TYPE_CHECKING:
     from camctl.exposure.grid_search import SettingsSolution
     from camctl.exposure.lower_bound import Certificate
-    from camctl.response.camera import CameraResponse
-    from camctl.response.desired import DesiredResponse
+    from camctl.model.response.camera import CameraResponse
+    from camctl.model.response.desired import DesiredResponse
 
 MOST_FOR_TOLERANCE = 16
 """Exposures that --tolerance may take where -n is not given."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from camctl.exposure.grid_search import SettingsSolution
     from camctl.exposure.lower_bound import Certificate
     from camctl.exposure.solver import Solution
-    from camctl.response.desired import DesiredResponse
+    from camctl.model.response.desired import DesiredResponse
 
 PROOF_GAP = 1.01e-4
 """Relative gap up to which a bound counts as a proof: the search for it stops at 1e-4."""

@@ -20,10 +20,10 @@ from time import process_time
 
 from camctl.errors import UsageError
 from camctl.exposure.accurate_sets import AccurateSets
-from camctl.exposure.effective import check_count
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.exposure_choices import AccuracyProblem, Rated, TimeCosts
 from camctl.exposure.solver import Progress, Solution
+from camctl.model.effective import check_count
 
 NEAR_TIE = 0.005
 """Relative difference in effective levels up to which the shorter set is preferred."""
@@ -93,9 +93,9 @@ def solve_accuracy(
         UsageError: a number is out of range, no set is short enough, or none reaches `accuracy`
         DataError: an available setting is not a positive number
 
-    >>> from camctl.noise_model import NoiseModel
-    >>> from camctl.response.camera import linear_response
-    >>> from camctl.response.desired import desired_response
+    >>> from camctl.model.noise import NoiseModel
+    >>> from camctl.model.response.camera import linear_response
+    >>> from camctl.model.response.desired import desired_response
     >>> noise = NoiseModel(conversion_e_per_dn=40.0, read_noise_e=((1.0, 3.0),))
     >>> problem = AccuracyProblem(linear_response(8), desired_response("log", 1000.0), noise)
     >>> found = solve_accuracy(problem, [3])

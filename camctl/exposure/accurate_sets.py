@@ -15,8 +15,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from camctl.exposure.distribution import deviation
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.enumerated_sets import MAX_ENUMERATED, EnumeratedSets, number_of_sets
 from camctl.exposure.exchange_search import ExchangeSearch, Set
 from camctl.exposure.exposure_choices import (
@@ -29,7 +27,9 @@ from camctl.exposure.exposure_choices import (
 from camctl.exposure.least_quantisation import LeastQuantisation
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.set_moves import INTERLEAVES, SetMoves
-from camctl.response.camera import FloatArray
+from camctl.model.distribution import deviation
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.camera import FloatArray
 
 EXACT_RATINGS = 70
 """Exact predictions while a set is improved, for 8 bits; fewer for finer cameras, which take longer

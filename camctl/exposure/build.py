@@ -22,7 +22,6 @@ from typing import Protocol
 from platformdirs import user_cache_dir
 
 from camctl.errors import DataError, StorageError, UsageError
-from camctl.exposure.effective import check_count
 from camctl.exposure.objective import Objective
 from camctl.exposure.solver import Progress, SearchOptions, solve
 from camctl.exposure.table import (
@@ -32,9 +31,10 @@ from camctl.exposure.table import (
     read_entry,
     write_text,
 )
-from camctl.interrupts import uninterrupted
-from camctl.response.camera import CameraResponse
-from camctl.response.desired import RANGES, RESPONSES, DesiredResponse, desired_response
+from camctl.model.effective import check_count
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.desired import RANGES, RESPONSES, DesiredResponse, desired_response
+from camctl.system.interrupts import uninterrupted
 
 _log = logging.getLogger(__name__)
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.exposure.objective import ExposureProblem
-from camctl.response.camera import FloatArray
-from camctl.response.desired import GammaDesired, LinearDesired, LogDesired
+from camctl.model.response.camera import FloatArray
+from camctl.model.response.desired import GammaDesired, LinearDesired, LogDesired
 
 CACHE_ELEMENTS = 100_000
 """Numbers in one working array: the arrays of a batch then fit into the cache of one core."""

@@ -14,9 +14,9 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.exposure_choices import AccuracyProblem, Rated, ShotChoices, Shots
-from camctl.response.camera import FloatArray
+from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.response.camera import FloatArray
 
 MAX_ENUMERATED = 20_000
 """Sets that are all estimated, at most."""

@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from camctl.exposure.effective import EffectiveCamera, check_exposures, effective_levels
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.objective import ExposureProblem, Objective
-from camctl.noise_model import FrameNoise
-from camctl.response.camera import CameraResponse
-from camctl.response.desired import DesiredResponse
+from camctl.model.effective import EffectiveCamera, check_exposures, effective_levels
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.desired import DesiredResponse
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ def evaluate(
         UsageError: an exposure is not a positive, finite number, there are none or more than 16, or
             there is not one noise for each
 
-    >>> from camctl.response.camera import linear_response
-    >>> from camctl.response.desired import desired_response
+    >>> from camctl.model.response.camera import linear_response
+    >>> from camctl.model.response.desired import desired_response
     >>> found = evaluate(linear_response(8), desired_response("linear", 1000.0), (1, 2, 4))
     >>> found.levels, found.levels_distinct, round(found.effective_levels), found.total_exposure
     (765, 511, 336, 7.0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.exposure.frame_accuracy import FrameTable
-from camctl.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray
 
 Merit: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 """Returns what is minimised from mean square errors and total times of the same shape."""

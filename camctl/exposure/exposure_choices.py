@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from camctl.errors import DataError, UsageError
 from camctl.exposure.exchange_search import Choices
 from camctl.exposure.frame_accuracy import FrameTable
-from camctl.noise_model import FrameNoise, NoiseModel
-from camctl.response.camera import CameraResponse, FloatArray
-from camctl.response.desired import DesiredResponse
+from camctl.model.noise import FrameNoise, NoiseModel
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.desired import DesiredResponse
 
 STEP = 0.04
 """Step of the exposures in ln(exposure) where any time can be set."""

@@ -22,10 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.exposure.distribution import deviation, normal_cdf, quantiser_input
-from camctl.noise_model import FrameNoise
-from camctl.response.camera import CameraResponse, FloatArray
-from camctl.response.desired import DesiredResponse
+from camctl.model.distribution import deviation, normal_cdf, quantiser_input
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.desired import DesiredResponse
 
 NODES = 128
 """Steps of u over which the error is averaged; with 1,024 the effective levels differ by 0.7 %."""

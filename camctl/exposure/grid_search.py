@@ -19,9 +19,9 @@ from camctl.exposure.candidates import CACHE_ELEMENTS, BatchScore
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.settings_grid import SAME_RATIO, SettingsGrid
 from camctl.exposure.solver import SearchOptions, Solution, solve
-from camctl.response.camera import CameraResponse, FloatArray
-from camctl.response.desired import DesiredResponse
-from camctl.response.tabulated import TabulatedDesired
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.desired import DesiredResponse
+from camctl.model.response.tabulated import TabulatedDesired
 
 MAX_ENUMERATED_SETS = 400_000
 """Sets that are all scored, at most: about 1 s for 8 bits."""

@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 
 from camctl.errors import UsageError
 from camctl.exposure.candidates import BatchScore
-from camctl.exposure.effective import union_of_levels
 from camctl.exposure.objective import ExposureProblem, Objective, xi
 from camctl.exposure.solver import SearchOptions, Solution, solve
-from camctl.response.camera import CameraResponse, FloatArray
-from camctl.response.desired import DesiredResponse, GammaDesired, LinearDesired, LogDesired
+from camctl.model.effective import union_of_levels
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.desired import DesiredResponse, GammaDesired, LinearDesired, LogDesired
 
 MARGIN = 3.0
 """Length in ln e by which the boxes extend past the exposure that has all levels below e_min."""

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camctl.errors import UsageError, unknown_name
-from camctl.exposure.distribution import check_noise
-from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.inverse import Posterior
-from camctl.noise_model import FrameNoise
-from camctl.response.camera import FloatArray
-from camctl.response.desired import DesiredResponse
+from camctl.model.distribution import check_noise
+from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.inverse import Posterior
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import FloatArray
+from camctl.model.response.desired import DesiredResponse
 
 NOISE_KINDS: tuple[str, ...] = ("paper", "time", "aperture", "gain")
 
@@ -71,7 +71,7 @@ def predicted_mse(
     """Return the mean square error in u of the sum of noisy frames, quantisation included.
 
     It is the mean over the range of u, from the exact distribution of the sum and with the
-    posterior mean as the value of a sum (see `camctl.exposure.inverse`).
+    posterior mean as the value of a sum (see `camctl.model.inverse`).
 
     Args:
         camera: the effective camera

@@ -21,16 +21,16 @@ from typing import Literal
 import numpy as np
 
 from camctl.errors import UsageError, unknown_name
-from camctl.exposure.effective import (
+from camctl.exposure.noise import NoiseTerm
+from camctl.model.effective import (
     EffectiveCamera,
     check_count,
     check_exposures,
     quantisation_levels,
     union_of_levels,
 )
-from camctl.exposure.noise import NoiseTerm
-from camctl.response.camera import CameraResponse, FloatArray
-from camctl.response.desired import DesiredResponse
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.desired import DesiredResponse
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +118,8 @@ def xi(
     Raises:
         UsageError: G or p is out of range, or p > 1 and e_min = 0, where the integral may diverge
 
-    >>> from camctl.response.camera import linear_response
-    >>> from camctl.response.desired import desired_response
+    >>> from camctl.model.response.camera import linear_response
+    >>> from camctl.model.response.desired import desired_response
     >>> camera = EffectiveCamera.of(linear_response(8), (1, 1.003))
     >>> round(xi(camera, desired_response("linear", 512.0), 510), 2)
     106.21

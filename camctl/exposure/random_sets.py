@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camctl.response.camera import CameraResponse, FloatArray
+from camctl.model.response.camera import CameraResponse, FloatArray
 
 SMALLEST_MOVE, LARGEST_MOVE = 1e-5, 2.0
 """Scales of the random moves, in ln e: far below an 8-bit interleave (4e-3) up to a factor of 7."""

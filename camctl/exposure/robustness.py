@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camctl.exposure.effective import EffectiveCamera, check_exposures, effective_levels
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.objective import xi
-from camctl.noise_model import FrameNoise
-from camctl.response.camera import CameraResponse
-from camctl.response.desired import DesiredResponse
+from camctl.model.effective import EffectiveCamera, check_exposures, effective_levels
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.desired import DesiredResponse
 
 EXPOSURE_ERRORS: tuple[float, ...] = (1e-4, 1e-3, 1e-2)
 """Relative standard deviations of the exposures."""

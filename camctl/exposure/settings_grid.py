@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camctl.errors import DataError, UsageError
-from camctl.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray
 
 MAX_SETTINGS = 200_000
 """Settings of one control, at most: bounds memory."""

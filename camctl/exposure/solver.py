@@ -19,12 +19,12 @@ import numpy as np
 
 from camctl.errors import UsageError
 from camctl.exposure.candidates import MAX_FLOAT32_LEVELS, BatchScore
-from camctl.exposure.effective import MAX_EXPOSURES
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.random_sets import RandomSets
-from camctl.response.camera import CameraResponse, FloatArray
-from camctl.response.desired import DesiredResponse
+from camctl.model.effective import MAX_EXPOSURES
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.desired import DesiredResponse
 
 Progress = Callable[[float], None]
 
@@ -172,8 +172,8 @@ def solve(
     Raises:
         UsageError: n is out of range, or the limit is below n
 
-    >>> from camctl.response.camera import linear_response
-    >>> from camctl.response.desired import desired_response
+    >>> from camctl.model.response.camera import linear_response
+    >>> from camctl.model.response.desired import desired_response
     >>> found = solve(linear_response(8), desired_response("log", 1000.0), 2)
     >>> [round(e, 1) for e in found.exposures]
     [1.0, 32.4]

@@ -16,10 +16,10 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from camctl.errors import DataError
-from camctl.files import storage_error, write_bytes
-from camctl.input_files import read_input, read_input_text
-from camctl.response.camera import CameraResponse
-from camctl.response.desired import DesiredResponse
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.desired import DesiredResponse
+from camctl.system.files import storage_error, write_bytes
+from camctl.system.input_files import read_input, read_input_text
 
 _REBUILD = "build the table again with 'camctl table build'"
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from camctl.errors import UsageError
 from camctl.exposure.build import look_up
-from camctl.exposure.effective import MAX_EXPOSURES
 from camctl.exposure.objective import Objective
 from camctl.exposure.solver import Progress, SearchOptions, Solution, solve
-from camctl.response.camera import CameraResponse
-from camctl.response.desired import DesiredResponse
+from camctl.model.effective import MAX_EXPOSURES
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.desired import DesiredResponse
 
 QUICK_EFFORT = 0.1
 """Effort of the first search for each number of exposures: within a few per cent of the best."""

@@ -8,7 +8,7 @@ the slot number of each frame, for example from the device's sequence numbers.  
 makes a numbered source of a stream that has only timestamps.
 """
 
-from camctl.controls import resting_setting
+from camctl.interface.controls import resting_setting
 from camctl.streaming.control_delay import ControlDelay, DelayOrigin
 from camctl.streaming.frame_clock import FrameClock, TimestampedSource, TimestampedStream
 from camctl.streaming.pipeline import ExposurePipeline, Shot

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
 
-from camctl.clock import CaptureTiming
-from camctl.profile import DelayRecord
+from camctl.interface.clock import CaptureTiming
+from camctl.profiles.profile import DelayRecord
 
 ASSUMED_LARGEST = 6
 """Largest delay, in frames, that is assumed where none was measured: twice that of usual webcams.

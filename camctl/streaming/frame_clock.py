@@ -18,9 +18,9 @@ from itertools import pairwise
 from statistics import median
 from typing import Generic, Protocol, TypeVar
 
-from camctl.clock import Clock
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraProtocolError
+from camctl.interface.clock import Clock
+from camctl.interface.controls import ExposureSetting
 from camctl.streaming.source import FrameStamp, Written, irregular_frames
 
 DataT = TypeVar("DataT")

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import Generic, TypeVar
 
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError
+from camctl.interface.controls import ExposureSetting
 from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay, DelayOrigin
 from camctl.streaming.source import NumberedSource, irregular_frames
 

@@ -7,9 +7,9 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from camctl.camera import Pixels
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraProtocolError
+from camctl.interface.camera import Pixels
+from camctl.interface.controls import ExposureSetting
 
 #: Samples of which `mean_brightness` takes the mean, about: noise averages out to 1/128.
 _SAMPLES = 1 << 14
@@ -53,7 +53,7 @@ class NumberedSource(Protocol[DataT_co]):
 
     Slots are numbered in the order of their exposure; the number of a lost frame is skipped.
     `DataT_co` is whatever the stream delivers as a frame: an array of pixels, or a buffer that is
-    decoded later.  Each method may raise `camctl.errors.CameraError`.
+    decoded later.  Each method may raise `camctl.CameraError`.
     """
 
     def next_frame(self) -> FrameStamp:

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from camctl.captures.accurate_settings import accurate_settings, gain_choices
-from camctl.captures.request import ACCURACY, CaptureRequest
 from camctl.captures.wall_time import predicted_wall_s
-from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.build import look_up
-from camctl.noise_model import NoiseModel
-from camctl.response.desired import DesiredResponse
+from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.model.noise import NoiseModel
+from camctl.model.response.desired import DesiredResponse
+from camctl.records.request import ACCURACY, CaptureRequest
 from camctl.studies.noise_optimal import NoiseOptimalProblem, noise_optimal
 from camctl.studies.paper_table import PRINTED_TABLE
 

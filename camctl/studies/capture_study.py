@@ -18,21 +18,20 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.backends import open_camera
-from camctl.calibrated import with_profile
-from camctl.camera import Camera, PreviewingCamera
-from camctl.captures.capture_plan import CapturePlan, relative_exposures
 from camctl.captures.plan import meter_light
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.captures.wall_time import predicted_wall_s
-from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CaptureError, UsageError
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
-from camctl.exposure.inverse import Posterior
-from camctl.noise_model import NoiseModel
-from camctl.response.desired import DesiredResponse
+from camctl.interface.camera import Camera, PreviewingCamera
+from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.model.effective import EffectiveCamera
+from camctl.model.inverse import Posterior
+from camctl.model.noise import NoiseModel
+from camctl.model.response.desired import DesiredResponse
+from camctl.profiles.calibrated import open_camera, with_profile
+from camctl.records.capture_plan import CapturePlan, relative_exposures
+from camctl.records.request import CaptureRequest
 from camctl.studies.bracket_methods import Bracket, bracket_settings
 from camctl.studies.scene_errors import (
     BINS,

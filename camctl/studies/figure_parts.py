@@ -10,23 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.backends import open_camera
-from camctl.calibrated import RESPONSE, CalibratedCamera
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.solver import Solution, solve
-from camctl.exposure_record import exposure_mode
-from camctl.profile import Profile
-from camctl.response.camera import CameraResponse, linear_response, standard_response
-from camctl.response.desired import DesiredResponse, desired_response
-from camctl.response_record import ResponseRecord
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.camera import CameraResponse, linear_response, standard_response
+from camctl.model.response.desired import DesiredResponse, desired_response
+from camctl.profiles.calibrated import RESPONSE, CalibratedCamera, open_camera
+from camctl.profiles.exposures import exposure_mode
+from camctl.profiles.profile import Profile
+from camctl.profiles.response import ResponseRecord
+from camctl.records.request import CaptureRequest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from camctl.captures.report import CaptureReport
+    from camctl.records.report import CaptureReport
 
 BASELINE = (1.0, 2.0, 4.0)
 """The exposures that the paper compares with."""

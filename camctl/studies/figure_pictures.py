@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.request import CaptureRequest
 from camctl.exposure.solver import solve
-from camctl.response.desired import desired_response
+from camctl.model.response.desired import desired_response
+from camctl.records.request import CaptureRequest
 from camctl.studies.figure_parts import (
     BASELINE,
     PaperFigure,
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from camctl.captures.report import CaptureReport
-    from camctl.response_record import ResponseRecord
+    from camctl.profiles.response import ResponseRecord
+    from camctl.records.report import CaptureReport
 
 PRINTED_4_BIT = (1.0, 1.05, 1.11)
 """The exposures of the paper's figures 5(a), 6 and 7."""

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from camctl.backends import open_camera
 from camctl.exposure.accuracy import solve_accuracy
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.exposure_choices import AccuracyProblem
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.response.camera import CameraResponse, linear_response
-from camctl.response.desired import desired_response
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.camera import CameraResponse, linear_response
+from camctl.model.response.desired import desired_response
+from camctl.profiles.calibrated import open_camera
 from camctl.studies.figure_parts import (
     BASELINE,
     COMPUTED,

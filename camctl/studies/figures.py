@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from camctl.response_record import ResponseRecord
+from camctl.profiles.response import ResponseRecord
 from camctl.studies import figure_pictures, figure_responses
 from camctl.studies.figure_parts import PaperFigure
 from camctl.studies.plots import plot

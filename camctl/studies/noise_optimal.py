@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import UsageError
-from camctl.noise_model import NoiseModel
-from camctl.response.camera import FloatArray
+from camctl.model.noise import NoiseModel
+from camctl.model.response.camera import FloatArray
 
 _CANDIDATES, _KEPT, _ROUNDS = 4096, 64, 60
 """Random sets at the beginning, the best that are kept, and rounds in which each is changed."""

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camctl.errors import DataError
-from camctl.profile import Profile
+from camctl.profiles.profile import Profile
 from camctl.studies.plots import COLOURS, plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from camctl.noise_record import NoiseRecord
-    from camctl.response_record import ResponseRecord
+    from camctl.profiles.noise import NoiseRecord
+    from camctl.profiles.response import ResponseRecord
 
 _CHANNELS = {"R": ("#b3242b", "-"), "G": ("#3c7d2f", "--"), "B": ("#0b4aa2", ":")}
 #: Inches of a plot for each mode; the narrowest one still has room for its caption.
@@ -64,7 +64,7 @@ def _leave_out(axes: Axes, title: str) -> None:
 def _draw_response(axes: Axes, mode: str, record: ResponseRecord) -> None:
     import numpy as np
 
-    from camctl.response.camera import srgb_to_linear
+    from camctl.model.response.camera import srgb_to_linear
 
     axes.set_title(f"response in {mode}, {record.measured_at[:10]}")
     brightness = np.linspace(0, 1, 256)

@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import from_json
 
 from camctl.errors import DataError
-from camctl.input_files import read_input
+from camctl.system.input_files import read_input
 
 RunT = TypeVar("RunT")
 

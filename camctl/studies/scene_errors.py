@@ -9,9 +9,9 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.pictures import FULL_CODE, colour_of
-from camctl.captures.report import CaptureReport
-from camctl.response.desired import DesiredResponse
+from camctl.model.response.desired import DesiredResponse
+from camctl.pictures.render import FULL_CODE, colour_of
+from camctl.records.report import CaptureReport
 from sim.camera import SimulatedCamera
 from sim.scenes.view import View
 

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from camctl.backends import open_camera
 from camctl.captures.metering import MeteringFrames, meter
-from camctl.controls import ExposureSetting
 from camctl.errors import UsageError
+from camctl.interface.controls import ExposureSetting
+from camctl.profiles.calibrated import open_camera
 from sim.camera import SimulatedCamera
 
 if TYPE_CHECKING:
-    from camctl.camera import Camera, Frame
+    from camctl.interface.camera import Camera, Frame
 
 TOLERANCES_DN = (0.0, 0.1, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Tolerances of a study, by default."""

@@ -22,8 +22,8 @@ from camctl.errors import CamctlError, UsageError, unknown_name
 from camctl.exposure.candidates import BatchScore
 from camctl.exposure.objective import ExposureProblem
 from camctl.exposure.solver import SearchOptions, solve
-from camctl.response.camera import FloatArray, linear_response
-from camctl.response.desired import desired_response
+from camctl.model.response.camera import FloatArray, linear_response
+from camctl.model.response.desired import desired_response
 
 CAMCTL = "camctl"
 GRID = "grid"

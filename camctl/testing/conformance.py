@@ -1,4 +1,4 @@
-"""The conformance suite: the contract of `camctl.camera.Camera`, checked on any camera.
+"""The conformance suite: the contract of `camctl.Camera`, checked on any camera.
 
 A driver's own test module subclasses it, and opens a camera in front of a steady scene::
 
@@ -18,9 +18,9 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from camctl.camera import Camera, PreviewingCamera
-from camctl.controls import Choices, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import CameraError, RefusedSettingError, UsageError
+from camctl.interface.camera import Camera, PreviewingCamera
+from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin
 from camctl.testing.fault_checks import FaultChecks
 from camctl.testing.light_checks import LightChecks
 from camctl.testing.suite import UNUSABLE

@@ -8,12 +8,12 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from camctl.camera import Camera
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
     CameraTimeoutError,
 )
+from camctl.interface.camera import Camera
 from camctl.testing.suite import CameraSuite
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.camera import Camera, Frame
-from camctl.controls import Control, ExposureControls, ExposureSetting
+from camctl.interface.camera import Camera, Frame
+from camctl.interface.controls import Control, ExposureControls, ExposureSetting
 from camctl.testing.suite import UNUSABLE, CameraSuite
 
 # Neighbouring settings of a check over a whole range differ by about this factor.

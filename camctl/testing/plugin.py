@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from camctl.camera import Camera
+    from camctl.interface.camera import Camera
 
 _MARKER = "camctl_camera"
 
@@ -53,7 +53,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def camctl_camera_factory() -> Iterator[Callable[..., Camera]]:
     """Return a function that opens simulated cameras; they are closed after the test."""
-    from camctl.backends import open_camera  # not before a test uses it: it imports numpy
+    from camctl.profiles.calibrated import open_camera  # imports numpy: not before it is used
 
     with ExitStack() as cameras:
 

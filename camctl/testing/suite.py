@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.camera import Camera, Frame
-from camctl.controls import ExposureSetting
+from camctl.interface.camera import Camera, Frame
+from camctl.interface.controls import ExposureSetting
 
 #: Message of a check that could not compare anything.
 UNUSABLE = "no two frames could be compared: choose another scene or middle_s"

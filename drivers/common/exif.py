@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from camctl.library_output import quiet_libraries
+from camctl.system.library_output import quiet_libraries
 
 # Tags, with their names in the EXIF directory.
 _EXPOSURE_TIME, _SHUTTER_SPEED = (33434, "ExposureTime"), (37377, "ShutterSpeedValue")

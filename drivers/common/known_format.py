@@ -7,10 +7,10 @@ from pathlib import PurePath
 
 import numpy as np
 
-from camctl.camera import CameraInfo, Pixels
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError
-from camctl.profile import StillRecord, load_profile
+from camctl.interface.camera import CameraInfo, Pixels
+from camctl.interface.controls import ExposureSetting
+from camctl.profiles.profile import StillRecord, load_profile
 from drivers.common.exif import stated_exposure
 from drivers.common.still_file import Still
 

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from pydantic import field_validator
 
-from camctl.backends import BackendOptions, LowerCase
-from camctl.controls import ResponseOrigin
-from camctl.response.camera import named_response
+from camctl.interface.backends import BackendOptions, LowerCase
+from camctl.interface.controls import ResponseOrigin
+from camctl.model.response.camera import named_response
 
 
 class ResponseOptions(BackendOptions):

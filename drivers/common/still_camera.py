@@ -6,10 +6,10 @@ from collections import deque
 from contextlib import suppress
 from statistics import median
 
-from camctl.camera import CameraInfo
-from camctl.clock import CaptureTiming
 from camctl.errors import DataError, StorageError
-from camctl.profile import Profile, StillRecord, TimingRecord, change_profile, load_profile
+from camctl.interface.camera import CameraInfo
+from camctl.interface.clock import CaptureTiming
+from camctl.profiles.profile import Profile, StillRecord, TimingRecord, change_profile, load_profile
 
 #: Exposures and files whose median times are kept, and by which share of the whole these may
 #: change until the profile is written again.

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
-from camctl.controls import Layout
 from camctl.errors import CameraProtocolError, UsageError
-from camctl.library_output import quiet_libraries, with_messages
-from camctl.picture_operations import required_opencv
-from camctl.profile import StillRecord
+from camctl.interface.camera import Pixels
+from camctl.interface.controls import Layout
+from camctl.profiles.profile import StillRecord
+from camctl.system.library_output import quiet_libraries, with_messages
+from camctl.system.picture_operations import required_opencv
 from drivers.common.exif import PNG, png_chunks
 from drivers.common.jpeg_file import CUT_SHORT, JpegStructure
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from camctl.camera import CameraBase, Frame, Pixels
-from camctl.controls import ExposureSetting
+from camctl.interface.camera import CameraBase, Frame, Pixels
+from camctl.interface.controls import ExposureSetting
 from camctl.streaming import ExposurePipeline, Shot, resting_setting
 
 

@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 import usb.core
 import usb.util
 
-from camctl.camera import CameraInfo
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -20,6 +19,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from camctl.interface.camera import CameraInfo
 from drivers.common.device_holders import holding
 
 #: Gives the person at the machine access to still cameras, webcams and serial adapters; belongs in

@@ -1,6 +1,6 @@
 """The Nikon CoolPix 990 on a serial line: the camera of the paper.
 
-Layers, from the top: `backend` finds cameras; `camera` is the `camctl.camera.Camera`; `body` takes
+Layers, from the top: `backend` finds cameras; `camera` is the `camctl.Camera`; `body` takes
 and downloads pictures; `pictures` finds them on the card; `settings` are the registers; `sierra` is
 the protocol.
 """

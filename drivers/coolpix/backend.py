@@ -8,9 +8,9 @@ from contextlib import closing, suppress
 
 from serial.tools import list_ports
 
-from camctl.camera import CameraInfo
-from camctl.clock import RealClock
 from camctl.errors import CamctlError, CameraNotFoundError
+from camctl.interface.camera import CameraInfo
+from camctl.interface.clock import RealClock
 from drivers.common.serial_link import SerialLink
 from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions, identity
 from drivers.coolpix.sierra.packets import FIRST_SPEED

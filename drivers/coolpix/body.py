@@ -9,14 +9,14 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 
-from camctl.clock import Clock
-from camctl.controls import ExposureSetting
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
     CameraProtocolError,
     CameraTimeoutError,
 )
+from camctl.interface.clock import Clock
+from camctl.interface.controls import ExposureSetting
 from drivers.common.exif import exposure_time_s
 from drivers.common.serial_link import SerialLink
 from drivers.common.still_file import Still

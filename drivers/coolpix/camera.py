@@ -1,4 +1,4 @@
-"""The Nikon CoolPix 990 on a serial line, as a `camctl.camera.Camera`."""
+"""The Nikon CoolPix 990 on a serial line, as a `camctl.Camera`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 
 from pydantic import field_validator
 
-from camctl.backends import LowerCase
-from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile
-from camctl.clock import CaptureTiming, Clock, RealClock
-from camctl.controls import Choices, ExposureControls, ExposureSetting
-from camctl.profile import StillRecord
-from camctl.response.camera import named_response
+from camctl.interface.backends import LowerCase
+from camctl.interface.camera import CameraBase, CameraInfo, Frame, OriginalFile
+from camctl.interface.clock import CaptureTiming, Clock, RealClock
+from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
+from camctl.model.response.camera import named_response
+from camctl.profiles.profile import StillRecord
 from drivers.common.response_option import ResponseOptions
 from drivers.common.still_camera import StillTimes
 from drivers.coolpix.body import CoolpixBody, Shot

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from camctl.camera import CameraInfo
-from camctl.clock import Clock
-from camctl.controls import Layout
 from camctl.errors import CameraError, CameraProtocolError, DataError
-from camctl.profile import StillRecord, load_profile
+from camctl.interface.camera import CameraInfo
+from camctl.interface.clock import Clock
+from camctl.interface.controls import Layout
+from camctl.profiles.profile import StillRecord, load_profile
 from drivers.common.still_camera import save_record
 from drivers.common.still_file import Still, read_still
 from drivers.coolpix.settings import FORMATS, read_register_or_none

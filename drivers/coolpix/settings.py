@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, RefusedSettingError
+from camctl.interface.controls import ExposureSetting
 from drivers.coolpix.sierra.packets import RefusedCommandError, Register
 from drivers.coolpix.sierra.session import Sierra
 

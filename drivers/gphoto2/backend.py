@@ -7,9 +7,9 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
-from camctl.camera import CameraInfo
-from camctl.clock import Clock, RealClock
 from camctl.errors import CameraNotFoundError
+from camctl.interface.camera import CameraInfo
+from camctl.interface.clock import Clock, RealClock
 from drivers.common.usb import PTP_MAKES
 from drivers.gphoto2.camera import DRIVER, Gphoto2Camera, Gphoto2Options
 from drivers.gphoto2.process import CameraProcess, is_installed

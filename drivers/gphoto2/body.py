@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
-from camctl.controls import Choices, ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError, RefusedSettingError
+from camctl.interface.controls import Choices, ExposureSetting
 from drivers.gphoto2 import labels
 from drivers.gphoto2.process import CameraProcess
 

@@ -1,4 +1,4 @@
-"""A still camera that libgphoto2 controls, as a `camctl.camera.Camera`."""
+"""A still camera that libgphoto2 controls, as a `camctl.Camera`."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Annotated, Literal
 
-from camctl.backends import LowerCase
-from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile
-from camctl.clock import Clock, RealClock
-from camctl.controls import Choices, ExposureControls, ExposureSetting, ResponseOrigin
 from camctl.errors import CameraError, CameraProtocolError
-from camctl.response.camera import named_response
+from camctl.interface.backends import LowerCase
+from camctl.interface.camera import CameraBase, CameraInfo, Frame, OriginalFile
+from camctl.interface.clock import Clock, RealClock
+from camctl.interface.controls import Choices, ExposureControls, ExposureSetting, ResponseOrigin
+from camctl.model.response.camera import named_response
 from drivers.common.known_format import (
     FORMATS,
     FormatChangedError,

@@ -14,7 +14,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from camctl.clock import Clock
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -23,6 +22,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from camctl.interface.clock import Clock
 from drivers.common.device_holders import holding
 
 #: Silence after which the process counts as hanging, s: longer than all time-outs of libgphoto2

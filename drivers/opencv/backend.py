@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from camctl.camera import CameraInfo
-from camctl.clock import RealClock
 from camctl.errors import CameraError
+from camctl.interface.camera import CameraInfo
+from camctl.interface.clock import RealClock
 from drivers.opencv.camera import DRIVER, OpencvCamera, OpencvOptions
 from drivers.opencv.video import Address, Video
 

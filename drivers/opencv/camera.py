@@ -1,4 +1,4 @@
-"""A camera or stream that OpenCV reads, as a `camctl.camera.Camera`.
+"""A camera or stream that OpenCV reads, as a `camctl.Camera`.
 
 The stream settles after each setting: OpenCV keeps frames in buffers of unknown number, and says
 neither when a frame was exposed nor how.
@@ -10,12 +10,12 @@ from typing import Annotated
 
 from pydantic import Field
 
-from camctl.backends import FrameShape
-from camctl.camera import CameraInfo, Frame, Pixels
-from camctl.clock import Clock, RealClock
-from camctl.controls import ExposureControls, ExposureSetting, Layout
 from camctl.errors import CameraProtocolError
-from camctl.response.camera import named_response
+from camctl.interface.backends import FrameShape
+from camctl.interface.camera import CameraInfo, Frame, Pixels
+from camctl.interface.clock import Clock, RealClock
+from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
+from camctl.model.response.camera import named_response
 from camctl.streaming import (
     ControlDelay,
     DelayOrigin,
@@ -59,7 +59,7 @@ class OpencvOptions(ResponseOptions):
 
 
 class OpencvCamera(StreamCamera):
-    """A camera or stream that OpenCV reads; a `PreviewingCamera` of `camctl.camera`.
+    """A camera or stream that OpenCV reads; a `PreviewingCamera` of `camctl.interface.camera`.
 
     Args:
         address: an index, a URL or file, or a GStreamer pipeline; see `Address`

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from camctl.controls import Choices, Control, ExposureSetting, Steps
 from camctl.errors import CameraError, RefusedSettingError, UsageError
+from camctl.interface.controls import Choices, Control, ExposureSetting, Steps
 from drivers.opencv.video import Video
 
 

@@ -15,8 +15,6 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
-from camctl.clock import Clock
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -25,6 +23,8 @@ from camctl.errors import (
     CameraTimeoutError,
     UsageError,
 )
+from camctl.interface.camera import Pixels
+from camctl.interface.clock import Clock
 
 Kind: TypeAlias = Literal["index", "url", "pipeline"]
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import usb.core
 
-from camctl.camera import CameraInfo
 from camctl.errors import CameraNotFoundError
+from camctl.interface.camera import CameraInfo
 from drivers.common.usb import PTP_MAKES, has_interface, no_libusb, typed_usb_errors, usb_identity
 from drivers.ptp.camera import PtpCamera, PtpOptions
 from drivers.ptp.usb_transport import STILL_IMAGE

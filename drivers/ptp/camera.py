@@ -1,4 +1,4 @@
-"""A still camera on USB that speaks PTP, as a `camctl.camera.Camera`.
+"""A still camera on USB that speaks PTP, as a `camctl.Camera`.
 
 While one exposure runs, the file of the one before is fetched if the camera allows it.  Each
 setting is read back before the shutter is released.
@@ -14,10 +14,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from camctl.backends import LowerCase
-from camctl.camera import CameraBase, CameraInfo, Frame
-from camctl.clock import Clock, RealClock
-from camctl.controls import (
+from camctl.errors import CameraError, CameraProtocolError, UsageError
+from camctl.interface.backends import LowerCase
+from camctl.interface.camera import CameraBase, CameraInfo, Frame
+from camctl.interface.clock import Clock, RealClock
+from camctl.interface.controls import (
     Choices,
     Control,
     ExposureControls,
@@ -25,8 +26,7 @@ from camctl.controls import (
     ResponseOrigin,
     Steps,
 )
-from camctl.errors import CameraError, CameraProtocolError, UsageError
-from camctl.response.camera import named_response
+from camctl.model.response.camera import named_response
 from drivers.common.exif import stated_exposure
 from drivers.common.known_format import (
     FormatChangedError,

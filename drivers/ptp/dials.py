@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from camctl.controls import Choices, Control, Steps
 from camctl.errors import CameraProtocolError
+from camctl.interface.controls import Choices, Control, Steps
 from drivers.ptp.datasets import PropertyDescription
 
 _MAX_NUMBER = 0xFFFFFFFF
@@ -197,7 +197,7 @@ class Dial:
     """A property that sets the exposure.
 
     Attributes:
-        name: field of `camctl.controls.ExposureSetting`
+        name: field of `camctl.ExposureSetting`
         scale: the meaning of its numbers
         data_type: PTP data type of its numbers
         control: its settings, SI units
@@ -240,7 +240,7 @@ def make_dial(
     """Return the dial for a property; None if none of its numbers has an SI value.
 
     Args:
-        name: field of `camctl.controls.ExposureSetting`
+        name: field of `camctl.ExposureSetting`
         scale: the meaning of its numbers
         description: the camera's description of the property
         listed: numbers that it can be set to if the camera lists none

@@ -8,9 +8,9 @@ from typing import Any
 
 from pydantic import field_validator
 
-from camctl.camera import CameraInfo
-from camctl.clock import Clock
 from camctl.errors import CameraNotFoundError
+from camctl.interface.camera import CameraInfo
+from camctl.interface.clock import Clock
 from drivers.ptp.camera import PtpCamera, PtpOptions
 from drivers.ptp.network_link import PORT, Address, Connect, connect_socket
 from drivers.ptp.network_transport import Caller, NetworkTransport, guid_of_this_computer

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
-from camctl.clock import Clock
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -20,6 +19,7 @@ from camctl.errors import (
     CameraTimeoutError,
     UsageError,
 )
+from camctl.interface.clock import Clock
 
 #: The port that IANA has registered for PTP/IP.
 PORT = 15740

@@ -14,7 +14,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from socket import gethostname
 
-from camctl.clock import Clock
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -22,6 +21,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from camctl.interface.clock import Clock
 from drivers.ptp.network_link import Address, Connect, Packet, PacketLink
 from drivers.ptp.transport import (
     DATA,

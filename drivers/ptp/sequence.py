@@ -12,9 +12,9 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
-from camctl.camera import Frame, OriginalFile
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
+from camctl.interface.camera import Frame, OriginalFile
+from camctl.interface.controls import ExposureSetting
 from drivers.common.known_format import KnownFormat, checked_exposure, matched_pixels
 from drivers.common.still_camera import StillTimes
 from drivers.common.still_file import read_still
@@ -72,7 +72,7 @@ class ExposureSequence:
         What the exposures and the files took is added to `times`.
 
         Raises:
-            CameraError: as `camctl.camera.Camera.shoot`; lists what was taken and not fetched
+            CameraError: as `camctl.Camera.shoot`; lists what was taken and not fetched
         """
         self._waiting, self._fetched = None, []
         if settings:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from camctl.clock import Clock
 from camctl.errors import (
     CamctlError,
     CameraDisconnectedError,
@@ -19,6 +18,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from camctl.interface.clock import Clock
 from drivers.ptp.codes import (
     ALL_STORES,
     DEVICE_BUSY,

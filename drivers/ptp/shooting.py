@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError, CameraTimeoutError
+from camctl.interface.controls import ExposureSetting
 from drivers.common.known_format import WrongFormatError
 from drivers.ptp.body import Body
 from drivers.ptp.codes import DEVICE_BUSY, FOLDER

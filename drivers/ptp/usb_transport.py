@@ -18,7 +18,6 @@ from typing import Any, TypeAlias
 import usb.core
 import usb.util
 
-from camctl.clock import Clock
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -26,6 +25,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from camctl.interface.clock import Clock
 from drivers.common.usb import (
     InterfaceKind,
     claim_interface,

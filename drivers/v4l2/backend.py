@@ -8,8 +8,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from camctl.camera import CameraInfo
 from camctl.errors import CameraError, CameraNotFoundError
+from camctl.interface.camera import CameraInfo
 from drivers.v4l2.camera import V4l2Camera, V4l2Options
 from drivers.v4l2.kernel import Kernel
 from drivers.v4l2.node import Node

@@ -13,12 +13,12 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, StringConstraints
 
-from camctl.backends import BackendOptions, FrameShape, LowerCase
-from camctl.camera import Frame, Pixels
-from camctl.clock import Clock, RealClock
-from camctl.controls import ExposureControls, ExposureSetting
 from camctl.errors import CameraProtocolError
-from camctl.profile import load_profile
+from camctl.interface.backends import BackendOptions, FrameShape, LowerCase
+from camctl.interface.camera import Frame, Pixels
+from camctl.interface.clock import Clock, RealClock
+from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.profiles.profile import load_profile
 from camctl.streaming import (
     ControlDelay,
     ExposurePipeline,
@@ -55,7 +55,7 @@ class V4l2Options(BackendOptions):
         black: brightness without light, DN; None: 0, or 16 of limited luma
         gain: what the steps of the gain add; None: unknown, so that the gain is held
         range: of luma; "auto": as V4L2 reports
-        response: one of `camctl.response.camera.RESPONSES`; "auto": linear for raw samples, else
+        response: one of `model.response.camera.RESPONSES`; "auto": linear for raw samples, else
             sRGB
     """
 
@@ -70,7 +70,7 @@ class V4l2Options(BackendOptions):
 
 
 class V4l2Camera(StreamCamera):
-    """A V4L2 camera; a `PreviewingCamera` and a `StreamingCamera` of `camctl.camera`.
+    """A V4L2 camera; a `PreviewingCamera` and a `StreamingCamera` of `camctl.interface.camera`.
 
     The constructor does no I/O; `open` starts the stream and raises the errors below.
 

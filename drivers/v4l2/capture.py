@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from camctl.camera import Pixels
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -18,6 +17,7 @@ from camctl.errors import (
     CameraTimeoutError,
     UsageError,
 )
+from camctl.interface.camera import Pixels
 from drivers.v4l2 import abi
 from drivers.v4l2.formats import PixelFormat
 from drivers.v4l2.kernel import Memory

@@ -6,7 +6,6 @@ import math
 import re
 from dataclasses import dataclass
 
-from camctl.controls import Choices, ExposureSetting, Steps
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -15,6 +14,7 @@ from camctl.errors import (
     RefusedSettingError,
     UsageError,
 )
+from camctl.interface.controls import Choices, ExposureSetting, Steps
 from drivers.v4l2.abi import MANUAL_EXPOSURE, ControlId
 from drivers.v4l2.node import ControlRange, Node
 

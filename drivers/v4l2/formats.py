@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from camctl.controls import Layout, ResponseOrigin
 from camctl.errors import CameraError, UsageError, unknown_name
-from camctl.response.camera import CameraResponse, named_response
+from camctl.interface.controls import Layout, ResponseOrigin
+from camctl.model.response.camera import CameraResponse, named_response
 from drivers.v4l2 import abi
 from drivers.v4l2.abi import fourcc
 from drivers.v4l2.packing import (
@@ -166,7 +166,7 @@ def sample_scale(
         bits: bits that samples of 16 bits use; None: all
         black: brightness without light, DN; None: that of the range
         luma_range: "auto", "full" or "limited"
-        response: one of `camctl.response.camera.RESPONSES`, or "auto"
+        response: one of `camctl.model.response.camera.RESPONSES`, or "auto"
 
     Raises:
         UsageError: an unknown response, or an option that does not fit the format

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from camctl.camera import CameraInfo
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -17,6 +16,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from camctl.interface.camera import CameraInfo
 from drivers.common import device_holders
 
 DRIVER = "v4l2"

@@ -7,9 +7,9 @@ from collections import deque
 from types import TracebackType
 from typing import Any, Self
 
-from camctl.clock import Clock, RealClock
 from camctl.errors import UsageError
-from camctl.interrupts import uninterrupted
+from camctl.interface.clock import Clock, RealClock
+from camctl.system.interrupts import uninterrupted
 from menu.layout import grid
 from menu.panels.cfa635_packets import (
     BACKLIGHT,

@@ -13,9 +13,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.clock import Clock, RealClock
 from camctl.errors import CamctlError, UsageError
-from camctl.interrupts import uninterrupted
+from camctl.interface.clock import Clock, RealClock
+from camctl.system.interrupts import uninterrupted
 from menu.drawing import SMALLEST, Pixels, draw
 from menu.panels.input_keys import InputKeys
 from menu.ports import Key, Line, Mood, PanelDisconnectedError, Screen

@@ -8,10 +8,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from camctl.clock import Clock, RealClock
 from camctl.errors import StorageError, UsageError
-from camctl.files import make_folder, storage_error, write_bytes
-from camctl.picture_operations import png
+from camctl.interface.clock import Clock, RealClock
+from camctl.system.files import make_folder, storage_error, write_bytes
+from camctl.system.picture_operations import png
 from menu.drawing import SMALLEST, draw
 from menu.ports import Key, Screen
 

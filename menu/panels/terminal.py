@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from camctl.errors import CamctlError, UsageError
-from camctl.interrupts import uninterrupted
+from camctl.system.interrupts import uninterrupted
 from menu.layout import SMALLEST, Grid, grid
 from menu.ports import Key, Screen
 

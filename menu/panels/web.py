@@ -24,8 +24,8 @@ from typing import Any, Self
 from urllib.parse import parse_qs, urlsplit
 
 from camctl.errors import UsageError
-from camctl.interrupts import uninterrupted
-from camctl.picture_operations import png
+from camctl.system.interrupts import uninterrupted
+from camctl.system.picture_operations import png
 from menu.drawing import draw
 from menu.layout import grid
 from menu.ports import Key, Screen

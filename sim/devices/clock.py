@@ -16,7 +16,7 @@ from collections.abc import Callable
 from itertools import count
 from typing import Protocol
 
-from camctl.clock import Clock, RealClock, VirtualClock
+from camctl.interface.clock import Clock, RealClock, VirtualClock
 
 
 class ScheduledCall(Protocol):

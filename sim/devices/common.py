@@ -9,10 +9,10 @@ from typing import Any
 
 from pydantic import Field
 
-from camctl.backends import BackendOptions, FrameShape
-from camctl.camera import Pixels
-from camctl.controls import Layout
 from camctl.errors import UsageError, unknown_name
+from camctl.interface.backends import BackendOptions, FrameShape
+from camctl.interface.camera import Pixels
+from camctl.interface.controls import Layout
 from sim.render import Renderer
 from sim.scenes.scene import DEFAULT_SCENE, Scene, load_scene
 from sim.scenes.view import View

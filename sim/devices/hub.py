@@ -27,7 +27,7 @@ from typing import Any, TypeAlias
 from pydantic_core import from_json
 
 from camctl.errors import CamctlError, CameraTimeoutError, DataError, UsageError, unknown_name
-from camctl.input_files import read_input
+from camctl.system.input_files import read_input
 from sim.devices.common import Controllable
 from sim.devices.usb.device import UsbDevice
 from sim.devices.usb.vhci import VhciPort

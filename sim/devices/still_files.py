@@ -17,10 +17,10 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
-from camctl.controls import Layout
 from camctl.errors import UsageError, unknown_name
-from camctl.picture_operations import reduced_by_area, required_opencv
+from camctl.interface.camera import Pixels
+from camctl.interface.controls import Layout
+from camctl.system.picture_operations import reduced_by_area, required_opencv
 
 MAKE = "camctl"
 MODEL = "virtual still camera"

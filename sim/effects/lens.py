@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.picture_operations import (
+from camctl.system.picture_operations import (
     enlarged_smoothly,
     reduced_by_area,
     required_opencv,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from camctl.picture_operations import correlated
+from camctl.system.picture_operations import correlated
 from sim.effects.lens import LENS, glare_bend
 from sim.effects.record import Change, Effect, Light, Lines, RowTiming, Shot, Stage
 from sim.scenes.motion import Lamps, PwmLamps

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, OutOfMemoryError
-from camctl.input_files import check_regular
-from camctl.library_output import exr_source, quiet_libraries
+from camctl.system.input_files import check_regular
+from camctl.system.library_output import exr_source, quiet_libraries
 
 Result = TypeVar("Result")
 Shape: TypeAlias = tuple[int, ...]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from camctl.errors import DataError, UsageError, unknown_name
-from camctl.input_files import exists
+from camctl.system.input_files import exists
 from sim.data_files import (
     FileModel,
     PictureShape,

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.controls import Layout
+from camctl.interface.controls import Layout
 from sim.scenes.motion import Lamps, PwmLamps, Target
 from sim.scenes.scene import PHOTONS, Scene
 from sim.sensors.sensor import Sensor

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.response.camera import FloatArray, srgb_to_linear
+from camctl.model.response.camera import FloatArray, srgb_to_linear
 
 _CURVE_SAMPLES = 4097
 _LOOKUP_BINS = 1 << 14

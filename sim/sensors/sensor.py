@@ -15,7 +15,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from camctl.controls import (
+from camctl.errors import unknown_name
+from camctl.interface.controls import (
     Choices,
     Control,
     ExposureControls,
@@ -23,10 +24,9 @@ from camctl.controls import (
     ResponseOrigin,
     Steps,
 )
-from camctl.errors import unknown_name
-from camctl.noise_model import NoiseModel
-from camctl.response.camera import CameraResponse
-from camctl.response.measured import measured_response
+from camctl.model.noise import NoiseModel
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.measured import measured_response
 from sim.data_files import (
     FileModel,
     NotNegative,

@@ -19,10 +19,10 @@ import numpy as np
 
 from camctl.exposure.accuracy import solve_accuracy
 from camctl.exposure.build import look_up
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.response.desired import desired_response
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.desired import desired_response
 from sim.sensors.sensor import load_sensor
 
 SENSORS = "standard,webcam,consumer,complete,phone,mobile,machine-vision,ideal-8"

@@ -20,10 +20,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.photograph_checks import Sight
-from camctl.captures.photograph_shift import displacement
-from camctl.captures.photographs import Photograph
-from camctl.response.camera import standard_response
+from camctl.evidence.alignment import displacement
+from camctl.model.response.camera import standard_response
+from camctl.photographs.checks import Sight
+from camctl.photographs.photograph import Photograph
 from sim.scenes import charts, drawings, night
 
 SCENES = {

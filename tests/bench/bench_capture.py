@@ -22,12 +22,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import CameraBase, CameraInfo, Frame
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
-from camctl.clock import RealClock, VirtualClock
-from camctl.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin, Steps
-from camctl.free_memory import share_free_memory
+from camctl.interface.camera import CameraBase, CameraInfo, Frame
+from camctl.interface.clock import RealClock, VirtualClock
+from camctl.interface.controls import (
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+    ResponseOrigin,
+    Steps,
+)
+from camctl.records.request import CaptureRequest
+from camctl.system.memory import share_free_memory
 
 RATIOS = (1.0, 3.98, 16.0, 64.2, 305.4, 1130.0)
 #: Different rows of a frame; electrons of a brightness level, and read noise, levels.

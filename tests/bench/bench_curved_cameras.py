@@ -25,9 +25,9 @@ import numpy as np
 from camctl.errors import DataError
 from camctl.exposure import random_sets
 from camctl.exposure.solver import SearchOptions, solve
-from camctl.response.camera import CameraResponse
-from camctl.response.desired import desired_response
-from camctl.response.measured import ResponseModel, read_response_model
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.desired import desired_response
+from camctl.model.response.measured import ResponseModel, read_response_model
 
 SEEDS, JUDGED_SEEDS = 10, 3
 LIMIT = 0.005

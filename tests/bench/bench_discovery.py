@@ -3,7 +3,7 @@
     python tests/bench/bench_discovery.py           on this machine
     python tests/virtual_hardware/run.py --bench    in a virtual machine, with two other benchmarks
 
-Measured are calls of `camctl.backends.list_backends` with the backends' modules imported, as in
+Measured are calls of `camctl.list_backends` with the backends' modules imported, as in
 the menu, and beside them the command line with its imports.
 """
 
@@ -15,7 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-from camctl.backends import list_backends
+from camctl.interface.backends import list_backends
 
 CALLS = 5
 MOST_S = 1.0  # the menu looks while a person waits

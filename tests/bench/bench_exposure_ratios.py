@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 import camctl
 from camctl.errors import CamctlError
-from camctl.exposure.patches import LightScale, sample_patches
-from camctl.exposure.ratios import estimate_ratios
+from camctl.evidence.patches import LightScale, sample_patches
+from camctl.evidence.ratios import estimate_ratios
 
 SCENES = ("tile-floor", "colour-chart", "ramp", "cloth", "ball", "room", "moving-target")
 SENSORS = ("standard", "consumer", "webcam", "phone", "machine-vision", "ccd", "mobile", "ideal-8")

@@ -25,7 +25,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from camctl.controls import ExposureSetting
+from camctl.interface.controls import ExposureSetting
 from drivers.gphoto2.camera import Gphoto2Camera
 
 SHORT, LONG, ROUNDS = 1, 9, 3  # the virtual camera has room for 26

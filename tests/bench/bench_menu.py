@@ -22,7 +22,7 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1] / "helpers")]
 
-from camctl.picture_operations import png  # noqa: E402
+from camctl.system.picture_operations import png  # noqa: E402
 from menu.drawing import draw  # noqa: E402  found by the path above
 from menu.layout import grid  # noqa: E402
 from menu.machine import step  # noqa: E402

@@ -23,8 +23,8 @@ import cv2
 import numpy as np
 
 from camctl import CaptureRequest, PhotographOptions
-from camctl.merging.merge import plan_merge
-from camctl.response.camera import standard_response
+from camctl.model.response.camera import standard_response
+from camctl.photographs.merge import plan_merge
 from sim.scenes.drawings import room
 
 ROWS, COLUMNS, STRIP = 4000, 6000, 500

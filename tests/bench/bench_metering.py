@@ -19,11 +19,11 @@ import cv2
 import numpy as np
 
 import camctl
-from camctl.captures.exposure_check import NeighbourCheck
-from camctl.captures.frame_pairs import Pair, Side
-from camctl.captures.movement import bands_of, find_movement
-from camctl.noise_model import FrameNoise
-from camctl.response.camera import linear_response
+from camctl.evidence.light_ratio import NeighbourCheck
+from camctl.evidence.movement import bands_of, find_movement
+from camctl.evidence.pair import Pair, Side
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import linear_response
 from sim.scenes.scene import scene_names
 
 EXPOSURES = (1.0, 3.0, 9.0, 27.0, 81.0, 243.0)

@@ -29,8 +29,8 @@ from camctl.calibration.dark import DarkFrames, estimate_dark, measure_dark
 from camctl.calibration.noise import measure_noise
 from camctl.calibration.noise_frames import NoiseFrames, estimate_noise, same_response
 from camctl.calibration.noise_pairs import reduce_pair
-from camctl.controls import ExposureSetting, Layout
-from camctl.noise_record import Figure, NoiseRecord
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.profiles.noise import Figure, NoiseRecord
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import Scene, load_scene
 from sim.sensors.sensor import Sensor, load_sensor

@@ -26,14 +26,14 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
 from accuracy import RAMP_COLUMNS, SEED, ramp_base_s, sensor_without_lens, shoot_ramp
 
-from camctl.calibrated import with_profile
 from camctl.calibration.dark import measure_dark
 from camctl.calibration.noise import measure_noise
 from camctl.calibration.single_steps import StepOptions
 from camctl.calibration.steps import calibrate
-from camctl.camera import Camera
-from camctl.exposure_record import exposure_mode
-from camctl.profile import Profile, change_profile
+from camctl.interface.camera import Camera
+from camctl.profiles.calibrated import with_profile
+from camctl.profiles.exposures import exposure_mode
+from camctl.profiles.profile import Profile, change_profile
 from sim.camera import SimulatedCamera
 from sim.render import Renderer
 from sim.scenes.scene import Scene, load_scene

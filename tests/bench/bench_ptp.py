@@ -20,7 +20,7 @@ import usb.core
 import usb.util
 import virtual_devices as rig
 
-from camctl.clock import RealClock
+from camctl.interface.clock import RealClock
 from drivers.ptp.session import Session
 from drivers.ptp.usb_transport import HEADER, UsbTransport
 

@@ -30,11 +30,11 @@ from opencv_levels import levels_of
 from camctl.calibration.opencv_response import opencv_curves
 from camctl.calibration.response import ResponseEstimate, estimate_response
 from camctl.calibration.response_series import Series
-from camctl.controls import Layout
 from camctl.errors import DataError
-from camctl.response.camera import FloatArray
-from camctl.response.measured import ResponseModel, read_response_model
-from camctl.response_record import Z_95, ChannelResponse
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray
+from camctl.model.response.measured import ResponseModel, read_response_model
+from camctl.profiles.response import Z_95, ChannelResponse
 
 STOPS = tuple(2.0 ** np.arange(-1, 6))
 COARSE = {"steps of 4": (0.5, 2.0, 8.0, 32.0), "steps of 8": (0.5, 4.0, 32.0)}

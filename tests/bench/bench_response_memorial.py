@@ -20,9 +20,9 @@ from opencv_levels import levels_of
 from camctl.calibration.opencv_response import opencv_curves
 from camctl.calibration.response import estimate_response
 from camctl.calibration.response_series import Series
-from camctl.controls import Layout
-from camctl.response.camera import FloatArray
-from camctl.response_record import ChannelResponse
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray
+from camctl.profiles.response import ChannelResponse
 
 
 def memorial(folder: Path) -> None:

@@ -23,14 +23,14 @@ from pathlib import Path
 import numpy as np
 
 from camctl.exposure.build import build_table, table_jobs
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import xi
 from camctl.exposure.settings_grid import SettingsGrid
 from camctl.exposure.solver import SearchOptions, solve
-from camctl.response.auto import auto_response
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.auto import auto_response
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
 from camctl.studies.solver_study import SCIPY_METHODS, SolverRun, measure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))

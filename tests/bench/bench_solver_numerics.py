@@ -12,10 +12,10 @@ import math
 from fractions import Fraction
 from pathlib import Path
 
-from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.objective import xi
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
+from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
 
 ORACLE = Path(__file__).parents[1] / "oracle" / "exposure_oracle.json"
 

@@ -18,12 +18,12 @@ import cv2
 import numpy as np
 
 from camctl.captures.accumulator import Accumulator
-from camctl.captures.pictures import Tables
-from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.inverse import Posterior
-from camctl.noise_model import FrameNoise
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
+from camctl.model.effective import EffectiveCamera
+from camctl.model.inverse import Posterior
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
+from camctl.pictures.render import Tables
 
 WHITE = 250
 _STRIP = 1 << 20

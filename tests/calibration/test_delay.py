@@ -20,9 +20,9 @@ from camctl.calibration.delay import (
     find_step,
     measure_delay,
 )
-from camctl.camera import Frame
-from camctl.controls import Choices, ExposureControls, ExposureSetting
 from camctl.errors import CameraDisconnectedError, CameraProtocolError, CaptureError, UsageError
+from camctl.interface.camera import Frame
+from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import Scene, load_scene
 from sim.sensors.sensor import Sensor, load_sensor

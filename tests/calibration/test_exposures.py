@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 import camctl
-from camctl.backends import open_camera
 from camctl.calibration.exposures import measure_exposures
 from camctl.calibration.response import estimate_response
 from camctl.calibration.response_shooting import measure_response
 from camctl.errors import CaptureError
-from camctl.exposure_record import ExposureRecord, exposure_mode
-from camctl.profile import change_profile
+from camctl.profiles.calibrated import open_camera
+from camctl.profiles.exposures import ExposureRecord, exposure_mode
+from camctl.profiles.profile import change_profile
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.motion import Lamps
 from sim.scenes.scene import Scene

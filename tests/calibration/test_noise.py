@@ -13,10 +13,10 @@ import camctl
 from camctl.calibration.noise import measure_noise
 from camctl.calibration.noise_curve import NoiseCurve
 from camctl.calibration.noise_frames import NoiseFrames, estimate_noise, same_response
-from camctl.controls import ExposureSetting, Layout
 from camctl.errors import CaptureError, DataError
-from camctl.noise_record import Figure, NoiseRecord
-from camctl.response.camera import CameraResponse, linear_response, standard_response
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.model.response.camera import CameraResponse, linear_response, standard_response
+from camctl.profiles.noise import Figure, NoiseRecord
 from sim.camera import SimulatedCamera
 from sim.scenes.motion import Lamps
 from sim.scenes.scene import Scene

@@ -10,13 +10,13 @@ import pytest
 
 from camctl.calibration.pixel_pattern import View, sensitivity_pattern
 from camctl.calibration.single_steps import PatternSteps, StepOptions
-from camctl.camera import Camera
-from camctl.controls import ExposureControls, Layout
 from camctl.errors import DataError
-from camctl.exposure_record import exposure_mode
-from camctl.noise_record import DarkRecord, Figure, GainNoise, NoiseRecord
-from camctl.profile import Profile, change_profile
-from camctl.response.camera import FloatArray, linear_response
+from camctl.interface.camera import Camera
+from camctl.interface.controls import ExposureControls, Layout
+from camctl.model.response.camera import FloatArray, linear_response
+from camctl.profiles.exposures import exposure_mode
+from camctl.profiles.noise import DarkRecord, Figure, GainNoise, NoiseRecord
+from camctl.profiles.profile import Profile, change_profile
 from sim.camera import SimulatedCamera
 from sim.render import Renderer
 from sim.scenes.scene import Scene, load_scene

@@ -15,10 +15,10 @@ from camctl.calibration.response import ResponseEstimate, estimate_response
 from camctl.calibration.response_fit import fit_response
 from camctl.calibration.response_matches import match_levels
 from camctl.calibration.response_series import Series
-from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
-from camctl.response.camera import FloatArray, srgb_to_linear
-from camctl.response_record import ResponseRecord
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray, srgb_to_linear
+from camctl.profiles.response import ResponseRecord
 
 Curve = Callable[[FloatArray], FloatArray]
 STOPS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from camctl.calibration.chart import ChartPatch, find_macbeth, read_patches
 from camctl.calibration.response import Chart, ResponseEstimate, estimate_response
 from camctl.calibration.response_series import Series
-from camctl.controls import Layout
 from camctl.errors import DataError
-from camctl.response.camera import FloatArray
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray
 from sim.scenes.drawings import colour_chart
 
 GREYS = (0.9, 0.59, 0.36, 0.2, 0.09, 0.03)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from camctl.calibration.response import estimate_response
 from camctl.calibration.response_checks import KEPT, intervals_of
 from camctl.calibration.response_series import Series
-from camctl.controls import Layout
 from camctl.errors import DataError
-from camctl.response.camera import FloatArray
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray
 from sim.scenes.drawings import DRAWINGS
 
 STOPS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from camctl.calibration.response import ResponseEstimate, estimate_response
 from camctl.calibration.response_series import Series
 from camctl.calibration.spill import SampleGrid
-from camctl.controls import Layout
-from camctl.exposure.moved_parts import moved_samples
-from camctl.response.camera import FloatArray
+from camctl.evidence.moved_parts import moved_samples
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray
 
 Curve = Callable[[FloatArray], FloatArray]
 Frame = NDArray[np.uint8]

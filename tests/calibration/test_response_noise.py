@@ -9,8 +9,8 @@ from camctl.calibration.response_fit import ResponseFit
 from camctl.calibration.response_matches import Matches, match_levels
 from camctl.calibration.response_noise import correct_matches
 from camctl.calibration.response_series import Series
-from camctl.controls import Layout
-from camctl.response.camera import FloatArray
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray
 
 STOPS = (1.0, 2.0, 4.0, 8.0, 16.0)
 EDGES = np.arange(1.0, 1024.0)

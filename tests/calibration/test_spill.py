@@ -9,8 +9,8 @@ from camctl.calibration import response
 from camctl.calibration.response import estimate_response
 from camctl.calibration.response_series import Series
 from camctl.calibration.spill import SampleGrid, grid_counts
-from camctl.controls import Layout
-from camctl.response.camera import FloatArray
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import FloatArray
 
 STOPS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 BLACK, WHITE = 64, 4095

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camctl.backends import open_camera
 from camctl.calibration.dark import measure_dark
 from camctl.calibration.noise import measure_noise
 from camctl.calibration.single_steps import StepOptions, StepResult, dark_step, noise_step
 from camctl.calibration.steps import calibrate
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.errors import CameraDisconnectedError
-from camctl.exposure_record import exposure_mode
-from camctl.profile import Profile, change_profile, load_profile
-from camctl.response.camera import srgb_to_linear
+from camctl.model.response.camera import srgb_to_linear
+from camctl.profiles.calibrated import open_camera
+from camctl.profiles.exposures import exposure_mode
+from camctl.profiles.profile import Profile, change_profile, load_profile
+from camctl.records.request import CaptureRequest
 from camctl.studies.scene_errors import measured_levels, native_samples, scene_truth
 from sim.camera import Faults, SimulatedCamera
 from sim.render import Renderer

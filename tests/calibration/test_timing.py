@@ -10,10 +10,10 @@ import pytest
 
 import camctl
 from camctl.calibration.timing import measure_still_timing, measure_stream_timing
-from camctl.camera import Camera, Frame, StreamingCamera
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraProtocolError
-from camctl.profile import DelayRecord, FrameTiming
+from camctl.interface.camera import Camera, Frame, StreamingCamera
+from camctl.interface.controls import ExposureSetting
+from camctl.profiles.profile import DelayRecord, FrameTiming
 from camctl.streaming import ControlDelay
 
 

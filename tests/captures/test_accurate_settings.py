@@ -11,8 +11,6 @@ from small_cameras import small_camera
 import camctl
 from camctl.captures.accurate_settings import accurate_settings, gain_choices, objective_of
 from camctl.captures.plan import plan_capture
-from camctl.captures.request import CaptureRequest
-from camctl.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
 from camctl.errors import UsageError
 from camctl.exposure.accuracy import solve_accuracy
 from camctl.exposure.accuracy_lookup import (
@@ -23,9 +21,11 @@ from camctl.exposure.accuracy_lookup import (
 )
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
 from camctl.exposure.table import accuracy_rows, default_table
-from camctl.noise_model import NoiseModel
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
+from camctl.interface.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
+from camctl.model.noise import NoiseModel
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
+from camctl.records.request import CaptureRequest
 
 NOISE = NoiseModel(39.0, ((1.0, 3.0),))
 

@@ -9,10 +9,10 @@ import pytest
 from small_cameras import small_camera
 
 import camctl
-from camctl.captures.folder_store import read_report
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.errors import CameraDisconnectedError, DataError, InterruptedCaptureError
+from camctl.records.folder_store import read_report
+from camctl.records.request import CaptureRequest
 from sim.camera import Faults
 
 GIVEN = CaptureRequest("log", 1000.0, ratios=(1.0, 4.0, 16.0))

@@ -11,17 +11,23 @@ import pytest
 from numpy.typing import NDArray
 from small_cameras import WrappedCamera, small_camera
 
-from camctl.backends import open_camera
 from camctl.calibration.delay import measure_delay
-from camctl.camera import FrameStream, StreamingCamera
 from camctl.captures.metering import OUTLIER_SHARE, MeteringFrames, light_histogram, meter
-from camctl.captures.photograph_camera import PhotographCamera
-from camctl.captures.photographs import Photograph
-from camctl.captures.scene_range import LAMP_SHARE, SceneLight
-from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import CaptureError, UsageError
-from camctl.profile import change_profile
-from camctl.response.camera import standard_response
+from camctl.interface.camera import FrameStream, StreamingCamera
+from camctl.interface.controls import (
+    Choices,
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+    ResponseOrigin,
+)
+from camctl.model.response.camera import standard_response
+from camctl.photographs.camera import PhotographCamera
+from camctl.photographs.photograph import Photograph
+from camctl.profiles.calibrated import open_camera
+from camctl.profiles.profile import change_profile
+from camctl.records.scene_light import LAMP_SHARE, SceneLight
 from sim.camera import Faults
 
 

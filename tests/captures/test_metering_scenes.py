@@ -12,8 +12,8 @@ from scene_maps import MAPS, write_map
 
 import camctl
 from camctl.captures.advice_search import MUCH
-from camctl.captures.scene_range import PlannedLight
 from camctl.cli.capture_output import light_text
+from camctl.records.scene_light import PlannedLight
 from sim.scenes.scene import scene_names
 
 MOST_OUTSIDE = 0.02

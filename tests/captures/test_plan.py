@@ -14,13 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_cameras import WrappedCamera, small_camera
 
-from camctl.captures.capture_plan import relative_exposures
-from camctl.captures.folder_store import read_capture
 from camctl.captures.plan import plan_capture
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.captures.setting_selection import BASE_SLACK_STOPS, SettingChooser, reach_shadows
-from camctl.controls import (
+from camctl.errors import CaptureError, DataError, UsageError
+from camctl.exposure.build import look_up
+from camctl.exposure.objective import xi
+from camctl.exposure.table import ExposureTable
+from camctl.interface.controls import (
     Choices,
     Control,
     ExposureControls,
@@ -29,13 +30,12 @@ from camctl.controls import (
     ResponseOrigin,
     Steps,
 )
-from camctl.errors import CaptureError, DataError, UsageError
-from camctl.exposure.build import look_up
-from camctl.exposure.effective import EffectiveCamera
-from camctl.exposure.objective import xi
-from camctl.exposure.table import ExposureTable
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
+from camctl.records.capture_plan import relative_exposures
+from camctl.records.folder_store import read_capture
+from camctl.records.request import CaptureRequest
 
 THIRDS = Choices(tuple(2.0 ** (k / 3) for k in range(-36, 16)))
 HUNDRED_US = Steps(1e-4, 10.0, 1e-4)

@@ -10,11 +10,11 @@ import pytest
 import camctl
 from camctl.captures import plan as planning
 from camctl.captures.accurate_settings import accurate_settings
-from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.range_choice import STOPS
-from camctl.captures.request import CaptureRequest
-from camctl.controls import ExposureControls
-from camctl.response.desired import DesiredResponse
+from camctl.interface.controls import ExposureControls
+from camctl.model.response.desired import DesiredResponse
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.request import CaptureRequest
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor

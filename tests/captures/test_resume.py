@@ -9,8 +9,6 @@ import pytest
 import tifffile
 from small_cameras import small_camera, sum_of_frames
 
-from camctl.captures.folder_store import read_capture, read_report
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequence import Progress
 from camctl.captures.sequencer import capture, resume
 from camctl.errors import (
@@ -20,6 +18,8 @@ from camctl.errors import (
     DataError,
     InterruptedCaptureError,
 )
+from camctl.records.folder_store import read_capture, read_report
+from camctl.records.request import CaptureRequest
 from sim.camera import Faults
 
 GIVEN = CaptureRequest("log", 1000.0, ratios=(1.0, 4.0, 16.0))

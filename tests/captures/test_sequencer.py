@@ -15,26 +15,26 @@ import tifffile
 from numpy.typing import NDArray
 from small_cameras import WrappedCamera, gradient, small_camera, sum_of_frames
 
-from camctl.backends import open_camera
-from camctl.camera import Frame, FrameStream
 from camctl.captures import sequence
-from camctl.captures.capture_plan import CapturePlan
-from camctl.captures.folder_store import read_capture
-from camctl.captures.frame_store import KeptFiles, MemoryStore
 from camctl.captures.plan import plan_capture
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture, resume
-from camctl.controls import ExposureSetting, Layout
 from camctl.errors import (
     CaptureError,
     StorageError,
     UsageError,
 )
-from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.inverse import Posterior
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.objective import xi
-from camctl.response.desired import desired_response
+from camctl.interface.camera import Frame, FrameStream
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.inverse import Posterior
+from camctl.model.response.desired import desired_response
+from camctl.profiles.calibrated import open_camera
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.folder_store import read_capture
+from camctl.records.frame_store import KeptFiles, MemoryStore
+from camctl.records.request import CaptureRequest
 from sim.camera import Faults, SimulatedCamera
 from sim.effects import effect_names
 

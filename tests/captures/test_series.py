@@ -16,13 +16,7 @@ from hypothesis import strategies as st
 from series_bench import Bench, FakeSets, ScriptedKeys, journal
 from small_cameras import gradient, small_camera
 
-from camctl.captures.request import CaptureRequest
 from camctl.captures.series import Series
-from camctl.captures.series_journal import (
-    SeriesJournal,
-    SetRecord,
-    read_series,
-)
 from camctl.captures.series_sets import CameraSets
 from camctl.captures.series_tools import SeriesProgress, SeriesTools
 from camctl.errors import (
@@ -33,7 +27,13 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
-from camctl.picture_operations import opencv
+from camctl.records.journal import (
+    SeriesJournal,
+    SetRecord,
+    read_series,
+)
+from camctl.records.request import CaptureRequest
+from camctl.system.picture_operations import opencv
 from sim.camera import Faults
 
 pytestmark = pytest.mark.usefixtures("quick_disk")

@@ -15,20 +15,20 @@ from hypothesis import strategies as st
 from series_bench import Bench, FakeSets, journal, report
 
 from camctl.captures.gallery import write_gallery
-from camctl.captures.report import CaptureReport
-from camctl.captures.series_journal import (
-    SetRecord,
-    check_pattern,
-    check_series_folder,
-    read_series,
-    set_name,
-)
 from camctl.errors import (
     DataError,
     InterruptedCaptureError,
     StorageError,
     UsageError,
 )
+from camctl.records.journal import (
+    SetRecord,
+    check_pattern,
+    check_series_folder,
+    read_series,
+    set_name,
+)
+from camctl.records.report import CaptureReport
 
 pytestmark = pytest.mark.usefixtures("quick_disk")
 

@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from still_fakes import THIRDS, StillCamera, ramp
 
-from camctl.camera import Frame
-from camctl.captures.capture_plan import CapturePlan
 from camctl.captures.plan import plan_capture
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture, resume
-from camctl.controls import Choices, ExposureSetting
 from camctl.errors import CameraDisconnectedError, CaptureError, UsageError
+from camctl.interface.camera import Frame
+from camctl.interface.controls import Choices, ExposureSetting
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.request import CaptureRequest
 from camctl.testing.conformance import CameraConformance
 
 METERED = CaptureRequest(spend_shutter=True)

@@ -8,13 +8,19 @@ import pytest
 
 import camctl
 from camctl.captures.accurate_settings import estimated_levels
-from camctl.captures.request import CaptureRequest
 from camctl.captures.time_budget import within_budget
 from camctl.captures.wall_time import predicted_wall_s, time_costs
-from camctl.clock import CaptureTiming
-from camctl.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin, Steps
 from camctl.errors import CaptureError, UsageError
-from camctl.noise_model import NoiseModel
+from camctl.interface.clock import CaptureTiming
+from camctl.interface.controls import (
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+    ResponseOrigin,
+    Steps,
+)
+from camctl.model.noise import NoiseModel
+from camctl.records.request import CaptureRequest
 
 STREAM = ExposureControls(
     Steps(1e-4, 10.0, 1e-4),

@@ -10,11 +10,11 @@ import pytest
 from small_cameras import small_camera, sum_of_frames
 
 import camctl
-from camctl.captures.frame_record import RatioCheck
-from camctl.captures.report import CaptureReport
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.captures.verdict import suspects
+from camctl.evidence.ratio_check import RatioCheck
+from camctl.records.report import CaptureReport
+from camctl.records.request import CaptureRequest
 from sim.camera import Faults
 
 MAINS = CaptureRequest("log", 1000.0, ratios=(1.0, 2.0, 4.0), mains_hz=50)

@@ -16,12 +16,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import camctl
-from camctl.camera import Camera
-from camctl.captures.report import CaptureReport
 from camctl.captures.wall_time import predicted_wall_s, wall_time_warnings
-from camctl.clock import CaptureTiming
-from camctl.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin, Steps
-from camctl.profile import DelayRecord, change_profile
+from camctl.interface.camera import Camera
+from camctl.interface.clock import CaptureTiming
+from camctl.interface.controls import (
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+    ResponseOrigin,
+    Steps,
+)
+from camctl.profiles.profile import DelayRecord, change_profile
+from camctl.records.report import CaptureReport
 from camctl.streaming.control_delay import ControlDelay, DelayOrigin
 from drivers.v4l2.camera import V4l2Camera
 

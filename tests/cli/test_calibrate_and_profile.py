@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from command_line import Run
 
-from camctl import backends
-from camctl.camera import Camera, CameraInfo
-from camctl.controls import Layout
-from camctl.exposure_record import Correction, ExposureRecord, exposure_mode
-from camctl.profile import StillRecord, change_profile
-from camctl.profile_folder import list_profiles
+from camctl.interface.camera import Camera, CameraInfo
+from camctl.interface.controls import Layout
+from camctl.profiles import calibrated
+from camctl.profiles.calibrated import open_camera
+from camctl.profiles.exposures import Correction, ExposureRecord, exposure_mode
+from camctl.profiles.folder import list_profiles
+from camctl.profiles.profile import StillRecord, change_profile
 from sim.sensors.sensor import load_sensor
 
 SMALL = ("--size", "64x48")
@@ -124,7 +125,7 @@ def test_impossible_calibration_is_one_line(run: Run, line: str, message: str, s
 
 
 def test_still_camera_has_a_timing_and_no_delay(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened: Camera = backends.open_camera("sim", {"size": "32x24"})
+    opened: Camera = open_camera("sim", {"size": "32x24"})
 
     class Still:
         def __init__(self) -> None:
@@ -138,7 +139,7 @@ def test_still_camera_has_a_timing_and_no_delay(run: Run, monkeypatch: pytest.Mo
         def __exit__(self, *_: object) -> None:
             self.close()
 
-    monkeypatch.setattr(backends, "open_camera", lambda *_: Still())
+    monkeypatch.setattr(calibrated, "open_camera", lambda *_: Still())
     ran = run("calibrate", "delay")
     assert ran.status == 0, ran.err
     assert "control delay       none: a still camera" in ran.out
@@ -213,7 +214,7 @@ def test_exposures_and_noise_are_measured_through_a_response_that_is_given(run: 
 
 def wrong_exposures(value: float) -> None:
     """Keep exposures that are wrong by a smooth curve, as an unknown response makes them."""
-    with backends.open_camera("sim", {**CURVED_OPTIONS, "profile": "none"}) as camera:
+    with open_camera("sim", {**CURVED_OPTIONS, "profile": "none"}) as camera:
         mode, info = exposure_mode(camera.controls), camera.info
     record = ExposureRecord(
         times=tuple(

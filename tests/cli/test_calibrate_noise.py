@@ -11,7 +11,7 @@ import pytest
 import tifffile
 from command_line import Run
 
-from camctl.profile_folder import list_profiles
+from camctl.profiles.folder import list_profiles
 
 SIZE = ("--size", "160x120")
 

@@ -12,9 +12,9 @@ import tifffile
 from command_line import Run
 from numpy.typing import NDArray
 
-from camctl.profile_folder import list_profiles
-from camctl.response.camera import srgb_to_linear
-from camctl.response.measured import read_curve
+from camctl.model.response.camera import srgb_to_linear
+from camctl.model.response.measured import read_curve
+from camctl.profiles.folder import list_profiles
 from sim.scenes.drawings import colour_chart
 
 TIMES = (1 / 64, 1 / 16, 1 / 4)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from command_line import Run
 
-from camctl import backends
-from camctl.camera import CameraInfo
 from camctl.errors import CameraNotFoundError
+from camctl.interface import backends
+from camctl.interface.camera import CameraInfo
 from sim.backend import SimulatedBackend
 
 

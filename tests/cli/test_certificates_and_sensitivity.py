@@ -16,13 +16,13 @@ from command_line import Run
 from camctl.cli.sensitivity import describe_losses, format_levels
 from camctl.cli.solve import DEFAULT_EVALUATIONS
 from camctl.cli.solve_output import certificate_text
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.lower_bound import Certificate
 from camctl.exposure.objective import xi
 from camctl.exposure.robustness import Robustness, Spread
 from camctl.exposure.solver import EVALUATIONS
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
 from sim.sensors.sensor import load_sensor
 
 

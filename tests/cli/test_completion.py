@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from command_line import Run
 
-from camctl.backends import CAMERAS, PANELS
 from camctl.cli import parameter_types
-from camctl.response.desired import RANGES
+from camctl.interface.backends import CAMERAS, PANELS
+from camctl.model.response.desired import RANGES
 from sim.scenes.scene import scene_names
 from sim.sensors.sensor import sensor_names
 

@@ -31,7 +31,7 @@ LINES: list[Path] = [
     ("tradeoff", "simulation"),
     ("tradeoff", "solver"),
 ]
-HEAVY = {"numpy", "cv2", "pydantic", "rich", "tifffile", "camctl.camera", "menu"}
+HEAVY = {"numpy", "cv2", "pydantic", "rich", "tifffile", "camctl.interface.camera", "menu"}
 """Modules that neither help nor completion may import: they take long."""
 
 
@@ -251,7 +251,7 @@ def fail_with(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
     def fail(**_: bool) -> None:
         raise error
 
-    monkeypatch.setattr("camctl.backends.list_backends", fail)
+    monkeypatch.setattr("camctl.interface.backends.list_backends", fail)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from command_line import Run
 from camctl.cli import response_options
 from camctl.cli.output import to_json
 from camctl.exposure.noise import NOISE_KINDS
-from camctl.response.camera import STANDARDS
-from camctl.response.desired import RANGES, RESPONSES
+from camctl.model.response.camera import STANDARDS
+from camctl.model.response.desired import RANGES, RESPONSES
 
 CURVE = "0 0\n0.25 0.5\n1 1\n"
 

@@ -40,7 +40,7 @@ def no_memory_in_the_c_library() -> cv2.error:
 
 FRAME = "sim.camera:SimulatedCamera._counted_frame"
 SUM = "camctl.captures.sequence:Accumulator.accumulate"
-PREVIEW = "camctl.captures.picture_files:png"
+PREVIEW = "camctl.pictures.files:png"
 DISK_FULL = OSError(errno.ENOSPC, "No space left on device")
 UNPLUGGED = CameraDisconnectedError("the camera was unplugged", hint="plug it in again")
 REFUSED = RefusedSettingError("time_s", 1.0, 0.5)

@@ -21,8 +21,8 @@ from command_line import Run
 from numpy.typing import NDArray
 
 from camctl import PhotographOptions, read_report
-from camctl.merging.photograph_set import open_photographs
-from camctl.number_text import time_text
+from camctl.photographs.photograph_set import open_photographs
+from camctl.system.number_text import time_text
 
 
 def test_shutters_that_are_not_exact_are_corrected_from_the_pixels(

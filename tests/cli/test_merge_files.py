@@ -18,7 +18,7 @@ from bracketed_photographs import (
 from command_line import Run
 
 from camctl import Layout, read_report
-from camctl.merging.photograph_files import PhotographFiles
+from camctl.photographs.files import PhotographFiles
 from sim.devices.still_files import RawImage, encode
 
 
@@ -85,9 +85,9 @@ def test_photographs_of_different_cameras_are_named(run: Run) -> None:
 
 
 def test_a_profile_of_the_camera_in_the_exif_data_is_used(run: Run) -> None:
-    from camctl.camera import CameraInfo
-    from camctl.profile import Profile, change_profile
-    from camctl.response_record import ChannelResponse, ResponseRecord
+    from camctl.interface.camera import CameraInfo
+    from camctl.profiles.profile import Profile, change_profile
+    from camctl.profiles.response import ChannelResponse, ResponseRecord
 
     u = np.linspace(0, 1, 40)
     channel = ChannelResponse(
@@ -131,9 +131,9 @@ def test_a_profile_of_the_camera_in_the_exif_data_is_used(run: Run) -> None:
 
 
 def test_a_profile_with_another_serial_number_is_not_that_of_the_photographs() -> None:
-    from camctl.camera import CameraInfo
-    from camctl.merging.photograph_response import profiles_of
-    from camctl.profile import change_profile
+    from camctl.interface.camera import CameraInfo
+    from camctl.photographs.response import profiles_of
+    from camctl.profiles.profile import change_profile
 
     for make, serial in (("Nikon Corporation", "0001"), ("Nikon", "2"), ("Nikon", "")):
         change_profile(CameraInfo("ptp", make, "D1", serial, "ptp"), lambda _profile: None)
@@ -148,7 +148,7 @@ def test_a_profile_with_another_serial_number_is_not_that_of_the_photographs() -
 
 @pytest.mark.parametrize("form", ["dng", "jpeg"])
 def test_files_of_still_cameras_are_merged_by_their_exif_data(run: Run, form: str) -> None:
-    from camctl.controls import Layout
+    from camctl.interface.controls import Layout
     from sim.devices.still_files import RawImage, encode
 
     rng = np.random.default_rng(3)

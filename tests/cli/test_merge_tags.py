@@ -12,7 +12,7 @@ import tifffile
 from command_line import Run
 
 from camctl import read_report
-from camctl.response.camera import standard_response
+from camctl.model.response.camera import standard_response
 
 NAMES = ("a.tif", "b.tif", "c.tif")
 _ORIENTATION, _EXPOSURE_TIME, _ISO = 274, 33434, 34855

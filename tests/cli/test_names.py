@@ -14,10 +14,10 @@ import pytest
 import tifffile
 from command_line import Ran, Run
 
-from camctl.backends import BackendListing
-from camctl.camera import CameraBase, CameraInfo
 from camctl.cli.output import visible
 from camctl.errors import CameraProtocolError
+from camctl.interface.backends import BackendListing
+from camctl.interface.camera import CameraBase, CameraInfo
 from drivers.common.still_file import read_still
 from menu.text import fit
 from sim.camera import SimulatedCamera
@@ -109,7 +109,7 @@ def test_name_of_a_sensor_and_its_camera_is_visible(run: Run) -> None:
 def test_name_of_a_real_camera_is_visible(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     info = CameraInfo(f"v4l2:{NAME}", NAME, NAME, NAME, "v4l2")
     listing = BackendListing(NAME, NAME, (info,), problem=NAME)
-    monkeypatch.setattr("camctl.backends.list_backends", lambda **_: [listing])
+    monkeypatch.setattr("camctl.interface.backends.list_backends", lambda **_: [listing])
     ran = run("cameras")
     assert ran.out.count(SHOWN) >= 3
     check_visible(ran)

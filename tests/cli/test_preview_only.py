@@ -15,7 +15,7 @@ from small_cameras import WrappedCamera, small_camera
 
 import camctl
 from camctl.captures.response_preview import preview_responses
-from camctl.response.desired import desired_response
+from camctl.model.response.desired import desired_response
 
 
 def test_one_picture_is_written_and_nothing_else(run: Run) -> None:

@@ -11,10 +11,10 @@ from command_line import Run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from camctl.camera import CameraInfo
 from camctl.errors import CamctlError
-from camctl.profile import DelayRecord, Profile, change_profile
-from camctl.profile_folder import import_profile, list_profiles
+from camctl.interface.camera import CameraInfo
+from camctl.profiles.folder import import_profile, list_profiles
+from camctl.profiles.profile import DelayRecord, Profile, change_profile
 
 UNKNOWN = ("--sensor", "consumer", "--scene", "ramp", "--size", "160x120", "-O", "unknown=yes")
 ASSUMED = "the response linear is assumed until it is measured"

@@ -18,7 +18,7 @@ from command_line import Run
 from ptp_bench import bench
 from v4l2_model import Model
 
-from camctl.profile_folder import list_profiles
+from camctl.profiles.folder import list_profiles
 from drivers.common.usb import UDEV_RULES
 from drivers.coolpix import backend as coolpix_backend
 from drivers.coolpix.camera import CoolpixCamera

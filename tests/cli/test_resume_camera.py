@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from command_line import Ran, Run
 
-from camctl.backends import is_local
+from camctl.interface.backends import is_local
 
 LIGHT = {"span": 2.0, "is_open": False, "clips": 0.5, "dark": 0.1, "needed": 1.0}
 SMALL = ("--size", "64x48", "--ratios", "1,4", "--base", "0.01")

@@ -12,9 +12,9 @@ import pytest
 import tifffile
 from command_line import Run
 
-from camctl import backends
-from camctl.camera import Frame
-from camctl.controls import ExposureSetting
+from camctl.interface.camera import Frame
+from camctl.interface.controls import ExposureSetting
+from camctl.profiles import calibrated
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
@@ -209,7 +209,7 @@ class FaultyBackend:
 
 
 def test_resume_completes_a_broken_capture(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(backends, "load", lambda *_: FaultyBackend)
+    monkeypatch.setattr(calibrated, "load", lambda *_: FaultyBackend)
     FaultyBackend.faults = Faults(unplug_after=1)
     broken = run("shoot", "--seed", "4", "-o", "here")
     assert broken.status == 1
@@ -226,7 +226,7 @@ def test_resume_completes_a_broken_capture(run: Run, monkeypatch: pytest.MonkeyP
 def test_untrustworthy_capture_ends_with_status_3(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(backends, "load", lambda *_: FaultyBackend)
+    monkeypatch.setattr(calibrated, "load", lambda *_: FaultyBackend)
     wrong = Faults(wrong_exposure=dict.fromkeys((1, 3, 4, 5), 0.25))
     FaultyBackend.faults = wrong
     ran = run("shoot", "--ratios", "1,2,4", "-o", "here", "--json")
@@ -282,7 +282,7 @@ def test_complete_capture_is_reported_without_its_camera(
     def refuse(*_: object) -> None:
         raise AssertionError("the camera must not be opened")
 
-    monkeypatch.setattr(backends, "open_camera", refuse)
+    monkeypatch.setattr(calibrated, "open_camera", refuse)
     assert "the capture in here is complete" in run("shoot", "--resume", "here").error
 
 

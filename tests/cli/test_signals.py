@@ -17,9 +17,9 @@ import pytest
 from command_line import Run
 from crash_sweep import checked
 
-from camctl.camera import CameraBase
-from camctl.captures.capture_folder import CaptureFolder
-from camctl.interrupts import run_interruptible
+from camctl.interface.camera import CameraBase
+from camctl.records.folder import CaptureFolder
+from camctl.system.interrupts import run_interruptible
 from sim.camera import SimulatedCamera
 
 SHOOT = "shoot --size 24x16 --ratios 1,8 --base 0.03 -o out"

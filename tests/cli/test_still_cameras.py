@@ -10,7 +10,8 @@ import pytest
 from command_line import Run
 from still_fakes import StillCamera, ramp
 
-from camctl import backends
+from camctl.interface import backends
+from camctl.profiles import calibrated
 
 
 class StillBackend:
@@ -34,7 +35,7 @@ def still_backend(monkeypatch: pytest.MonkeyPatch) -> type[StillBackend]:
     def with_stills(group: str, kind: str, name: str) -> object:
         return StillBackend if name == "ptp" else load(group, kind, name)
 
-    monkeypatch.setattr(backends, "load", with_stills)
+    monkeypatch.setattr(calibrated, "load", with_stills)
     return StillBackend
 
 

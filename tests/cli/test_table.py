@@ -14,7 +14,7 @@ from command_line import Run
 from camctl.cli.table.build import InterruptedBuildError, TableContent
 from camctl.exposure import build
 from camctl.exposure.table import default_table
-from camctl.response.camera import linear_response
+from camctl.model.response.camera import linear_response
 
 SMALL = ("--bits", "3", "--responses", "log,linear", "--ranges", "100,low", "-n", "2")
 """Options for a table of eight rows that takes little time."""

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from camctl.errors import DataError, UsageError
 from camctl.exposure import accurate_sets
 from camctl.exposure.accuracy import NEAR_TIE, AccuracySolution, solve_accuracy
-from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
 from camctl.exposure.least_quantisation import LeastQuantisation
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.noise_model import FrameNoise, NoiseModel
-from camctl.response.camera import CameraResponse, linear_response, standard_response
-from camctl.response.desired import DesiredResponse, desired_response
+from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.noise import FrameNoise, NoiseModel
+from camctl.model.response.camera import CameraResponse, linear_response, standard_response
+from camctl.model.response.desired import DesiredResponse, desired_response
 
 EIGHT_BIT = linear_response(8)
 REAL = NoiseModel(39.0, ((1.0, 3.0),))

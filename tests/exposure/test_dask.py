@@ -7,7 +7,7 @@ import warnings
 import pytest
 
 from camctl.exposure.build import build_table, table_jobs
-from camctl.response.camera import linear_response
+from camctl.model.response.camera import linear_response
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
 

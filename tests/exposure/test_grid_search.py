@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from camctl.errors import DataError, UsageError
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.noise import NoiseTerm
 from camctl.exposure.objective import Objective, xi
 from camctl.exposure.settings_grid import SettingsGrid, stepped
 from camctl.exposure.solver import SearchOptions, solve
-from camctl.response.auto import auto_response
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
-from camctl.response.tabulated import tabulated_desired
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.auto import auto_response
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
+from camctl.model.response.tabulated import tabulated_desired
 
 EIGHT_BIT = linear_response(8)
 THIRDS = 2.0 ** (np.arange(-39, 16) / 3)

@@ -5,13 +5,13 @@ import pytest
 
 from camctl.errors import UsageError
 from camctl.exposure import lower_bound
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.lower_bound import certify
 from camctl.exposure.objective import Objective, xi
 from camctl.exposure.solver import solve
-from camctl.response.camera import linear_response, standard_response
-from camctl.response.desired import DesiredResponse, desired_response
-from camctl.response.tabulated import tabulated_desired
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.camera import linear_response, standard_response
+from camctl.model.response.desired import DesiredResponse, desired_response
+from camctl.model.response.tabulated import tabulated_desired
 
 
 @pytest.mark.parametrize("name", ["linear", "gamma", "log"])

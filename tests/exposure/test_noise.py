@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from camctl.errors import UsageError
-from camctl.exposure.effective import EffectiveCamera, effective_levels
-from camctl.exposure.inverse import Posterior
 from camctl.exposure.noise import (
     MAX_SIGMA,
     MAX_WEIGHT,
@@ -16,9 +14,11 @@ from camctl.exposure.noise import (
     noisy_effective_levels,
 )
 from camctl.exposure.robustness import sensitivity, shifted
-from camctl.noise_model import FrameNoise
-from camctl.response.camera import linear_response, standard_response
-from camctl.response.desired import desired_response
+from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.inverse import Posterior
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import linear_response, standard_response
+from camctl.model.response.desired import desired_response
 
 EIGHT_BIT = linear_response(8)
 LOG = desired_response("log", 1000.0)

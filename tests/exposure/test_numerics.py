@@ -17,10 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camctl.exposure.candidates import BatchScore
-from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.objective import ExposureProblem, Objective, xi
-from camctl.response.camera import linear_response
-from camctl.response.desired import DesiredResponse, desired_response
+from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import DesiredResponse, desired_response
 
 ORACLE = Path(__file__).parents[1] / "oracle" / "exposure_oracle.json"
 ROWS: list[dict[str, Any]] = json.loads(ORACLE.read_text(encoding="utf-8"))

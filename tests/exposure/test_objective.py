@@ -10,13 +10,13 @@ import pytest
 from cells import CELLS, Cell
 
 from camctl.errors import UsageError
-from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.noise import NoiseTerm
 from camctl.exposure.objective import ExposureProblem, Objective, xi
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
-from camctl.response.tabulated import tabulated_desired
+from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
+from camctl.model.response.tabulated import tabulated_desired
 
 EIGHT_BIT = linear_response(8)
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camctl.exposure.random_sets import RandomSets, interleave_step
-from camctl.response.camera import CameraResponse, linear_response, standard_response
+from camctl.model.response.camera import CameraResponse, linear_response, standard_response
 
 REACH = math.log(1000.0)
 

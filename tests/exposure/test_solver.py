@@ -10,15 +10,15 @@ from cells import CELLS, Cell
 from camctl.errors import UsageError
 from camctl.exposure import solver
 from camctl.exposure.candidates import BatchScore
-from camctl.exposure.effective import EffectiveCamera
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.noise import NoiseTerm
 from camctl.exposure.objective import ExposureProblem, Objective, xi
 from camctl.exposure.solver import SearchOptions, solve
-from camctl.response.camera import linear_response
-from camctl.response.desired import DesiredResponse, desired_response
-from camctl.response.measured import measured_response
-from camctl.response.tabulated import tabulated_desired
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import DesiredResponse, desired_response
+from camctl.model.response.measured import measured_response
+from camctl.model.response.tabulated import tabulated_desired
 
 EIGHT_BIT = linear_response(8)
 LOG = desired_response("log", 1000.0)

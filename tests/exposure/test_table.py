@@ -12,13 +12,13 @@ import pytest
 from camctl.errors import DataError, StorageError, UsageError
 from camctl.exposure import build
 from camctl.exposure.build import Job, build_table, cache_folder, look_up, table_jobs
-from camctl.exposure.effective import EffectiveCamera, effective_levels
 from camctl.exposure.objective import xi
 from camctl.exposure.solver import Progress
 from camctl.exposure.table import ExposureTable, TableEntry, default_table
-from camctl.response.camera import CameraResponse, linear_response
-from camctl.response.desired import RANGES, RESPONSES, desired_response
-from camctl.response.tabulated import tabulated_desired
+from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.response.camera import CameraResponse, linear_response
+from camctl.model.response.desired import RANGES, RESPONSES, desired_response
+from camctl.model.response.tabulated import tabulated_desired
 
 EIGHT_BIT = linear_response(8)
 THREE_BIT = linear_response(3)

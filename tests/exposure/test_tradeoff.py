@@ -7,8 +7,8 @@ from camctl.exposure.objective import Objective
 from camctl.exposure.solver import solve
 from camctl.exposure.table import default_table
 from camctl.exposure.tradeoff import fewest_exposures, predict
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
 
 EIGHT_BIT = linear_response(8)
 LOG = desired_response("log", 1000.0)

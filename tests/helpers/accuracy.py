@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibrated import with_profile
-from camctl.captures.pictures import FULL_CODE, HOT, SATURATED, colour_of
-from camctl.captures.report import CaptureReport
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
-from camctl.controls import Layout
-from camctl.response.desired import desired_response
+from camctl.interface.controls import Layout
+from camctl.model.response.desired import desired_response
+from camctl.pictures.render import FULL_CODE, HOT, SATURATED, colour_of
+from camctl.profiles.calibrated import with_profile
+from camctl.records.report import CaptureReport
+from camctl.records.request import CaptureRequest
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import Scene
 from sim.sensors.parts import Lens

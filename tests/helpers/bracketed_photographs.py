@@ -12,7 +12,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from camctl import read_report
-from camctl.response.camera import standard_response
+from camctl.model.response.camera import standard_response
 
 TIMES = tuple(2.0**k for k in range(-9, 2))
 """Exposures of the series, s: its shortest is dark and its longest mostly saturated."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from camctl.response.desired import DesiredResponse, desired_response
+from camctl.model.response.desired import DesiredResponse, desired_response
 
 
 class Cell(NamedTuple):

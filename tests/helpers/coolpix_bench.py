@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from error_lines import one_line
 
-from camctl.camera import Camera, Frame
-from camctl.controls import Choices, Control, ExposureSetting
 from camctl.errors import CameraDisconnectedError
+from camctl.interface.camera import Camera, Frame
+from camctl.interface.controls import Choices, Control, ExposureSetting
 from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
 from sim.devices.clock import DeviceClock, VirtualDeviceClock
 from sim.devices.sierra.device import SierraDevice, make

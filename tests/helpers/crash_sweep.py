@@ -31,11 +31,11 @@ from numpy.typing import NDArray
 from small_cameras import WrappedCamera
 
 import camctl
-from camctl.camera import Frame, FrameStream, OriginalFile
-from camctl.captures.folder_store import read_capture
-from camctl.captures.picture_files import read_radiance
-from camctl.captures.report_file import named_files
-from camctl.controls import ExposureSetting
+from camctl.interface.camera import Frame, FrameStream, OriginalFile
+from camctl.interface.controls import ExposureSetting
+from camctl.pictures.files import read_radiance
+from camctl.records.folder_store import read_capture
+from camctl.records.report_file import named_files
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor

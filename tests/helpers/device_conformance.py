@@ -8,7 +8,7 @@ from typing import ClassVar
 import pytest
 import virtual_devices as rig
 
-from camctl.camera import Camera
+from camctl.interface.camera import Camera
 from camctl.testing.conformance import CameraConformance
 
 

@@ -17,7 +17,7 @@ from mutations import mutated
 from ptp_bench import bench, settings_at
 from v4l2_model import PATH, Model
 
-from camctl.controls import Layout
+from camctl.interface.controls import Layout
 from drivers.common.exif import exposure_time_s
 from drivers.common.serial_link import SerialLink
 from drivers.common.still_file import read_still

@@ -16,15 +16,15 @@ import tifffile
 
 import camctl
 from camctl.cli.parameter_types import Seconds, Settings
-from camctl.controls import Layout
 from camctl.exposure.build import Job, build_table, look_up, solve_job, table_jobs
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.table import ExposureTable
-from camctl.profile import DelayRecord, Profile, StillRecord
-from camctl.profile_folder import list_profiles
-from camctl.response.camera import linear_response
-from camctl.response.desired import desired_response
-from camctl.response.measured import read_curve, read_desired, read_response_model
+from camctl.interface.controls import Layout
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
+from camctl.model.response.measured import read_curve, read_desired, read_response_model
+from camctl.profiles.folder import list_profiles
+from camctl.profiles.profile import DelayRecord, Profile, StillRecord
 from camctl.studies.rows import read_runs
 from camctl.studies.simulation_study import SimulationRun
 from camctl.studies.solver_study import SolverRun

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camctl.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray
 
 
 def levels_of(curve: FloatArray) -> FloatArray:

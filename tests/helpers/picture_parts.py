@@ -7,10 +7,10 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import CameraInfo
-from camctl.captures.picture_details import PictureDetails, ShownFrame
-from camctl.captures.preview_light import ALL, Light
-from camctl.controls import ExposureSetting
+from camctl.interface.camera import CameraInfo
+from camctl.interface.controls import ExposureSetting
+from camctl.pictures.details import PictureDetails, ShownFrame
+from camctl.pictures.preview_light import ALL, Light
 
 TAKEN_AT = datetime(2026, 5, 17, 21, 4, 9, tzinfo=timezone(timedelta(hours=2)))
 

@@ -7,8 +7,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from camctl.camera import Camera, Frame
-from camctl.controls import ExposureSetting
+from camctl.interface.camera import Camera, Frame
+from camctl.interface.controls import ExposureSetting
 from drivers.ptp.backend import PtpBackend
 from drivers.ptp.camera import PtpCamera, PtpOptions
 from sim.devices.clock import DeviceClock, VirtualDeviceClock

@@ -9,8 +9,8 @@ from itertools import permutations
 import pytest
 from ptp_bench import bench, shoot
 
-from camctl.controls import Choices, Control, ExposureSetting
 from camctl.errors import CamctlError
+from camctl.interface.controls import Choices, Control, ExposureSetting
 from drivers.ptp.camera import PtpCamera
 from sim.devices.ptp.body_facts import BodyFacts, load_body
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera

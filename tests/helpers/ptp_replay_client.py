@@ -16,7 +16,7 @@ from pathlib import Path
 
 import usb.core
 
-from camctl.clock import RealClock
+from camctl.interface.clock import RealClock
 from drivers.common.still_file import read_still
 from drivers.ptp.backend import PtpBackend
 from drivers.ptp.codes import Op

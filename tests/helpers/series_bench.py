@@ -8,17 +8,17 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
-from camctl.camera import CameraInfo
-from camctl.captures.report import CaptureReport
-from camctl.captures.request import CaptureRequest
 from camctl.captures.series import Series
-from camctl.captures.series_journal import (
+from camctl.captures.series_tools import SeriesProgress, SeriesTools
+from camctl.interface.camera import CameraInfo
+from camctl.interface.clock import VirtualClock
+from camctl.records.journal import (
     SeriesJournal,
     SeriesOptions,
     SetRecord,
 )
-from camctl.captures.series_tools import SeriesProgress, SeriesTools
-from camctl.clock import VirtualClock
+from camctl.records.report import CaptureReport
+from camctl.records.request import CaptureRequest
 
 INFO = CameraInfo("sim", "camctl", "simulated", "1", "sim")
 

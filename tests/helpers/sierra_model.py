@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from camctl.clock import VirtualClock
+from camctl.interface.clock import VirtualClock
 from drivers.common.serial_link import SerialLink
 from drivers.coolpix.sierra.session import Sierra
 

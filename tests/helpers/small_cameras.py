@@ -11,10 +11,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Camera, CameraInfo, FrameStream
-from camctl.captures.report import CaptureReport
-from camctl.clock import Clock
-from camctl.controls import Control, ExposureControls, ExposureSetting
+from camctl.interface.camera import Camera, CameraInfo, FrameStream
+from camctl.interface.clock import Clock
+from camctl.interface.controls import Control, ExposureControls, ExposureSetting
+from camctl.records.report import CaptureReport
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import Scene
 from sim.sensors.sensor import Sensor, load_sensor

@@ -12,11 +12,11 @@ import pytest
 import tifffile
 from small_cameras import gradient, small_camera, sum_of_frames
 
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture, resume
 from camctl.errors import (
     CameraDisconnectedError,
 )
+from camctl.records.request import CaptureRequest
 from sim.camera import Faults
 
 REQUEST = CaptureRequest(ratios=(1.0, 4.0), base_s=0.01)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from camctl.camera import Frame
-from camctl.clock import Clock
-from camctl.controls import ExposureSetting
+from camctl.interface.camera import Frame
+from camctl.interface.clock import Clock
+from camctl.interface.controls import ExposureSetting
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import Scene
 from sim.sensors.sensor import Sensor, load_sensor

@@ -7,11 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import CameraBase, CameraInfo, Frame, OriginalFile, Pixels
-from camctl.clock import VirtualClock
-from camctl.controls import Choices, ExposureControls, ExposureSetting, Layout, ResponseOrigin
-from camctl.picture_operations import png
-from camctl.response.camera import standard_response
+from camctl.interface.camera import CameraBase, CameraInfo, Frame, OriginalFile, Pixels
+from camctl.interface.clock import VirtualClock
+from camctl.interface.controls import (
+    Choices,
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+    ResponseOrigin,
+)
+from camctl.model.response.camera import standard_response
+from camctl.system.picture_operations import png
 
 DOWNLOAD_S = 0.75
 THIRDS = Choices(tuple(2.0 ** (k / 3) for k in range(-36, 16)))

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from v4l2_model import PATH, Model, ticks_of
 
-from camctl.camera import CameraInfo, Frame
-from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError
-from camctl.profile import DelayRecord, Profile, save_profile
+from camctl.interface.camera import CameraInfo, Frame
+from camctl.interface.controls import ExposureSetting
+from camctl.profiles.profile import DelayRecord, Profile, save_profile
 from drivers.v4l2.camera import V4l2Camera, V4l2Options
 
 #: Exposures of a list of settings, x 100 us.

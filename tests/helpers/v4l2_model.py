@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
-from camctl.clock import VirtualClock
+from camctl.interface.camera import Pixels
+from camctl.interface.clock import VirtualClock
 from drivers.v4l2 import abi
 from drivers.v4l2.abi import ControlId, ControlType, fourcc
 

@@ -16,11 +16,11 @@ import usb.core
 from guest_processes import Forked, clock_in_step, spawner, wait_for
 
 from camctl import CaptureReport, read_report
-from camctl.backends import open_camera
-from camctl.camera import Camera, StreamingCamera
-from camctl.captures.frame_record import FrameRecord
-from camctl.controls import ExposureSetting
-from camctl.profile import DelayRecord, change_profile, load_profile
+from camctl.interface.camera import Camera, StreamingCamera
+from camctl.interface.controls import ExposureSetting
+from camctl.profiles.calibrated import open_camera
+from camctl.profiles.profile import DelayRecord, change_profile, load_profile
+from camctl.records.frame import FrameRecord
 from sim.devices.hub import Hub
 from sim.devices.hub import main as hub_main
 

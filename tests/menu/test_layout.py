@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.captures.file_names import resume_command
+from camctl.records.file_names import resume_command
 from menu.data import Settings
 from menu.layout import binned, grid
 from menu.model import Model, State

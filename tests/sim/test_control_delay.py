@@ -17,11 +17,11 @@ from steady_camera import (
     works,
 )
 
-from camctl.camera import StreamingCamera
-from camctl.clock import VirtualClock
 from camctl.errors import (
     CameraProtocolError,
 )
+from camctl.interface.camera import StreamingCamera
+from camctl.interface.clock import VirtualClock
 from sim.streaming_device import QUEUE
 
 

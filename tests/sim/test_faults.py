@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camctl.camera import Frame
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
-from camctl.controls import ExposureSetting, resting_setting
 from camctl.errors import UsageError
+from camctl.interface.camera import Frame
+from camctl.interface.controls import ExposureSetting, resting_setting
+from camctl.records.request import CaptureRequest
 from sim.backend import SimulatedOptions
 from sim.camera import SimulatedCamera
 from sim.faults import FAULT_FORMS, Faults

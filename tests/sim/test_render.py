@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.camera import Pixels
-from camctl.controls import Layout
 from camctl.errors import UsageError
+from camctl.interface.camera import Pixels
+from camctl.interface.controls import Layout
 from sim.effects.budget import plan_frame
 from sim.noise import TILE
 from sim.render import Renderer

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camctl.backends import list_cameras, open_camera
-from camctl.clock import RealClock, VirtualClock
-from camctl.controls import ExposureSetting, Layout
 from camctl.errors import CamctlError, CameraNotFoundError, DataError, UsageError
+from camctl.interface.backends import list_cameras
+from camctl.interface.clock import RealClock, VirtualClock
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.profiles.calibrated import open_camera
 from sim.backend import SimulatedBackend, SimulatedOptions
 
 

@@ -13,15 +13,15 @@ from steady_camera import (
     works,
 )
 
-from camctl.camera import Camera, Frame, PreviewingCamera, StreamingCamera
-from camctl.clock import RealClock
-from camctl.controls import ExposureSetting
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
     CameraTimeoutError,
     RefusedSettingError,
 )
+from camctl.interface.camera import Camera, Frame, PreviewingCamera, StreamingCamera
+from camctl.interface.clock import RealClock
+from camctl.interface.controls import ExposureSetting
 from camctl.testing.conformance import CameraConformance
 from sim.camera import SILENCE_S, Faults, SimulatedCamera
 from sim.scenes.scene import load_scene

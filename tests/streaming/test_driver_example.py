@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from camctl.calibration import measure_delay
-from camctl.camera import Camera, PreviewingCamera, StreamingCamera
-from camctl.clock import Clock, VirtualClock
-from camctl.profile import change_profile
+from camctl.interface.camera import Camera, PreviewingCamera, StreamingCamera
+from camctl.interface.clock import Clock, VirtualClock
+from camctl.profiles.profile import change_profile
 from camctl.testing.conformance import CameraConformance
 
 PAGE = Path(__file__).parents[2] / "docs" / "drivers.md"

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.clock import VirtualClock
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraProtocolError
+from camctl.interface.clock import VirtualClock
+from camctl.interface.controls import ExposureSetting
 from camctl.streaming import FrameClock, FrameStamp, TimestampedStream
 
 INTERVAL_S = 0.125

@@ -9,9 +9,9 @@ from random import Random
 
 import pytest
 
-from camctl.clock import VirtualClock
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraProtocolError
+from camctl.interface.clock import VirtualClock
+from camctl.interface.controls import ExposureSetting
 from camctl.streaming import ControlDelay, DelayOrigin, ExposurePipeline, TimestampedStream
 
 INTERVAL_S = 0.1

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.controls import (
+from camctl.errors import CameraProtocolError, CameraTimeoutError, RefusedSettingError
+from camctl.interface.controls import (
     ExposureControls,
     ExposureSetting,
     Layout,
@@ -17,8 +18,7 @@ from camctl.controls import (
     Steps,
     resting_setting,
 )
-from camctl.errors import CameraProtocolError, CameraTimeoutError, RefusedSettingError
-from camctl.profile import DelayRecord
+from camctl.profiles.profile import DelayRecord
 from camctl.streaming import (
     ControlDelay,
     DelayOrigin,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from camctl.errors import UsageError
-from camctl.noise_model import NoiseModel
+from camctl.model.noise import NoiseModel
 from camctl.studies.noise_optimal import NoiseOptimalProblem, noise_optimal, worst_snr
 
 NOISE = NoiseModel(40.0, ((1.0, 3.0), (8.0, 2.0)))

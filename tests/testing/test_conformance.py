@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from small_cameras import WrappedCamera
 
-from camctl.camera import Camera, Frame, FrameStream
-from camctl.controls import ExposureSetting
+from camctl.interface.camera import Camera, Frame, FrameStream
+from camctl.interface.controls import ExposureSetting
 from camctl.testing.conformance import CameraConformance
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import Scene

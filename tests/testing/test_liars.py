@@ -10,9 +10,9 @@ import pytest
 from ptp_bench import Bench, bench, in_force
 from small_cameras import WrappedCamera
 
-from camctl.camera import Camera, Frame, FrameStream
-from camctl.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import CameraDisconnectedError, CameraTimeoutError
+from camctl.interface.camera import Camera, Frame, FrameStream
+from camctl.interface.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin
 from camctl.testing.conformance import CameraConformance
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import Scene

@@ -26,9 +26,9 @@ from camctl.cli.parameter_types import PATH, Seconds, WholeNumber
 from camctl.errors import DataError
 
 if TYPE_CHECKING:
-    from camctl.camera import CameraInfo
-    from camctl.exposure_record import ExposureRecord
-    from camctl.profile import DelayRecord, FrameTiming, Profile
+    from camctl.interface.camera import CameraInfo
+    from camctl.profiles.exposures import ExposureRecord
+    from camctl.profiles.profile import DelayRecord, FrameTiming, Profile
 
 calibrate = LazyGroup(
     "calibrate",
@@ -76,8 +76,8 @@ def delay(camera: CameraOptions, trials: int, as_json: bool) -> None:
     """
     from camctl.calibration.delay import measure_delay
     from camctl.calibration.timing import measure_still_timing
-    from camctl.camera import StreamingCamera
-    from camctl.profile import change_profile
+    from camctl.interface.camera import StreamingCamera
+    from camctl.profiles.profile import change_profile
 
     with camera.open(profile="none") as opened, progress_bar("changing the exposure") as bar:
         info = opened.info
@@ -210,7 +210,7 @@ def exposure(
     times each; for others, change the light and measure again: settings measured earlier are kept
     where they are not measured now. Later captures use the result in place of the stated exposures.
     """
-    from camctl.profile import change_profile
+    from camctl.profiles.profile import change_profile
 
     context = click.get_current_context()
     if folder is None:
@@ -242,7 +242,7 @@ def _measure(
 ) -> tuple[CameraInfo, str, ExposureRecord]:
     from camctl.calibration.exposures import measure_exposures
     from camctl.cli.calibrate.exposure_series import response_of
-    from camctl.exposure_record import exposure_mode
+    from camctl.profiles.exposures import exposure_mode
 
     with (
         camera.open(profile="response,noise") as opened,
@@ -262,7 +262,7 @@ def _measure(
 def _from_capture(folder: Path, response: str | None) -> tuple[CameraInfo, str, ExposureRecord]:
     from camctl.calibration.exposures import record_of_frames
     from camctl.cli.calibrate.exposure_series import SeriesOptions, stored_capture
-    from camctl.exposure.patches import LightScale, sample_patches
+    from camctl.evidence.patches import LightScale, sample_patches
 
     stored = stored_capture(SeriesOptions((folder,)))
     if stored is None:

@@ -81,8 +81,8 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
     from camctl.calibration.single_steps import StepOptions
     from camctl.calibration.steps import calibrate
     from camctl.errors import CaptureError
-    from camctl.exposure_record import exposure_mode
-    from camctl.profile import load_profile
+    from camctl.profiles.exposures import exposure_mode
+    from camctl.profiles.profile import load_profile
 
     with camera.open(profile="none") as opened:
         info, mode = opened.info, exposure_mode(opened.controls)

@@ -12,23 +12,23 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from camctl.captures.report_file import FRAMES, REPORT
 from camctl.cli.options import option_group
 from camctl.cli.output import print_warning
 from camctl.cli.parameter_types import PATH
 from camctl.cli.photograph_options import BLACK_OPTION, TIMES_OPTION, WHITE_OPTION
-from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
-from camctl.merging.photograph_files import check_times, read_photograph, unknown_time
+from camctl.interface.controls import Layout
+from camctl.photographs.files import check_times, read_photograph, unknown_time
+from camctl.records.report_file import FRAMES, REPORT
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from camctl.calibration.response_series import Series
-    from camctl.camera import CameraInfo
-    from camctl.captures.report import CaptureReport
-    from camctl.controls import ExposureControls
-    from camctl.response.camera import CameraResponse
+    from camctl.interface.camera import CameraInfo
+    from camctl.interface.controls import ExposureControls
+    from camctl.model.response.camera import CameraResponse
+    from camctl.records.report import CaptureReport
     from drivers.common.still_file import Still
 
 
@@ -99,7 +99,7 @@ class StoredCapture:
     @cached_property
     def mode(self) -> str:
         """The camera's mode, as its profile names it; a frame is read for it."""
-        from camctl.exposure_record import mode_name
+        from camctl.profiles.exposures import mode_name
 
         shape = self.report.frame(self.positions[0]).shape
         return mode_name(self.report.layout, shape, self.report.white, self.report.pixel_format)
@@ -116,7 +116,7 @@ class StoredCapture:
             UsageError: there is no response of that name
         """
         from camctl.calibration.noise_pairs import channel_names
-        from camctl.profile import load_profile
+        from camctl.profiles.profile import load_profile
 
         white = self.report.white
         if name is None:
@@ -135,7 +135,7 @@ class StoredCapture:
 
 def response_named(name: str, bits: int, black: int, white: int) -> CameraResponse:
     """Return a response by its name, for files with these levels."""
-    from camctl.response.camera import linear_response, named_response
+    from camctl.model.response.camera import linear_response, named_response
 
     return named_response(name, bits, white - black) or linear_response(
         bits, phase=0.5 if black else 0.0, levels=white - black
@@ -156,7 +156,7 @@ def stored_capture(source: SeriesOptions) -> StoredCapture | None:
         DataError: the folder holds no complete capture, or frames belong to none
         UsageError: options of photographs are given for a capture
     """
-    from camctl.captures.folder_store import read_report
+    from camctl.records.folder_store import read_report
 
     if len(source.files) == 1 and source.files[0].is_dir():
         folder, names = source.files[0], None

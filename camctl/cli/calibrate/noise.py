@@ -35,9 +35,9 @@ from camctl.cli.parameter_types import Seconds, WholeNumber
 from camctl.errors import DataError, UsageError
 
 if TYPE_CHECKING:
-    from camctl.camera import CameraInfo
-    from camctl.noise_record import DarkRecord, Figure, NoiseRecord
-    from camctl.profile import Profile
+    from camctl.interface.camera import CameraInfo
+    from camctl.profiles.noise import DarkRecord, Figure, NoiseRecord
+    from camctl.profiles.profile import Profile
 
 
 @command(
@@ -144,7 +144,7 @@ def _from_camera(
     response: str | None,
 ) -> tuple[CameraInfo, str, NoiseRecord]:
     from camctl.calibration.noise import LONGEST_S, measure_noise
-    from camctl.exposure_record import exposure_mode
+    from camctl.profiles.exposures import exposure_mode
 
     with camera.open(profile="response") as opened, progress_bar("shooting pairs") as bar:
         record = measure_noise(
@@ -160,8 +160,8 @@ def _from_camera(
 
 def _dark(camera: CameraOptions, longest_s: float | None) -> tuple[CameraInfo, str, NoiseRecord]:
     from camctl.calibration.dark import LONGEST_S, measure_dark
-    from camctl.exposure_record import exposure_mode
-    from camctl.profile import load_profile
+    from camctl.profiles.exposures import exposure_mode
+    from camctl.profiles.profile import load_profile
 
     with camera.open(profile="none") as opened, progress_bar("shooting dark frames") as bar:
         info, mode = opened.info, exposure_mode(opened.controls)
@@ -184,7 +184,7 @@ def _from_files(
 
     if (stored := stored_capture(source)) is not None:
         return _from_capture(stored, response, is_flat)
-    from camctl.controls import ExposureSetting
+    from camctl.interface.controls import ExposureSetting
 
     frames: NoiseFrames | None = None
     for path, still, time_s in read_stills(source):
@@ -220,7 +220,7 @@ def _from_capture(
 
 
 def _keep(info: CameraInfo, mode: str, record: NoiseRecord) -> Path:
-    from camctl.profile import change_profile
+    from camctl.profiles.profile import change_profile
 
     def keep(profile: Profile) -> None:
         earlier = profile.noises.get(mode)

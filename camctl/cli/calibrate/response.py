@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from camctl.calibration.response import ResponseEstimate
     from camctl.calibration.response_series import Series
-    from camctl.camera import CameraInfo
-    from camctl.response_record import ResponseRecord
+    from camctl.interface.camera import CameraInfo
+    from camctl.profiles.response import ResponseRecord
 
 _METHODS = ("camctl", "debevec", "robertson")
 _CHARTS = ("macbeth",)
@@ -223,7 +223,7 @@ def _from_camera(
     camera: CameraOptions, count: int, longest_s: float, how: EstimateOptions
 ) -> tuple[CameraInfo, str, Series, list[NDArray[Any]]]:
     from camctl.calibration.response_shooting import measure_response
-    from camctl.exposure_record import exposure_mode
+    from camctl.profiles.exposures import exposure_mode
 
     with (
         camera.open(profile="exposures") as opened,
@@ -283,7 +283,7 @@ def _is_exact(series: Series, record: ResponseRecord) -> bool:
 
 
 def _keep(info: CameraInfo, mode: str, record: ResponseRecord, series: Series) -> Path:
-    from camctl.profile import Profile, change_profile
+    from camctl.profiles.profile import Profile, change_profile
 
     def keep(profile: Profile) -> None:
         profile.responses[mode] = record
@@ -297,7 +297,7 @@ def _write_curve(path: Path, record: ResponseRecord) -> None:
     """Write the curve of a channel, green where there are three, in two columns."""
     import numpy as np
 
-    from camctl.files import write_bytes
+    from camctl.system.files import write_bytes
 
     levels = record.camera_response().levels
     brightness = (np.arange(1, levels.size + 1) - record.phase) / (levels.size + 1)
@@ -308,7 +308,7 @@ def _write_curve(path: Path, record: ResponseRecord) -> None:
 
 
 def _json(record: ResponseRecord) -> dict[str, Any]:
-    from camctl.response_record import Z_95
+    from camctl.profiles.response import Z_95
 
     described = record.model_dump()
     for channel in described["channels"]:
@@ -321,7 +321,7 @@ def _table(record: ResponseRecord) -> str:
     """Return one row for some brightness levels: irradiance of each channel, and its confidence."""
     import numpy as np
 
-    from camctl.response_record import Z_95
+    from camctl.profiles.response import Z_95
 
     headings = ["brightness"]
     for channel in record.channels:

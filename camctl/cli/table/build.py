@@ -136,8 +136,8 @@ def build(
     the table: after an interruption, the same command continues.
     """
     from camctl.exposure.build import build_table, table_jobs
-    from camctl.files import check_replaceable
     from camctl.studies.parallel import processes
+    from camctl.system.files import check_replaceable
 
     check_replaceable(output)
     if output.exists() and not force:

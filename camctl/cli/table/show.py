@@ -23,12 +23,12 @@ from camctl.cli.parameter_types import PATH, DynamicRange
 from camctl.cli.response_options import RESPONSE, RealCameraOptions, real_camera_options
 from camctl.cli.sensitivity import sensitivity_json, sensitivity_table
 from camctl.errors import DataError, UsageError
-from camctl.number_text import range_text
+from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.exposure.robustness import Robustness
     from camctl.exposure.table import TableEntry
-    from camctl.response.camera import CameraResponse
+    from camctl.model.response.camera import CameraResponse
 
 
 @command(
@@ -161,7 +161,7 @@ def _chosen_by_accuracy(camera: KnownCamera) -> list[TableEntry]:
     from camctl.exposure.accuracy_lookup import accuracy_jobs
     from camctl.exposure.exposure_choices import AccuracyProblem
     from camctl.exposure.table import accuracy_rows
-    from camctl.response.desired import RANGES, RESPONSES, desired_response
+    from camctl.model.response.desired import RANGES, RESPONSES, desired_response
 
     problems = [
         AccuracyProblem(
@@ -197,7 +197,7 @@ def _effective_levels(
     entries: list[TableEntry], camera: KnownCamera, real: CameraResponse | None
 ) -> list[float]:
     """Return the effective levels of each row, with the camera's noise where it is known."""
-    from camctl.response.desired import desired_response
+    from camctl.model.response.desired import desired_response
 
     if camera.noise is None:
         return [entry.effective_levels for entry in entries]
@@ -221,7 +221,7 @@ def _cameras(entries: list[TableEntry], real: CameraResponse | None) -> dict[str
 def _robustness(entries: list[TableEntry], real: CameraResponse | None) -> list[Robustness]:
     """Return the robustness of each row."""
     from camctl.exposure.robustness import sensitivity
-    from camctl.response.desired import desired_response
+    from camctl.model.response.desired import desired_response
 
     robustness = []
     exposures = sum(entry.n for entry in entries)
@@ -293,7 +293,7 @@ def _rows_text(entries: list[TableEntry], levels: list[float], *, noise_known: b
 
 def _place(entry: TableEntry) -> tuple[int, float, int]:
     """Return the order of rows: by response, range and number of exposures."""
-    from camctl.response.desired import RESPONSES
+    from camctl.model.response.desired import RESPONSES
 
     names = list(RESPONSES)
     is_known = entry.response in names

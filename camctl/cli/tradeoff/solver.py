@@ -23,7 +23,7 @@ from camctl.cli.output import (
 from camctl.cli.parameter_types import DynamicRange, ListOf, Name, Number, WholeNumber
 from camctl.cli.response_options import RESPONSE, RESPONSES
 from camctl.cli.tradeoff.study_options import StudyOptions, study_options
-from camctl.number_text import range_text
+from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.studies.solver_study import SolverStudy

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from camctl.clock import Clock
 from camctl.errors import CameraProtocolError, CameraTimeoutError
+from camctl.interface.clock import Clock
 from drivers.common.serial_link import SerialLink
 from drivers.coolpix.sierra.packets import (
     ACK,

@@ -6,8 +6,8 @@ import itertools
 from collections.abc import Callable
 from typing import TypeVar
 
-from camctl.clock import Clock
 from camctl.errors import CameraProtocolError, CameraTimeoutError, UsageError
+from camctl.interface.clock import Clock
 from drivers.common.serial_link import SerialLink
 from drivers.coolpix.sierra.commands import MAX_BAD_ANSWERS, MAX_SILENCES, Commands
 from drivers.coolpix.sierra.packets import (

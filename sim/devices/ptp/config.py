@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from camctl.controls import Layout
 from camctl.errors import UsageError
+from camctl.interface.controls import Layout
 from sim.devices.common import Controllable, DeviceConfig, VirtualSensor
 from sim.devices.ptp.body_facts import BodyFacts, load_body, manners_of
 from sim.devices.still_body import CARD_BYTES

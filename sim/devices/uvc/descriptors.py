@@ -14,9 +14,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from camctl.backends import FrameShape
-from camctl.controls import Layout
 from camctl.errors import UsageError, unknown_name
+from camctl.interface.backends import FrameShape
+from camctl.interface.controls import Layout
 from sim.devices.common import DeviceConfig, VirtualSensor
 from sim.devices.uvc.controls import CAMERA, CONTROLS, PROCESSING
 

@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
-from camctl.controls import ExposureSetting
-from camctl.picture_operations import required_opencv
+from camctl.interface.camera import Pixels
+from camctl.interface.controls import ExposureSetting
+from camctl.system.picture_operations import required_opencv
 from sim.devices.clock import DeviceClock
 from sim.devices.common import VirtualSensor
 from sim.devices.uvc.controls import TICKS_PER_S

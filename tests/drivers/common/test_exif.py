@@ -14,7 +14,7 @@ import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.controls import Layout
+from camctl.interface.controls import Layout
 from drivers.common.exif import StatedExposure, exposure_time_s, stated_exposure
 from sim.devices.still_files import RawImage, encode
 

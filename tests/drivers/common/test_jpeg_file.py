@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError
-from camctl.library_output import with_messages
+from camctl.system.library_output import with_messages
 from drivers.common.still_file import read_still
 
 ROWS, COLUMNS = 160, 208

@@ -15,7 +15,6 @@ import pytest
 import serial
 from error_lines import one_line
 
-from camctl.clock import RealClock
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -24,6 +23,7 @@ from camctl.errors import (
     CameraTimeoutError,
     UsageError,
 )
+from camctl.interface.clock import RealClock
 from drivers.common.serial_link import SerialLink
 from drivers.coolpix.sierra.packets import Register
 from drivers.coolpix.sierra.session import Sierra

@@ -20,8 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from camctl.controls import Layout
 from camctl.errors import CameraProtocolError, UsageError
+from camctl.interface.controls import Layout
 from drivers.common.still_file import MAX_PIXELS, read_still
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]

@@ -16,9 +16,9 @@ from coolpix_bench import (
     virtual_coolpix,
 )
 
-from camctl.camera import Camera
-from camctl.controls import ExposureSetting, Layout
-from camctl.profile import StillRecord, change_profile, load_profile
+from camctl.interface.camera import Camera
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.profiles.profile import StillRecord, change_profile, load_profile
 from camctl.testing.conformance import CameraConformance
 from drivers.common.still_file import read_still
 from drivers.coolpix.camera import CoolpixCamera

@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from camctl.clock import VirtualClock
-from camctl.controls import Layout
 from camctl.errors import CameraProtocolError
+from camctl.interface.clock import VirtualClock
+from camctl.interface.controls import Layout
 from drivers.coolpix.pictures import CardPicture, download, is_next, wait_for_picture
 from drivers.coolpix.sierra.packets import RefusedCommandError, Register
 from drivers.coolpix.sierra.session import Sierra

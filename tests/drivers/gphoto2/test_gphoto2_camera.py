@@ -16,12 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camctl.backends import is_local, list_cameras
-from camctl.camera import CameraInfo
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
-from camctl.clock import VirtualClock
-from camctl.controls import Choices, ExposureSetting, ResponseOrigin
 from camctl.errors import (
     CamctlError,
     CameraBusyError,
@@ -33,6 +28,11 @@ from camctl.errors import (
     RefusedSettingError,
     UsageError,
 )
+from camctl.interface.backends import is_local, list_cameras
+from camctl.interface.camera import CameraInfo
+from camctl.interface.clock import VirtualClock
+from camctl.interface.controls import Choices, ExposureSetting, ResponseOrigin
+from camctl.records.request import CaptureRequest
 from drivers.gphoto2 import process
 from drivers.gphoto2.backend import Gphoto2Backend, Listed
 from drivers.gphoto2.body import Body

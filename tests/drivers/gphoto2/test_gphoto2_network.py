@@ -11,9 +11,9 @@ import pytest
 from network_bench import camera_on_tcp
 
 import camctl
-from camctl.camera import Camera
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraError
+from camctl.interface.camera import Camera
+from camctl.interface.controls import ExposureSetting
 from drivers.gphoto2.process import FullError
 from sim.devices.ptp.network import NetworkCamera as VirtualCamera
 

@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 from mjpg_server import SHAPE, NetworkCamera, network_camera, picture
 
-from camctl.backends import is_local
-from camctl.camera import Camera
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
-from camctl.clock import RealClock
-from camctl.controls import Choices, ExposureSetting, Layout, ResponseOrigin, Steps
 from camctl.errors import (
     CamctlError,
     CameraDisconnectedError,
@@ -26,6 +21,11 @@ from camctl.errors import (
     RefusedSettingError,
     UsageError,
 )
+from camctl.interface.backends import is_local
+from camctl.interface.camera import Camera
+from camctl.interface.clock import RealClock
+from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin, Steps
+from camctl.records.request import CaptureRequest
 from camctl.testing.conformance import CameraConformance
 from drivers.opencv import video
 from drivers.opencv.backend import OpencvBackend

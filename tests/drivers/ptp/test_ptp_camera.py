@@ -12,8 +12,6 @@ import pytest
 import usb.core
 from ptp_bench import bench, camera_on, settings_at, shoot, virtual_sensor
 
-from camctl.camera import OriginalFile
-from camctl.controls import Choices, Control, ExposureSetting, Layout, ResponseOrigin
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -24,7 +22,9 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
-from camctl.profile import StillRecord, change_profile, load_profile
+from camctl.interface.camera import OriginalFile
+from camctl.interface.controls import Choices, Control, ExposureSetting, Layout, ResponseOrigin
+from camctl.profiles.profile import StillRecord, change_profile, load_profile
 from drivers.ptp.backend import PtpBackend
 from drivers.ptp.camera import PtpCamera, PtpOptions
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera

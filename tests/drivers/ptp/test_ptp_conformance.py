@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 import pytest
 from ptp_bench import Bench, bench, in_force
 
-from camctl.camera import Camera
-from camctl.controls import ExposureSetting, Layout
+from camctl.interface.camera import Camera
+from camctl.interface.controls import ExposureSetting, Layout
 from camctl.testing.conformance import CameraConformance
 
 

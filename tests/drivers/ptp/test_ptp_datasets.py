@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.controls import Choices, Steps
 from camctl.errors import CameraError, CameraProtocolError
+from camctl.interface.controls import Choices, Steps
 from drivers.ptp.datasets import (
     DeviceInfo,
     ObjectInfo,

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from ptp_bench import bench, camera_on, settings_at, shoot
 
-from camctl.camera import Frame
 from camctl.errors import (
     CamctlError,
     CameraBusyError,
@@ -21,6 +20,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from camctl.interface.camera import Frame
 from drivers.ptp.camera import PtpCamera
 from drivers.ptp.transport import CAPTURE_S, NORMAL_S
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera

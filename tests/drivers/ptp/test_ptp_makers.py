@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from ptp_bench import bench, camera_on, operations, settings_at, shoot
 
-from camctl.controls import Choices, ExposureSetting
 from camctl.errors import CameraError, CameraProtocolError
+from camctl.interface.controls import Choices, ExposureSetting
 from drivers.ptp import makers
 from drivers.ptp.camera import PtpCamera
 from drivers.ptp.makers import NIKON, dialect_of

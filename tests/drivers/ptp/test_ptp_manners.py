@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from ptp_bench import bench, camera_on, settings_at, shoot
 
-from camctl.controls import ExposureSetting, Layout
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
-from camctl.profile import StillRecord, change_profile, load_profile
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.profiles.profile import StillRecord, change_profile, load_profile
 from drivers.ptp.shooting import Shooter
 from sim.devices.ptp.camera import PtpCamera as VirtualCamera
 from sim.devices.ptp.protocol import Format, Reply

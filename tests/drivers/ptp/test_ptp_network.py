@@ -24,9 +24,6 @@ from network_bench import (
 from ptp_bench import camera_on, in_force, settings_at, shoot
 
 import camctl
-from camctl.camera import Camera
-from camctl.clock import VirtualClock
-from camctl.controls import ExposureSetting
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -36,6 +33,9 @@ from camctl.errors import (
     CameraTimeoutError,
     UsageError,
 )
+from camctl.interface.camera import Camera
+from camctl.interface.clock import VirtualClock
+from camctl.interface.controls import ExposureSetting
 from camctl.testing.conformance import CameraConformance
 from drivers.ptp.codes import OK, Op
 from drivers.ptp.network_link import Address, PacketLink

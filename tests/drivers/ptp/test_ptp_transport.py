@@ -14,7 +14,6 @@ import usb.core
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.clock import VirtualClock
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -22,6 +21,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
+from camctl.interface.clock import VirtualClock
 from drivers.ptp.transport import DATA, RESPONSE, IncompleteDataError
 from drivers.ptp.usb_transport import UsbTransport
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import vusb_backend
 
-from camctl.controls import Layout
+from camctl.interface.controls import Layout
 from sim.devices.still_files import RawImage, encode
 
 CLIENT = Path(vusb_backend.__file__).with_name("vusb_client.py")

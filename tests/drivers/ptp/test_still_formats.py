@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camctl.controls import Layout
+from camctl.interface.controls import Layout
 from drivers.common.known_format import FORMATS, FormatChangedError, KnownFormat, matched_pixels
 from drivers.common.still_file import Still
 from drivers.ptp.datasets import ObjectInfo

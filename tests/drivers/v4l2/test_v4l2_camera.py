@@ -12,8 +12,6 @@ import pytest
 from v4l2_bench import one_frame, open_model, opening_error
 from v4l2_model import PATH, Model, Register, ticks_of
 
-from camctl.camera import PreviewingCamera, StreamingCamera
-from camctl.controls import Choices, ExposureSetting, Steps
 from camctl.errors import (
     CamctlError,
     CameraBusyError,
@@ -24,6 +22,8 @@ from camctl.errors import (
     CameraTimeoutError,
     RefusedSettingError,
 )
+from camctl.interface.camera import PreviewingCamera, StreamingCamera
+from camctl.interface.controls import Choices, ExposureSetting, Steps
 from drivers.v4l2.abi import Caps, ControlFlag, ControlId, ControlType, Request
 from drivers.v4l2.camera import V4l2Camera
 from drivers.v4l2.system import camera_error, processes_using

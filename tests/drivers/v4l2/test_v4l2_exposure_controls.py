@@ -7,8 +7,8 @@ import pytest
 from v4l2_bench import open_model, opening_error
 from v4l2_model import PATH, Model, Register, brightness
 
-from camctl.controls import Choices, ExposureSetting, Steps
 from camctl.errors import CameraError, RefusedSettingError, UsageError
+from camctl.interface.controls import Choices, ExposureSetting, Steps
 from drivers.v4l2.abi import ControlId, ControlType
 
 pytestmark = pytest.mark.usefixtures("own_profiles")

@@ -9,8 +9,8 @@ import pytest
 from v4l2_bench import one_frame, open_model, opening_error
 from v4l2_model import COLUMNS, ROWS, Model, brightness
 
-from camctl.controls import Layout, ResponseOrigin
 from camctl.errors import CameraError, CameraProtocolError, UsageError
+from camctl.interface.controls import Layout, ResponseOrigin
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 

@@ -13,10 +13,10 @@ import pytest
 from v4l2_bench import TICKS, exposures, open_streaming, save_delay, settings
 from v4l2_model import Model, ticks_of
 
-from camctl.camera import Camera
-from camctl.clock import VirtualClock
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraProtocolError
+from camctl.interface.camera import Camera
+from camctl.interface.clock import VirtualClock
+from camctl.interface.controls import ExposureSetting
 from camctl.testing.conformance import CameraConformance
 
 pytestmark = pytest.mark.usefixtures("own_profiles")

@@ -12,7 +12,6 @@ from v4l2_bench import TICKS, exposures, open_streaming, save_delay, settings
 from v4l2_model import PATH, Model, ticks_of
 
 from camctl.calibration.delay import measure_delay
-from camctl.captures.request import CaptureRequest
 from camctl.captures.sequencer import capture
 from camctl.errors import (
     CameraDisconnectedError,
@@ -20,6 +19,7 @@ from camctl.errors import (
     CameraTimeoutError,
     RefusedSettingError,
 )
+from camctl.records.request import CaptureRequest
 from drivers.v4l2.abi import ControlId
 
 pytestmark = pytest.mark.usefixtures("own_profiles")

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camctl.clock import VirtualClock
 from camctl.errors import CamctlError, UsageError
+from camctl.interface.clock import VirtualClock
 from menu.drawing import Drawing, draw
 from menu.panels.framebuffer import FramebufferPanel
 from menu.panels.input_keys import InputKeys

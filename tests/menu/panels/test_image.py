@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from panel_fakes import FakeJob
 
-from camctl.clock import VirtualClock
 from camctl.errors import UsageError
+from camctl.interface.clock import VirtualClock
 from menu.app import run
 from menu.drawing import draw
 from menu.model import State

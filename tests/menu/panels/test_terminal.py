@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator
 import pytest
 from pseudo_terminal import HELPERS, Terminal, program_environment
 
-from camctl.backends import PANELS, load
 from camctl.errors import UsageError
+from camctl.interface.backends import PANELS, load
 from menu.panels.terminal import TerminalPanel
 
 MENU = """
@@ -26,7 +26,7 @@ print("returned", run(TerminalPanel(), FakeJob))
 """
 MENU_THAT_KEEPS_SHOOTING = """
 import sys
-from camctl.interrupts import Interrupt, run_interruptible, signal_handlers
+from camctl.system.interrupts import Interrupt, run_interruptible, signal_handlers
 from panel_fakes import FakeJob
 from menu.app import run
 from menu.panels.terminal import TerminalPanel

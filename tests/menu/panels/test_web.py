@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from camctl.errors import UsageError
-from camctl.picture_operations import png
+from camctl.system.picture_operations import png
 from menu.drawing import draw
 from menu.panels.web import SIZE, WebPanel
 from menu.ports import Key, Line, Screen

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
-from camctl.controls import Layout
 from camctl.errors import UsageError
+from camctl.interface.camera import Pixels
+from camctl.interface.controls import Layout
 from sim.devices.still_files import RawImage, encode, thumbnail
 
 MOSAICS = [layout for layout in Layout if layout.is_mosaic]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camctl.controls import ExposureSetting
+from camctl.interface.controls import ExposureSetting
 from sim.camera import SimulatedCamera
 from sim.devices.common import VirtualSensor
 from sim.scenes.scene import load_scene

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.camera import Pixels
+from camctl.interface.camera import Pixels
 from sim.effects.bounds import Bounds
 from sim.effects.budget import greedy, plan_frame
 from sim.effects.record import Shot

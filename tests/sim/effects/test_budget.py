@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.controls import ExposureSetting
 from camctl.errors import UsageError
+from camctl.interface.controls import ExposureSetting
 from sim.camera import SimulatedCamera
 from sim.effects import EFFECTS, effect_names
 from sim.effects.bounds import Bounds, absolute_shift, relative_shift

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import camctl.camera
-from camctl.controls import Layout
+import camctl.interface.camera
+from camctl.interface.controls import Layout
 from sim.effects import EFFECTS
 from sim.effects.budget import plan_frame
 from sim.effects.charge import cosmic_hits
@@ -64,7 +64,7 @@ def frame(
     *,
     left_out: Collection[str] = (),
     threads: int = 2,
-) -> camctl.camera.Pixels:
+) -> camctl.interface.camera.Pixels:
     renderer = Renderer(View.of(scene, sensor), sensor, seed=9, threads=threads)
     shot = renderer.shot(time_s, 1.0, 5, start_s=1.234)
     return renderer.expose(shot, plan_frame(shot, 0.0, left_out=left_out))

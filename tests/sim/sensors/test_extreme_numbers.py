@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camctl.controls import ExposureSetting
 from camctl.errors import CamctlError
+from camctl.interface.controls import ExposureSetting
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import Scene, load_scene
 from sim.sensors.sensor import load_sensor

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from camctl.controls import Layout
 from camctl.errors import DataError, UsageError
+from camctl.interface.controls import Layout
 from sim.effects import effect_names
 from sim.noise import largest_noise
 from sim.render import Renderer

@@ -15,8 +15,8 @@ from device_conformance import DeviceConformance
 from error_lines import one_line
 
 from camctl import read_report
-from camctl.camera import Frame
 from camctl.errors import CameraError
+from camctl.interface.camera import Frame
 
 CAMERA = r"the camera at /dev/serial/by-id/\S+"
 LONG_BRACKET = ("--ratios", "1,2,4,5,62.5", "--base", "0.002")

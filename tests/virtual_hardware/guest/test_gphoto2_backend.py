@@ -12,8 +12,8 @@ import pytest
 import virtual_devices as rig
 from device_conformance import DeviceConformance
 
-from camctl.backends import open_camera
-from camctl.camera import Camera, Frame
+from camctl.interface.camera import Camera, Frame
+from camctl.profiles.calibrated import open_camera
 
 
 def shoot(camera: Camera) -> list[Frame]:

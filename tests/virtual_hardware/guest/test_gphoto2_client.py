@@ -11,7 +11,7 @@ import pytest
 import tifffile
 import virtual_devices as rig
 
-from camctl.camera import Pixels
+from camctl.interface.camera import Pixels
 
 REASON = gphoto2_client.missing()
 pytestmark = pytest.mark.skipif(REASON is not None, reason=REASON or "")

@@ -16,8 +16,8 @@ from device_conformance import DeviceConformance
 from error_lines import one_line
 
 from camctl import read_report
-from camctl.camera import Frame
 from camctl.errors import CameraError
+from camctl.interface.camera import Frame
 
 CAMERA = r"Virtual PTP camera at USB \d+:\d+"
 LONG_BRACKET = ("--ratios", "1,2,4,8,16", "--base", "0.002")

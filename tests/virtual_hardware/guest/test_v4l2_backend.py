@@ -18,8 +18,8 @@ from device_conformance import DeviceConformance
 from error_lines import one_line
 
 from camctl import CaptureRequest, capture, read_report
-from camctl.controls import ExposureSetting
 from camctl.errors import CameraError
+from camctl.interface.controls import ExposureSetting
 
 LONG_BRACKET = ("--ratios", "1,1.5,2,3,4,6,8,12", "--base", "0.002")
 LONGER_BRACKET = ("--ratios", "1,1.5,2,3,4,6,8,12,16,20,24,30", "--base", "0.002")

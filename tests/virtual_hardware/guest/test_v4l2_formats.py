@@ -18,8 +18,8 @@ from error_lines import one_line
 from guest_processes import wait_for
 from numpy.typing import NDArray
 
-from camctl.controls import Layout
 from camctl.errors import CameraBusyError, CameraError, UsageError
+from camctl.interface.controls import Layout
 from drivers.v4l2 import abi
 from drivers.v4l2.camera import V4l2Camera
 from drivers.v4l2.capture import Capture, StreamMode

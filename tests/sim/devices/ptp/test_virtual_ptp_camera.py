@@ -13,8 +13,8 @@ import tifffile
 from numpy.typing import NDArray
 from ptp_initiator import BUSY, OK, connected, make_camera, numbers
 
-from camctl.controls import Layout
 from camctl.errors import UsageError
+from camctl.interface.controls import Layout
 from sim.devices.common import VirtualSensor
 from sim.devices.ptp.camera import configuration_descriptor
 from sim.scenes.scene import load_scene

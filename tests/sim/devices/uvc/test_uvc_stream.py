@@ -17,7 +17,7 @@ import usb.core
 from numpy.typing import NDArray
 from uvc_host import BACKLIGHT, BRIGHTNESS, GAIN, MODE, PRIORITY, TIME, WHITE_AUTO, Control, Host
 
-from camctl.controls import ExposureSetting, Layout
+from camctl.interface.controls import ExposureSetting, Layout
 from sim.camera import SimulatedCamera
 from sim.devices.clock import DeviceClock, RealDeviceClock, VirtualDeviceClock
 from sim.devices.common import VirtualSensor

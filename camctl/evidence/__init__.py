@@ -1,0 +1,1 @@
+"""What the frames of one scene say of each other."""

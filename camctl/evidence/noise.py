@@ -1,0 +1,286 @@
+"""The noise of a capture, measured in its own pixels.
+
+Where two frames are both within their range, the difference of the irradiances that they give for a
+pixel is noise and quantisation alone: the scene cancels.  Its variance over patches of different
+brightness gives electrons per level and read noise (the photon transfer method of EMVA 1288, with
+pairs of frames of any exposures instead of equal ones).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.evidence.patches import Patches
+from camctl.model.distribution import MAX_READ_NOISE, MIN_ELECTRONS
+from camctl.model.effective import EffectiveCamera
+from camctl.model.inverse import Posterior
+from camctl.model.noise import FrameNoise, MeasuredNoise
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.desired import DesiredResponse
+
+#: Patches with a mean below this level are not used: clipping at black lessens their noise, and
+#: with little noise many of their samples are alike.
+_LEAST_LEVEL = 4.0
+#: Samples above this share of full scale are not used: clipping at white lessens their noise.
+_HIGHEST = 0.9
+#: Share of the samples of a patch that must be usable, and the fewest patches for a measurement.
+_LEAST_USABLE, _LEAST_PATCHES = 0.75, 48
+#: Patches of more contrast are not used: an error of the exposures would add to their difference.
+_MOST_CONTRAST = 0.1
+#: A patch whose variance is more than this many standard deviations from the fit has moved.
+_MOST_DEVIATIONS = 4.0
+_ROUNDS = 8
+#: Effective levels more uncertain than by this share are not stated: patches of nearly one
+#: brightness do not tell photon noise from read noise.
+_MOST_UNCERTAIN = 0.25
+#: Harmonics of the error of quantisation: noise of a tenth of a step leaves 0.16 of the third.
+_HARMONICS, _SMALLEST_STEP = 3, 1e-12
+
+_Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Patches:
+    """Variances of the differences of frames, in levels squared; one row for each patch.
+
+    Attributes:
+        variance: measured
+        terms: (K, 2): what one inverse electron per level, and read noise of one level, add
+        step: that of the shorter frame's quantiser, squared
+        rounding: what the quantiser of the longer frame adds
+        phases: (K, harmonics): means of exp(2 pi i k m) over the samples, where m is the light in
+            steps of the shorter frame, k = 1, 2, ...
+        freedom: degrees of freedom of the variance
+    """
+
+    variance: _Floats
+    terms: _Floats
+    step: _Floats
+    rounding: _Floats
+    phases: NDArray[np.complexfloating[Any, Any]]
+    freedom: _Floats
+
+    @staticmethod
+    def joined(parts: Sequence[_Patches]) -> _Patches:
+        """Return the patches of all parts."""
+        names = [each.name for each in fields(_Patches)]
+        return _Patches(
+            *(np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        )
+
+    def quantisation(self, noise: _Floats) -> _Floats:
+        """Return what the quantisers add to the variance of a noise, that of the terms.
+
+        A light of m steps and Gaussian noise of s are rounded to a whole number.  Its mean square
+        error and its mean error are Fourier series of m (Widrow and Kollar, Quantization Noise,
+        2008); without their harmonics they are s^2 + 1/12 and 0.  Noise of half a step leaves
+        0.7 % of the first harmonic, that of a third of one a tenth.
+        """
+        k = np.arange(1, _HARMONICS + 1)
+        total = (noise + self.rounding)[:, None]
+        # Where noise is that of a step, they are below 1e-8.
+        square = np.minimum(total / np.maximum(self.step, _SMALLEST_STEP)[:, None], 1.0)
+        weights = (-1.0) ** k * np.exp(-2 * (math.pi * k) ** 2 * square)
+        waves = weights * self.phases.real * (1 / (math.pi * k) ** 2 + 4 * square)
+        mean_error = (weights / (math.pi * k) * self.phases.imag).sum(axis=1)
+        found = self.rounding + self.step * (1 / 12 + waves.sum(axis=1) - mean_error**2)
+        return np.asarray(found)
+
+    def fit(self) -> _Fit:
+        """Return what fits best, both noises >= 0.
+
+        Raises:
+            np.linalg.LinAlgError: the patches do not tell the two noises from each other
+        """
+        # The median of the single patches is a start that moving objects do not disturb.  It is
+        # too large by what quantisation adds: from too small a one, few patches would fit.
+        start = float(np.median(self.variance / self.terms.sum(axis=1)))
+        found, covariance = np.array([start, start]), np.zeros((2, 2))
+        for _ in range(_ROUNDS):
+            noise = self.terms @ found
+            quantisation = self.quantisation(noise)
+            expected = noise + quantisation
+            scatter = np.sqrt(2 / self.freedom) * expected
+            used = np.abs(self.variance - expected) <= (
+                _MOST_DEVIATIONS * scatter + 0.5 * quantisation
+            )
+            if np.count_nonzero(used) <= 2:
+                break
+            terms = self.terms[used] / scatter[used, None]
+            values = (self.variance - quantisation)[used] / scatter[used]
+            found, covariance = _least_squares(terms, values)
+        return _Fit(found, covariance)
+
+
+class _Fit(NamedTuple):
+    """Inverse electrons per level and squared read noise, and the covariance of both."""
+
+    noise: _Floats
+    covariance: _Floats
+
+    def neighbours(self) -> list[_Floats]:
+        """Return noises whose effects, squared and summed, are the variance of that of `noise`."""
+        found = []
+        for axis in np.linalg.cholesky(self.covariance).T:
+            inside = self.noise + axis if np.all(self.noise + axis >= 0) else self.noise - axis
+            found.append(np.maximum(inside, 0.0))
+        return found
+
+
+def _least_squares(terms: _Floats, values: _Floats) -> tuple[_Floats, _Floats]:
+    """Return two coefficients >= 0 of least squares, and the covariance of those of any sign."""
+    square, product = terms.T @ terms, terms.T @ values
+    both = np.linalg.solve(square, product)
+    residual = values - terms @ both
+    # Errors larger than those of noise alone, as by contrast, make the coefficients as uncertain.
+    scale = max(1.0, float(residual @ residual) / (values.size - 2))
+    covariance = scale * np.linalg.inv(square)
+    if both.min() >= 0:
+        return np.asarray(both), np.asarray(covariance)
+    alone = np.maximum(product / np.diagonal(square), 0.0)
+    errors = square.diagonal() * alone**2 - 2 * product * alone
+    alone[np.argmax(errors)] = 0.0
+    return np.asarray(alone), np.asarray(covariance)
+
+
+def measure_noise(
+    response: CameraResponse,
+    desired: DesiredResponse,
+    samples: Sequence[Patches],
+    exposures: Sequence[float],
+    noise: Sequence[FrameNoise],
+    gains: Sequence[float],
+) -> MeasuredNoise | None:
+    """Return the noise that the pixels show; None where too few are in range in two frames.
+
+    Args:
+        response: the camera's response as levels
+        desired: the desired response of the capture
+        samples: brightness of the same patches of each frame, (patches, samples), black included
+        exposures: relative exposures of the frames
+        noise: noise of each frame as far as it is known: black level, dark current, PRNU and DSNU,
+            which frames have in common, are taken from it
+        gains: linear gain of each frame
+    """
+    if len(exposures) < 2:
+        return None
+    black = noise[0].black
+    full = response.M + 1.0
+    order = np.argsort(exposures, kind="stable")
+    low, high = response.gaps
+    light, width = (low + high) / 2 * full, (high - low) * full
+    if black:  # samples below the first level continue its distance
+        step = width[min(1, response.M)]
+        light = np.concatenate(
+            [high[0] * full - (np.arange(black, -1, -1) + 0.5) * step, light[1:]]
+        )
+        width = np.concatenate([np.full(black + 1, step), width[1:]])
+    found = [
+        _pair(
+            [samples[k] for k in pair],
+            [exposures[k] for k in pair],
+            [gains[k] for k in pair],
+            (light, width**2),
+        )
+        for pair in zip(order[:-1].tolist(), order[1:].tolist(), strict=True)
+    ]
+    patches = _Patches.joined(found)
+    if patches.variance.size < _LEAST_PATCHES:
+        return None
+    camera = EffectiveCamera.of(response, exposures)
+
+    def levels(found: _Floats) -> float:
+        inverse, square = found.tolist()
+        electrons = max(1 / inverse, MIN_ELECTRONS) if inverse > 0 else math.inf
+        frames = [
+            FrameNoise(
+                electrons / gain,
+                min(_read_noise(square, gain, frame), MAX_READ_NOISE),
+                frame.dark_levels,
+                frame.dsnu_levels,
+                frame.prnu,
+                frame.black,
+            )
+            for gain, frame in zip(gains, noise, strict=True)
+        ]
+        return Posterior(camera, desired, frames).inverse.effective_levels
+
+    try:
+        fit = patches.fit()
+        neighbours = fit.neighbours()
+    except np.linalg.LinAlgError:
+        return None
+    middle = levels(fit.noise)
+    uncertainty = math.dist([middle] * len(neighbours), [*map(levels, neighbours)])
+    if uncertainty > _MOST_UNCERTAIN * middle:
+        return None
+    inverse, square = fit.noise.tolist()
+    return MeasuredNoise(
+        effective_levels=middle,
+        uncertainty=uncertainty,
+        electrons_per_level=1 / inverse if inverse > 0 else None,
+        read_noise_levels=math.sqrt(square),
+        samples=int(patches.freedom.sum()),
+    )
+
+
+def _read_noise(square: float, gain: float, known: FrameNoise) -> float:
+    """Return the read noise of a frame from its square at gain 1, levels.
+
+    Where none was found it is too small beside the photon noise of the patches, and the known one
+    stands.  The shot noise of the dark current grows with the time of a frame, and is known.
+    """
+    if not square:
+        return known.read_noise_levels
+    return math.hypot(
+        math.sqrt(square) * gain, math.sqrt(known.dark_levels / known.electrons_per_level)
+    )
+
+
+def _pair(
+    samples: Sequence[Patches],
+    exposures: Sequence[float],
+    gains: Sequence[float],
+    tables: tuple[_Floats, _Floats],
+) -> _Patches:
+    """Return the patches of a shorter and a longer frame that are in range in both.
+
+    Differences are in levels of the shorter frame; `tables` has light in levels and the squared
+    step for each brightness.
+    """
+    light, squared_step = tables
+    ratio = exposures[1] / exposures[0]
+    short, long = light[samples[0]], light[samples[1]] / ratio
+    usable = np.maximum(short, long * ratio) <= _HIGHEST * light[-1]
+    count = np.count_nonzero(usable, axis=1)
+
+    def mean(values: _Floats) -> _Floats:
+        return np.asarray(np.where(usable, values, 0.0).sum(axis=1) / np.maximum(count, 1))
+
+    middle = mean(long)
+    difference = short - long
+    spread = mean((difference - mean(difference)[:, None]) ** 2) * count / np.maximum(count - 1, 1)
+    # The covariance of the frames is the scene's contrast: their noise is independent.
+    contrast = mean((long - middle[:, None]) * (short - mean(short)[:, None]))
+    used = (count >= _LEAST_USABLE * usable.shape[1]) & (mean(short) >= _LEAST_LEVEL)
+    used &= contrast <= (_MOST_CONTRAST * np.maximum(middle, 1.0)) ** 2
+    photon = middle * (gains[0] + gains[1] / ratio)
+    read = np.full(middle.size, gains[0] ** 2 + (gains[1] / ratio) ** 2)
+    terms = np.stack([np.maximum(photon, 0.0), read], axis=1)
+    steps = np.interp(long[used], light, np.arange(light.size))
+    turns = np.exp(2j * math.pi * steps[..., np.newaxis] * np.arange(1, _HARMONICS + 1))
+    phases = (turns * usable[used, :, np.newaxis]).sum(axis=1) / count[used, np.newaxis]
+    return _Patches(
+        spread[used],
+        terms[used],
+        mean(squared_step[samples[0]])[used],
+        mean(squared_step[samples[1]])[used] / 12 / ratio**2,
+        phases,
+        np.maximum(count[used] - 1.0, 1.0),
+    )

@@ -1,0 +1,109 @@
+"""Samples of a frame in small patches, and their light.
+
+A patch is a square of neighbouring samples of one colour.  Its mean has little noise, and what is
+true of most patches of a frame is true of its exposure: a moving object changes only its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.model.response.camera import CameraResponse, FloatArray
+
+#: Side of a patch in samples of one colour, and the number of patches of a frame, about.
+_SIDE, _PATCHES = 8, 4800
+
+#: With fewer levels the noise of a few electrons decides which samples are saturated.
+_FEWEST_LEVELS = 8
+
+#: Distances at which the samples of a patch are compared to see whether they are equal.
+_STEPS_APART = (1, 9, 27)
+
+Patches: TypeAlias = NDArray[np.uint16]
+"""Brightness up to white, black included, (patches, samples)."""
+
+
+def sample_patches(planes: Sequence[NDArray[Any]], white: int) -> Patches:
+    """Return patches all over a frame, which is given as one array (rows, columns) a colour.
+
+    Frames of one size have the same patches, colour by colour and row by row.
+    """
+    patches = []
+    for plane in planes:
+        rows, columns, side = patch_places(plane.shape, len(planes))
+        within = np.arange(side)
+        found = plane[
+            (rows[:, None] + within)[:, None, :, None], (columns[:, None] + within)[None, :, None]
+        ]
+        patches.append(found.reshape(-1, side * side))
+    return np.asarray(np.minimum(np.concatenate(patches), white), np.uint16)
+
+
+def patch_places(
+    shape: Sequence[int], planes: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], int]:
+    """Return first rows, first columns and side of the patches of one of so many planes."""
+    side = min(_SIDE, max(1, min(shape) // 4))
+    most = math.isqrt(_PATCHES // planes)
+    rows, columns = (
+        np.linspace(0, length - side, min(length // side, most)).astype(np.intp) for length in shape
+    )
+    return rows, columns, side
+
+
+class LightScale:
+    """The irradiance of each brightness of a camera at exposure 1, from 0 to white.
+
+    Args:
+        real: the camera's response as levels
+        black: brightness without light, DN
+
+    Attributes:
+        light: (white + 1,) float64, the middle of each brightness's gap
+        gap: (white + 1,) float64, the width of the gap
+        black: as given
+        white: brightness from which samples are saturated, DN
+        full: light at white
+        level: mean width of a gap
+        is_coarse: whether there are so few levels that noise decides which samples are saturated
+        curvature: (white + 1,) float64, the second difference of `light`
+        exponent_error: that of the response
+    """
+
+    def __init__(self, real: CameraResponse, black: int) -> None:
+        low, high = real.gaps
+        self.light: FloatArray = (low + high) / 2
+        self.gap: FloatArray = high - low
+        if black:
+            # Noise around a black level has samples below it: they continue the first whole gap.
+            first, step = self.light[1], self.gap[1]
+            below = first - step * np.arange(black + 1, 0, -1)
+            self.light = np.concatenate((below, self.light[1:]))
+            self.gap = np.concatenate((np.full(black + 1, step), self.gap[1:]))
+        self.black, self.white = black, black + real.M
+        self.exponent_error = real.exponent_error
+        self.full = float(self.light[-1])
+        self.level = self.full / real.M
+        self.is_coarse = real.M < _FEWEST_LEVELS
+        self.curvature: FloatArray = np.concatenate(
+            ([0.0], np.abs(np.diff(self.light, 2)), [0.0] * min(1, self.light.size - 1))
+        )
+
+
+def shared_rounding(
+    frame: Patches, middle: NDArray[np.intp], sample: FloatArray, gap: FloatArray
+) -> FloatArray:
+    """Return the variance of the rounding error that does not average out within a patch.
+
+    Samples of one value share their error, also with the patches of the same brightness `middle`.
+    Noise of s levels averages it out, up to exp(-4 (pi s)^2) of the variance.
+    """
+    equal = np.mean([frame == np.roll(frame, step, axis=1) for step in _STEPS_APART], axis=(0, 2))
+    alike = np.bincount(middle)[middle]
+    noisy = np.exp(-4 * np.square(np.pi) * sample / gap**2)
+    return np.asarray(gap**2 / 12 * noisy * equal * (1 + (alike - 1) * equal))

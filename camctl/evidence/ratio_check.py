@@ -1,0 +1,78 @@
+"""A frame's exposure compared with its neighbour's."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import BaseModel, ConfigDict
+
+
+class ReportModel(BaseModel):
+    """A part of a report, which has no unknown fields."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+#: Share of the compared samples that may have changed by another ratio than most, for a wrong
+#: exposure; with more, only parts of the picture disagree.
+_MOST_MOVED = 0.5
+
+#: Relative depth of the flicker of sodium and fluorescent lamps.  They change the whole picture, as
+#: a wrong exposure does.
+LAMP_DEPTH = 0.4
+
+#: A thing that covers less of a frame's samples is small.
+_SMALL_THING = 0.02
+
+#: Share of a frame's samples that must be compared before its exposure counts as contradicted.
+LEAST_COMPARED = 0.1
+
+
+class RatioCheck(ReportModel):
+    """A frame's exposure compared with its neighbour's, on pixels unsaturated in both.
+
+    Attributes:
+        expected: ratio of the applied exposures
+        measured: ratio of the irradiances in the pixels; None: too few pixels to measure it
+        tolerance: relative difference up to which the two agree
+        agrees: False where they do not
+        moved: share of the compared samples that changed by another ratio than most
+        compared: share of the frame's samples that were compared
+        contradicting: share of them that contradict `expected`, all brighter or all darker
+        contradicts: whether most of many samples contradict it, by more than lamps can or by more
+            than 10 %
+    """
+
+    expected: float
+    measured: float | None
+    tolerance: float
+    agrees: bool
+    moved: float
+    compared: float = 0.0
+    contradicting: float = 0.0
+    contradicts: bool = False
+
+    @property
+    def factor(self) -> float:
+        """Factor between measured and expected ratio, at least 1; infinite where not measured."""
+        if self.measured is None:
+            return math.inf
+        return max(self.measured / self.expected, self.expected / self.measured)
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether enough samples were compared."""
+        return self.compared >= LEAST_COMPARED
+
+    @property
+    def is_one_ratio(self) -> bool:
+        """Whether most of what was compared changed by one ratio, and it is not a small thing."""
+        return self.moved <= _MOST_MOVED and self.compared >= _SMALL_THING
+
+    @property
+    def is_of_whole_picture(self) -> bool:
+        """Whether the exposures disagree, and not things that moved or light that spread.
+
+        Then many samples were compared, and most of them changed by one ratio.
+        """
+        return not self.agrees and self.is_certain and self.is_one_ratio

@@ -1,0 +1,252 @@
+"""Light that spreads from saturated pixels of the longer of two frames into others: no movement.
+
+Two effects are distinguished from movement, each by what one pair of frames shows:
+
+- Charge flows along the columns (blooming).  Contradicting pixels are then connected to saturated
+  ones along the columns far more than along the rows, or none of them lost light.
+- Lenses and programs that make JPEG files mix neighbouring pixels.  Those beside saturated ones
+  then contradict, and those a little farther away do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.evidence.limits import Limits, Ranges, local_ranges
+from camctl.evidence.pair import Pair
+from camctl.interface.camera import Pixels
+from camctl.system.picture_operations import dilated
+
+ACROSS = 2
+"""Pixels across the columns that light spreads."""
+
+BESIDE = 16
+"""Pixels from a saturated one, along the columns, up to which light flows out of it."""
+
+LOST = 0.05
+"""Light only spreads if fewer than this share of the pixels that contradict become darker."""
+
+#: Distances from saturated pixels at which contradictions are counted, pixels along the columns.
+_DISTANCES = (2, 4, 8, 16)
+#: Columns and rows that are looked at, at most, and pixels at a distance that make a share of them
+#: meaningful.
+_MOST_LINES, _RING_SAMPLES = 512, 200
+#: Charge flows along columns if so many times as many contradicting pixels are connected to
+#: saturated ones along the columns as along the rows, and so many more.
+_STREAKS, _LEAST_STREAKS = 2.0, 20
+#: Pixels of a column of which most must be darker in the shorter frame than what saturates the
+#: longer one, if charge has flooded them.
+_AROUND = 9
+#: Or if fewer than `LOST` of those connected are darker in the longer frame than expected.
+#: With unknown noise that proves nothing: what became darker may not be found in the pair before.
+#: It does not where the first to the ninth tenth of them are brighter by nearly the same factor, up
+#: to this logarithm: their light changed, as that of lamps that flicker.
+_ONE_FACTOR = 0.1
+#: Light spreads if this share of the pixels beside saturated ones contradict; the second share with
+#: unknown noise, since errors of JPEG files are larger there.  It ends where the share is less than
+#: the third one of the largest.
+_SPREADS, _SPREADS_UNKNOWN, _ENDS = 0.02, 0.1, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Some of the columns and some of the rows of a frame.
+
+    Attributes:
+        columns: every so many columns
+        rows: every so many rows
+        every: column and row
+        ranges: `local_ranges` of the frame where the noise is unknown, else None
+    """
+
+    columns: Pixels
+    rows: Pixels
+    every: tuple[int, int]
+    ranges: Ranges | None
+
+    @classmethod
+    def of(cls, frame: Pixels, white: int, *, is_known: bool) -> Lines:
+        """Take them from a frame."""
+        down, across = (-(-length // _MOST_LINES) for length in frame.shape[:2])
+        ranges = None if is_known else local_ranges(frame, white)
+        return cls(frame[:, ::across].copy(), frame[::down].copy(), (across, down), ranges)
+
+
+@dataclass(frozen=True)
+class LightSpread:
+    """How light of a pair spreads from saturated samples of the longer frame.
+
+    Attributes:
+        white: brightness from which samples are saturated
+        reach: how far light spreads to all sides, pixels
+        streaks: whether charge flows along the columns
+    """
+
+    white: int
+    reach: int
+    streaks: bool
+
+    @property
+    def is_any(self) -> bool:
+        """Whether light spreads at all."""
+        return self.streaks or self.reach > 0
+
+    @classmethod
+    def of(cls, limits: Limits, pair: Pair, short: Lines, long: Lines) -> LightSpread:
+        """Measure it on some of the columns and rows."""
+        white, every = pair.saturated, short.every
+        distance = (1, every[0])
+        found, source = _on_lines(limits, white, short.columns, long.columns, long.ranges, distance)
+        if not (found.any() and source.any()):
+            return cls(white, 0, False)
+        connected = _connected_runs(found, source)
+        along = np.count_nonzero(connected) * every[0]
+        distance = (every[1], 1)
+        on_rows = _on_lines(limits, white, short.rows, long.rows, long.ranges, distance)
+        beside = np.count_nonzero(_connected_runs(*(each.T for each in on_rows))) * every[1]
+        streaks = along > _STREAKS * beside + _LEAST_STREAKS
+        if not streaks and pair.is_known:
+            # Charge only adds light; things that move take it away elsewhere.
+            darker = _darker(limits, short.columns, long.columns)
+            lost = np.count_nonzero(_connected_runs(darker, source)) * every[0]
+            streaks = along > _LEAST_STREAKS and lost < LOST * along
+        if streaks and _has_one_factor(pair, connected, short.columns, long.columns):
+            streaks = np.False_
+        if streaks:
+            found &= ~connected
+        least = _SPREADS if pair.is_known else _SPREADS_UNKNOWN
+        return cls(white, _reach(found, source, least), bool(streaks))
+
+    def separated(
+        self, limits: Limits, found: NDArray[np.bool_], short: Pixels, long: Pixels
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_] | None]:
+        """Return which samples contradict, which can, and which do by light that spread to them.
+
+        The last is None where light does not spread.
+
+        Args:
+            limits: of the shorter frame
+            found: samples that contradict
+            short: those of the shorter frame
+            long: those of the longer one
+        """
+        comparable = long < self.white
+        if not self.is_any:
+            return found, comparable, None
+        source = _any_colour(~comparable & ~found)
+        spread = np.zeros_like(source)
+        if self.streaks:
+            spread |= _connected_runs(_any_colour(found), source)
+            # Single samples of a short exposure have too much noise there, those of a streak not.
+            low, high = (each[:, self.white - 1] for each in (limits.low, limits.high))
+            darker = ~comparable & (short < low + (high - low) // 2)
+            flooded = darker & _mostly(darker & (short < low + (high - low) // 4))
+            spread |= _any_colour(flooded)
+            found |= flooded
+        if self.reach:
+            box = (2 * self.reach + 1, 2 * min(self.reach, ACROSS) + 1)
+            spread |= dilated(source.view(np.uint8), box) > 0
+        free = ~spread if found.ndim == 2 else ~spread[..., np.newaxis]
+        return found & free, comparable & free, found & ~free
+
+
+def beside_white(limits: Limits, white: int, short: Pixels, long: Pixels) -> tuple[int, int, int]:
+    """Return how many pixels of a part contradict, and of them are beside saturated ones, darker.
+
+    Saturated are those of the longer frame, in any colour.
+    """
+    found = _any_colour(limits.outside(short, long))
+    source = _any_colour(long >= white).view(np.uint8)
+    near = dilated(source, (2 * BESIDE + 1, 2 * ACROSS + 1)) > 0
+    counted = found, found & near, found & _darker(limits, short, long)
+    beside = [int(np.count_nonzero(each)) for each in counted]
+    return beside[0], beside[1], beside[2]
+
+
+def _on_lines(
+    limits: Limits,
+    white: int,
+    short: Pixels,
+    long: Pixels,
+    ranges: Ranges | None,
+    every: tuple[int, int],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which pixels contradict in any colour, and which are saturated and do not."""
+    found = limits.outside(short, long, ranges, every=every)
+    return _any_colour(found), _any_colour((long >= white) & ~found)
+
+
+def _has_one_factor(pair: Pair, marks: NDArray[np.bool_], short: Pixels, long: Pixels) -> bool:
+    """Return whether marked pixels of the longer frame are brighter by one factor than expected."""
+    white, light = pair.saturated, pair.scale.light
+    compared = (short < white) & (long < white)
+    compared &= marks if marks.ndim == short.ndim else marks[..., np.newaxis]
+    before, after = (light[each[compared]] for each in (short, long))
+    both = (before > 0) & (after > 0)
+    if not both.any():
+        return False
+    low, high = np.quantile(np.log(after[both] / before[both]), (0.1, 0.9))
+    return bool(high - low < _ONE_FACTOR)
+
+
+def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
+    """Return which pixels are darker in the longer frame than expected, in any colour."""
+    brighter = Limits(np.zeros_like(limits.low), limits.high)
+    return _any_colour(brighter.outside(short, long))
+
+
+def _mostly(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where more than half of the pixels around, along the columns, have marks."""
+    ends = np.zeros((_AROUND // 2 + 1, *marks.shape[1:]), np.int32)
+    sums = np.cumsum(np.concatenate([ends, marks, ends[1:]]), axis=0, dtype=np.int32)
+    return np.asarray(sums[_AROUND:] - sums[:-_AROUND] > _AROUND // 2)
+
+
+def _connected_runs(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which pixels found are connected to a source along their column."""
+    rows, columns = found.shape
+    # One column after the other, with a free place after each, and one before the first.
+    lines = np.zeros((2, 1 + columns * (rows + 1)), np.bool_)
+    for line, marks in zip(lines, (found, source), strict=True):
+        line[1:].reshape(columns, rows + 1)[:, :-1] = marks.T
+    places, is_source = np.flatnonzero(lines[0]), lines[1]
+    if not places.size:
+        return np.zeros_like(found)
+    begins = np.flatnonzero(np.diff(places, prepend=-1) > 1)
+    ends = np.append(begins[1:], places.size) - 1
+    has_source = np.logical_or.reduceat(is_source[places], begins)
+    has_source |= is_source[places[begins] - 1] | is_source[places[ends] + 1]
+    lines[0, places] = np.repeat(has_source, ends - begins + 1)
+    return np.asarray(lines[0, 1:].reshape(columns, rows + 1)[:, :-1].T)
+
+
+def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_], least: float) -> int:
+    """Return how far light spreads from saturated pixels, pixels along the columns.
+
+    It does if at least a share of `least` of the pixels beside them contradict.  It is 0 where as
+    many contradict far from saturated ones, as with things that moved.
+    """
+    within, rates = source, []
+    for distance in _DISTANCES:
+        reached = dilated(source.astype(np.uint8), (2 * distance + 1, 1)) > 0
+        ring = reached & ~within
+        size = np.count_nonzero(ring)
+        rates.append(np.count_nonzero(found & ring) / size if size >= _RING_SAMPLES else np.nan)
+        within = reached
+    most = max(rates[:2])
+    if not most >= least:
+        return 0
+    for nearer, rate in zip(_DISTANCES[:-1], rates[1:], strict=True):
+        if rate <= _ENDS * most:
+            return nearer
+    return 0
+
+
+def _any_colour(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which pixels are marked in any of their colours."""
+    # numpy's any over a short last axis is 15 times slower.
+    return reduce(np.logical_or, np.moveaxis(marks, 2, 0)) if marks.ndim == 3 else marks

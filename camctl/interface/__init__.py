@@ -1,0 +1,1 @@
+"""The interface that every camera implements: all that a driver's author reads."""

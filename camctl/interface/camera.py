@@ -1,0 +1,296 @@
+"""The camera interface: everything that the controller knows of a camera.
+
+A camera has controls (`ExposureControls`), takes a whole list of settings at once (`Camera.shoot`)
+and yields frames that carry the exposure they really had (`Frame`).  Values are in SI units:
+seconds, linear gain, f-number; true times, never the labels on a dial.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import CameraBusyError, CameraDisconnectedError
+from camctl.interface.clock import Clock
+from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.system.interrupts import entering, uninterrupted
+
+Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+PHOTOGRAPHS = "photographs"
+"""Id and driver of the camera that photographs already taken are (`camctl merge`)."""
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """Identity of a camera.
+
+    Attributes:
+        id: opens the camera: `camctl.open_camera`, ``--camera`` on the command line
+        make: maker, "" where unknown
+        model: model
+        serial: serial number, "" where unknown
+        driver: name of the backend
+        remark: for whoever chooses among listed cameras, such as which backend suits it better
+    """
+
+    id: str
+    make: str
+    model: str
+    serial: str
+    driver: str
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class OriginalFile:
+    """The file that a still camera made of a frame, byte for byte.
+
+    Attributes:
+        suffix: suffix of its name, with the dot
+        data: its content
+    """
+
+    suffix: str
+    data: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame as the camera returned it.
+
+    Attributes:
+        pixels: (rows, columns) or, for RGB, (rows, columns, 3); uint8 up to 8 bits, else uint16
+        requested: the setting given to `shoot`
+        applied: the setting read back from the camera
+        timestamp_s: when the exposure ended, on the camera's clock, s
+        index: position of the setting in the list that `shoot` was given
+        black: brightness without light in this frame, DN
+        white: brightness from which samples of this frame are saturated, DN
+        original: the camera's own file, where it made one
+        details: what else the camera reports of the frame; kept as JSON in the capture's report
+    """
+
+    pixels: Pixels
+    requested: ExposureSetting
+    applied: ExposureSetting
+    timestamp_s: float
+    index: int
+    black: int
+    white: int
+    original: OriginalFile | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+class FrameStream(Iterator[Frame], Protocol):
+    """Frames in the order of their settings; any generator of frames is one."""
+
+    def close(self) -> None:
+        """Cancel the remaining exposures."""
+        ...
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """What every camera, real or simulated, implements.
+
+    A camera is a context manager that closes it at the end.  `camctl.testing.CameraConformance`
+    checks this contract.
+    """
+
+    @property
+    def info(self) -> CameraInfo:
+        """The identity of the camera."""
+        ...
+
+    @property
+    def controls(self) -> ExposureControls:
+        """What can be set, and the format of the frames."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the timestamps."""
+        ...
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        """Shoot the settings in their order; return an iterator with one frame for each.
+
+        The whole list is checked before the first frame: a setting that cannot be met within
+        `ExposureControls.tolerance` raises `RefusedSettingError` from this call, and nothing is
+        shot.  A frame is yielded only if its exposure is known; its pixels are not overwritten
+        later.  Closing the iterator cancels the remaining exposures.  With a constant control delay
+        of d frames, n settings take n + d frames.
+
+        Raises:
+            RefusedSettingError: a setting cannot be met
+            CameraBusyError, CameraDisconnectedError, CameraTimeoutError, CameraProtocolError
+        """
+        ...
+
+    def close(self) -> None:
+        """Disconnect from the camera; a second call does nothing."""
+        ...
+
+    def __enter__(self) -> Self:
+        """Open the camera where it is not open, and return it."""
+        ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the camera."""
+        ...
+
+
+@runtime_checkable
+class PreviewingCamera(Camera, Protocol):
+    """A camera that can take a frame without a shutter actuation."""
+
+    def preview(self, setting: ExposureSetting) -> Frame:
+        """Return one frame at `setting`, for metering; raises as `shoot` does."""
+        ...
+
+
+@runtime_checkable
+class StreamingCamera(Camera, Protocol):
+    """A camera that streams frames, so that its control delay can be measured."""
+
+    @property
+    def mode(self) -> str:
+        """Pixel format, size and frame rate in one word; each mode has its own control delay."""
+        ...
+
+    def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> Sequence[Frame]:
+        """Settle at `before`, set `after`, and return the next `frames` frames of the stream.
+
+        Frame 0 is the first whose exposure had not begun when `after` was set; with a control delay
+        of d frames, frame d is the first that has it.  The caller measures which exposure each
+        frame had: `requested` and `applied` are `after` in all of them, and `index` counts from 0.
+        Raises as `shoot` does.
+        """
+        ...
+
+
+class CameraBase(ABC):
+    """Base of camera drivers: open and close, one sequence at a time, settings checked.
+
+    A driver implements `_open`, which sets `_info` and `_controls`, `_frames` and `_close`.  The
+    constructor does no I/O; the camera opens with `open` or at the start of its ``with`` block.  A
+    driver whose controls are known only later overrides the property `controls`.
+
+    Args:
+        name: name of the camera in error messages, such as its device path
+        clock: the clock of the timestamps and of everything that the driver waits for
+    """
+
+    _info: CameraInfo | None = None
+    _controls: ExposureControls | None = None
+
+    def __init__(self, name: str, clock: Clock) -> None:
+        self._name = name
+        self._clock = clock
+        self._is_open = False
+        self._is_shooting = False
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Connect to the device; where this raises, nothing is left open."""
+
+    @abstractmethod
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        """Yield one frame for each setting; all of them have been checked."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Disconnect from the device; called once for each `_open` that succeeded."""
+
+    @property
+    def info(self) -> CameraInfo:
+        """The identity of the camera; raises `CameraDisconnectedError` before it was opened."""
+        if self._info is None:
+            raise self._not_open()
+        return self._info
+
+    @property
+    def controls(self) -> ExposureControls:
+        """What can be set; raises `CameraDisconnectedError` before the camera was opened."""
+        if self._controls is None:
+            raise self._not_open()
+        return self._controls
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the timestamps."""
+        return self._clock
+
+    @entering
+    def open(self) -> Self:
+        """Connect to the device and return the camera; an open camera stays as it is."""
+        if not self._is_open:
+            self._open()
+            self._is_open = True
+        return self
+
+    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
+        """Shoot the settings in their order; see `Camera.shoot`."""
+        requested = tuple(settings)
+        self._check_ready()
+        controls = self.controls
+        for setting in requested:
+            controls.check(setting)
+        return self._shoot(requested)
+
+    @uninterrupted
+    def close(self) -> None:
+        """Disconnect from the device; a second call does nothing."""
+        if self._is_open:
+            self._is_open = False
+            self._close()
+
+    @entering
+    def __enter__(self) -> Self:
+        """Open the camera and return it."""
+        return self.open()
+
+    @uninterrupted
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the camera."""
+        self.close()
+
+    def _shoot(self, settings: tuple[ExposureSetting, ...]) -> Generator[Frame, None, None]:
+        self._check_ready()
+        self._is_shooting = True
+        try:
+            yield from self._frames(settings)
+        finally:
+            self._is_shooting = False
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise self._not_open()
+
+    def _check_ready(self) -> None:
+        self._check_open()
+        if self._is_shooting:
+            raise CameraBusyError(
+                f"{self._name} is still shooting", hint="finish or close that sequence first"
+            )
+
+    def _not_open(self) -> CameraDisconnectedError:
+        return CameraDisconnectedError(f"{self._name} is not open", hint="open it first")

@@ -1,1 +1,0 @@
-"""Photographs already taken, from their files to the picture of an effective camera."""

@@ -1,0 +1,1 @@
+"""The camera as a model: response, noise, effective camera and its inverse."""

@@ -1,0 +1,219 @@
+"""The exact distribution of the sum of noisy frames at a known irradiance.
+
+Photon noise and read noise are normal and arise before the camera's response and its quantiser: a
+sample is at level k or above with the probability that the noisy irradiance is at or above level k.
+Frames are clipped at black and white, and the distributions of the frames are convolved.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import UsageError
+from camctl.model.effective import EffectiveCamera
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import CameraResponse, FloatArray
+
+MAX_READ_NOISE = 64.0
+"""Largest read noise in brightness levels; memory grows with it."""
+
+MIN_ELECTRONS = 1e-3
+"""Least electrons per level: far below any sensor, and its photon noise stays finite."""
+
+NORMAL_REACH = 6.0
+"""Standard deviations beyond which a normal probability counts as 0 (it is about 1e-9)."""
+
+_NORMAL_STEPS = 1000
+"""Steps of the table of normal probabilities for one standard deviation: errors are below 1e-7."""
+
+_NORMAL_CDF = np.array(
+    [
+        0.5 * math.erfc(-x / math.sqrt(2))
+        for x in (np.arange(2 * NORMAL_REACH * _NORMAL_STEPS + 2) / _NORMAL_STEPS - NORMAL_REACH)
+    ]
+)
+_NORMAL_RISE = np.diff(_NORMAL_CDF)
+
+_LEAST_MERGED = 1.0
+"""Noise in steps of the quantiser from which its phase no longer shows: frames with more of it, and
+away from black and white, have a normal sum (the mean of a step is exact to 1e-9 of a step)."""
+
+_LEAST_FOURIER = 48
+"""Sums from which a convolution is faster by Fourier transforms."""
+
+_EVEN = 1e-6
+"""Relative differences of the steps of a quantiser up to which they count as equal."""
+
+
+def normal_cdf(x: FloatArray) -> FloatArray:
+    """Return the normal distribution function, to 1e-7; 0 and 1 beyond `NORMAL_REACH`."""
+    place = np.clip((x + NORMAL_REACH) * _NORMAL_STEPS, 0, _NORMAL_RISE.size - 1)
+    index = place.astype(np.intp)
+    found = _NORMAL_CDF[index] + (place - index) * _NORMAL_RISE[index]
+    return np.asarray(np.where(x <= -NORMAL_REACH, 0.0, np.where(x >= NORMAL_REACH, 1.0, found)))
+
+
+def check_noise(noise: Sequence[FrameNoise], n: int) -> None:
+    """Raise `UsageError` unless there is a valid noise for each of `n` exposures."""
+    if len(noise) != n:
+        raise UsageError(
+            f"invalid noise of {len(noise)} frames for {n} exposures: expected one for each"
+        )
+    for frame in noise:
+        if not 0 <= frame.read_noise_levels <= MAX_READ_NOISE:
+            raise UsageError(
+                f"invalid read noise of {frame.read_noise_levels:g} levels: expected 0 to "
+                f"{MAX_READ_NOISE:g}"
+            )
+        if not frame.electrons_per_level >= MIN_ELECTRONS:
+            raise UsageError(
+                f"invalid number of electrons per level {frame.electrons_per_level:g}: expected at "
+                f"least {MIN_ELECTRONS:g}"
+            )
+
+
+def quantiser_input(response: CameraResponse, E: FloatArray) -> FloatArray:
+    """Return the analog signal at E in brightness levels: k at level k, linear in between."""
+    levels, counts = np.unique(response.levels, return_counts=True)
+    height = np.cumsum(counts).astype(np.float64)
+    if levels.size == 1:
+        return np.asarray(height[0] * E / levels[0])
+    first = (height[1] - height[0]) / (levels[1] - levels[0])
+    last = (height[-1] - height[-2]) / (levels[-1] - levels[-2])
+    inside = np.interp(E, levels, height)
+    below = np.maximum(height[0] + first * (E - levels[0]), 0.0)
+    above = height[-1] + last * (E - levels[-1])
+    return np.where(levels[0] > E, below, np.where(levels[-1] < E, above, inside))
+
+
+def deviation(response: CameraResponse, E: FloatArray, noise: FrameNoise) -> FloatArray:
+    """Return the standard deviation of one frame in levels; E is at this frame's exposure."""
+    full = response.M + 1
+    of_light = np.sqrt(
+        E / (noise.electrons_per_level * full) + (noise.read_noise_levels / full) ** 2
+    )
+    return response.slope(E) * of_light
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyFrame:
+    """One frame of a sum.
+
+    Attributes:
+        exposure: relative exposure
+        noise: its noise
+        full: levels of the linear scale at E = 1
+        thresholds: irradiance of each step of a sample, from its lowest possible value up
+        step: distance between neighbouring thresholds; 0 where they are not evenly spaced
+    """
+
+    exposure: float
+    noise: FrameNoise
+    full: float
+    thresholds: FloatArray
+    step: float
+
+    @classmethod
+    def of(cls, response: CameraResponse, exposure: float, noise: FrameNoise) -> NoisyFrame:
+        """Return the frame; below its first level, thresholds continue at the first distance."""
+        levels = response.levels
+        first = levels[1] - levels[0] if levels.size > 1 else levels[0]
+        below = levels[0] - first * np.arange(noise.black, 0, -1)
+        thresholds = np.concatenate([below, levels])
+        steps = np.diff(thresholds)
+        even = steps.size > 0 and np.ptp(steps) <= _EVEN * steps[0]
+        return cls(exposure, noise, response.M + 1.0, thresholds, float(even and steps.mean()))
+
+    def signal(self, E: FloatArray, z: float) -> FloatArray:
+        """Return the mean signal as irradiance, for an offset of `z` times the DSNU."""
+        offset = self.noise.dark_levels + z * self.noise.dsnu_levels
+        return self.exposure * E + offset / self.full
+
+    def deviation(self, E: FloatArray) -> FloatArray:
+        """Return the standard deviation of the signal."""
+        photon = self.exposure * E / (self.noise.electrons_per_level * self.full)
+        return np.sqrt(photon + (self.noise.read_noise_levels / self.full) ** 2)
+
+
+class NoisySum:
+    """The sum of noisy frames, black levels included: 0 is the least sum, `top` the largest.
+
+    Args:
+        camera: the effective camera
+        noise: noise of each frame, in the order of `camera.exposures`
+
+    Raises:
+        UsageError: there is not one noise for each exposure, or one is out of range
+    """
+
+    def __init__(self, camera: EffectiveCamera, noise: Sequence[FrameNoise]) -> None:
+        check_noise(noise, len(camera.exposures))
+        self.camera = camera
+        self.frames = [
+            NoisyFrame.of(camera.response, exposure, frame)
+            for exposure, frame in zip(camera.exposures, noise, strict=True)
+        ]
+        self.black = sum(frame.black for frame in noise)
+        self.top = camera.levels_total + self.black
+
+    def probabilities(self, E: FloatArray, z: float = 0.0) -> tuple[NDArray[np.intp], FloatArray]:
+        """Return the smallest possible sum at each E (Q,), and the probabilities from it (Q, W).
+
+        `z` is the pixel's offset in units of the DSNU.  Neighbouring E should be similar: W is the
+        number of sums that the widest distribution needs.
+        """
+        start = np.zeros(E.size, dtype=np.intp)
+        probability = np.ones((E.size, 1))
+        mean, variance = np.zeros(E.size), np.zeros(E.size)
+        for frame in self.frames:
+            x = frame.signal(E, z)
+            sigma = np.maximum(frame.deviation(E), 1e-9 / frame.full)
+            thresholds = frame.thresholds
+            low = np.searchsorted(thresholds, x - NORMAL_REACH * sigma, "right")
+            high = np.searchsorted(thresholds, x + NORMAL_REACH * sigma, "right")
+            unclipped = low.min() > 0 and high.max() < thresholds.size
+            if unclipped and frame.step and sigma.min() >= _LEAST_MERGED * frame.step:
+                mean += (x - thresholds[0]) / frame.step + 0.5
+                variance += (sigma / frame.step) ** 2 + 1 / 12
+                continue
+            index = low[:, np.newaxis] + np.arange(int((high - low).max()) + 2)
+            next_threshold = thresholds[np.clip(index - 1, 0, thresholds.size - 1)]
+            above = normal_cdf((x[:, np.newaxis] - next_threshold) / sigma[:, np.newaxis])
+            above[:, 0] = 1.0
+            above[index > np.minimum(high, thresholds.size)[:, np.newaxis]] = 0.0
+            start, probability = start + low, _convolve(probability, above[:, :-1] - above[:, 1:])
+        if variance.any():
+            low, single = _rounded_normal(mean, np.sqrt(variance - 1 / 12))
+            start, probability = start + low, _convolve(probability, single)
+        return start, probability
+
+
+def _rounded_normal(mean: FloatArray, sigma: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+    """Return the smallest integer (Q,) and the probabilities from it (Q, W) of rounded normals."""
+    low = np.floor(mean - NORMAL_REACH * sigma).astype(np.intp)
+    size = int(np.ceil(2 * NORMAL_REACH * sigma.max())) + 2
+    edges = low[:, np.newaxis] - 0.5 + np.arange(size + 1)
+    above = normal_cdf((mean[:, np.newaxis] - edges) / sigma[:, np.newaxis])
+    return low, above[:, :-1] - above[:, 1:]
+
+
+def _convolve(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the convolutions of the rows, (Q, V + W - 1) from (Q, V) and (Q, W)."""
+    if b.shape[1] > a.shape[1]:
+        a, b = b, a
+    if b.shape[1] == 1:
+        return a * b
+    if b.shape[1] > _LEAST_FOURIER:
+        size = a.shape[1] + b.shape[1] - 1
+        length = 1 << (size - 1).bit_length()
+        product = np.fft.rfft(a, length) * np.fft.rfft(b, length)
+        return np.maximum(np.fft.irfft(product)[:, :size], 0.0)
+    total = np.zeros((a.shape[0], a.shape[1] + b.shape[1] - 1))
+    for shift in range(b.shape[1]):
+        total[:, shift : shift + a.shape[1]] += b[:, shift : shift + 1] * a
+    return total

@@ -1,0 +1,192 @@
+"""The effective camera: the response of the sum of several exposures.
+
+The sum of n frames h(E) = sum_j f(e_j E) is again a staircase (Grossberg and Nayar, equation 1).
+Its levels are the union of the levels E_k / e_j with multiplicity: where m levels coincide, h rises
+by m.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from camctl.errors import UsageError
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.desired import DesiredResponse
+
+MAX_EXPOSURES = 16
+
+COINCIDENCE = 1e-12
+"""Levels within this distance, relative to the lower one, count as one.
+
+In units of a frame's own gap at level k that is k * 1e-12 for a linear camera: at most 7e-8 of a
+gap up to 16 bits, and at least a thousand times the rounding error of E_k / e_j.
+"""
+
+
+def check_count(n: int) -> None:
+    """Raise `UsageError` unless n is a number of exposures, 1 to 16."""
+    if not 1 <= n <= MAX_EXPOSURES:
+        raise UsageError(f"invalid number of exposures {n}: expected 1 to {MAX_EXPOSURES}")
+
+
+def check_exposures(exposures: Sequence[float]) -> tuple[float, ...]:
+    """Return the exposures as floats.
+
+    Raises:
+        UsageError: there are none or more than 16, or one is not a positive, finite number
+    """
+    values = tuple(float(e) for e in exposures)
+    check_count(len(values))
+    for value in values:
+        if not (math.isfinite(value) and value > 0):
+            raise UsageError(f"invalid exposure {value:g}: expected a positive, finite number")
+    if min(values) < 1e-100 or max(values) > 1e100:
+        raise UsageError(
+            "invalid exposures: expected values from 1e-100 to 1e100",
+            hint="give them relative to each other",
+        )
+    return values
+
+
+def union_of_levels(levels: FloatArray, exposures: Sequence[float]) -> FloatArray:
+    """Return all levels E_k / e_j, (n*M,) ascending, from (M,) ascending levels."""
+    union: FloatArray = (levels[np.newaxis, :] / np.array(exposures)[:, np.newaxis]).ravel()
+    union.sort(kind="stable")  # merges the n sorted runs in n M log n
+    return union
+
+
+def _group_starts(levels: FloatArray) -> NDArray[np.intp]:
+    """Return the index of the first level of each group of coincident levels.
+
+    A group extends to COINCIDENCE above its first level and no further: a chain of close neighbours
+    does not become one group.
+    """
+    apart = np.diff(levels) > COINCIDENCE * levels[:-1]
+    starts = np.concatenate([[0], np.flatnonzero(apart) + 1])
+    ends = np.concatenate([starts[1:], [levels.size]]) - 1
+    chains = np.flatnonzero(levels[ends] - levels[starts] > COINCIDENCE * levels[starts])
+    more: list[int] = []
+    for chain in chains.tolist():
+        first = int(starts[chain])
+        while True:
+            end = levels[first] * (1 + COINCIDENCE)
+            first = first + int(np.searchsorted(levels[first : ends[chain] + 1], end, "right"))
+            if first > ends[chain]:
+                break
+            more.append(first)
+    return np.sort(np.concatenate([starts, np.array(more, dtype=np.intp)])).astype(np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class EffectiveCamera:
+    """A real camera whose exposures are summed.
+
+    Attributes:
+        response: the response of the real camera
+        exposures: relative exposures, in any order; the smallest need not be 1
+        levels: (n*M,) float64 ascending, all levels with multiplicity
+    """
+
+    response: CameraResponse
+    exposures: tuple[float, ...]
+    levels: FloatArray
+
+    @classmethod
+    def of(cls, response: CameraResponse, exposures: Sequence[float]) -> EffectiveCamera:
+        """Return the effective camera of these exposures; raises what `check_exposures` raises."""
+        values = check_exposures(exposures)
+        return cls(response, values, union_of_levels(response.levels, values))
+
+    @cached_property
+    def distinct(self) -> FloatArray:
+        """The levels, coincident ones (within `COINCIDENCE`) once, (K,) float64 ascending."""
+        return self.levels[_group_starts(self.levels)]
+
+    @property
+    def levels_total(self) -> int:
+        """N = n*M, the largest sum."""
+        return int(self.levels.size)
+
+    @property
+    def levels_distinct(self) -> int:
+        """Number of different levels, one less than the number of sums that can occur."""
+        return int(self.distinct.size)
+
+    def irradiance_table(self) -> FloatArray:
+        """Return (n*M + 1,) float64: the irradiance of each sum 0..n*M, black subtracted.
+
+        It is the midpoint of the gap of that sum; a sum that coincident levels skip gets their
+        level.  Sum 0 lies below the first level and gets 0, sum n*M is saturated and gets the last
+        level: the caller must mask both.
+        """
+        table = np.empty(self.levels.size + 1)
+        table[0] = 0.0
+        table[1:-1] = (self.levels[:-1] + self.levels[1:]) / 2
+        table[-1] = self.levels[-1]
+        return table
+
+    def standard_deviation(
+        self,
+        E: ArrayLike,
+        *,
+        electrons_per_level: float | Sequence[float],
+        read_noise_levels: float | Sequence[float],
+    ) -> FloatArray:
+        """Return the predicted standard deviation of the irradiance that the sum gives.
+
+        Each frame that is not saturated at E adds its variance in DN: photon noise (for a linear
+        camera s / K at s levels of K electrons), read noise squared and 1/12 of quantisation.  A
+        saturated frame is clipped at the white level before summing and adds neither noise nor
+        slope.  The variance of the irradiance is the sum of the variances over the square of the
+        slope of h.
+
+        Args:
+            E: irradiance, any shape, in the unit of `levels`
+            electrons_per_level: electrons of one brightness level of the linear scale (full scale,
+                M + 1 levels, is E = 1 at exposure 1): one number, or one for each frame if their
+                gains differ
+            read_noise_levels: read noise in brightness levels (DN), one or one for each frame
+
+        Returns:
+            standard deviation, float64 in the shape and unit of E; infinite where every frame is
+            saturated
+        """
+        E = np.asarray(E, dtype=np.float64)
+        n = len(self.exposures)
+        gains = np.broadcast_to(np.asarray(electrons_per_level, dtype=np.float64), (n,))
+        reads = np.broadcast_to(np.asarray(read_noise_levels, dtype=np.float64), (n,))
+        variance = np.zeros(E.shape)
+        slope = np.zeros(E.shape)
+        for e, electrons, read in zip(self.exposures, gains, reads, strict=True):
+            x = e * E
+            frame_slope = self.response.slope(x)
+            unsaturated = x < self.response.levels[-1]
+            photon = frame_slope**2 * x / (electrons * (self.response.M + 1))
+            variance += np.where(unsaturated, photon + read**2 + 1 / 12, 0.0)
+            slope += np.where(unsaturated, e * frame_slope, 0.0)
+        known = slope > 0
+        return np.where(known, np.sqrt(variance) / np.where(known, slope, 1.0), np.inf)
+
+
+def effective_levels(camera: EffectiveCamera, desired: DesiredResponse) -> float:
+    """Return L = (sum of gap_u^3)^(-1/2): the number of equal steps of u of the same accuracy.
+
+    The gaps lie between neighbours of e_min, the distinct levels inside (e_min, 1) and 1, mapped
+    through u.  N equal steps give exactly N: L is the rms quantisation error in u, as a number of
+    steps.  Noise is not included; see `camctl.exposure.noise`.
+    """
+    return quantisation_levels(camera.levels, desired)
+
+
+def quantisation_levels(levels: FloatArray, desired: DesiredResponse) -> float:
+    """Return `effective_levels` of a camera with these ascending levels, (N,)."""
+    inside = levels[(levels > desired.e_min) & (levels < 1)]
+    edges = np.concatenate([[desired.e_min], inside, [1.0]])
+    gaps = desired.rise(edges[:-1], edges[1:])
+    return float(np.sum(gaps**3) ** -0.5)

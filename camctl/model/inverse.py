@@ -1,0 +1,272 @@
+"""The inverse of the noisy sum: what each value of the sum says about the irradiance.
+
+By Bayes' rule the probability of an irradiance after a sum was observed is the probability of that
+sum at the irradiance (`NoisySum`) times a prior.  The prior is flat in u, the desired response,
+over its range; below the range it goes on at the density that it has at e_min, down to no light,
+and above E = 1 at a small density, up to where every frame is saturated.  Without noise the
+posterior is flat over the gap of the sum: its mean is the midpoint in u, and its standard deviation
+is the width of the gap / sqrt(12).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.model.distribution import NORMAL_REACH, NoisyFrame, NoisySum
+from camctl.model.effective import EffectiveCamera
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import FloatArray
+from camctl.model.response.desired import DesiredResponse
+
+LEAST_CHUNK, MOST_CHUNK, CHUNKS = 64, 512, 32
+"""Nodes computed at once: a `CHUNKS`-th of all, within these limits.  Neighbouring nodes have
+nearly the same sums, distant ones do not, so that few are computed at once where there are few."""
+
+_CELL = 2.0
+"""Width of a cell of the integration, in standard deviations of the noise: with half of that, the
+effective levels differ by at most 0.02 %."""
+
+_COARSEST = 1 / 128
+"""Largest cell of the integration over u."""
+
+_CELLS_PER_GAP, _MOST_CELLS = 4, 1 << 15
+"""Cells of a gap that is wider than the noise; fewer where there would be more than `_MOST_CELLS`
+of them."""
+
+_WIDE_GAP = 4.0
+"""A gap wider than the noise times this is integrated from one of its ends to the other."""
+
+_ABOVE_RANGE = 0.1
+"""Prior density above E = 1, as a share of that below.  The shortest exposure is metered so that
+little light is there.  With it, 67 % and 96 % of the irradiances from 0.97 to 1 lie within 0.994
+and 1.96 standard deviations, whether the scene goes on above 1 or not; with 1, 72 % and 96 % do."""
+
+_LEAST_SLOPE = 1e-6
+"""Least slope of u that is continued outside of the range."""
+
+_GAUSS_LEGENDRE = np.array([-1.0, 1.0]) / np.sqrt(3.0)
+#: Nodes and weights for a normal variable; exact up to its fifth power.
+_GAUSS_HERMITE = ((-np.sqrt(3.0), 1 / 6), (0.0, 2 / 3), (np.sqrt(3.0), 1 / 6))
+
+_LEAST_KNOWN = 1e-12
+"""Probability of a sum from which its posterior mean is computed."""
+
+_NOTABLE_DSNU = 0.01
+"""Share of the variance in the dark from which the offsets of the pixels are integrated over."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExtendedResponse:
+    """A desired response that goes on straight outside of its range: v(E) = u(E) inside of it."""
+
+    desired: DesiredResponse
+    slopes: tuple[float, float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        ends = np.array([max(self.desired.e_min, np.finfo(float).tiny), 1.0])
+        low, high = np.maximum(self.desired.slope(ends), _LEAST_SLOPE).tolist()
+        object.__setattr__(self, "slopes", (low, high))
+
+    def v(self, E: FloatArray) -> FloatArray:
+        """Return v at E >= 0."""
+        below = np.minimum(E - self.desired.e_min, 0.0)
+        above = np.maximum(E - 1.0, 0.0)
+        return (
+            self.desired.u(E)
+            + np.where(below < 0, below, 0.0) * self.slopes[0]
+            + (above * self.slopes[1])
+        )
+
+    def inverse(self, v: FloatArray) -> FloatArray:
+        """Return E with v(E) = v."""
+        inside = self.desired.inverse(np.clip(v, 0.0, 1.0))
+        below = self.desired.e_min + v / self.slopes[0]
+        return np.where(v < 0, below, np.where(v > 1, 1 + (v - 1) / self.slopes[1], inside))
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """What each value of the sum says; arrays (top + 1,) are indexed by it, black included.
+
+    Attributes:
+        u: posterior mean of u for a prior within the range: the value of least mean square error
+        E: irradiance at the posterior mean of u, for the prior that goes on outside of the range
+        deviation: root mean square error of `E`, irradiance
+        mse: mean square error of `u` over the range
+    """
+
+    u: FloatArray
+    E: FloatArray
+    deviation: FloatArray
+    mse: float
+
+    @property
+    def effective_levels(self) -> float:
+        """L = (12 mse)^(-1/2): the number of equal steps of u that would be as accurate."""
+        return float((12 * self.mse) ** -0.5)
+
+
+class Posterior:
+    """The joint distribution of irradiance and noisy sum.
+
+    Args:
+        camera: the effective camera
+        desired: the desired response, in which the prior is flat
+        noise: noise of each frame, in the order of `camera.exposures`
+
+    Raises:
+        UsageError: there is not one noise for each exposure, or one is out of range
+    """
+
+    def __init__(
+        self, camera: EffectiveCamera, desired: DesiredResponse, noise: Sequence[FrameNoise]
+    ) -> None:
+        self.sum = NoisySum(camera, noise)
+        self.desired = desired
+        self._response = ExtendedResponse(desired)
+        self._prnu = max(frame.prnu for frame in noise)
+        dsnu = sum(frame.dsnu_levels for frame in noise) ** 2
+        other = sum(frame.read_noise_levels**2 + 1 / 12 for frame in noise)
+        self._offsets = _GAUSS_HERMITE if dsnu > _NOTABLE_DSNU * other else ((0.0, 1.0),)
+
+    @cached_property
+    def _cells(self) -> FloatArray:
+        """Edges of the cells of the integration, in v, ascending.
+
+        They are as wide as the noise; a gap that is much wider has whole cells.
+        """
+        frames, levels = self.sum.frames, self.sum.camera.distinct
+        least = min(frames, key=lambda frame: frame.exposure)
+        white = np.array([least.thresholds[-1] / least.exposure])
+        brightest = white + NORMAL_REACH * least.deviation(white) / least.exposure
+        ends = np.array([0.0, self._response.desired.e_min, 1.0, max(1.0, float(brightest[0]))])
+        E = np.unique(np.concatenate([levels, ends]))
+        v = self._response.v(E)
+        gap, middle = np.diff(v), (E[1:] + E[:-1]) / 2
+        noise = np.maximum(_deviation(frames, middle), 1e-300) * gap / np.diff(E)
+        per_gap = int(np.clip(_MOST_CELLS // E.size, 1, _CELLS_PER_GAP))
+        wide = gap > _WIDE_GAP * noise
+        count = np.where(wide, float(per_gap), 0.0)  # 0 in a gap that v does not resolve
+        np.divide(gap, _CELL * noise, out=count, where=~wide & (noise > 0))
+        density = np.concatenate([[0.0], np.cumsum(np.maximum(count, gap / _COARSEST))])
+        steps = np.linspace(0.0, density[-1], int(np.ceil(density[-1])) + 1)
+        keep = np.zeros(E.size, dtype=bool)
+        keep[:-1] |= wide
+        keep[1:] |= wide
+        edges = [np.interp(steps, density, v), v[keep], self._response.v(ends)]
+        return np.unique(np.concatenate(edges))
+
+    @cached_property
+    def _nodes(self) -> tuple[FloatArray, FloatArray]:
+        """Nodes of v and their weights: two of Gauss and Legendre in each cell."""
+        edges = self._cells
+        half = np.diff(edges) / 2
+        nodes = (edges[:-1] + half)[:, np.newaxis] + half[:, np.newaxis] * _GAUSS_LEGENDRE
+        v = nodes.ravel()
+        return v, np.repeat(half, 2) * np.where(v > 1, _ABOVE_RANGE, 1.0)
+
+    def _joint(self, v: FloatArray) -> Iterator[tuple[slice, NDArray[np.intp], FloatArray]]:
+        """Yield some nodes, sums (nodes, W) that each may have, and their probabilities."""
+        E = self._response.inverse(v)
+        chunk = int(np.clip(v.size // CHUNKS, LEAST_CHUNK, MOST_CHUNK))
+        for first in range(0, v.size, chunk):
+            part = slice(first, first + chunk)
+            for z, weight in self._offsets:
+                start, probability = self.sum.probabilities(E[part], z)
+                columns = start[:, np.newaxis] + np.arange(probability.shape[1])
+                yield part, np.minimum(columns, self.sum.top), weight * probability
+
+    def _totals(self, weights: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the sums of (m, nodes) weights x probability for each sum, (m, top + 1)."""
+        found = np.zeros((len(weights), self.sum.top + 1))
+        # Not as a product of dense matrices: they are nearly empty, and their product, which runs
+        # on several cores, takes several times as much processor time.
+        for part, columns, probability in self._joint(v):
+            low = int(columns[:, 0].min())
+            places = (columns - low).ravel()
+            for weight, total in zip(weights[:, part], found[:, low:], strict=True):
+                added = np.bincount(places, (weight[:, np.newaxis] * probability).ravel())
+                total[: added.size] += added
+        return found
+
+    @cached_property
+    def _spread(self) -> FloatArray:
+        """Mean square of v at each node that the sensitivities of the pixels add."""
+        v, _ = self._nodes
+        E = self._response.inverse(v)
+        return np.asarray((self._prnu * E * np.gradient(v, E)) ** 2)
+
+    @cached_property
+    def mse(self) -> float:
+        """Mean square error of `Inverse.u` over the range, without the rest of the inverse."""
+        v, weight = self._nodes
+        inside = (v > 0) & (v < 1)
+        v, weight = v[inside], weight[inside]
+        known, mean = self._totals(np.stack([weight, weight * v]), v)
+        square = float(np.sum(weight * (v**2 + self._spread[inside])))
+        within = known > _LEAST_KNOWN
+        return square - float(np.sum(mean[within] ** 2 / known[within]))
+
+    @cached_property
+    def inverse(self) -> Inverse:
+        """The inverse of the sum."""
+        v, weight = self._nodes
+        E = self._response.inverse(v)
+        inside = np.where((v > 0) & (v < 1), weight, 0.0)
+        square = weight * (1 + self._prnu**2) * E**2
+        parts = [inside, inside * v, weight, weight * v, weight * E, square]
+        found = self._totals(np.stack(parts), v)
+        known = found[2] > _LEAST_KNOWN
+        mean_v, mean_E, square_E = found[3:, known] / found[2, known]
+        sums = np.arange(self.sum.top + 1)
+        best = self._response.inverse(mean_v)
+        variance = square_E - 2 * best * mean_E + best**2
+        u = np.interp(sums, sums[known], np.clip(mean_v, 0.0, 1.0))
+        within = found[0] > _LEAST_KNOWN
+        u[within] = found[1, within] / found[0, within]
+        return Inverse(
+            u=u,
+            E=np.interp(sums, sums[known], best),
+            deviation=np.sqrt(np.maximum(np.interp(sums, sums[known], variance), 0.0)),
+            mse=float(np.sum(inside * (v**2 + self._spread)) - np.sum(u * found[1])),
+        )
+
+    def errors(self, u: FloatArray) -> FloatArray:
+        """Return the mean square error of `Inverse.u` at each of `u`, within 0 to 1, (Q,).
+
+        Their mean over the range is `Inverse.mse`.
+        """
+        E = self.desired.inverse(u)
+        found = np.asarray((self._prnu * E * self.desired.slope(E)) ** 2)
+        for part, columns, probability in self._joint(u):
+            difference = self.inverse.u[columns] - u[part, np.newaxis]
+            found[part] += np.sum(probability * difference**2, axis=1)
+        return found
+
+    def shares(self, E: FloatArray, marked: NDArray[np.bool_]) -> FloatArray:
+        """Return the probability at each irradiance that the sum is one of those marked.
+
+        Args:
+            E: ascending irradiances, (Q,)
+            marked: for each value of the sum, (top + 1,)
+        """
+        found = np.zeros(E.size)
+        for part, columns, probability in self._joint(self._response.v(E)):
+            found[part] += np.sum(probability * marked[columns], axis=1)
+        return found
+
+
+def _deviation(frames: Sequence[NoisyFrame], E: FloatArray) -> FloatArray:
+    """Return the standard deviation of E by noise alone, from the frames not saturated at E."""
+    variance, slope = np.zeros(E.size), np.zeros(E.size)
+    for frame in frames:
+        x, sigma = frame.exposure * E, frame.deviation(E)
+        used = x < frame.thresholds[-1] + 4 * sigma
+        variance += np.where(used, sigma**2, 0.0)
+        slope += np.where(used, frame.exposure, 0.0)
+    return np.sqrt(variance) / np.where(slope > 0, slope, frames[0].exposure)

@@ -1,0 +1,1 @@
+"""Photographs already taken, as the frames of a camera."""

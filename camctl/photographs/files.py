@@ -1,0 +1,288 @@
+"""Photographs in files: JPEG, PNG, TIFF, camera raw, OpenEXR; and what they state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from camctl.errors import CameraProtocolError, DataError, UsageError
+
+if TYPE_CHECKING:
+    from camctl.interface.camera import Pixels
+    from camctl.interface.controls import Layout
+    from camctl.photographs.photograph import Photograph
+    from drivers.common.exif import StatedExposure
+    from drivers.common.still_file import Still
+
+#: Largest file of a camera that is read.
+_MOST_BYTES = 1 << 30
+#: Decoded pixels that are kept, so that files are not decoded again.
+_KEPT_BYTES = 512 << 20
+_EXR = ".exr"
+#: Code of full scale of an OpenEXR file.
+_FULL_EXR = 65535
+
+
+def check_times(files: Sequence[Path], times: tuple[float, ...] | None) -> None:
+    """Raise `UsageError` unless there is one time for each file, or none at all."""
+    if times is not None and len(times) != len(files):
+        raise UsageError(
+            f"--times has {len(times)} values for {len(files)} files", hint="give one for each file"
+        )
+
+
+def read_photograph(path: Path) -> tuple[Still, StatedExposure]:
+    """Return the contents of a JPEG, PNG, TIFF or camera raw file, and what it states of itself.
+
+    Raises:
+        DataError: it cannot be read
+    """
+    from camctl.system.input_files import read_input
+    from drivers.common.exif import stated_exposure
+    from drivers.common.still_file import read_still
+
+    data = read_input(path, "", most_bytes=_MOST_BYTES)
+    try:
+        return read_still(data, str(path)), stated_exposure(data)
+    except CameraProtocolError as error:
+        raise DataError(
+            error.what.removeprefix("the camera's file "),
+            hint="copy it from the camera again, or leave it out (JPEG, PNG, TIFF and camera raw "
+            "are read)",
+        ) from error
+
+
+def unknown_time(path: Path) -> UsageError:
+    """Return the error of a file that does not say its exposure time."""
+    return UsageError(
+        f"{path} does not say its exposure time", hint="give --times, one for each file"
+    )
+
+
+def _exposure(path: Path, stated: StatedExposure, time_s: float | None) -> Photograph:
+    """Return the exposure of a file; a given time replaces the stated one."""
+    from camctl.photographs.photograph import Photograph
+
+    time_s = stated.time_s if time_s is None else time_s
+    if time_s is None:
+        raise unknown_time(path)
+    gain, iso = stated.gain or 1.0, None if stated.gain is None else round(100 * stated.gain, 6)
+    return Photograph(
+        path.name, time_s, gain, stated.f_number, stated.taken_at, iso, stated.flash_fired
+    )
+
+
+@dataclass(frozen=True)
+class Format:
+    """What the frames of one set of photographs have in common."""
+
+    shape: tuple[int, ...]
+    layout: Layout
+    bits: int
+    black: int
+    white: int
+    is_raw: bool
+    quarter_turns: int = 0
+
+    @property
+    def shape_on_sensor(self) -> tuple[int, ...]:
+        """The shape before the photographs were turned upright."""
+        rows, columns, *rest = self.shape
+        return (columns, rows, *rest) if self.quarter_turns % 2 else self.shape
+
+
+class PhotographFiles:
+    """The files of one exposure series, read when they are needed.
+
+    Args:
+        paths: of the files
+        times: shutter times in place of the stated ones, s
+
+    Attributes:
+        photographs: name and exposure of each file
+        format: of all of them
+        taken_by: make, model and serial number of the camera, as the files state them; empty where
+            they do not
+        notes: what the user should know, one line each
+
+    Raises:
+        DataError: a file cannot be read, or differs in size or format
+        UsageError: a file does not say its exposure time
+    """
+
+    def __init__(self, paths: Sequence[Path], times: tuple[float, ...] | None) -> None:
+        check_times(paths, times)
+        self._paths, self._times = tuple(paths), times
+        self._kept: dict[int, Pixels] = {}
+        self._full = _largest_of_exr(self._paths)
+        self.photographs: list[Photograph] = []
+        found: Format | None = None
+        self.notes: list[str] = []
+        self._quarter_turns: int | None = None
+        self.taken_by = ("", "", "")
+        cameras: dict[str, str] = {}
+        for position, path in enumerate(self._paths):
+            pixels, this, photograph, taken_by = self._read(position)
+            self.photographs.append(photograph)
+            if not any(self.taken_by):
+                self.taken_by = taken_by
+            if model := " ".join(filter(None, taken_by[:2])):
+                cameras.setdefault(model, path.name)
+            if found is None:
+                found = this
+            _check_alike(path, this, self._paths[0], found)
+            self._keep(position, pixels)
+        assert found is not None  # there is a file
+        self.format = found
+        if len(cameras) > 1:
+            whose = " and ".join(f"{name} by {model}" for model, name in cameras.items())
+            self.notes.append(
+                f"the photographs were taken by different cameras ({whose}), whose responses may "
+                "differ: give those of one camera"
+            )
+        self._name_apart()
+
+    def pixels(self, position: int) -> Pixels:
+        """Return the pixels of a file."""
+        if position not in self._kept:
+            self._keep(position, self._read(position)[0])
+        return self._kept[position]
+
+    def _keep(self, position: int, pixels: Pixels) -> None:
+        while self._kept and sum(each.nbytes for each in self._kept.values()) > _KEPT_BYTES:
+            del self._kept[next(iter(self._kept))]
+        self._kept[position] = pixels
+
+    def _read(self, position: int) -> tuple[Pixels, Format, Photograph, tuple[str, str, str]]:
+        path = self._paths[position]
+        time_s = None if self._times is None else self._times[position]
+        if path.suffix.lower() == _EXR:
+            linear, photograph = _read_exr(path, time_s, self._full)
+            this = Format(linear.shape, _layout_of(linear), 16, 0, _FULL_EXR, True)
+            return linear, this, photograph, ("",) * 3
+        import numpy as np
+
+        still, stated = read_photograph(path)
+        photograph = _exposure(path, stated, time_s)
+        is_raw = still.layout.is_mosaic or still.black > 0
+        if not is_raw:
+            self._note(path, still)
+        turns = self._turns(path, 0 if is_raw else stated.quarter_turns)
+        pixels: Pixels = still.pixels
+        if turns:
+            turned: Any = np.rot90(pixels, turns)
+            pixels = np.ascontiguousarray(turned)
+        levels = (still.layout, still.bits, still.black, still.white)
+        this = Format(pixels.shape, *levels, is_raw, turns)
+        return pixels, this, photograph, (stated.make, stated.model, stated.serial)
+
+    def _note(self, path: Path, still: Still) -> None:
+        """Add what a file's notes say that is not known of the files before it."""
+        self.notes += [
+            f"{path.name}: {each}"
+            for each in still.notes
+            if not any(note.endswith(f": {each}") for note in self.notes)
+        ]
+
+    def _turns(self, path: Path, stated: int) -> int:
+        """Return by how much to turn all photographs: as the first one says.
+
+        Of a camera on a tripod all lie alike, but one that looks down may state any orientation.
+        """
+        if self._quarter_turns is None:
+            self._quarter_turns = stated
+        if stated != self._quarter_turns:
+            note = (
+                f"{path.name} states another orientation than {self._paths[0].name}: it is taken "
+                "to lie as that one does"
+            )
+            if note not in self.notes:
+                self.notes.append(note)
+        return self._quarter_turns
+
+    def _name_apart(self) -> None:
+        """Name files by their paths where two have the same name."""
+        names = [each.name for each in self.photographs]
+        if len(set(names)) < len(names):
+            self.photographs = [
+                replace(each, name=str(path))
+                for each, path in zip(self.photographs, self._paths, strict=True)
+            ]
+
+
+def _check_alike(path: Path, this: Format, first: Path, other: Format) -> None:
+    """Raise `DataError` where a file has not the size or format of the first one."""
+    if (this.layout, this.bits, this.black) != (other.layout, other.bits, other.black):
+        raise DataError(
+            f"{path} is {this.layout}, {this.bits} bits, black {this.black}, and {first} is "
+            f"{other.layout}, {other.bits} bits, black {other.black}",
+            hint="give photographs of one format",
+        )
+    if this.shape != other.shape:
+        sizes = [f"{shape[1]} x {shape[0]}" for shape in (this.shape, other.shape)]
+        if sizes[0] != sizes[1]:
+            raise DataError(
+                f"{path} has {sizes[0]} pixels and {first} has {sizes[1]}",
+                hint="give photographs of one size; turned ones must be turned alike",
+            )
+
+
+def _layout_of(pixels: Pixels) -> Layout:
+    from camctl.interface.controls import Layout
+
+    return Layout.MONO if pixels.ndim == 2 else Layout.RGB
+
+
+def _largest_of_exr(paths: Sequence[Path]) -> float:
+    """Return the full scale of the OpenEXR files: 1, or the largest value in any of them."""
+    import numpy as np
+
+    largest = 1.0
+    for path in paths:
+        if path.suffix.lower() == _EXR:
+            values = _exr_values(path)
+            largest = max(largest, float(np.max(values, where=np.isfinite(values), initial=0.0)))
+    return largest
+
+
+def _exr_values(path: Path) -> Any:
+    import numpy as np
+
+    from camctl.system.input_files import check_regular
+    from sim.scenes.radiance_map import read_map
+
+    check_regular(path, "")
+    values = np.asarray(read_map(path)[0], np.float32)
+    return values[..., :3] if values.ndim == 3 and values.shape[2] >= 3 else values.squeeze()
+
+
+def _read_exr(path: Path, time_s: float | None, full: float) -> tuple[Pixels, Photograph]:
+    """Return the linear values of an OpenEXR file in 16 bits, and its exposure."""
+    import numpy as np
+
+    values = _exr_values(path)
+    scaled = np.nan_to_num(values, nan=0.0, posinf=full, neginf=0.0) / full * _FULL_EXR
+    pixels: Pixels = np.rint(np.clip(scaled, 0, _FULL_EXR)).astype(np.uint16)
+    return pixels, _exr_exposure(path, time_s)
+
+
+def _exr_exposure(path: Path, time_s: float | None) -> Photograph:
+    """Return the exposure in the standard attributes of a file; a given time replaces its own."""
+    import OpenEXR
+
+    from camctl.photographs.photograph import Photograph
+    from camctl.system.library_output import exr_source, quiet_libraries
+
+    with quiet_libraries(), exr_source(path) as source:
+        header = OpenEXR.File(source, header_only=True).header()
+    stated_s, iso, f_number = (
+        float(value) if isinstance(value, int | float) and 0 < value < math.inf else None
+        for value in map(header.get, ("expTime", "isoSpeed", "aperture"))
+    )
+    time_s = stated_s if time_s is None else time_s
+    if time_s is None:
+        raise unknown_time(path)
+    return Photograph(path.name, time_s, 1.0 if iso is None else iso / 100, f_number, None, iso)

@@ -1,0 +1,145 @@
+"""The picture of an effective camera from photographs already taken."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from camctl.captures.sequencer import capture
+from camctl.photographs.choice import (
+    darkest_light,
+    plan_photographs,
+    why_unused,
+    with_dark_share,
+)
+from camctl.photographs.photograph_set import (
+    OpenedPhotographs,
+    PhotographOptions,
+    open_photographs,
+)
+from camctl.records.capture_plan import CapturePlan
+from camctl.records.folder_store import FolderStore
+from camctl.records.report import CaptureReport
+from camctl.records.request import AUTO, CaptureRequest
+
+#: Stands for the range in a request until the light of the photographs gives it.
+_ANY_RANGE = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class MergePlan:
+    """Which of the photographs are used, and why not the others.
+
+    Attributes:
+        opened: the photographs
+        request: with the range and the exposures that were chosen
+        plan: of the picture
+    """
+
+    opened: OpenedPhotographs
+    request: CaptureRequest
+    plan: CapturePlan
+
+    @property
+    def photographs(self) -> list[dict[str, Any]]:
+        """Exposure of each photograph, whether it is used, and why not."""
+        camera = self.opened.camera
+        used, reasons = camera.chosen(self.plan.settings), why_unused(camera, self.plan)
+        return [
+            {
+                "file": each.name,
+                "time_s": each.time_s,
+                "gain": each.gain,
+                "f_number": each.f_number,
+                "used": k in used,
+                "why_not": reasons.get(k),
+            }
+            for k, each in enumerate(camera.photographs)
+        ]
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user should know of the photographs, one line each."""
+        used = [k for k, each in enumerate(self.photographs) if each["used"]]
+        is_sum = len(used) > 1
+        return [
+            *self.opened.notes,
+            *(
+                f"{how}, and the picture will be blurred: align the photographs first"
+                if is_sum and k in used
+                else f"{how}; the picture is not blurred by it, since "
+                f"{'it is the only one' if k in used else 'it is not'} used"
+                for k, how in self.opened.displaced.items()
+            ),
+        ]
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the report says of the photographs, as `CaptureReport.source`."""
+        return {
+            "photographs": self.photographs,
+            "response_from": self.opened.response,
+            "facts": list(self.opened.facts),
+            "notes": self.notes,
+        }
+
+    def capture(self, path: str | os.PathLike[str] | None, *, overwrite: bool) -> CaptureReport:
+        """Sum the photographs that are used, and write the pictures; see `merge`."""
+        camera = self.opened.camera
+        return capture(
+            camera, self.request, path, plan=self.plan, source=self.facts, overwrite=overwrite
+        )
+
+
+def plan_merge(
+    files: Sequence[str | os.PathLike[str]], request: CaptureRequest, options: PhotographOptions
+) -> MergePlan:
+    """Read photographs, and choose those that serve a picture; arguments as for `merge`."""
+    is_auto = request.dynamic_range == AUTO
+    if is_auto:
+        request = replace(request, dynamic_range=_ANY_RANGE)
+    opened = open_photographs([Path(each) for each in files], options)
+    camera, patches = opened.camera, opened.patches
+    darkest = darkest_light(camera, patches) if is_auto else None
+    plan, request = plan_photographs(camera, request, darkest)
+    return MergePlan(opened, request, with_dark_share(camera, plan, patches))
+
+
+def merge(
+    files: Sequence[str | os.PathLike[str]],
+    request: CaptureRequest | None = None,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    options: PhotographOptions | None = None,
+    overwrite: bool = False,
+) -> CaptureReport:
+    """Make the picture that `request` asks for from photographs of one scene, as `camctl merge`.
+
+    Those that serve the picture are chosen as `capture` chooses exposures, and summed.
+
+    Args:
+        files: photographs with different exposures: JPEG, PNG, TIFF, camera raw, linear OpenEXR
+        request: the desired picture; None: response "log" over the range of the light in the
+            photographs, of which as many are used as raise the effective levels by 5 % each
+        path: folder of the result, which is made; None: all is kept in memory
+        options: what is known of the photographs beside their files
+        overwrite: replace an earlier result in the folder
+
+    Returns:
+        the report; `source["photographs"]` says which photographs are used, and why not the
+        others, and `source["notes"]` what was found wrong with them
+
+    Raises:
+        UsageError: the request or an option cannot be met, or an exposure is missing
+        DataError: a file cannot be read, or the photographs do not fit each other or their labels
+        CaptureError: no set of the photographs makes the picture
+        StorageError: a file cannot be written, or the folder holds another result
+    """
+    if path is not None:
+        FolderStore.check_free(Path(path), overwrite=overwrite)
+    asked = request or CaptureRequest(dynamic_range="auto", clip_percent=0.0)
+    found = plan_merge(files, asked, options or PhotographOptions())
+    return found.capture(path, overwrite=overwrite)

@@ -1,0 +1,272 @@
+"""Photographs that are to be merged: read, cut to what is valid, checked, and with a response."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from camctl.errors import UsageError
+from camctl.photographs.files import PhotographFiles
+from camctl.photographs.response import (
+    ASSUMED,
+    FROM_PHOTOGRAPHS,
+    OF_THEIR_EXPOSURES,
+    known_controls,
+)
+from camctl.system.number_text import time_text
+
+if TYPE_CHECKING:
+    from camctl.evidence.patches import Patches
+    from camctl.interface.controls import ExposureControls
+    from camctl.photographs.camera import PhotographCamera
+    from camctl.photographs.photograph import Photograph
+    from camctl.photographs.selection import Selection
+    from camctl.photographs.valid_area import ValidArea
+
+
+@dataclass(frozen=True)
+class PhotographOptions:
+    """What is known of photographs beside their files.
+
+    Attributes:
+        times: shutter times of the files, s, in their order; None: as their EXIF data state them,
+            from which ISO and f-number are in any case
+        labels: "dial": the times are labels of a dial, whose 1/60 is 1/64 s; "exact": they are
+            not, and are not corrected from the pixels, either; "auto": they are labels where all
+            of them are usual ones
+        black: black level, DN; None: stated in raw files, else from the pixels
+        white: white level, DN; None: likewise
+        curve: response of the camera: a file of two columns, irradiance and brightness, or
+            "linear", "srgb", "rec709", "power:GAMMA"; None: linear for raw files, that of the
+            profile of the camera that the files name, or estimated
+        mask: file of a picture that is black where the photographs are not valid; None: a border
+            of one pure colour is cut off
+    """
+
+    times: tuple[float, ...] | None = None
+    labels: str = "auto"
+    black: int | None = None
+    white: int | None = None
+    curve: str | None = None
+    mask: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedPhotographs:
+    """Photographs that were read and checked.
+
+    Attributes:
+        camera: of which they are the frames
+        patches: samples of each of them, see `sample_patches`
+        response: where the response is from
+        facts: what the user may want to know
+        notes: what the user should know, one line each
+        displaced: by position in `camera`, how photographs lie that are used and do not lie where
+            others do
+    """
+
+    camera: PhotographCamera
+    patches: tuple[Patches, ...]
+    response: str
+    facts: tuple[str, ...]
+    notes: tuple[str, ...]
+    displaced: dict[int, str]
+
+
+def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> OpenedPhotographs:
+    """Read and check photographs, and leave out those that do not fit most others.
+
+    Args:
+        paths: of their files
+        source: what is known of them
+
+    Raises:
+        DataError: a file cannot be read or does not fit the others
+        UsageError: an exposure is missing, or an option does not fit the files
+    """
+    from camctl.evidence.patches import LightScale
+    from camctl.photographs.camera import PhotographCamera
+    from camctl.photographs.checks import Sight, check_order, flashes, with_all_stated
+    from camctl.photographs.contradictions import contradictions
+    from camctl.photographs.labels import (
+        check_doubted,
+        doubted_labels,
+        neighbours_differ,
+        wrong_labels,
+    )
+    from camctl.photographs.photograph import corrected_exposures
+    from camctl.photographs.selection import distinct, of_one_view
+    from camctl.photographs.valid_area import ValidArea
+
+    files = PhotographFiles(paths, source.times)
+    photographs, unstated = with_all_stated(files.photographs)
+    photographs, facts = _with_labels(photographs, source.labels)
+    _, white = _levels(files, source)
+    area = ValidArea.of(files, source.mask)
+    facts += area.facts
+    sights = [
+        Sight.of(photograph, area.seen(files.pixels(k)), white)
+        for k, photograph in enumerate(photographs)
+    ]
+    notes = list(files.notes)
+    kept = distinct(sights, notes)
+    notes += [*unstated, *flashes(photographs)]
+    selection = _selection(files, photographs, kept, area, source)
+    selection, displaced = of_one_view(selection, [sights[k] for k in kept], notes)
+    series = selection.series
+    doubted = doubted_labels(series)
+    check_doubted(selection.photographs, doubted, series)
+    check_order(selection.photographs, series.patches, white)
+    for k, factor in doubted.items():  # a wrong label must not bend the response
+        series.exposures[k] *= factor
+    series.find_limits()
+    facts += series.notes
+    series.notes.clear()
+    selection, controls, response = _with_response(files, source, selection, notes, facts)
+    photographs = selection.photographs
+    patches = [np.minimum(each, controls.white) for each in selection.series.patches]
+    scale = LightScale(controls.levels, controls.black)
+    if source.labels != "exact" and response != ASSUMED:
+        corrected, changed = corrected_exposures(photographs, patches, scale)
+        # An estimated response has errors that the estimate of exposures takes for theirs.
+        stated_differ = neighbours_differ(photographs, patches, scale)
+        if neighbours_differ(corrected, patches, scale) < stated_differ:
+            photographs, facts = corrected, [*facts, *changed]
+    is_exact = source.labels == "exact"
+    if len(photographs) <= 3 and response in OF_THEIR_EXPOSURES:
+        facts.append(
+            "three photographs or fewer do not always show that an exposure is wrong while the "
+            "response is not known: give --curve"
+        )
+    wrong = wrong_labels(
+        photographs,
+        patches,
+        scale,
+        is_exact=is_exact,
+        is_known=source.curve is not None or response not in FROM_PHOTOGRAPHS,
+        is_assumed=response == ASSUMED,
+    )
+    notes += wrong.notes
+    facts += wrong.facts
+    positions = selection.positions
+    if is_exact:  # what is named must not falsify the picture
+        right = [k for k in range(len(photographs)) if k not in wrong.factors]
+        positions, patches = [positions[k] for k in right], [patches[k] for k in right]
+        photographs = [photographs[k] for k in right]
+        displaced = {place: displaced[k] for place, k in enumerate(right) if k in displaced}
+    else:
+        photographs = [
+            replace(each, time_s=each.time_s * wrong.factors.get(k, 1.0))
+            for k, each in enumerate(photographs)
+        ]
+    camera = PhotographCamera(
+        photographs,
+        lambda k: area.shown(files.pixels(positions[k]), controls.black),
+        controls,
+        files.taken_by,
+        metered=lambda k: area.seen(files.pixels(positions[k])),
+    )
+    first = area.seen(files.pixels(positions[0]))
+    planes = [each.shape for each in files.format.layout.planes(first)]
+    facts += contradictions(photographs, patches, scale, planes)
+    return OpenedPhotographs(
+        camera,
+        tuple(patches),
+        response,
+        tuple(facts),
+        tuple(notes),
+        displaced,
+    )
+
+
+def _levels(files: PhotographFiles, source: PhotographOptions) -> tuple[int, int]:
+    """Return black and white level of the files, as stated or of their format."""
+    black = files.format.black if source.black is None else source.black
+    white = files.format.white if source.white is None else source.white
+    if not black < white < 2**files.format.bits:
+        raise UsageError(
+            f"invalid levels: black {black} and white {white} in files of {files.format.bits} bits",
+            hint=f"expected black < white < {2**files.format.bits}",
+        )
+    return black, white
+
+
+def _selection(
+    files: PhotographFiles,
+    photographs: Sequence[Photograph],
+    kept: list[int],
+    area: ValidArea,
+    source: PhotographOptions,
+) -> Selection:
+    """Return the photographs at some positions, with their histograms and patches."""
+    from camctl.calibration.response_series import Series
+    from camctl.photographs.selection import Selection
+
+    black, white = _levels(files, source)
+    series = Series(
+        files.format.layout,
+        files.format.bits,
+        black,
+        white,
+        phase=0.5 if black else 0.0,
+        levels_are_stated=source.black is not None
+        or source.white is not None
+        or files.format.is_raw,
+    )
+    for k in kept:
+        series.add(area.seen(files.pixels(k)), photographs[k].exposure, photographs[k].name)
+    return Selection(kept, [photographs[k] for k in kept], series)
+
+
+def _with_response(
+    files: PhotographFiles,
+    source: PhotographOptions,
+    selection: Selection,
+    notes: list[str],
+    facts: list[str],
+) -> tuple[Selection, ExposureControls, str]:
+    """Return the photographs of one colour, what is known of them, and where the response is from.
+
+    Warnings are added to `notes`, and what the user may want to know to `facts`.
+    """
+    from camctl.photographs.selection import of_one_colour
+
+    found: tuple[list[str], list[str]] = ([], [])
+    controls, response = known_controls(files, source.curve, selection.series, *found)
+    used = selection if response == ASSUMED else of_one_colour(selection, controls, notes)
+    if used is not selection:  # other colours must not bend the response
+        found = ([], [])
+        controls, response = known_controls(files, source.curve, used.series, *found)
+    notes += found[0]
+    facts += found[1]
+    return used, controls, response
+
+
+def _with_labels(photographs: list[Photograph], labels: str) -> tuple[list[Photograph], list[str]]:
+    """Return photographs with true exposures, and what was changed."""
+    from camctl.photographs.photograph import with_true_exposures
+
+    changed = None if labels == "exact" else with_true_exposures(photographs)
+    if changed is None:
+        if labels == "dial":
+            raise UsageError(
+                "the times are not the labels of a dial", hint="leave --labels dial out"
+            )
+        return photographs, []
+    pairs = [
+        f"{time_text(before.time_s)} is {time_text(after.time_s)}"
+        for before, after in zip(photographs, changed, strict=True)
+        if abs(after.time_s / before.time_s - 1) > 1e-3
+    ]
+    if not pairs:
+        return changed, []
+    pairs = list(dict.fromkeys(pairs))  # ISO or aperture brackets have one time
+    more = "" if len(pairs) <= 3 else " and so on"
+    return changed, [
+        f"the times are taken for labels of a dial: {', '.join(pairs[:3])}{more} (else give "
+        "--labels exact)"
+    ]

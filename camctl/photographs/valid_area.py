@@ -1,0 +1,159 @@
+"""Which part of photographs is valid: within a border of one pure colour, or by a mask."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import CameraProtocolError, DataError
+from camctl.interface.camera import Pixels
+from camctl.photographs.checks import invalid_border, largest_rectangle
+from camctl.photographs.files import PhotographFiles
+from camctl.system.input_files import read_input
+from camctl.system.number_text import percent_text
+from drivers.common.still_file import read_still
+
+_MOST_BYTES = 1 << 28
+
+
+@dataclass(frozen=True, eq=False)
+class ValidArea:
+    """The part of photographs that is valid.
+
+    Attributes:
+        rows: that hold it
+        columns: likewise
+        invalid: which pixels of these are not valid; None: all are
+        nearest: row and column of the valid pixel of the same colour next to each invalid one
+        facts: what is left out
+    """
+
+    rows: slice
+    columns: slice
+    invalid: NDArray[np.bool_] | None
+    nearest: tuple[NDArray[np.intp], NDArray[np.intp]] | None
+    facts: tuple[str, ...]
+
+    @classmethod
+    def of(cls, files: PhotographFiles, mask: str | None) -> ValidArea:
+        """Return that of photographs.
+
+        Args:
+            files: of them
+            mask: file of a picture that is black where they are not valid; None: a border of one
+                pure colour is not
+
+        Raises:
+            DataError: the mask cannot be read, does not fit, or leaves nothing
+        """
+        shape = files.format.shape[:2]
+        step = 2 if files.format.layout.is_mosaic else 1  # colours of the pattern stay in place
+        if mask is not None:
+            return cls._of_mask(_read_mask(mask, shape), step)
+        invalid = np.zeros(shape, np.bool_)
+        for position in range(len(files.photographs)):
+            invalid |= invalid_border(files.pixels(position))
+        if not invalid.any():
+            return cls(slice(None), slice(None), None, None, ())
+        rows, columns = (_from_even(each, step) for each in largest_rectangle(~invalid))
+        fact = f"cut to {_place(rows, columns)}: the border around has one pure colour"
+        return cls(rows, columns, None, None, (fact,))
+
+    @classmethod
+    def _of_mask(cls, invalid: NDArray[np.bool_], step: int) -> ValidArea:
+        used = [np.flatnonzero(~invalid.all(axis=axis)) for axis in (1, 0)]
+        rows, columns = (_from_even(slice(each[0], each[-1] + 1), -step) for each in used)
+        facts = []
+        inner = invalid[rows, columns]
+        if inner.size < invalid.size:
+            facts.append(f"cut to {_place(rows, columns)}: the mask is black around")
+        if not inner.any():
+            return cls(rows, columns, None, None, tuple(facts))
+        share = percent_text(float(np.mean(inner)))
+        facts.append(f"{share} of the pixels are masked, and too dark in the result")
+        return cls(rows, columns, inner, _nearest(inner, step), tuple(facts))
+
+    def seen(self, pixels: Pixels) -> Pixels:
+        """Return the valid part, invalid pixels with the samples of the nearest valid ones.
+
+        Black ones would look like a part of the scene.
+        """
+        cut = self._cut(pixels)
+        if self.invalid is not None and self.nearest is not None:
+            cut[self.invalid] = cut[self.nearest]
+        return cut
+
+    def shown(self, pixels: Pixels, black: int) -> Pixels:
+        """Return the valid part, invalid pixels without light."""
+        cut = self._cut(pixels)
+        if self.invalid is not None:
+            cut[self.invalid] = black
+        return cut
+
+    def _cut(self, pixels: Pixels) -> Pixels:
+        """Return the rectangle, in memory of its own if pixels of it are not valid."""
+        part = pixels[self.rows, self.columns]
+        cut: NDArray[Any] = np.ascontiguousarray(part) if self.invalid is None else part.copy()
+        return cut
+
+
+def _from_even(lines: slice, step: int) -> slice:
+    """Return lines from a multiple of a step on: the next one, or the one before if negative."""
+    start = -(-lines.start // step) * step if step > 0 else lines.start // -step * -step
+    return slice(start, lines.stop)
+
+
+def _place(rows: slice, columns: slice) -> str:
+    return (
+        f"{columns.stop - columns.start} x {rows.stop - rows.start} pixels from column "
+        f"{columns.start}, row {rows.start}"
+    )
+
+
+def _nearest(invalid: NDArray[np.bool_], step: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return row and column of a valid pixel near each invalid one, as many places of a pattern on.
+
+    Blocks of `step` x `step` pixels count as invalid if one of their pixels is.
+    """
+    import cv2
+
+    rows, columns = (-(-length // step) for length in invalid.shape)
+    padded = np.ones((rows * step, columns * step), np.bool_)
+    padded[: invalid.shape[0], : invalid.shape[1]] = invalid
+    blocks = padded.reshape(rows, step, columns, step).any(axis=(1, 3))
+    if blocks.all():
+        raise DataError("the mask leaves no whole block of the colour pattern", hint="check --mask")
+    zeros = np.asarray(blocks, np.uint8)
+    _, labels = cv2.distanceTransformWithLabels(
+        zeros, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    valid = np.argwhere(~blocks)
+    places = np.zeros((int(labels.max()) + 1, 2), np.intp)
+    places[labels[~blocks]] = valid
+    row, column = np.nonzero(invalid)
+    near = places[labels[row // step, column // step]] * step
+    return near[:, 0] + row % step, near[:, 1] + column % step
+
+
+def _read_mask(path: str, shape: Sequence[int]) -> NDArray[np.bool_]:
+    """Return which pixels a mask leaves out."""
+    try:
+        pixels = read_still(read_input(path, "mask", most_bytes=_MOST_BYTES), path).pixels
+    except CameraProtocolError as error:
+        raise DataError(
+            error.what.replace("the camera's file", "mask", 1), hint="give a PNG file"
+        ) from error
+    if pixels.shape[:2] != tuple(shape):
+        raise DataError(
+            f"mask {path} has {pixels.shape[1]} x {pixels.shape[0]} pixels, and the photographs "
+            f"have {shape[1]} x {shape[0]}",
+            hint="give a mask of their size",
+        )
+    black = pixels == 0 if pixels.ndim == 2 else (pixels == 0).all(axis=2)
+    if black.all():
+        raise DataError(f"mask {path} is black everywhere", hint="white is what is valid")
+    return np.asarray(black, np.bool_)

@@ -1,0 +1,1 @@
+"""Pictures computed from the sum: rendering, previews, sheets and files."""

@@ -1,0 +1,332 @@
+"""The picture files of a capture: sum.tiff, image.tiff, radiance.exr, preview.png, contact.png."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import DataError, OutOfMemoryError, UsageError
+from camctl.pictures.contact_sheet import contact_sheet
+from camctl.pictures.details import PictureDetails
+from camctl.pictures.metadata import (
+    EXR_PLACEHOLDER,
+    exr_attributes,
+    fill_exr_header,
+    png_with_metadata,
+    tiff_tags,
+)
+from camctl.pictures.preview import tone_map
+from camctl.pictures.preview_light import PREVIEW_SIDE, LightReducer
+from camctl.pictures.render import Rendering, Strip, as_halves
+from camctl.system.files import atomic_file, storage_error, write_bytes
+from camctl.system.input_files import check_regular, read_own_file
+from camctl.system.interrupts import uninterrupted
+from camctl.system.library_output import exr_source, quiet_libraries
+from camctl.system.memory import return_free_memory
+from camctl.system.picture_operations import opencv, png
+from camctl.system.threads import THREADS, in_threads
+
+#: Several threads compress the radiance of a picture of at least so many pixels.
+_LARGE = 4_000_000
+
+SUM, IMAGE, RADIANCE = "sum.tiff", "image.tiff", "radiance.exr"
+PREVIEW, CONTACT = "preview.png", "contact.png"
+
+#: Bytes of a preview at most: three for each pixel, and what a PNG file adds where noise makes it
+#: impossible to compress.
+_LARGEST_PREVIEW = 4 * PREVIEW_SIDE**2
+
+_MASK_PREFIX, _DEVIATION_PREFIX = "mask.", "sd."
+#: The values of a mask in float16.
+_HALVES = np.arange(256).astype(np.float16)
+_LIBRARIES = ("OpenEXR", "tifffile")
+"""Modules that write pictures; the packages that hold them have the same names."""
+_SHOOT_AGAIN = "shoot the capture again"
+
+
+def write_picture_files(
+    total: NDArray[np.unsignedinteger],
+    rendering: Rendering,
+    details: PictureDetails,
+    directory: Path,
+) -> dict[str, str]:
+    """Write all five files from one pass over the sum; return their names by kind.
+
+    Raises:
+        StorageError: one of them could not be written; a file is complete or missing
+    """
+    tags, radiance = tiff_tags(details), directory / RADIANCE
+    height, width = total.shape[:2]
+    reducer = LightReducer(height, width, rendering.unlit, rendering.full)
+    with (
+        ThreadPoolExecutor(2) as threads,
+        atomic_file(radiance) as radiance_part,
+        atomic_file(directory / IMAGE) as image_part,
+    ):
+        summed = threads.submit(_write_sum, directory / SUM, total, tags)
+        try:
+            with _radiance_file(
+                radiance_part, radiance, (width, height), rendering, details
+            ) as exr:
+                codes = _written(total, rendering, exr, reducer, threads)
+                _write_image(image_part, codes, total, rendering, tags)
+        finally:
+            summed.result()  # raises its error before those of the others
+        return_free_memory()
+        light = reducer.light()
+        mapped = threads.submit(tone_map, light)  # while the disk takes the files
+    preview = mapped.result()
+    write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))
+    sheet = contact_sheet(light, preview, details, rendering.movement)
+    write_bytes(directory / CONTACT, png_with_metadata(png(sheet), details))
+    return {
+        "sum": SUM,
+        "image": IMAGE,
+        "radiance": RADIANCE,
+        "preview": PREVIEW,
+        "contact": CONTACT,
+    }
+
+
+def _written(
+    total: NDArray[np.unsignedinteger],
+    rendering: Rendering,
+    exr: _RadianceFile,
+    reducer: LightReducer,
+    threads: ThreadPoolExecutor,
+) -> Iterator[NDArray[np.uint16]]:
+    """Yield the strips of image.tiff; each of them is in `exr` and in `reducer` then."""
+
+    def prepared(render: Callable[[], Strip]) -> tuple[Strip, dict[str, NDArray[Any]]]:
+        strip = render()
+        return strip, exr.channels(strip)
+
+    for strip, channels in in_threads(prepared, rendering.strips(total)):
+        reduced = threads.submit(reducer.add, strip)
+        exr.write(channels)
+        yield strip.code
+        reduced.result()
+
+
+def _write_image(
+    path: Path,
+    codes: Iterator[NDArray[np.uint16]],
+    total: NDArray[np.unsignedinteger],
+    rendering: Rendering,
+    tags: dict[str, Any],
+) -> None:
+    import tifffile
+
+    tifffile.imwrite(
+        path,
+        codes,
+        shape=rendering.picture_shape(total),
+        dtype=np.uint16,
+        rowsperstrip=rendering.strip_rows(total),
+        photometric="minisblack" if rendering.channels == "Y" else "rgb",
+        **tags,
+    )
+
+
+def _write_sum(path: Path, total: NDArray[np.unsignedinteger], tags: dict[str, Any]) -> None:
+    import tifffile
+
+    photometric = "rgb" if total.ndim == 3 else "minisblack"
+    with atomic_file(path) as part:
+        tifffile.imwrite(part, total, photometric=photometric, **tags)
+
+
+def read_tiff(path: Path) -> NDArray[Any]:
+    """Return the samples of a TIFF file, (rows, columns) or (rows, columns, 3).
+
+    Raises:
+        DataError: the file is missing or damaged
+    """
+    import tifffile
+
+    with _readable(path):
+        samples = np.asarray(tifffile.imread(path))
+        if samples.ndim not in (2, 3):
+            raise ValueError("the file holds no picture")
+        return samples
+
+
+def read_radiance(path: Path) -> NDArray[np.float32]:
+    """Return the irradiance in radiance.exr, (rows, columns) or (rows, columns, 3).
+
+    Raises:
+        DataError: the file is missing or damaged
+    """
+    return _read_channels(path, "")
+
+
+def read_mask(path: Path) -> NDArray[np.uint8]:
+    """Return the mask in radiance.exr, in the shape of the irradiance; raises as that does."""
+    found = _read_channels(path, _MASK_PREFIX)
+    if not ((found >= 0) & (found <= 255)).all():
+        raise DataError(f"cannot read {path}: its masks hold no bits", hint=_SHOOT_AGAIN)
+    return found.astype(np.uint8)
+
+
+def read_deviation(path: Path) -> NDArray[np.float32]:
+    """Return the standard deviation in radiance.exr, float32, likewise."""
+    return _read_channels(path, _DEVIATION_PREFIX).astype(np.float32, copy=False)
+
+
+def _read_channels(path: Path, prefix: str) -> NDArray[Any]:
+    import OpenEXR
+
+    with (
+        _readable(path),
+        exr_source(path) as source,
+        OpenEXR.File(source, separate_channels=True) as file,
+    ):
+        channels = file.channels()
+        names = "Y" if "Y" in channels else "RGB"
+        found = [channels[prefix + name].pixels for name in names]
+        return found[0].copy() if len(names) == 1 else np.stack(found, axis=-1)
+
+
+def load_libraries() -> None:
+    """Import the libraries that make and write pictures, before anything is shot.
+
+    Where memory is short, loading one may end the process.
+
+    Raises:
+        UsageError: one of them is not installed
+    """
+    opencv()
+    for module in _LIBRARIES:
+        try:
+            import_module(module)
+        except ModuleNotFoundError as error:
+            raise UsageError(
+                f"a capture cannot write its pictures: {module} is not installed",
+                hint=f"install it with: pip install {module}",
+            ) from error
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn what a library raises for a missing or damaged file into `DataError`."""
+    check_regular(path, "", hint=_SHOOT_AGAIN)
+    try:
+        with quiet_libraries():
+            yield
+    except MemoryError as error:
+        raise OutOfMemoryError(f"cannot read {path}: not enough memory") from error
+    except Exception as error:  # the libraries raise errors of any type for a damaged file
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise DataError(f"cannot read {path}: {reason}", hint=_SHOOT_AGAIN) from error
+
+
+@contextmanager
+def _radiance_file(
+    path: Path, final: Path, size: tuple[int, int], rendering: Rendering, details: PictureDetails
+) -> Iterator[_RadianceFile]:
+    """Open an OpenEXR file at `path`, complete at the end of the block; errors name `final`."""
+    import OpenEXR
+
+    if size[0] * size[1] >= _LARGE:
+        OpenEXR.set_global_thread_count(THREADS)
+    try:
+        file = _RadianceFile(path, final, size, rendering)
+        try:
+            yield file
+        finally:
+            file.close()
+    finally:
+        OpenEXR.set_global_thread_count(0)
+    fill_exr_header(path, exr_attributes(details, rendering.channels), details.summary)
+
+
+@lru_cache(maxsize=8)
+def _exr_header(size: tuple[int, int], names: str, halves: bool) -> dict[str, Any]:
+    """Return the header of an OpenEXR file.
+
+    The library never releases the values of a header: files of one size share theirs, so that a
+    long series of captures does not grow by them.
+    """
+    import Imath
+    import OpenEXR
+
+    pixels = Imath.PixelType
+    kinds = {
+        "": pixels.FLOAT,
+        _DEVIATION_PREFIX: pixels.HALF if halves else pixels.FLOAT,
+        _MASK_PREFIX: pixels.HALF,
+    }
+    channels = {
+        prefix + name: Imath.Channel(Imath.PixelType(kind))
+        for prefix, kind in kinds.items()
+        for name in names
+    }
+    return {
+        **OpenEXR.Header(*size),
+        # Without loss; for noisy light half the time of ZIP, and smaller files.
+        "compression": Imath.Compression(Imath.Compression.PIZ_COMPRESSION),
+        "channels": channels,
+        **EXR_PLACEHOLDER,
+    }
+
+
+class _RadianceFile:
+    """An OpenEXR file written strip by strip.
+
+    The time to compress a channel follows its bytes: masks are float16, and so are standard
+    deviations where that has all of them exactly; the rest is float32.  The file is written at
+    `path` and will be called `final`, which errors name.
+    """
+
+    def __init__(
+        self, path: Path, final: Path, size: tuple[int, int], rendering: Rendering
+    ) -> None:
+        import OpenEXR
+
+        self._names, self._final = rendering.channels, final
+        self._halves = rendering.deviations_are_halves
+        header = _exr_header(size, self._names, self._halves)
+        # It takes bytes, too.  A str that is not UTF-8 ends the process, as does an exception in
+        # the Python code that it calls.
+        self._file = uninterrupted(OpenEXR.OutputFile)(os.fsencode(path), header)
+        self.close = self._file.close
+
+    def channels(self, strip: Strip) -> dict[str, NDArray[Any]]:
+        """Return the channels of a strip, (rows, columns) each."""
+        found: dict[str, NDArray[Any]] = {}
+        for name, light, deviation, mask in zip(
+            self._names, strip.irradiance, strip.deviation, strip.mask, strict=True
+        ):
+            found[name] = np.ascontiguousarray(light)
+            found[_DEVIATION_PREFIX + name] = (
+                as_halves(deviation) if self._halves else np.ascontiguousarray(deviation)
+            )
+            found[_MASK_PREFIX + name] = _HALVES.take(mask)
+        return found
+
+    def write(self, channels: dict[str, NDArray[Any]]) -> None:
+        """Append the channels of a strip."""
+        rows = len(next(iter(channels.values())))
+        try:
+            uninterrupted(self._file.writePixels)(channels, rows)
+        except OSError as error:
+            # Converted here: the TIFF file is written around this call, and would be named instead.
+            raise storage_error(self._final, error) from error
+
+
+def read_preview(folder: Path) -> bytearray:
+    """Return the content of a capture's preview, a PNG file.
+
+    Raises:
+        DataError: it is missing, no regular file, or larger than any preview
+    """
+    return read_own_file(folder / PREVIEW, _LARGEST_PREVIEW)

@@ -1,0 +1,160 @@
+"""Metadata in the picture files: EXR attributes, TIFF tags, PNG chunks.
+
+OpenEXR's Python interface writes attributes only from a header of which it keeps every value
+forever, and chromaticities as zeros.  So a file is written with one long comment instead, and its
+place in the header is filled with the attributes afterwards.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from email.utils import format_datetime
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from camctl.pictures.details import PictureDetails
+
+_COMMENT = "comments"
+#: Bytes for all attributes together.
+_ROOM = 2048
+EXR_PLACEHOLDER = {_COMMENT: b" " * _ROOM}
+"""What the header of a new EXR file has for `fill_exr_header`."""
+
+#: Characters of a text at most.
+_LONGEST_TEXT = 100
+#: Chromaticities of the primaries and of white, x and y: ITU-R BT.709, which is sRGB.
+_BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+#: Numbers of TIFF tags: maker and model (TIFF 6.0), serial number (DNG).
+_MAKE, _MODEL, _SERIAL = 271, 272, 50735
+#: The same of shutter time and f-number (TIFF/EP), and of their type, a ratio of two integers.
+_EXPOSURE_TIME, _F_NUMBER, _RATIONAL = 33434, 33437, 5
+#: The same of the ISO speed, an integer of 16 bits.
+_ISO_SPEED, _SHORT, _LARGEST_SHORT = 34855, 3, 65535
+#: Largest of these integers: they have 32 bits.
+_LARGEST_INTEGER = 10**9
+#: Rendering intent of a PNG file in sRGB: perceptual.
+_PERCEPTUAL = b"\0"
+_PNG_SIGNATURE = 8
+_PNG_HEADER = _PNG_SIGNATURE + 4 + 4 + 13 + 4
+
+Attribute = str | float | tuple[float, ...]
+
+
+def exr_attributes(details: PictureDetails, channels: str) -> dict[str, Attribute]:
+    """Return the standard attributes of radiance.exr by name.
+
+    The colours are those of the camera, without a conversion; the chromaticities of BT.709 are what
+    they are shown with.  `expTime` is the sum of the shutter times.
+    """
+    camera = details.camera
+    found: dict[str, Attribute] = {
+        "cameraMake": camera.make,
+        "cameraModel": camera.model,
+        "cameraSerialNumber": camera.serial,
+        "software": details.software,
+        "expTime": details.total_time_s,
+        "irradianceUnit": details.unit,
+    }
+    if details.f_number is not None:
+        found["aperture"] = details.f_number
+    if details.iso is not None:
+        found["isoSpeed"] = details.iso
+    if details.gain is not None:
+        found["gain"] = details.gain
+    if details.taken_at is not None:
+        offset = details.taken_at.utcoffset()
+        found["capDate"] = f"{details.taken_at:%Y:%m:%d %H:%M:%S}"
+        # OpenEXR counts from local time to UTC.
+        found["utcOffset"] = -offset.total_seconds() if offset is not None else 0.0
+    if len(channels) == 3:
+        found["chromaticities"] = _BT709
+    return {name: value for name, value in found.items() if value != ""}
+
+
+def fill_exr_header(path: Path, attributes: Mapping[str, Attribute], summary: str) -> None:
+    """Write attributes and a comment into an EXR file that was made with `EXR_PLACEHOLDER`."""
+    start = _exr_attribute(_COMMENT, "")[:-4] + struct.pack("<i", _ROOM)
+    with path.open("r+b") as file:
+        # Long names of channels before it would take more; those of a capture are short.
+        place = file.read(4096).index(start)
+        written = b"".join(_exr_attribute(name, value) for name, value in attributes.items())
+        room = _ROOM - len(written)
+        comment = f"irradiance; {summary}"[:room].ljust(room)
+        file.seek(place)
+        file.write(written + _exr_attribute(_COMMENT, comment))
+
+
+def tiff_tags(details: PictureDetails) -> dict[str, Any]:
+    """Return the arguments of tifffile that say what was taken when, how and with what.
+
+    Texts are ASCII, as TIFF asks.
+    """
+    camera = details.camera
+    texts = {_MAKE: camera.make, _MODEL: camera.model, _SERIAL: camera.serial}
+    numbers = {_EXPOSURE_TIME: details.total_time_s, _F_NUMBER: details.f_number}
+    iso = round(details.iso or 0)
+    tags: dict[str, Any] = {
+        "software": details.software,
+        "description": details.summary,
+        "metadata": None,  # tifffile's own description is of the array
+        "extratags": [
+            *((number, 2, 0, _ascii(text), True) for number, text in texts.items() if text),
+            *(
+                (number, _RATIONAL, 1, _ratio(value), True)
+                for number, value in numbers.items()
+                if value is not None
+            ),
+            *([(_ISO_SPEED, _SHORT, 1, iso, True)] if 0 < iso <= _LARGEST_SHORT else []),
+        ],
+    }
+    if details.taken_at is not None:
+        tags["datetime"] = f"{details.taken_at:%Y:%m:%d %H:%M:%S}"
+    return tags
+
+
+def png_with_metadata(png: bytes, details: PictureDetails) -> bytes:
+    """Return a PNG file in sRGB with the chunk that says so, and with date, camera and software."""
+    texts = {
+        "Software": details.software,
+        "Source": f"{details.camera.make} {details.camera.model}".strip(),
+    }
+    if details.taken_at is not None:
+        texts["Creation Time"] = format_datetime(details.taken_at)  # as PNG asks, RFC 1123
+    chunks = [_chunk(b"sRGB", _PERCEPTUAL)]
+    chunks += [_chunk(b"tEXt", f"{key}\0{_ascii(text)}".encode()) for key, text in texts.items()]
+    return png[:_PNG_HEADER] + b"".join(chunks) + png[_PNG_HEADER:]
+
+
+def _exr_attribute(name: str, value: Attribute) -> bytes:
+    """Return an attribute as it stands in the header: name, type, size, value."""
+    if isinstance(value, str):
+        kind = "string"
+        data = (value if name == _COMMENT else _clean(value)).encode("utf-8", "replace")
+    elif isinstance(value, tuple):
+        kind, data = "chromaticities", struct.pack(f"<{len(value)}f", *value)
+    else:
+        kind, data = "float", struct.pack("<f", value)
+    return b"%s\0%s\0%s" % (name.encode(), kind.encode(), struct.pack("<i", len(data))) + data
+
+
+def _ratio(value: float) -> tuple[int, int]:
+    """Return a number as numerator and denominator, each of at most 32 bits."""
+    ratio = Fraction(value).limit_denominator(round(_LARGEST_INTEGER / max(value, 1.0)))
+    return ratio.numerator, ratio.denominator
+
+
+def _clean(text: str) -> str:
+    """Return a text that a camera supplied without control characters, and not too long."""
+    return "".join(filter(str.isprintable, text))[:_LONGEST_TEXT]
+
+
+def _ascii(text: str) -> str:
+    return _clean(text).encode("ascii", "replace").decode()
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    """Return a chunk of a PNG file."""
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

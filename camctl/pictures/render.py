@@ -1,0 +1,397 @@
+"""From the sum of the frames to irradiance and to the image in the desired response.
+
+A table turns each value of the sum into irradiance, another one into the desired response.  A
+mosaic becomes irradiance first and is interpolated afterwards, in linear light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.evidence.movement import Movement
+from camctl.interface.controls import Layout
+from camctl.model.inverse import Posterior
+from camctl.model.response.desired import DesiredResponse
+from camctl.system.picture_operations import channels_apart, channels_together, correlated, dilated
+
+#: Values of a mask: within the range, light below the range, saturated in every frame.
+GOOD, DARK, SATURATED = 0, 1, 2
+#: Bits of a mask: the frames contradict each other; the sample is that of a hot pixel, or was
+#: interpolated from one.
+CONTRADICTING, HOT = 4, 8
+#: Largest value of image.tiff.
+FULL_CODE = 65535
+#: Samples of a strip at most: its arrays are small beside the sum.
+STRIP_SAMPLES = 1 << 21
+#: Rows of a strip at most: radiance.exr is compressed in blocks of 32, two of them at once.
+_STRIP_ROWS = 64
+
+_LETTERS = "RGB"
+#: Bilinear weights: every second pixel is green, every fourth one red or blue.
+_GREEN_WEIGHTS = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
+_RED_BLUE_WEIGHTS = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
+#: Bits kept of a float32's fraction: standard deviations are exact to 0.1 %, and irradiance that is
+#: interpolated to 4e-6 of it.  Files are a quarter smaller, and are written in half the time.
+_DEVIATION_BITS, _INTERPOLATED_BITS = 9, 17
+#: Error of a standard deviation as a share of the light that is as small as that of the light.
+_NEGLIGIBLE = 2.0 ** -(_INTERPOLATED_BITS + 1)
+#: Stands for an infinite standard deviation while they are interpolated; its square is finite.
+_LARGEST_DEVIATION = np.float32(1e18)
+
+
+def colour_of(layout: Layout, row: int, column: int) -> int:
+    """Return which of R, G, B (0, 1, 2) a mosaic has at (row, column)."""
+    return _LETTERS.index(layout.value.upper()[2 * (row % 2) + column % 2])
+
+
+#: The channels of a picture, (rows, columns) each: one, or R, G and B.
+_Planes = tuple[NDArray[np.float32], ...]
+
+
+def demosaic(mosaic: NDArray[np.float32], layout: Layout, first_row: int) -> _Planes:
+    """Return R, G and B by bilinear interpolation of (rows, columns), borders mirrored.
+
+    OpenCV's own demosaicing takes integers only, which would lose levels; this one keeps linear
+    light linear, to 4e-6 of it.  `first_row` is the row of the whole frame at which `mosaic`
+    begins.
+    """
+    colours = _interpolated(mosaic, layout, first_row, _GREEN_WEIGHTS, _RED_BLUE_WEIGHTS)
+    return tuple(_rounded(each, _INTERPOLATED_BITS) for each in colours)
+
+
+def demosaic_deviation(deviation: NDArray[np.float32], layout: Layout, first_row: int) -> _Planes:
+    """Return the standard deviations of what `demosaic` interpolates.
+
+    The errors of neighbouring pixels are independent, so that their variances add with the squares
+    of the weights.  The error of interpolation itself is not known.
+    """
+    # A finite number stands for an infinite one: the product with a weight of 0 is 0.
+    finite = np.minimum(deviation, _LARGEST_DEVIATION)
+    found = _interpolated(finite**2, layout, first_row, _GREEN_WEIGHTS**2, _RED_BLUE_WEIGHTS**2)
+    for each in found:
+        np.sqrt(each, out=each)
+        each[each > _LARGEST_DEVIATION / 100] = np.inf
+    return tuple(_rounded(each, _DEVIATION_BITS) for each in found)
+
+
+def _rounded(values: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
+    """Return positive values rounded to so many bits of their fraction."""
+    dropped = np.finfo(np.float32).nmant - bits
+    found = values.view(np.uint32) + np.uint32(1 << (dropped - 1))
+    found &= np.uint32(0xFFFFFFFF << dropped & 0xFFFFFFFF)
+    return np.asarray(found.view(np.float32))
+
+
+def as_halves(values: NDArray[np.float32]) -> NDArray[np.float16]:
+    """Return what `deviations_are_halves` says that float16 has; a tenth of numpy's time.
+
+    2^-112 times the value has float16's exponent, and its fraction, in the upper bits of float32.
+    """
+    bits = (values * np.float32(2.0**-112)).view(np.uint32)
+    bits += np.uint32(1 << 12)  # rounds what float16 does not have exactly
+    bits >>= np.uint32(13)
+    return (bits.astype(np.uint16) & np.uint16(0x7FFF)).view(np.float16)  # infinity, too
+
+
+def _interpolated(
+    mosaic: NDArray[np.float32],
+    layout: Layout,
+    first_row: int,
+    green: NDArray[np.floating[Any]],
+    red_blue: NDArray[np.floating[Any]],
+) -> _Planes:
+    """Return each colour's samples, weighted by these kernels."""
+    colours = []
+    for channel in range(3):
+        plane = np.zeros_like(mosaic)
+        for row in (0, 1):
+            for column in (0, 1):
+                if colour_of(layout, first_row + row, column) == channel:
+                    plane[row::2, column::2] = mosaic[row::2, column::2]
+        kernel = green if channel == 1 else red_blue
+        # Mirroring without repeating the border keeps the colour of every mirrored pixel.
+        colours.append(correlated(plane, kernel, repeats_border=False))
+    return tuple(colours)
+
+
+def demosaic_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a mosaic's mask for each channel: a mark covers all pixels it contributed to.
+
+    The value of such a pixel depends on the marked sample, in at least one channel.  More pixels
+    than samples are marked: up to nine for one.
+    """
+    return dilated(mask, (3, 3))
+
+
+def encode(desired: DesiredResponse, E: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return the desired response to irradiance, 0 to `FULL_CODE`, in E's shape."""
+    return np.rint(desired.u(E) * FULL_CODE).astype(np.uint16)
+
+
+def sum_mask(posterior: Posterior) -> NDArray[np.uint8]:
+    """Return for each value of the sum `GOOD`, `DARK` or `SATURATED`, black included.
+
+    Dark is a sum that says that the light is below the desired range, or that shows no light.
+    """
+    mask = np.full(posterior.sum.top + 1, GOOD, np.uint8)
+    mask[: posterior.sum.black + 1] = DARK
+    mask[posterior.desired.e_min > posterior.inverse.E] = DARK
+    mask[-1] = SATURATED
+    return mask
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Irradiance, code and mask for each value of the sum: arrays indexed by it, black included.
+
+    Attributes:
+        irradiance: float32, E / full-scale exposure, as `Inverse.E`; the last level for sums that
+            are saturated in every frame
+        deviation: float32, standard deviation of `irradiance`; infinite where it is saturated
+        code: uint16, the desired response, 0 to `FULL_CODE`, as `Inverse.u`
+        shown: float32, the irradiance of `code`, from which the image of a mosaic is interpolated
+        mask: uint8, `GOOD`, `DARK` (light below the desired range) or `SATURATED` (in every frame)
+        unlit: `irradiance` of a sum without light
+        full: `irradiance` of a sum that is saturated in every frame
+    """
+
+    irradiance: NDArray[np.float32]
+    deviation: NDArray[np.float32]
+    code: NDArray[np.uint16]
+    shown: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    unlit: float
+    full: float
+
+    @classmethod
+    def of(
+        cls,
+        posterior: Posterior,
+        full_scale_exposure: float,
+    ) -> Tables:
+        """Tabulate the inverse of the noisy sum."""
+        inverse, black_total = posterior.inverse, posterior.sum.black
+        E, deviation = inverse.E.copy(), inverse.deviation.copy()
+        E[-1], deviation[-1] = posterior.sum.camera.levels[-1], np.inf
+        return cls(
+            irradiance=(E / full_scale_exposure).astype(np.float32),
+            deviation=_rounded(
+                (deviation / full_scale_exposure).astype(np.float32), _DEVIATION_BITS
+            ),
+            code=np.rint(inverse.u * FULL_CODE).astype(np.uint16),
+            shown=posterior.desired.inverse(inverse.u).astype(np.float32),
+            mask=sum_mask(posterior),
+            unlit=float(E[black_total]) / full_scale_exposure,
+            full=float(E[-1]) / full_scale_exposure,
+        )
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Some rows of the pictures.
+
+    Attributes:
+        irradiance: of each channel, (rows, columns) float32, one or those of R, G and B
+        light: `irradiance` without hot pixels, the same where there are none
+        deviation: standard deviation of each channel, float32
+        mask: of each channel, uint8
+        code: of the image, (rows, columns) or (rows, columns, 3) uint16
+    """
+
+    irradiance: _Planes
+    light: _Planes
+    deviation: _Planes
+    mask: tuple[NDArray[np.uint8], ...]
+    code: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """How a sum becomes pictures.
+
+    Attributes:
+        layout: pixel layout of the frames
+        tables: irradiance, code and mask for each value of the sum: one table, or those of R, G, B
+        desired: desired response of the image
+        full_scale_exposure: irradiance in the pictures times this is E, 1 at full scale
+        hot_pixels: (row, column) of pixels that have the mask `HOT`; the image has the median of
+            their neighbours of the same colour in their place, the irradiance stays as it is
+        movement: where the frames contradict each other; such samples have the mask
+            `CONTRADICTING`
+    """
+
+    layout: Layout
+    tables: tuple[Tables, ...]
+    desired: DesiredResponse
+    full_scale_exposure: float
+    hot_pixels: tuple[tuple[int, int], ...] = ()
+    movement: Movement | None = None
+
+    @property
+    def unlit(self) -> float:
+        """The largest irradiance in the pictures where no frame shows light."""
+        return max(table.unlit for table in self.tables)
+
+    @property
+    def full(self) -> float:
+        """The least irradiance in the pictures where every frame is saturated."""
+        return min(table.full for table in self.tables)
+
+    @property
+    def deviations_are_halves(self) -> bool:
+        """Whether float16 has all standard deviations of the pictures.
+
+        It has those of at least 2^-15 exactly, since they have `_DEVIATION_BITS` bits, and less
+        ones to 2^-25.  They count as well if that is less than 4e-6 of the light, to which the
+        light itself is known in a file: such are those of sums between two levels that nearly
+        coincide.
+        """
+        # Interpolation at most halves a deviation; a sample has a weight of 1/4 at least.
+        halved, weight = (2, 1 / 4) if self.layout.is_mosaic else (1, 1.0)
+        kinds = np.finfo(np.float16)
+        error = float(kinds.smallest_subnormal) / 2
+        least = 2 * error * 2**_DEVIATION_BITS
+        for table in self.tables:
+            deviation = table.deviation[np.isfinite(table.deviation)] / halved
+            light = table.irradiance[np.isfinite(table.deviation)] * weight
+            is_small = (deviation > error) & (error <= _NEGLIGIBLE * light)
+            is_exact = (deviation >= least) | (deviation == 0)
+            if not (is_exact | is_small).all() or deviation.max() * halved > kinds.max:
+                return False
+        return True
+
+    @property
+    def channels(self) -> str:
+        """Names of the channels: "Y" or "RGB"."""
+        return "Y" if self.layout is Layout.MONO else _LETTERS
+
+    def picture_shape(self, total: NDArray[np.unsignedinteger]) -> tuple[int, ...]:
+        """Return the shape of the pictures: (rows, columns) or (rows, columns, 3)."""
+        return total.shape[:2] if self.layout is Layout.MONO else (*total.shape[:2], 3)
+
+    def strip_rows(self, total: NDArray[np.unsignedinteger]) -> int:
+        """Return the number of rows of a strip, even, so that a mosaic's pattern begins anew."""
+        row_samples: int = total.shape[1] * len(self.channels)
+        return min(_STRIP_ROWS, max(2, STRIP_SAMPLES // row_samples & ~1))
+
+    def strips(self, total: NDArray[np.unsignedinteger]) -> Iterator[Callable[[], Strip]]:
+        """Yield what makes the pictures of a sum, from top to bottom, `strip_rows` rows at a time.
+
+        Several threads may call what is yielded.
+        """
+        height, rows = total.shape[0], self.strip_rows(total)
+        shown, hot = self._without_hot_pixels(total)
+        for start in range(0, height, rows):
+            yield partial(self._strip, total, shown, hot, slice(start, min(start + rows, height)))
+
+    def _strip(
+        self,
+        total: NDArray[np.unsignedinteger],
+        shown: NDArray[np.unsignedinteger],
+        hot: NDArray[np.uint8] | None,
+        rows: slice,
+    ) -> Strip:
+        """Return these rows of the pictures of a sum; `shown` and `hot` as of hot pixels."""
+        # A mosaic is interpolated from its neighbouring rows, too.
+        border = 2 if self.layout.is_mosaic else 0
+        first, last = max(0, rows.start - border), min(len(total), rows.stop + border)
+        sums, shown = total[first:last], shown[first:last]
+        marks = [] if hot is None else [hot[first:last]]
+        if self.movement is not None:
+            marks.append(self.movement.rows(first, last) * np.uint8(CONTRADICTING))
+        if self.layout.is_mosaic:
+            inner = slice(rows.start - first, rows.stop - first)
+            return self._mosaic_strip(sums, None if hot is None else shown, marks, first, inner)
+        planes = shown_planes = channels_apart(sums)
+        irradiance = light = self._look_up("irradiance", planes)
+        if hot is not None:
+            shown_planes = channels_apart(shown)
+            light = self._look_up("irradiance", shown_planes)
+        mask = self._look_up("mask", planes)
+        for more in marks:
+            mask = tuple(map(np.bitwise_or, mask, channels_apart(more)))
+        code = channels_together(self._look_up("code", shown_planes))
+        return Strip(irradiance, light, self._look_up("deviation", planes), mask, code)
+
+    def _mosaic_strip(
+        self,
+        sums: NDArray[np.unsignedinteger],
+        shown: NDArray[np.unsignedinteger] | None,
+        marks: list[NDArray[np.uint8]],
+        first: int,
+        inner: slice,
+    ) -> Strip:
+        """Return the `inner` rows of these of a mosaic, which begin at row `first` of the frame.
+
+        `shown` is None without hot pixels.
+        """
+
+        def colours(name: str, sums: NDArray[np.unsignedinteger]) -> _Planes:
+            planes = demosaic(self._mosaic_values(name, sums), self.layout, first)
+            return tuple(each[inner] for each in planes)
+
+        deviation = demosaic_deviation(self._mosaic_values("deviation", sums), self.layout, first)
+        mask = demosaic_mask(self._mosaic_values("mask", sums))
+        for more in marks:  # each by itself: of several values the largest spreads
+            mask |= demosaic_mask(more)
+        irradiance = light = colours("irradiance", sums)
+        if shown is not None:
+            light = colours("irradiance", shown)
+        coded = channels_together(colours("shown", sums if shown is None else shown))
+        return Strip(
+            irradiance,
+            light,
+            tuple(each[inner] for each in deviation),
+            (mask[inner],) * 3,
+            encode(self.desired, coded),
+        )
+
+    def _look_up(
+        self, name: str, planes: tuple[NDArray[np.unsignedinteger], ...]
+    ) -> tuple[NDArray[Any], ...]:
+        """Return the values of a table for the sums of each channel."""
+        tables = self.tables if len(self.tables) > 1 else self.tables * len(planes)
+        # Half the time of an index.
+        each = zip(tables, planes, strict=True)
+        return tuple(getattr(table, name).take(plane) for table, plane in each)
+
+    def _mosaic_values(self, name: str, sums: NDArray[np.unsignedinteger]) -> NDArray[Any]:
+        """Return the values of a table for sums of a mosaic, which begin at an even row."""
+        tables = [getattr(each, name) for each in self.tables]
+        if len(tables) == 1:
+            return np.asarray(tables[0].take(sums))
+        found = np.empty(sums.shape, tables[0].dtype)
+        colours = self.layout.value.upper()
+        planes = zip(colours, self.layout.planes(found), self.layout.planes(sums), strict=True)
+        for colour, values, plane in planes:
+            values[...] = tables[_LETTERS.index(colour)].take(plane)
+        return found
+
+    def _without_hot_pixels(
+        self, total: NDArray[np.unsignedinteger]
+    ) -> tuple[NDArray[np.unsignedinteger], NDArray[np.uint8] | None]:
+        """Return the sum without hot pixels, and `HOT` where they are; None where there are none.
+
+        Each is replaced by the median of up to eight neighbours of its colour that are not hot.
+        """
+        if not self.hot_pixels:
+            return total, None
+        shown, hot = total.copy(), np.zeros(total.shape, np.uint8)
+        rows, columns = np.array(self.hot_pixels, np.intp).T
+        hot[rows, columns] = HOT
+        step = 2 if self.layout.is_mosaic else 1
+        for row, column in self.hot_pixels:
+            near = (
+                slice(row % step if row < step else row - step, row + step + 1, step),
+                slice(column % step if column < step else column - step, column + step + 1, step),
+            )
+            good = hot[near][..., 0] == 0 if total.ndim == 3 else hot[near] == 0
+            if good.any():
+                shown[row, column] = np.median(total[near][good], axis=0)
+        return shown, hot

@@ -1,0 +1,1 @@
+"""What was measured of each camera, kept for the next time."""

@@ -1,0 +1,1 @@
+"""What a capture leaves behind: request, plan, frames, report, folder and journal."""

@@ -1,0 +1,337 @@
+"""A capture in a folder: the frames, the pictures, and the report that is the folder's journal.
+
+A folder holds ``frames/`` (every frame from the moment it arrived), the picture files, and
+``report.json``, which is there from before the first frame on.  One process at a time writes it.
+
+What happens to a file is written in the report first, and then done.  A new frame is written under
+a hidden name; the report that names it, with its checksum, is saved; then the file gets its name.
+The same holds for frames that are set aside, pictures, and files of an earlier capture that are
+removed.  Each of these steps is on disk before the next begins, so that whenever the process or the
+power fails, the report is never behind the frames, and `FolderStore.reopen` does what was left.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import DataError, StorageError
+from camctl.interface.camera import PHOTOGRAPHS, Frame, Pixels
+from camctl.pictures.details import PictureDetails
+from camctl.pictures.files import (
+    load_libraries,
+    read_deviation,
+    read_mask,
+    read_radiance,
+    read_tiff,
+    write_picture_files,
+)
+from camctl.pictures.render import Rendering
+from camctl.records.file_names import resume_command
+from camctl.records.folder import CaptureFolder, staged_name
+from camctl.records.frame import StoredFrame
+from camctl.records.frame_store import KeptFiles
+from camctl.records.report import CaptureReport, UnfinishedCapture
+from camctl.records.report_file import (
+    LOCK,
+    PICTURE_FILES,
+    REPORT,
+    clean_suffix,
+    frame_file,
+    is_unused,
+    named_files,
+    position_of,
+    read_report_file,
+)
+from camctl.system.files import make_folder, npy_parts, write_bytes
+
+#: How often one exposure can be rejected; far more than happens.
+_MOST_REJECTED = 99
+
+
+class FolderStore:
+    """A capture in a folder: each file is complete or missing.
+
+    `create` and `reopen` own the folder; a store made by the constructor only reads.  The methods
+    raise `StorageError` where a file cannot be written, `DataError` where one that is read is
+    missing or damaged.
+
+    Args:
+        directory: the folder
+        report: the report that is in it; None: none is there yet
+    """
+
+    def __init__(
+        self, directory: Path, report: UnfinishedCapture | CaptureReport | None = None
+    ) -> None:
+        self.directory = directory
+        self.report = report
+        self._folder = CaptureFolder(directory)
+        self._renames: dict[str, str] = {}  # done when the next report was saved
+        self._removals: list[str] = []  # the same
+        self._kept: set[int] = set()  # positions of the frames that this process wrote
+
+    @classmethod
+    @contextmanager
+    def create(cls, directory: Path, *, overwrite: bool = False) -> Iterator[FolderStore]:
+        """Make the folder where it is missing, and own it while the block runs.
+
+        With `overwrite` an earlier capture there is replaced, when the first report is saved; other
+        files are never touched.  Where no report is saved the folder is left as it was.
+
+        Raises:
+            StorageError: the folder is in use or not empty, or cannot be made
+        """
+        load_libraries()
+        lock = directory / LOCK
+        if not (overwrite and (directory / REPORT).exists()):
+            cls.check_free(directory)  # before a lock is made in a folder of others
+        store, has_lock = cls(directory), lock.exists()
+        with store._folder.storage_errors():
+            made = make_folder(directory)
+        try:
+            with store._folder.owned():
+                try:
+                    store._removals = sorted(cls.check_free(directory, overwrite=overwrite))
+                    with store._folder.storage_errors():
+                        store._folder.remove_leftovers()
+                    yield store
+                finally:
+                    if store.report is None and not has_lock:
+                        lock.unlink(missing_ok=True)
+        finally:
+            if store.report is None:
+                with suppress(OSError):  # not empty: another process has begun a capture in it
+                    for folder in made:
+                        folder.rmdir()
+
+    @classmethod
+    @contextmanager
+    def reopen(cls, directory: Path) -> Iterator[FolderStore]:
+        """Own the folder of a capture while the block runs; first do what its report says.
+
+        The store's `report` has None for each frame whose file is missing.
+
+        Raises:
+            DataError: the folder holds no capture, or its report is damaged
+            StorageError: the folder is in use, or holds files that the capture would overwrite
+        """
+        load_libraries()
+        read_report_file(directory)  # no lock is made in a folder that holds no capture
+        store = cls(directory)
+        with store._folder.owned():
+            store.report = read_report_file(directory)
+            if isinstance(store.report, UnfinishedCapture):
+                with store._folder.storage_errors():
+                    store._recover(store.report)
+            yield store
+
+    @staticmethod
+    def check_free(directory: Path, *, overwrite: bool = False) -> set[str]:
+        """Check, before anything is shot, that `directory` can take a capture.
+
+        Returns the names of the files of an earlier capture there, which the new one replaces:
+        those that its report names.
+
+        Raises:
+            StorageError: the folder is not empty, or cannot be read
+        """
+        folder = CaptureFolder(directory)
+        with folder.storage_errors():
+            if is_unused(directory):
+                return set()
+            hint = "choose another folder with -o"
+            is_capture = (directory / REPORT).exists()
+            if not (is_capture and overwrite):
+                if is_capture:
+                    hint += ", or replace this capture with --force"
+                raise StorageError(f"{directory} is not empty", hint=hint)
+            try:
+                report = read_report_file(directory)
+            except DataError as error:
+                raise StorageError(
+                    f"{directory} is not empty, and not replaced: {error.what}", hint=hint
+                ) from error
+            names = named_files(report)
+            folder.check_claims(names)
+            return {name for name in names if folder.is_file(name)}
+
+    def keep(self, frame: Frame, position: int) -> KeptFiles:
+        """Write a frame, and the camera's own file first, if there is one, under hidden names."""
+        original = original_sha256 = None
+        if frame.original is not None:
+            original = frame_file(position, clean_suffix(frame.original.suffix))
+            staged, original_sha256 = self._folder.stage(original, (frame.original.data,))
+            self._renames[staged] = original
+        file = frame_file(position)
+        staged, sha256 = self._folder.stage(file, npy_parts(frame.pixels))
+        self._renames[staged] = file
+        self._kept.add(position)
+        return KeptFiles(file, sha256, original, original_sha256)
+
+    def reject(self, position: int) -> list[str]:
+        """Rename the frame's files."""
+        record = self._record(position)
+        sources = {  # of a frame that is about to get its name
+            name: staged for staged, name in self._renames.items() if position_of(name) == position
+        }
+        of_record = (record.file, record.original) if record is not None else ()
+        sources |= {name: name for name in of_record if name and self._folder.is_file(name)}
+        for number in range(1, _MOST_REJECTED + 1):
+            targets = [frame_file(position, Path(name).suffix, number) for name in sources]
+            if not any(os.path.lexists(self.directory / target) for target in targets):
+                break
+        else:
+            raise StorageError(
+                f"{self._folder.frames} holds {_MOST_REJECTED} rejected frames of one exposure",
+                hint="move them away",
+            )
+        self._renames.update(zip(sources.values(), targets, strict=True))
+        return targets
+
+    def save_report(self, report: UnfinishedCapture | CaptureReport) -> None:
+        """Write report.json, then rename and remove what it says."""
+        if isinstance(report, UnfinishedCapture):
+            report.discarded = self._removals
+        with self._folder.storage_errors():
+            make_folder(self._folder.frames)
+            write_bytes(self.directory / REPORT, report.model_dump_json(indent=2).encode() + b"\n")
+            self.report = report
+            self._folder.remove(self._removals)
+            for source, target in self._renames.items():
+                self._folder.rename(source, target)
+            if self._removals:  # a rename that is lost is done again: the report names the file
+                self._folder.sync()
+        self._removals, self._renames = [], {}
+
+    def keep_pictures(
+        self, total: NDArray[np.unsignedinteger], rendering: Rendering, details: PictureDetails
+    ) -> dict[str, str]:
+        """Write the picture files; the report names them first."""
+        assert self.report is not None  # it was saved before the first frame
+        self.report.files = dict(PICTURE_FILES)
+        self.save_report(self.report)
+        with self._folder.storage_errors():
+            self._folder.sync()  # nobody recovers the files of a complete capture
+        write_picture_files(total, rendering, details, self.directory)
+        return dict(PICTURE_FILES)
+
+    def after_failure(self, done: int, count: int) -> tuple[str, str]:
+        """Name the command that completes the capture."""
+        if not (self.directory / REPORT).exists():
+            return f"{self.directory} was removed meanwhile, and the frames with it", "shoot again"
+        if self.report is not None and self.report.camera.driver == PHOTOGRAPHS:
+            return "the photographs are as they were", "merge them again, with --force"
+        return (
+            f"{done} of {count} frames are kept",
+            f"go on with: {resume_command(self.directory)}",
+        )
+
+    def frame(self, position: int) -> Pixels:
+        """Read the samples of a frame, and compare its checksum with that in the report.
+
+        Until the capture is complete the frames that this process wrote are trusted.
+        """
+        name, record = frame_file(position), self._record(position)
+        is_trusted = position in self._kept and not isinstance(self.report, CaptureReport)
+        checksum = None if record is None or is_trusted else record.sha256
+        hint = "shoot the capture again"
+        if not isinstance(self.report, CaptureReport):
+            hint = "move it away, and resume: it is shot again"
+        path = self.directory / name
+        try:
+            self._folder.check_frames_folder()
+            return self._folder.samples(name, checksum)
+        except (OSError, ValueError) as error:
+            raise DataError(f"{path} cannot be read: {error}", hint=hint) from error
+        except (DataError, StorageError) as error:
+            raise DataError(error.what, hint=hint) from error
+
+    def sum(self) -> NDArray[np.unsignedinteger]:
+        """Read sum.tiff."""
+        return read_tiff(self.directory / PICTURE_FILES["sum"])
+
+    def image(self) -> NDArray[np.uint16]:
+        """Read image.tiff."""
+        return read_tiff(self.directory / PICTURE_FILES["image"])
+
+    def radiance(self) -> NDArray[np.float32]:
+        """Read radiance.exr."""
+        return read_radiance(self.directory / PICTURE_FILES["radiance"])
+
+    def standard_deviation(self) -> NDArray[np.float32]:
+        """Read the standard deviation in radiance.exr."""
+        return read_deviation(self.directory / PICTURE_FILES["radiance"])
+
+    def mask(self) -> NDArray[np.uint8]:
+        """Read the masks in radiance.exr."""
+        return read_mask(self.directory / PICTURE_FILES["radiance"])
+
+    def _record(self, position: int) -> StoredFrame | None:
+        return None if self.report is None else self.report.frames[position]
+
+    def _recover(self, report: UnfinishedCapture) -> None:
+        """Do what the report says and a killed process did not."""
+        folder, named = self._folder, named_files(report)
+        aside = {  # by the names that these files have until they are renamed
+            name.partition("-rejected-")[0] + Path(name).suffix: name
+            for name in report.rejected
+            if not folder.is_file(name)
+        }
+        folder.check_claims(named | aside.keys())
+        make_folder(folder.frames)
+        self._removals = report.discarded
+        for source, name in aside.items():
+            for before in (source, staged_name(source)):
+                if source not in named and folder.is_file(before):
+                    self._renames[before] = name
+        for position, record in enumerate(report.frames):
+            if record is None:
+                continue
+            has_original = record.original is not None and folder.finish_rename(
+                record.original, record.original_sha256
+            )
+            if record.file is None or not folder.finish_rename(record.file, record.sha256):
+                if has_original:
+                    report.rejected += self.reject(position)
+                report.frames[position] = None
+            elif record.original is not None and not has_original:
+                report.warnings.append(f"{record.original}, the camera's own file, is missing")
+                record.original = record.original_sha256 = None
+        if self._renames or self._removals:
+            self.save_report(report)
+        folder.remove_leftovers()
+        folder.sync()
+
+
+def read_capture(directory: str | os.PathLike[str]) -> CaptureReport | UnfinishedCapture:
+    """Read the report of a capture in a folder, complete or not.
+
+    Raises:
+        DataError: there is none, it is damaged, or it is of another version
+    """
+    directory = Path(directory)
+    report = read_report_file(directory)
+    if isinstance(report, CaptureReport):
+        report.with_pictures(FolderStore(directory, report))
+    return report
+
+
+def read_report(directory: str | os.PathLike[str]) -> CaptureReport:
+    """Read the report of a complete capture; its pictures are read when they are asked for.
+
+    Raises:
+        DataError: the folder holds no complete capture, or its report is damaged
+    """
+    report = read_capture(directory)
+    if isinstance(report, UnfinishedCapture):
+        raise DataError(
+            f"{directory} holds an incomplete capture",
+            hint=f"complete it with: {resume_command(directory)}",
+        )
+    return report

@@ -1,0 +1,88 @@
+"""What is known of one frame of a capture: its part of ``report.json``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field
+
+from camctl.evidence.ratio_check import RatioCheck, ReportModel
+from camctl.interface.controls import ExposureSetting
+
+_Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class ExposureRatio(ReportModel):
+    """A frame's exposure relative to the smallest one of the capture, and where it comes from.
+
+    Attributes:
+        exposure: with which the pictures are computed
+        used: which one that is: the camera's statement, its profile's, or the estimate
+        label: as the camera states it
+        profile: as the camera's profile corrects it; None where it has no correction
+        estimate: from the pixels; None where it was not estimated
+        low: lower end of the 95 % confidence interval of the estimate, else of the profile's
+        high: upper end
+    """
+
+    exposure: float
+    used: Literal["label", "profile", "estimate"]
+    label: float
+    profile: float | None = None
+    estimate: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+class StoredFrame(ReportModel):
+    """One frame of a capture.
+
+    Attributes:
+        file: its samples in the capture's folder; None for a capture in memory
+        sha256: checksum of that file, in hexadecimal
+        original: the camera's own file there, where it made one
+        original_sha256: checksum of that file
+        requested: the setting that was asked for
+        applied: the setting read back from the camera
+        requested_s: shutter time of `requested`, s
+        applied_s: shutter time of `applied`, s
+        black: brightness without light, DN
+        white: brightness from which samples are saturated, DN
+        saturated_fraction: share of its samples at or above white
+        timestamp_s: when the exposure ended, on the camera's clock, s
+        ratio: its exposure compared with that of the frame before
+        attempts: 2 where it was shot again because its exposure did not agree
+        details: what the camera reported besides
+    """
+
+    model_config = ConfigDict(extra="ignore")  # a frame of a complete capture has more fields
+
+    file: str | None = None
+    sha256: _Sha256 | None = None
+    original: str | None = None
+    original_sha256: _Sha256 | None = None
+    requested: ExposureSetting
+    applied: ExposureSetting
+    requested_s: float
+    applied_s: float
+    black: int
+    white: int
+    saturated_fraction: float
+    timestamp_s: float
+    ratio: RatioCheck | None = None
+    attempts: int = 1
+    details: dict[str, Any] = Field(default_factory=dict)
+
+
+class FrameRecord(StoredFrame):
+    """One frame of a complete capture.
+
+    Attributes:
+        exposure: that the pictures are computed with, relative to the smallest of the capture
+        exposure_ratio: where it comes from; None in reports of earlier versions
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    exposure: float
+    exposure_ratio: ExposureRatio | None = None

@@ -1,0 +1,1 @@
+"""Files, threads, memory, signals and text: what the controller needs of the system."""

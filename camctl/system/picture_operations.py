@@ -1,0 +1,318 @@
+"""Operations on pictures, by OpenCV where it is installed and by numpy alone where it is not.
+
+OpenCV is the faster one.  Both return the same: integers that differ by 1 at most, floating-point
+numbers that differ by 1e-5 of the largest; text has other letters.  Decoding of JPEG files has no
+replacement: `required_opencv` raises an error that says so.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections import deque
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import DataError, UsageError
+from camctl.system.characters import HEIGHTS, coverage
+
+#: Width of a character as a multiple of the size of text; OpenCV's own letters are as wide.
+_CHARACTER_WIDTH = 18
+#: Height of capital letters above the base line, as a share of the height of a line.
+_ABOVE_BASE_LINE = 0.76
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+#: The filter of PNG that predicts each row from the one above.
+_UP = 2
+#: Bytes of the samples of a PNG file that is read, at most.
+_LARGEST_PNG = 1 << 25
+#: Columns of `connected_parts`.
+LEFT, TOP, WIDTH, HEIGHT, AREA = range(5)
+
+Kernel = NDArray[np.float32]
+
+
+def opencv() -> ModuleType | None:
+    """Return OpenCV, which is loaded here, where it is installed."""
+    try:
+        import cv2
+    except ModuleNotFoundError:
+        return None
+    return cv2
+
+
+def required_opencv(task: str) -> ModuleType:
+    """Return OpenCV for what nothing else can do; raises `UsageError` where it is not installed.
+
+    >>> required_opencv("decoding JPEG frames").__name__
+    'cv2'
+    """
+    if (cv2 := opencv()) is None:
+        raise UsageError(
+            f"{task} needs OpenCV, which is not installed",
+            hint="install it with: pip install opencv-contrib-python-headless",
+        )
+    return cv2
+
+
+def png(picture: NDArray[Any], level: int = 1) -> bytes:
+    """Return a picture as a PNG file: (rows, columns) or (rows, columns, 3), 8 or 16 bits.
+
+    Rows are predicted from those above.  `level` is that of the compression, 1 to 9; with 1 it is
+    as fast as OpenCV, and the file is as large.
+    """
+    rows, columns = picture.shape[:2]
+    lines = np.ascontiguousarray(picture, picture.dtype.newbyteorder(">")).view(np.uint8)
+    lines = lines.reshape(rows, -1)
+    filtered = np.empty((rows, 1 + lines.shape[1]), np.uint8)
+    filtered[:, 0] = _UP
+    filtered[0, 1:] = lines[0]
+    np.subtract(lines[1:], lines[:-1], out=filtered[1:, 1:])
+    data = zlib.compress(filtered.data, level)
+    colour = 2 if picture.ndim == 3 else 0
+    header = struct.pack(">IIBBBBB", columns, rows, 8 * picture.itemsize, colour, 0, 0, 0)
+    return _PNG_SIGNATURE + b"".join(
+        struct.pack(">I", len(part)) + name + part + struct.pack(">I", zlib.crc32(name + part))
+        for name, part in ((b"IHDR", header), (b"IDAT", data), (b"IEND", b""))
+    )
+
+
+def png_pixels(data: bytes | bytearray) -> NDArray[np.uint8]:
+    """Return the samples of a PNG file that `png` has made of 8 bits; other chunks are left out.
+
+    Raises:
+        DataError: it is damaged, or another kind of file
+    """
+    chunks: dict[bytes, bytes] = {}
+    place = len(_PNG_SIGNATURE)
+    try:
+        while b"IEND" not in chunks:
+            (length,) = struct.unpack_from(">I", data, place)
+            name, part = data[place + 4 : place + 8], data[place + 8 : place + 8 + length]
+            (checksum,) = struct.unpack_from(">I", data, place + 8 + length)
+            if zlib.crc32(name + part) != checksum:
+                raise ValueError("checksum")
+            chunks[bytes(name)] = bytes(part)
+            place += length + 12
+        columns, rows, bits, colour, *_ = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
+        shape = (rows, columns, 3) if colour == 2 else (rows, columns)
+        size = rows + math.prod(shape)
+        if bits != 8 or not 0 < size <= _LARGEST_PNG:
+            raise ValueError("size")
+        lines = zlib.decompressobj().decompress(chunks[b"IDAT"], size)
+        filtered = np.frombuffer(lines, np.uint8).reshape(rows, -1)
+        if len(lines) != size or (filtered[:, 0] != _UP).any():
+            raise ValueError("filter")
+    except (ValueError, KeyError, struct.error, zlib.error) as error:
+        raise DataError("this is no PNG file of camctl, or a damaged one") from error
+    return np.add.accumulate(filtered[:, 1:], axis=0, dtype=np.uint8).reshape(shape)
+
+
+def channels_apart(picture: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Return the channels of (rows, columns, channels), (rows, columns) each, or a plane itself."""
+    if picture.ndim == 2:
+        return (picture,)
+    if (cv2 := opencv()) is not None:
+        return tuple(each.view(picture.dtype) for each in cv2.split(_as_integers(picture)))
+    return tuple(np.ascontiguousarray(np.moveaxis(picture, 2, 0)))
+
+
+def channels_together(planes: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return (rows, columns, channels) of planes, or a single plane itself."""
+    if len(planes) == 1:
+        return planes[0]
+    if (cv2 := opencv()) is not None:
+        return np.asarray(cv2.merge([_as_integers(each) for each in planes])).view(planes[0].dtype)
+    return np.stack(planes, axis=-1)
+
+
+def _as_integers(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values of 1, 2 or 4 bytes as integers that each version of OpenCV has."""
+    return values.view((np.uint8, np.uint16, np.int32)[values.itemsize // 2])
+
+
+def reduced_by_area(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """Return a picture of (columns, rows) pixels, each the mean over its area; of the same type."""
+    if (cv2 := opencv()) is not None:
+        return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+    columns, rows = size
+    height, width = picture.shape[:2]
+    if height % rows == 0 and width % columns == 0:
+        cells = picture.reshape(rows, height // rows, columns, width // columns, -1)
+        found = cells.mean(axis=(1, 3), dtype=np.float32)
+    else:
+        found = _weighted(picture, _area_weights(height, rows), _area_weights(width, columns))
+    return _of_type(found, picture, size)
+
+
+def enlarged_smoothly(picture: Kernel, size: tuple[int, int]) -> Kernel:
+    """Return a picture in float32 of (columns, rows) pixels, interpolated linearly."""
+    if (cv2 := opencv()) is not None:
+        return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR))
+    height, width = picture.shape[:2]
+    found = _weighted(picture, _linear_weights(height, size[1]), _linear_weights(width, size[0]))
+    return np.asarray(_of_type(found, picture, size), np.float32)
+
+
+def _of_type(found: Kernel, picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """Return a result in the type and with the channels of a picture, as OpenCV does."""
+    # OpenCV drops a single channel.
+    channels = picture.shape[2:] if picture.shape[2:] != (1,) else ()
+    found = found.reshape(size[1], size[0], *channels)
+    return (found if picture.dtype.kind == "f" else np.rint(found)).astype(picture.dtype)
+
+
+def _weighted(picture: NDArray[Any], down: Kernel, across: Kernel) -> Kernel:
+    """Return down * picture * across^T for each channel, (rows, columns, channels)."""
+    height, width = picture.shape[:2]
+    lines = down @ picture.reshape(height, -1).astype(np.float32, copy=False)
+    return np.asarray(np.tensordot(lines.reshape(len(down), width, -1), across, (1, 1))).transpose(
+        0, 2, 1
+    )
+
+
+def _area_weights(length: int, count: int) -> Kernel:
+    """Return the share that each of `length` pixels has in each of `count`, (count, length)."""
+    edges = np.arange(count + 1) * (length / count)
+    pixels = np.arange(length)
+    covered = np.minimum(edges[1:, None], pixels + 1) - np.maximum(edges[:-1, None], pixels)
+    return np.asarray(np.maximum(covered, 0) * (count / length), np.float32)
+
+
+def _linear_weights(length: int, count: int) -> Kernel:
+    """Return the weights of linear interpolation at the middle of each of `count` pixels."""
+    places = np.clip((np.arange(count) + 0.5) * (length / count) - 0.5, 0, length - 1)
+    distances = np.abs(places[:, None] - np.arange(length))
+    return np.asarray(np.maximum(1 - distances, 0), np.float32)
+
+
+def box_means(values: NDArray[Any], radius: int) -> Kernel:
+    """Return the means over squares of 2 radius + 1 pixels a side, borders mirrored."""
+    side = 2 * radius + 1
+    if (cv2 := opencv()) is not None:
+        mean = cv2.blur(values, (side, side), borderType=cv2.BORDER_REFLECT)
+        return np.asarray(mean, np.float32).reshape(values.shape)
+    for axis in (0, 1):
+        padding = [(0, 0)] * values.ndim
+        padding[axis] = (radius + 1, radius)
+        sums = np.cumsum(np.pad(values, padding, "symmetric"), axis=axis, dtype=np.float64)
+        sums = sums.swapaxes(0, axis)
+        # The first line is not part of any square, so that it is subtracted everywhere.
+        values = ((sums[side:] - sums[:-side]) / side).swapaxes(0, axis)
+    return values.astype(np.float32)
+
+
+def correlated(values: Kernel, kernel: NDArray[Any], *, repeats_border: bool) -> Kernel:
+    """Return the sums of each pixel's neighbours, weighted by a small kernel of odd sides.
+
+    Borders are mirrored; with `repeats_border` the outermost pixels are repeated, too.
+    """
+    if (cv2 := opencv()) is not None:
+        border = cv2.BORDER_REFLECT if repeats_border else cv2.BORDER_REFLECT_101
+        return np.asarray(cv2.filter2D(values, -1, kernel, borderType=border), np.float32)
+    down, across = kernel.shape
+    padding = [(down // 2, down // 2), (across // 2, across // 2), (0, 0)][: values.ndim]
+    padded = np.pad(values, padding, "symmetric" if repeats_border else "reflect")
+    total = np.zeros_like(values)
+    for (row, column), weight in np.ndenumerate(kernel.astype(np.float32)):
+        if weight:
+            total += weight * padded[row:, column:][: values.shape[0], : values.shape[1]]
+    return total
+
+
+def smoothed(values: Kernel, kernel: Kernel) -> Kernel:
+    """Return values weighted by a kernel of odd length along columns and rows, borders repeated."""
+    if (cv2 := opencv()) is not None:
+        found = cv2.sepFilter2D(values, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+        return np.asarray(found, np.float32)
+    line = kernel.reshape(1, -1)
+    return correlated(correlated(values, line, repeats_border=True), line.T, repeats_border=True)
+
+
+def dilated(marks: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return the largest of the values in a box of (rows, columns), both odd, around each pixel."""
+    if (cv2 := opencv()) is not None:
+        return np.asarray(cv2.dilate(marks, np.ones(size, np.uint8)), np.uint8)
+    for axis, length in enumerate(size):
+        padding = [(0, 0), (0, 0)]
+        padding[axis] = (length // 2, length // 2)
+        found, width = np.pad(marks, padding).swapaxes(0, axis), 1
+        while width < length:
+            step = min(width, length - width)
+            found = np.maximum(found[:-step], found[step:])
+            width += step
+        marks = found.swapaxes(0, axis)
+    return marks
+
+
+def connected_parts(marks: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return the parts of neighbouring marks, diagonals included.
+
+    Returns:
+        the number of its part for each mark, from 1, and 0 elsewhere, in the shape of the marks;
+        and a row for each number: `LEFT`, `TOP`, `WIDTH`, `HEIGHT` of its box, and its `AREA`
+    """
+    if (cv2 := opencv()) is not None:
+        _, labels, boxes, _ = cv2.connectedComponentsWithStats(marks.astype(np.uint8))
+        return np.asarray(labels, np.int32), np.asarray(boxes, np.int32)
+    labels = np.zeros(marks.shape, np.int32)
+    rest = set(zip(*(places.tolist() for places in np.nonzero(marks)), strict=True))
+    number = 0
+    boxes = [[0, 0, marks.shape[1], marks.shape[0], marks.size - len(rest)]]
+    for seed in sorted(rest):
+        if seed not in rest:
+            continue
+        number += 1
+        rest.remove(seed)
+        part, border = [seed], deque([seed])
+        while border:
+            row, column = border.popleft()
+            near = {(row + down, column + across) for down in (-1, 0, 1) for across in (-1, 0, 1)}
+            near &= rest
+            rest -= near
+            part.extend(near)
+            border.extend(near)
+        rows, columns = np.array(part).T
+        labels[rows, columns] = number
+        left, top = int(columns.min()), int(rows.min())
+        width, height = int(columns.max()) + 1 - left, int(rows.max()) + 1 - top
+        boxes.append([left, top, width, height, len(part)])
+    return labels, np.array(boxes, np.int32)
+
+
+def text_width(text: str, size: float) -> int:
+    """Return the width of a line of text, pixels; `size` is OpenCV's scale of its letters."""
+    if (cv2 := opencv()) is not None:
+        return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)[0][0])
+    return len(text) * _line_height(size) // 2
+
+
+def draw_text(
+    pixels: NDArray[np.uint8],
+    text: str,
+    place: tuple[int, int],
+    size: float,
+    colour: tuple[int, int, int],
+) -> None:
+    """Draw a line of ASCII text into (rows, columns, 3); `place` is the left end of its base line.
+
+    What is outside of the picture is cut.
+    """
+    if (cv2 := opencv()) is not None:
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(pixels, text, place, font, size, colour, 1, cv2.LINE_AA)
+        return
+    height = _line_height(size)
+    left, top = max(0, place[0]), max(0, place[1] - round(_ABOVE_BASE_LINE * height))
+    area = pixels[top : top + height, left : left + len(text) * height // 2]
+    ink = coverage(text, height)[: area.shape[0], : area.shape[1], np.newaxis] / np.float32(255)
+    area[:] = np.rint(area + (np.array(colour, np.float32) - area) * ink)
+
+
+def _line_height(size: float) -> int:
+    fitting = [each for each in HEIGHTS if each / 2 <= _CHARACTER_WIDTH * size]
+    return max(fitting, default=HEIGHTS[0])

@@ -1,0 +1,92 @@
+"""Ratios of neighbouring frames, measured on their pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from camctl.evidence.light_ratio import NeighbourCheck, lamp_factor
+from camctl.evidence.ratio_check import RatioCheck
+from camctl.model.response.camera import CameraResponse, linear_response
+
+
+def frame_of(E: NDArray[np.float64], real: CameraResponse, black: int = 0) -> NDArray[np.uint16]:
+    """Return the frame of a noise-free camera."""
+    return (np.searchsorted(real.levels, E, side="right") + black).astype(np.uint16)
+
+
+def compare(
+    real: CameraResponse,
+    E: NDArray[np.float64],
+    exposures: tuple[float, float],
+    reported: float,
+    black: int = 0,
+) -> RatioCheck:
+    """Compare frames of two exposures whose ratio is reported as `reported`."""
+    check = NeighbourCheck(real, black)
+    for position, exposure in enumerate(exposures):
+        check.add(position, frame_of(E * exposure, real, black))
+    return check.check(1, reported, (1.0, 1.0), None)
+
+
+@given(
+    bits=st.sampled_from([4, 6, 8, 12]),
+    ratio=st.floats(1, 100),
+    low=st.floats(1e-4, 0.5),
+    seed=st.integers(0, 999),
+)
+def test_true_ratios_always_agree(bits: int, ratio: float, low: float, seed: int) -> None:
+    real = linear_response(bits)
+    E = np.exp(np.random.default_rng(seed).uniform(np.log(low), 0, (64, 80)))
+    assert compare(real, E, (1.0, ratio), ratio).agrees
+
+
+@pytest.mark.parametrize(
+    ("reported", "true"), [(2, 1), (2, 4), (9.9, 1), (88, 9.9), (88, 1), (3, 3.5)]
+)
+def test_wrong_ratios_do_not_agree(reported: float, true: float) -> None:
+    real = linear_response(8)
+    E = np.exp(np.random.default_rng(1).uniform(np.log(1e-3), 0, (200, 300)))
+    result = compare(real, E, (1.0, true), reported)
+    assert result.measured is not None
+    assert not result.agrees
+
+
+def test_black_level_is_not_light() -> None:
+    real = linear_response(10, levels=959)
+    E = np.random.default_rng(2).uniform(0, 0.4, (100, 100))
+    result = compare(real, E, (1.0, 2.0), 2.0, black=64)
+    assert result.measured == pytest.approx(2, rel=0.01)
+
+
+def test_moving_object_changes_only_its_own_pixels() -> None:
+    real = linear_response(8)
+    E = np.random.default_rng(3).uniform(0.2, 0.45, (200, 200))
+    check = NeighbourCheck(real, 0)
+    check.add(0, frame_of(E, real))
+    E[:40] = 0.05
+    check.add(1, frame_of(E * 2, real))
+    result = check.check(1, 2.0, (1.0, 1.0), None)
+    assert result.agrees
+    assert result.moved == pytest.approx(0.2, abs=0.03)
+
+
+def test_frames_without_common_light_have_no_measured_ratio() -> None:
+    real = linear_response(8)
+    E = np.where(np.arange(10_000) % 2, 0.9, 1e-5).reshape(100, 100)
+    result = compare(real, E, (1.0, 100.0), 100.0)
+    assert result.measured is None
+    assert result.agrees
+
+
+@pytest.mark.parametrize(
+    ("times_s", "mains_hz", "expected"),
+    [((1e-6, 1e-6), None, 1.4 / 0.6), ((0.02, 0.04), 50, 1.0), ((10, 10), None, 1.0003)],
+)
+def test_lamps_change_short_exposures_most(
+    times_s: tuple[float, float], mains_hz: float | None, expected: float
+) -> None:
+    assert lamp_factor(times_s, mains_hz) == pytest.approx(expected, abs=1e-4)

@@ -1,0 +1,76 @@
+"""Places at which one photograph contradicts the others of its series."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from camctl.evidence.patches import LightScale, sample_patches
+from camctl.model.response.camera import standard_response
+from camctl.photographs.contradictions import _compared, contradictions
+from camctl.photographs.photograph import Photograph
+
+RESPONSE = standard_response("srgb", 8)
+SCALE = LightScale(RESPONSE, 0)
+TIMES = (1.0, 2.0, 4.0, 8.0, 16.0)
+
+
+def found(changes: dict[int, tuple[int, int, float]]) -> list[str]:
+    """Return the lines for a series of which photographs have a square of another light.
+
+    `changes` gives its top row, left column and light by the position of a photograph; it has 60
+    pixels a side.
+    """
+    rng = np.random.default_rng(5)
+    scene = np.exp(rng.normal(-3.5, 1, (24, 32, 3))).repeat(16, 0).repeat(16, 1)
+    photographs, patches = [], []
+    for k, time_s in enumerate(TIMES):
+        light: NDArray[np.float64] = scene.copy()
+        if k in changes:
+            top, left, other = changes[k]
+            light[top : top + 60, left : left + 60] = other
+        exposed = light * time_s / 4
+        noisy = exposed + np.sqrt(exposed / 5000) * rng.normal(size=light.shape)
+        pixels = np.searchsorted(RESPONSE.levels, noisy, side="right").astype(np.uint8)
+        photographs.append(Photograph(f"p{k}", time_s))
+        patches.append(sample_patches([pixels[..., c] for c in range(3)], 255))
+    return contradictions(photographs, patches, SCALE, [(384, 512)] * 3)
+
+
+def test_photographs_of_one_scene_do_not_contradict_each_other() -> None:
+    assert found({}) == []
+
+
+@pytest.mark.parametrize("changed", range(len(TIMES)))
+@pytest.mark.parametrize("light", [0.004, 0.12])
+def test_the_photograph_and_the_place_are_named(changed: int, light: float) -> None:
+    (line,) = found({changed: (200, 300, light)})
+    place = re.fullmatch(
+        r"p(\d) contradicts the other photographs in about columns (\d+)-(\d+), rows (\d+)-(\d+)"
+        r"( and elsewhere)?: something moved there, or it is damaged",
+        line,
+    )
+    assert place is not None, line
+    assert int(place[1]) == changed
+    numbers = [int(place[k]) for k in range(2, 6)]
+    assert numbers == pytest.approx([300, 359, 200, 259], abs=26)
+
+
+def test_two_of_five_photographs_with_the_same_change_are_not_named() -> None:
+    assert found({1: (200, 300, 0.1), 2: (200, 300, 0.1)}) == []
+
+
+def test_patches_with_saturated_samples_are_no_measure_for_the_others() -> None:
+    """Most patches of the longer photograph have some, and are less bright than predicted."""
+    other = np.full(100, 80.0)
+    longer = np.interp(80.0, np.arange(256), SCALE.light) * 2
+    seen = np.full(100, np.interp(longer, SCALE.light, np.arange(256)))
+    is_usable = np.arange(100) >= 60
+    seen[~is_usable] -= 40
+    brighter, darker, alike = _compared(seen, other, is_usable, 2.0, SCALE, 1)
+    assert not brighter.any()
+    assert not darker.any()
+    assert np.array_equal(alike, is_usable)

@@ -1,0 +1,204 @@
+"""The preview: a natural picture of any light, without noise, colour shifts or lost shadows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from picture_parts import light_of
+
+import camctl
+from camctl.pictures import preview_light
+from camctl.pictures.preview import srgb_codes, tone_map
+from camctl.pictures.preview_light import ALL, Light, LightReducer
+from camctl.pictures.render import DARK, SATURATED, Strip
+from camctl.system.picture_operations import channels_apart
+from sim.scenes.scene import scene_names
+
+SCENES = sorted(scene_names())
+
+
+def strip_of(
+    light: NDArray[np.float32], deviation: NDArray[np.float32], mask: NDArray[np.uint8]
+) -> Strip:
+    planes = channels_apart(light)
+    deviations, masks = channels_apart(deviation), channels_apart(mask)
+    return Strip(planes, planes, deviations, masks, mask.astype(np.uint16))
+
+
+def linear(codes: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return the light that a display shows, by the standard's inverse."""
+    encoded = codes / 255
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def test_srgb_codes_invert_the_standard() -> None:
+    assert np.array_equal(srgb_codes(linear(np.arange(256, dtype=np.uint8))), np.arange(256))
+    assert srgb_codes(np.array([-1.0, 2.0])).tolist() == [0, 255]
+
+
+@pytest.mark.parametrize(
+    ("name", "sensor"),
+    [*((name, "standard") for name in SCENES), ("night-street", "complete"), ("stars", "complete")],
+)
+def test_preview_of_each_scene_shows_the_light_in_range(name: str, sensor: str) -> None:
+    """Under 2 % of the samples in range are 0, and the picture is neither black nor white."""
+    with camctl.open_camera("sim", scene=name, sensor=sensor, size="320x240") as camera:
+        request = camctl.CaptureRequest(response="log", dynamic_range=16000, count=4)
+        report = camctl.capture(camera, request)
+    light, sd, mask = report.radiance(), report.standard_deviation(), report.mask()
+    unlit = float(light.min()) if (mask & DARK).any() else 0.0
+    reducer = LightReducer(light.shape[0], light.shape[1], unlit, float(light.max()))
+    reducer.add(strip_of(light, sd, mask))
+    shown = tone_map(reducer.light())
+    in_range = (mask & (DARK | SATURATED)) == 0
+    assert (shown[in_range] == 0).mean() < 0.02
+    # Light that noise hides is shown darker, so that the noise is not seen.
+    known = in_range & (sd < light / 2)
+    assert known.any()
+    assert 30 < np.median(shown[known]) < 225
+    assert np.percentile(shown[in_range], 99.5) > 110
+
+
+def ratios_of(light: NDArray[np.floating], shown: NDArray[np.uint8]) -> None:
+    """Check that the channels have the ratios of the light, as far as 8 bits show them."""
+    found = linear(shown)
+    visible = found.max(axis=2) > 0.05
+    assert visible.any()
+    expected = light / light.max(axis=2, keepdims=True)
+    got = found / found.max(axis=2, keepdims=True)
+    assert np.abs(got - expected)[visible].max() < 0.03
+
+
+@given(
+    st.lists(st.floats(0.1, 1.0), min_size=3, max_size=3),
+    st.floats(0.0, 5.0),
+)
+def test_colours_keep_their_hue_over_decades(colour: list[float], decades: float) -> None:
+    column = np.geomspace(1.0, 10.0**decades, 64)[:, np.newaxis, np.newaxis]
+    light = np.broadcast_to(column * np.array(colour), (64, 48, 3)).copy()
+    ratios_of(light, tone_map(light_of(light)))
+
+
+def test_saturated_light_is_white_whatever_its_channels_say() -> None:
+    """Only one channel saturated would be magenta or green."""
+    light = np.full((40, 40, 3), 0.1)
+    saturated = np.zeros((40, 40))
+    light[10:20, 10:20], saturated[10:20, 10:20] = (1.0, 0.5, 0.9), 1.0
+    shown = tone_map(light_of(light, saturated=saturated))
+    assert (shown[10:20, 10:20] == 255).all()
+    assert (shown[:8] < 255).all()
+
+
+def test_one_saturated_channel_keeps_its_colour_and_all_are_white() -> None:
+    """Noise around saturation would leave white pixels beside those of the colour of the light."""
+    light = np.full((30, 30, 3), (1.0, 0.6, 0.3), np.float32)
+    light[::2, :20] *= 0.999
+    light[:, 20:] = 1.0
+    mask = np.where(light >= 1, SATURATED, 0).astype(np.uint8)
+    reducer = LightReducer(30, 30, 0.0, 1.0)
+    reducer.add(strip_of(light, light * 0, mask))
+    shown = tone_map(reducer.light()).astype(int)
+    assert np.ptp(shown[:, 2:17], axis=(0, 1)).max() <= 3
+    assert (shown[:, 5, 0] - shown[:, 5, 2]).min() > 50
+    assert (shown[:, 24:] == 255).all()
+
+
+def test_light_below_one_level_is_the_mean_of_the_area() -> None:
+    """Single samples have 0 or 1 level there; the picture is smooth, and darker with less light."""
+    rng = np.random.default_rng(1)
+    level, share = 1e-3, np.linspace(0.05, 0.95, 300, dtype=np.float32)
+    lit = rng.random((120, 300)) < share
+    light = np.where(lit, level, level / 4).astype(np.float32)[..., np.newaxis]
+    unlit = np.where(lit, 0, ALL).astype(np.uint8)
+    none = np.zeros_like(unlit)
+    noise = np.where(lit, 0.3, 0.6).astype(np.float32)[..., np.newaxis]
+    shown = tone_map(Light(light, noise, none, unlit, unlit, none)).astype(float)[10:-10]
+    columns = shown.mean(axis=0).reshape(-1, 50).mean(axis=1)
+    assert (np.diff(columns) > 0).all()
+    assert shown.min() > 0
+    assert shown.std(axis=0).mean() < 0.3 * np.ptp(columns)
+
+
+def test_all_saturated_is_white_and_no_light_is_black() -> None:
+    everywhere = np.ones((20, 30))
+    assert (tone_map(light_of(everywhere, saturated=everywhere)) == 255).all()
+    assert (tone_map(light_of(everywhere * 1e-9, noise=9.0, dark=everywhere)) == 0).all()
+
+
+def test_the_darkest_light_in_range_is_not_black() -> None:
+    """Steps of 1 to 1:300,000, the three darkest on 2 % of the picture each."""
+    light = np.ones((200, 300, 3)) * [0.5, 1.0, 0.8]
+    steps = np.geomspace(0.01, 1 / 300_000, 10)
+    for place, step in enumerate(steps):
+        light[20:60, 30 * place : 30 * place + 30] *= step
+    codes = tone_map(light_of(light)).astype(int)
+    shown = codes[40, 15::30]
+    assert shown.min() > 0
+    assert (np.diff(shown[:, 1]) < 0).all()
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.4])
+def test_noise_of_the_predicted_size_is_filtered_out(noise: float) -> None:
+    rng = np.random.default_rng(0)
+    light = np.ones((200, 200, 3))
+    light[:, 100:] = 30.0
+    grainy = light * np.exp(rng.normal(0, noise, light.shape))
+    codes = tone_map(light_of(grainy, noise)).astype(float)
+    untouched = tone_map(light_of(grainy)).astype(float)
+    dark = np.s_[20:180, 20:80]
+    assert codes[dark].std(axis=(0, 1)).max() < 0.3 * untouched[dark].std(axis=(0, 1)).min()
+    # The edge stays: within two pixels it has most of its height.
+    edge = codes[20:180].mean(axis=(0, 2))
+    assert edge[101] - edge[98] > 0.8 * (edge[120] - edge[80])
+
+
+def test_detail_larger_than_the_noise_stays() -> None:
+    light = np.where(np.indices((64, 64)).sum(axis=0) % 2, 1.0, 2.0)
+    with_noise, without = (tone_map(light_of(light, noise)).astype(int) for noise in (0.05, 0.0))
+    assert abs(with_noise - without).max() <= 6
+
+
+def test_no_halo_beside_an_edge_of_ten_stops() -> None:
+    light = np.ones((200, 300))
+    light[:, 150:] = 1024.0
+    rows = tone_map(light_of(light))[100].astype(int)
+    assert abs(rows[:149] - rows[10]).max() <= 6
+    assert abs(rows[152:] - rows[290]).max() <= 6
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9000), (9000, 1), (3, 2), (5, 7, 3), (2561, 4)])
+def test_any_shape_gives_a_preview_of_at_most_2560_pixels(shape: tuple[int, ...]) -> None:
+    reducer = LightReducer(shape[0], shape[1], 0.0, 1.0)
+    light = np.linspace(0.1, 1.0, int(np.prod(shape)), dtype=np.float32).reshape(shape)
+    rows = np.array_split(np.arange(shape[0]), min(3, shape[0]))
+    for part in rows:
+        some = light[part]
+        mask = np.zeros(some.shape, np.uint8)
+        deviation = some * np.float32(0.01)
+        reducer.add(strip_of(some, deviation, mask))
+    shown = tone_map(reducer.light())
+    assert max(shown.shape) <= preview_light.PREVIEW_SIDE
+    assert shown.shape[2:] == shape[2:]
+    assert shown.dtype == np.uint8
+
+
+def test_reduced_light_is_the_mean_and_its_noise_is_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(preview_light, "PREVIEW_SIDE", 5)
+    light = np.arange(100, dtype=np.float32).reshape(10, 10) + 1
+    mask = np.zeros((10, 10), np.uint8)
+    mask[:2, :2], mask[4, 4], mask[6:8, 6] = SATURATED, SATURATED | 4, DARK
+    deviation = np.where(mask & SATURATED, np.inf, light / 10).astype(np.float32)
+    reducer = LightReducer(10, 10, 1.5, 40.0)
+    for rows in (slice(0, 3), slice(3, 4), slice(4, 10)):  # strips need not fit
+        reducer.add(strip_of(light[rows], deviation[rows], mask[rows]))
+    found = reducer.light()
+    expected = light.reshape(5, 2, 5, 2).mean(axis=(1, 3))
+    assert np.allclose(found.irradiance[..., 0], expected)
+    assert found.noise[3, 1, 0] == pytest.approx(0.05)
+    assert found.saturated[0, 0] == 255
+    assert found.saturated[2, 2] in (63, 64)
+    assert found.dark[3, 3] in (127, 128)
+    assert found.unlit[0].tolist() in ([63, 0, 0, 0, 0], [64, 0, 0, 0, 0])
