@@ -20,11 +20,13 @@
         └── CameraProtocolError     it sent an invalid response
 
 A message says what went wrong and where, and then what to do: ``error.what`` and ``error.hint``.
+Neither names an option: ``error.remedies`` has what helps as data, and a front end names it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 
 class CamctlError(Exception):
@@ -33,14 +35,18 @@ class CamctlError(Exception):
     Attributes:
         what: what went wrong, and where
         hint: what to do; may be empty
+        remedies: what `hint` asks for, as in `camctl.findings.Finding.remedies`
         exit_status: exit status of a command that ends with the error
     """
 
     exit_status = 1
 
-    def __init__(self, what: str, *, hint: str = "") -> None:
+    def __init__(
+        self, what: str, *, hint: str = "", remedies: Mapping[str, Any] | None = None
+    ) -> None:
         self.what = what
         self.hint = hint
+        self.remedies = dict(remedies or {})
         super().__init__(f"{what}; {hint}" if hint else what)
 
 

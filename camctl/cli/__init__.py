@@ -198,7 +198,9 @@ def _describe(error: BaseException) -> tuple[int, str, str, str]:
     error = resource_error(error) or error
     kind = type(error).__name__
     if isinstance(error, CamctlError):
-        return error.exit_status, kind, one_line(error.what), one_line(error.hint)
+        from camctl.messages.command_line import error_hint  # loads pydantic
+
+        return error.exit_status, kind, one_line(error.what), one_line(error_hint(error))
     if isinstance(error, click.ClickException):
         return UsageError.exit_status, "UsageError", one_line(error.format_message()), ""
     if isinstance(error, KeyboardInterrupt | click.Abort):

@@ -1,0 +1,68 @@
+"""What a measurement found, as data: a code of one table, frames, a value, its interval, a place.
+
+A finding is made where it is measured, and has no sentence: each front end words it, see
+`camctl.messages`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, TypeAlias
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+
+class Place(BaseModel):
+    """A rectangle of a picture, in pixels: rows `top` to `bottom` - 1, and columns likewise."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+
+
+CODES: Final[dict[str, str]] = {
+    # Exposures: what the frames say of the exposures that the camera states.
+    # Light and range: what of the scene's light the picture holds.
+    # The picture: movement, light that spread, noise.
+    # Photographs already taken.
+    # Calibrations and profiles.
+    # Cameras.
+}
+"""Each code, and what its `value` is; the codes are stable."""
+
+
+def _known(code: str) -> str:
+    if code not in CODES:
+        raise ValueError(f"unknown code of a finding: {code}")
+    return code
+
+
+Detail: TypeAlias = str | float | int | bool | None
+
+
+class Finding(BaseModel):
+    """One finding of a capture, a merge or a calibration.
+
+    Attributes:
+        code: of `CODES`, which says what `value` is
+        frames: positions of the frames it is about, 0 first; empty: all of them
+        value: what was measured
+        low, high: its 95 % confidence interval, where it has one
+        place: where in the picture; None: everywhere
+        details: what else its sentence names, by name
+        remedies: what helps: names of request fields with the value that helps, or None where any
+            other value may; and names of calibrations ("calibrate_delay") with None
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    code: Annotated[str, AfterValidator(_known)]
+    frames: tuple[int, ...] = ()
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    place: Place | None = None
+    details: dict[str, Detail] = Field(default_factory=dict)
+    remedies: dict[str, Any] = Field(default_factory=dict)

@@ -1,0 +1,1 @@
+"""What findings and errors are called: one module for each front end."""

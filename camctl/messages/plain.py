@@ -1,0 +1,19 @@
+"""Findings as plain sentences: for Python, and for ``warnings`` in a report.
+
+They name no option of a command line and no key of a panel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from camctl.findings import Finding
+
+SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {}
+"""The sentence of each code of `camctl.findings.CODES`."""
+
+
+def sentence(finding: Finding) -> str:
+    """Return the finding as one line, without a full stop at its end."""
+    return SENTENCES[finding.code](finding)
