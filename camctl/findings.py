@@ -23,6 +23,7 @@ class Place(BaseModel):
 
 
 CODES: Final[dict[str, str]] = {
+    "note": "nothing: its sentence is the detail `text`",
     # Exposures: what the frames say of the exposures that the camera states.
     # Light and range: what of the scene's light the picture holds.
     # The picture: movement, light that spread, noise.
@@ -66,3 +67,8 @@ class Finding(BaseModel):
     place: Place | None = None
     details: dict[str, Detail] = Field(default_factory=dict)
     remedies: dict[str, Any] = Field(default_factory=dict)
+
+
+def note(text: str) -> Finding:
+    """Return a sentence of a driver as a finding."""
+    return Finding(code="note", details={"text": text})

@@ -18,6 +18,7 @@ from camctl.evidence.movement import bands_of
 from camctl.evidence.pair import Pair, Side
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import RatioCheck
+from camctl.findings import note
 from camctl.interface.camera import PHOTOGRAPHS, Camera, Pixels
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise
@@ -91,7 +92,7 @@ class FrameChecks:
             estimates, warnings = estimate_exposures(
                 frames, self.samples, self._check.scale, self._controls
             )
-            self._capture.warnings += warnings
+            self._capture.findings += map(note, warnings)
         chosen = choose_exposures(frames, self._controls, estimates)
         if estimates is not None:
             checks[1:] = [

@@ -17,6 +17,7 @@ from camctl.evidence.movement import find_movement
 from camctl.evidence.noise import measure_noise
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import Objective
+from camctl.findings import note
 from camctl.interface.camera import PHOTOGRAPHS
 from camctl.interface.controls import ExposureControls
 from camctl.model.effective import EffectiveCamera
@@ -149,10 +150,11 @@ def complete(
             ),
             "files": files,
             "profile": controls.profile,
-            "warnings": [
-                *plan.warnings,
-                *unfinished.warnings,
-                *(
+            "findings": [
+                *plan.findings,
+                *unfinished.findings,
+                *map(
+                    note,
                     no_light
                     or outside_warnings(
                         unfinished.request,
@@ -161,16 +163,17 @@ def complete(
                         # What a mask leaves out of photographs is dark in the sum alone.
                         dark=plan.light.dark if is_taken and plan.light else outside.dark,
                         is_taken=is_taken,
-                    )
+                    ),
                 ),
-                *(
+                *map(
+                    note,
                     spread_warnings(
                         unfinished.request, plan, movement.found.spread, is_taken=is_taken
                     )
                     if movement is not None
-                    else []
+                    else [],
                 ),
-                *(_wrong_noise(measured, effective_levels) if controls.noise else []),
+                *map(note, _wrong_noise(measured, effective_levels) if controls.noise else []),
             ],
             "timing": {**unfinished.timing, "writing_s": time.perf_counter() - began},
         }

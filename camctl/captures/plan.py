@@ -31,6 +31,7 @@ from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import Objective, xi
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.exposure.table import ExposureTable
+from camctl.findings import note
 from camctl.interface.camera import PHOTOGRAPHS, Camera, PreviewingCamera
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
@@ -180,7 +181,7 @@ def _plan(
     warnings += setting_warnings(controls, request, plan)
     possible = evaluate(real, desired, ratios, objective=objective, noise=noise).effective_levels
     warnings += _rounding_loss(plan, possible)
-    return replace(plan, warnings=tuple(warnings)), metered
+    return replace(plan, findings=tuple(map(note, warnings))), metered
 
 
 def _settings_by_xi(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from camctl.evidence.delay import DelayError
 from camctl.evidence.ratio_check import LAMP_DEPTH, RatioCheck
+from camctl.findings import note
 from camctl.interface.camera import PHOTOGRAPHS
 from camctl.records.report import UnfinishedCapture
 
@@ -56,7 +57,7 @@ def judge(
         if wrong:
             reasons, wrong = [stale], []
         else:
-            capture.warnings.append(stale)
+            capture.findings.append(note(stale))
     elif reasons and error:
         reasons.append(
             "the frames fit exposures that were set for other frames: probably the control delay "
@@ -75,8 +76,8 @@ def judge(
     if are_photographs:
         return  # their exposures are not exact, and were compared before
     estimated = capture.request.estimate_ratios
-    capture.warnings += [
-        _change_text(capture, k, check, is_estimated=estimated)
+    capture.findings += [
+        note(_change_text(capture, k, check, is_estimated=estimated))
         for k, check in wrong
         if not check.contradicts
     ]

@@ -20,6 +20,7 @@ from camctl.cli.commands import command
 from camctl.cli.output import (
     format_duration,
     format_table,
+    print_finding,
     print_json,
     print_text,
     print_warning,
@@ -172,8 +173,8 @@ def merge(
         print_warning(note)
     with noting_completion(directory) as complete:
         report = complete(found.capture(directory, overwrite=force))
-        for warning in report.warnings:
-            print_warning(warning)
+        for finding in report.findings:
+            print_finding(finding)
         if report.untrustworthy_because is not None:
             print_warning(f"not trustworthy: {_with_names(report.untrustworthy_because, report)}")
         _print(report, found, directory, as_json=as_json)

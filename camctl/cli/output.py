@@ -18,6 +18,7 @@ from camctl.errors import StorageError
 from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
+    from camctl.findings import Finding
     from camctl.profiles.profile import DelayRecord
 
 
@@ -142,6 +143,13 @@ def print_error(text: str) -> None:
 def print_warning(text: str) -> None:
     """Write one line of warning to standard error."""
     print_error(f"warning: {text}")
+
+
+def print_finding(finding: Finding) -> None:
+    """Write one line of warning to standard error: what was found, and the options that help."""
+    from camctl.messages.command_line import finding_line  # loads pydantic
+
+    print_warning(finding_line(finding))
 
 
 @contextmanager

@@ -12,9 +12,9 @@ from camctl.cli.output import (
     format_number,
     format_percent,
     format_table,
+    print_finding,
     print_json,
     print_text,
-    print_warning,
 )
 from camctl.errors import StorageError, UsageError
 from camctl.system.number_text import range_text
@@ -57,8 +57,8 @@ def show_responses(
     with camera_options.open() as camera:
         shown = preview_responses(camera, request)
     write_bytes(path, png(shown.picture))
-    for warning in shown.plan.warnings:
-        print_warning(warning)
+    for finding in shown.plan.findings:
+        print_finding(finding)
     times = [setting.time_s for setting in shown.settings]
     unseen = 0.0 if shown.plan.light is None else shown.plan.light.unseen
     if as_json:

@@ -23,7 +23,7 @@ from camctl.cli.capture_output import (
 from camctl.cli.commands import command
 from camctl.cli.light_options import LightOptions, light_options
 from camctl.cli.options import CameraOptions
-from camctl.cli.output import print_json, print_text, print_warning
+from camctl.cli.output import print_finding, print_json, print_text, print_warning
 from camctl.cli.parameter_types import PATH, Number, Ratios, Seconds
 from camctl.cli.response_options import DesiredOptions, desired_options, levels_wanted
 from camctl.cli.resumed_camera import refuse_other_options, resumed_camera
@@ -271,8 +271,8 @@ def shoot(
         take = partial(_shoot, camera, request, exposure.table_file, directory, force=force)
     with noting_completion(directory) as complete:
         report = take(complete)
-        for warning in report.warnings:
-            print_warning(warning)
+        for finding in report.findings:
+            print_finding(finding)
         if report.untrustworthy_because is not None:
             print_warning(f"not trustworthy: {report.untrustworthy_because}")
         if as_json:

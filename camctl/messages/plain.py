@@ -10,7 +10,9 @@ from typing import Final
 
 from camctl.findings import Finding
 
-SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {}
+SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
+    "note": lambda finding: str(finding.details["text"]),
+}
 """The sentence of each code of `camctl.findings.CODES`."""
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from camctl.findings import Finding
 from camctl.interface.controls import ExposureSetting
+from camctl.messages.plain import sentence
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
 from camctl.records.request import XI, build_desired
@@ -58,7 +60,7 @@ class CapturePlan:
         metering: how the shortest exposure was metered; None where it was given
         curve: samples (irradiance, u) of the responses "curve" and "auto"; None for the others,
             which name, range and gamma define
-        warnings: what to know before shooting, one line each
+        findings: what to know before shooting
         gamma: exponent of the response "gamma"; None: 1/2
         objective: what the exposures were chosen by, "accuracy" or "xi"
         wall_s: predicted time from the request of the first frame until the last one is here, s;
@@ -83,7 +85,7 @@ class CapturePlan:
     effective_levels: float
     metering: Metering | None = None
     curve: tuple[tuple[float, float], ...] | None = None
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     gamma: float | None = None
     wall_s: float | None = None
     is_wall_known: bool = True
@@ -91,6 +93,11 @@ class CapturePlan:
     noise: NoiseModel | None = None
     objective: str = XI
     light: PlannedLight | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings as plain sentences, one line each."""
+        return tuple(sentence(finding) for finding in self.findings)
 
     @property
     def desired(self) -> DesiredResponse:

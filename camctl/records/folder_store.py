@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, StorageError
+from camctl.findings import note
 from camctl.interface.camera import PHOTOGRAPHS, Frame, Pixels
 from camctl.pictures.details import PictureDetails
 from camctl.pictures.files import (
@@ -301,7 +302,8 @@ class FolderStore:
                     report.rejected += self.reject(position)
                 report.frames[position] = None
             elif record.original is not None and not has_original:
-                report.warnings.append(f"{record.original}, the camera's own file, is missing")
+                text = f"{record.original}, the camera's own file, is missing"
+                report.findings.append(note(text))
                 record.original = record.original_sha256 = None
         if self._renames or self._removals:
             self.save_report(report)

@@ -6,13 +6,22 @@ from typing import Any, Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AwareDatetime, ConfigDict, Field, PrivateAttr
+from pydantic import (
+    AwareDatetime,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    computed_field,
+    model_validator,
+)
 
 from camctl.errors import DataError, UsageError
 from camctl.evidence.movement import FoundMovement
 from camctl.evidence.ratio_check import ReportModel
+from camctl.findings import Finding
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.controls import Layout, ResponseOrigin
+from camctl.messages.plain import sentence
 from camctl.model.noise import MeasuredNoise, NoiseModel
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.frame import FrameRecord, StoredFrame
@@ -87,7 +96,7 @@ class _CaptureData(ReportModel):
             until the last one arrived "planned_wall_s" (predicted) and "actual_wall_s"
         clock: "virtual" where the camera's clock is a simulated one, so that its times passed
             without waiting; else "real"
-        warnings: what to know of the pictures, one line each
+        findings: what to know of the pictures; `warnings` has them as plain sentences
         versions: of camctl, numpy and Python
         profile: what the camera's profile says of it, one line; None: nothing
         taken_at: when the capture began, by this computer's clock, in a simulated series by the
@@ -110,10 +119,24 @@ class _CaptureData(ReportModel):
     files: dict[str, str] = Field(default_factory=dict)
     timing: dict[str, float] = Field(default_factory=dict)
     clock: Literal["real", "virtual"] = "real"
-    warnings: list[str] = Field(default_factory=list)
+    findings: list[Finding] = Field(default_factory=list)
     versions: dict[str, str] = Field(default_factory=dict)
     profile: str | None = None
     taken_at: AwareDatetime | None = None
+
+    @computed_field  # type: ignore[prop-decorator]  # mypy does not know properties of pydantic
+    @property
+    def warnings(self) -> list[str]:
+        """What to know of the pictures, one line each."""
+        return [sentence(finding) for finding in self.findings]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_computed(cls, content: object) -> object:
+        """Leave out what follows from other fields."""
+        if isinstance(content, dict):
+            return {name: value for name, value in content.items() if name != "warnings"}
+        return content
 
 
 class UnfinishedCapture(_CaptureData):
