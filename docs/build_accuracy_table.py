@@ -17,7 +17,8 @@ import camctl
 from camctl.captures.accurate_settings import accuracy_problem
 from camctl.exposure.accuracy_lookup import accuracy_jobs
 from camctl.exposure.build import build_table
-from camctl.model.response.desired import RANGES, RESPONSES, desired_response
+from camctl.model.response.desired import desired_response
+from camctl.model.response.names import RANGES, RESPONSES
 
 SENSORS = ("standard", "webcam", "consumer", "phone", "machine-vision")
 """Sensors whose dark current does not matter, so that their rows serve for any shutter time."""

@@ -19,9 +19,10 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
+from camctl.exposure.goal import AUTO
 from camctl.interface.backends import list_cameras
 from camctl.interface.camera import Camera, PreviewingCamera
-from camctl.records.request import AUTO, CaptureRequest
+from camctl.records.request import CaptureRequest
 from camctl.system.memory import return_free_memory
 from menu.capture_list import list_captures, next_folder
 from menu.data import (

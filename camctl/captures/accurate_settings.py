@@ -13,11 +13,12 @@ from camctl.errors import UsageError
 from camctl.exposure.accuracy import COUNTS, estimate_levels
 from camctl.exposure.accuracy_lookup import look_up_accurate, without_idle_limits
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
+from camctl.exposure.goal import ACCURACY, DEFAULT_COUNT, XI
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.desired import DesiredResponse
-from camctl.records.request import ACCURACY, DEFAULT_COUNT, XI, CaptureRequest
+from camctl.records.request import CaptureRequest
 
 #: Whole flicker periods that are tried as shutter times, at most.
 _PERIODS = 200

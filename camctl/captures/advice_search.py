@@ -6,9 +6,10 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 
+from camctl.exposure.goal import AUTO, CURVE, XI
 from camctl.interface.controls import ExposureControls
 from camctl.records.capture_plan import CapturePlan
-from camctl.records.request import AUTO, CURVE, XI, CaptureRequest
+from camctl.records.request import CaptureRequest
 from camctl.records.scene_light import LAMP_SHARE
 from camctl.system.number_text import time_text
 

@@ -28,6 +28,7 @@ from camctl.captures.wall_time import predicted_wall_s
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.build import look_up
 from camctl.exposure.evaluation import evaluate
+from camctl.exposure.goal import ACCURACY, AUTO, RANGE_WITHOUT_LIGHT, XI
 from camctl.exposure.objective import Objective, xi
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.exposure.table import ExposureTable
@@ -38,7 +39,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
 from camctl.records.capture_plan import CapturePlan, relative_exposures
-from camctl.records.request import ACCURACY, AUTO, XI, CaptureRequest
+from camctl.records.request import CaptureRequest
 from camctl.records.scene_light import NOTABLE_SHARE
 from camctl.system.number_text import range_text
 
@@ -108,14 +109,16 @@ def _plan(
 ) -> tuple[CapturePlan, Metered]:
     """Return a plan without advice, and the light that it is for; see `plan_capture`."""
     controls, real = camera.controls, camera.controls.levels
+    if table is not None and request.given_range is None:
+        request = replace(request, dynamic_range=RANGE_WITHOUT_LIGHT)
     warnings = [*controls.response_warnings, *controls.notes, *real.notes]
     kind = objective_of(request, controls, has_table=table is not None)
     desired, ratios = request.desired, None
     if request.ratios is None and (desired is None or request.time_budget_s is not None):
         if table is not None:
             raise UsageError(
-                "a table has no exposures for a time budget, an automatic response or range",
-                hint="leave the table (--table) out, or name response and range",
+                "a table has no exposures for a time budget or an automatic response",
+                hint="leave the table (--table) out, or name the response",
             )
     elif desired is not None and kind == XI:
         ratios = lookup_ratios(real, desired, request, table, progress)

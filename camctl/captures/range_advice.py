@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from camctl.captures.advice_search import LOG, MUCH
+from camctl.exposure.goal import AUTO, CURVE
 from camctl.records.capture_plan import CapturePlan
-from camctl.records.request import AUTO, CURVE, CaptureRequest
+from camctl.records.request import CaptureRequest
 from camctl.system.number_text import range_text
 
 UNEXPECTED = 0.02

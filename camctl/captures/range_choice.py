@@ -13,14 +13,16 @@ import numpy as np
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.accuracy import TooInaccurateError
 from camctl.exposure.evaluation import evaluate
+from camctl.exposure.goal import AUTO, build_desired
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.model.response.auto import auto_response
-from camctl.model.response.desired import RANGES, DesiredResponse
+from camctl.model.response.desired import DesiredResponse
+from camctl.model.response.names import RANGES
 from camctl.pictures.render import DARK, sum_mask
 from camctl.records.capture_plan import Metering, relative_exposures
-from camctl.records.request import AUTO, CaptureRequest, build_desired
+from camctl.records.request import CaptureRequest
 from camctl.records.scene_light import LEAST_RANGE, PlannedLight, SceneLight
 from camctl.system.number_text import range_text
 

@@ -20,16 +20,18 @@ from camctl.captures.accumulator import Accumulator
 from camctl.captures.plan import meter_light, plan_capture
 from camctl.captures.response_sheet import PANEL_WIDTH, Panel, response_sheet
 from camctl.errors import CaptureError, UsageError
+from camctl.exposure.goal import AUTO
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
-from camctl.model.response.desired import RESPONSES, desired_response
+from camctl.model.response.desired import desired_response
+from camctl.model.response.names import RESPONSES
 from camctl.pictures.preview import tone_map
 from camctl.pictures.preview_light import ALL, Light, LightReducer
 from camctl.pictures.render import DARK, GOOD, SATURATED, Rendering, Tables
 from camctl.records.capture_plan import CapturePlan, relative_exposures
-from camctl.records.request import AUTO, CaptureRequest
+from camctl.records.request import CaptureRequest
 
 LONGEST_S = 4.0
 """Longest exposure of a preview frame, s: the user waits for it, as for those of metering."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from camctl.exposure.goal import CURVE
 from camctl.records.capture_plan import CapturePlan
-from camctl.records.request import CURVE, CaptureRequest
+from camctl.records.request import CaptureRequest
 
 MUCH_SPREAD = 0.01
 """Share of the samples that are too bright by spread light from which a capture gets a warning."""

@@ -88,7 +88,7 @@ class ChoiceOptions:
     count: int | None
     ratios: tuple[float, ...] | None
     compensation_stops: float
-    clip_percent: float
+    clip_percent: float | None
 
 
 _choice_options = options.option_group(
@@ -122,9 +122,9 @@ _choice_options = options.option_group(
         "--clip",
         "clip_percent",
         type=Number("a percentage from 0 to 50", least=0, most=50),
-        default="0",
         metavar="PERCENT",
-        help="Let so many percent of the pixels, the brightest, saturate in every photograph.",
+        help="Let so many percent of the pixels, the brightest, saturate in every photograph.  "
+        "[default: lamps and reflections: at most 0.5 %, if the rest is two stops darker]",
     ),
 )
 
@@ -137,7 +137,7 @@ _choice_options = options.option_group(
     )
 )
 @_source_options
-@desired_options(auto_range=True)
+@desired_options(has_light=True)
 @_choice_options
 @options.result_folder("merge")
 @options.as_json

@@ -23,6 +23,7 @@ from camctl.cli.parameter_types import (
     WholeNumber,
 )
 from camctl.errors import UsageError
+from camctl.exposure.goal import DEFAULT_COUNT
 
 if TYPE_CHECKING:
     from camctl.interface.camera import Camera
@@ -91,7 +92,7 @@ count = click.option(
     "--exposures",
     "count",
     type=COUNT,
-    default=3,
+    default=DEFAULT_COUNT,
     metavar="N",
     help="Number of exposures.",
 )

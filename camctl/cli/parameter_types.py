@@ -12,6 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from camctl.errors import DataError, UsageError, unknown_name
+from camctl.model.response.names import RANGES
 from camctl.system.input_files import exists, read_input_text
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ else:
 # A file that cannot be read is no usage error: whatever reads it gives the reason.
 PATH = click.Path(path_type=Path, readable=False)
 
-RANGE_NAMES = ("low", "medium", "high")
 """Names of `camctl.model.response.desired.RANGES`, here because that module imports numpy."""
 
 
@@ -199,8 +199,6 @@ class DynamicRange(_ValueType):
 
     def parse(self, text: str, option: str) -> float | str:
         """Return the dynamic range as a number, or "auto"."""
-        from camctl.model.response.desired import RANGES
-
         if self._auto and text.lower() == "auto":
             return "auto"
         if text.lower() in RANGES:
@@ -218,7 +216,7 @@ class DynamicRange(_ValueType):
 
     def suggestions(self) -> Iterable[str]:
         """Return the names of ranges."""
-        return (*RANGE_NAMES, "auto") if self._auto else RANGE_NAMES
+        return (*RANGES, "auto") if self._auto else RANGES
 
 
 class Seconds(_ValueType):

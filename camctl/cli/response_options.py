@@ -25,6 +25,8 @@ from camctl.cli.parameter_types import (
     WholeNumber,
 )
 from camctl.errors import DataError, UsageError
+from camctl.exposure.goal import AUTO, RANGE_WITHOUT_LIGHT, Goal
+from camctl.model.response.names import RESPONSES
 from camctl.system.input_files import exists, read_input_text
 
 if TYPE_CHECKING:
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
     from camctl.model.response.camera import CameraResponse
     from camctl.model.response.desired import DesiredResponse
 
-RESPONSES = ("linear", "gamma", "log")
 STANDARDS = ("srgb", "rec709")
 NOISE_KINDS = ("paper", "time", "aperture", "gain")
 
@@ -88,10 +89,9 @@ class DesiredOptions:
         resolved = self.resolve()
         if resolved.desired_file is not None:
             return read_desired(resolved.desired_file)
-        assert resolved.dynamic_range != "auto"  # only shoot and merge have it
-        if resolved.gamma is not None:
-            return desired_response("gamma", resolved.dynamic_range, gamma=resolved.gamma)
-        return desired_response(resolved.response, resolved.dynamic_range)
+        given = resolved.dynamic_range
+        dynamic_range = RANGE_WITHOUT_LIGHT if given == AUTO else given
+        return desired_response(resolved.response, dynamic_range, gamma=resolved.gamma)
 
     def request_fields(self) -> dict[str, Any]:
         """Return the fields of a `CaptureRequest`; raise as `desired` does."""
@@ -110,12 +110,12 @@ class DesiredOptions:
         return values
 
 
-def desired_options(*, auto: bool = False, auto_range: bool = False) -> Decorator:
-    """Return the options of `DesiredOptions`.
+def desired_options(*, auto: bool = False, has_light: bool = False) -> Decorator:
+    """Return the options of `DesiredOptions`; their defaults are those of `Goal`.
 
     Args:
         auto: also --response auto
-        auto_range: also --range auto, which is then the default
+        has_light: light of a scene decides the range unless it is given
     """
     names = (*RESPONSES, "auto") if auto else RESPONSES
     explanation = (
@@ -129,7 +129,7 @@ def desired_options(*, auto: bool = False, auto_range: bool = False) -> Decorato
         click.option(
             "--response",
             type=Name("response", names) if auto else NameOrFile("response", names),
-            default="log",
+            default=Goal.response,
             metavar="|".join(names),
             help="How brightness depends on light: log gives equal contrast in shadows and "
             f"highlights{explanation}.",
@@ -152,11 +152,11 @@ def desired_options(*, auto: bool = False, auto_range: bool = False) -> Decorato
         click.option(
             "--range",
             "dynamic_range",
-            type=DynamicRange(auto=auto_range),
-            default="auto" if auto_range else "medium",
-            metavar=f"low|medium|high|{'auto|' if auto_range else ''}NUMBER",
+            type=DynamicRange(auto=True),
+            default=str(Goal.dynamic_range),
+            metavar="low|medium|high|auto|NUMBER",
             help="Dynamic range of the picture, brightest over darkest light: 256, 1,000, 16,000, "
-            f"or any NUMBER{'; auto takes what the scene holds' if auto_range else ''}.",
+            f"or any NUMBER; auto is {'what the scene holds' if has_light else 'medium'}.",
         ),
     )
 

@@ -41,8 +41,6 @@ MOST_FOR_TOLERANCE = 6
 
 #: Options that are no fields of a `CaptureRequest`, or have another name there.
 _OTHER_NAMES = {"objective_kind", "table_file"}
-#: Range of the picture where the light does not decide it.
-_USUAL_RANGE = 1000.0
 
 
 @dataclass(frozen=True)
@@ -90,16 +88,6 @@ class ExposureOptions:
         """Return the fields of a `CaptureRequest`."""
         fields = {name: value for name, value in vars(self).items() if name not in _OTHER_NAMES}
         return {**fields, "objective": self.objective_kind}
-
-    def range_for(self, desired: DesiredOptions) -> DesiredOptions:
-        """Return the desired response with the range that is used where --range is not given.
-
-        The light decides it, but where it is not metered or a table decides.
-        """
-        is_given = "dynamic_range" in options.given(click.get_current_context())
-        if is_given or (self.base_s is None and self.table_file is None):
-            return desired
-        return replace(desired, dynamic_range=_USUAL_RANGE)
 
 
 exposure_options = options.option_group(
@@ -176,7 +164,7 @@ exposure_options = options.option_group(
     )
 )
 @options.camera_options
-@desired_options(auto=True, auto_range=True)
+@desired_options(auto=True, has_light=True)
 @exposure_options
 @light_options(series=True)
 @click.option(
@@ -245,7 +233,7 @@ def shoot(
 
         exposure = exposure.check_ratios(desired.response)
         request = CaptureRequest(
-            **exposure.range_for(desired).request_fields(),
+            **desired.request_fields(),
             **exposure.request_fields(),
             **light.request_fields(),
         )

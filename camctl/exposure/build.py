@@ -33,7 +33,8 @@ from camctl.exposure.table import (
 )
 from camctl.model.effective import check_count
 from camctl.model.response.camera import CameraResponse
-from camctl.model.response.desired import RANGES, RESPONSES, DesiredResponse, desired_response
+from camctl.model.response.desired import DesiredResponse, desired_response
+from camctl.model.response.names import RANGES, RESPONSES
 from camctl.system.interrupts import uninterrupted
 
 _log = logging.getLogger(__name__)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from camctl.captures.sequencer import capture
+from camctl.exposure.goal import AUTO
 from camctl.photographs.choice import (
     darkest_light,
     plan_photographs,
@@ -23,7 +24,7 @@ from camctl.photographs.photograph_set import (
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import FolderStore
 from camctl.records.report import CaptureReport
-from camctl.records.request import AUTO, CaptureRequest
+from camctl.records.request import CaptureRequest
 
 #: Stands for the range in a request until the light of the photographs gives it.
 _ANY_RANGE = 1000.0
@@ -140,6 +141,6 @@ def merge(
     """
     if path is not None:
         FolderStore.check_free(Path(path), overwrite=overwrite)
-    asked = request or CaptureRequest(dynamic_range="auto", clip_percent=0.0)
+    asked = request or CaptureRequest()
     found = plan_merge(files, asked, options or PhotographOptions())
     return found.capture(path, overwrite=overwrite)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from camctl.exposure.goal import XI, build_desired
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureSetting
 from camctl.messages.plain import sentence
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
-from camctl.records.request import XI, build_desired
 from camctl.records.scene_light import PlannedLight
 
 

@@ -7,7 +7,6 @@ from command_line import Run
 
 from camctl.cli import parameter_types
 from camctl.interface.backends import CAMERAS, PANELS
-from camctl.model.response.desired import RANGES
 from sim.scenes.scene import scene_names
 from sim.sensors.sensor import sensor_names
 
@@ -68,5 +67,4 @@ def test_completion_offers_profiles(run: Run, monkeypatch: pytest.MonkeyPatch) -
 def test_names_for_completion_are_those_of_the_packages() -> None:
     assert list(parameter_types.SCENE.suggestions()) == sorted(scene_names())
     assert list(parameter_types.SENSOR.suggestions()) == sorted(sensor_names())
-    assert tuple(RANGES) == parameter_types.RANGE_NAMES
     assert (CAMERAS, PANELS) == ("camctl.cameras", "camctl.panels")

@@ -17,7 +17,8 @@ from camctl.exposure.solver import Progress
 from camctl.exposure.table import ExposureTable, TableEntry, default_table
 from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.response.camera import CameraResponse, linear_response
-from camctl.model.response.desired import RANGES, RESPONSES, desired_response
+from camctl.model.response.desired import desired_response
+from camctl.model.response.names import RANGES, RESPONSES
 from camctl.model.response.tabulated import tabulated_desired
 
 EIGHT_BIT = linear_response(8)

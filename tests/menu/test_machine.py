@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from panel_fakes import CAMERA, CAPTURES, COST, OTHER_CAMERA, READING, SUMMARY, plan_of
 
-from camctl.model.response.desired import RANGES as DEFINED_RANGES
-from camctl.model.response.desired import RESPONSES as DEFINED_RESPONSES
-from camctl.records.request import AUTO
+from camctl.exposure.goal import AUTO
+from camctl.model.response.names import RANGES as DEFINED_RANGES
+from camctl.model.response.names import RESPONSES as DEFINED_RESPONSES
 from menu.data import Progress
 from menu.diagram import diagram, states_page
 from menu.entries import LISTS, RANGES, RESPONSES, rows

@@ -14,7 +14,9 @@ from small_cameras import small_camera
 from camctl.captures.plan import plan_capture
 from camctl.captures.sequencer import capture, resume
 from camctl.errors import CameraDisconnectedError, DataError, UsageError
+from camctl.exposure.goal import RANGE_WITHOUT_LIGHT
 from camctl.model.response.desired import GammaDesired, LinearDesired
+from camctl.model.response.names import RANGES
 from camctl.records.folder_store import read_capture
 from camctl.records.request import CaptureRequest
 from sim.camera import Faults
@@ -61,11 +63,8 @@ CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))
         ({"count": 0}, "invalid number of exposures 0: expected 1 to 16"),
         ({"count": 17}, "invalid number of exposures 17: expected 1 to 16"),
         ({"count": 2.5}, "invalid number of exposures 2.5: expected a whole number"),
-        (
-            {"dynamic_range": "medium"},
-            "invalid dynamic_range 'medium': expected a number or 'auto'",
-        ),
-        ({"dynamic_range": "auto", "base_s": 0.1}, "an automatic range needs metering"),
+        ({"dynamic_range": "mediun"}, "unknown dynamic range 'mediun'; did you mean medium?"),
+        ({"dynamic_range": None}, "invalid dynamic_range None: expected a number"),
         ({"clip_percent": 1, "base_s": 0.1}, "a share of clipped samples needs metering"),
         ({"clip_percent": 51}, "invalid share of clipped samples 51 %: expected 0 to 50 %"),
         ({"clip_percent": -1}, "invalid share of clipped samples -1 %"),
@@ -84,7 +83,7 @@ CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))
         ({"tolerance": -1.0}, "invalid tolerance -1: expected a number of levels from 0"),
         (
             {"tolerance": 1.0},
-            "a tolerance needs the number of desired levels; give it with levels_wanted",
+            "a tolerance needs the number of desired levels; give it as levels_wanted",
         ),
         (
             {"tolerance": 1.0, "levels_wanted": 10.0, "time_budget_s": 1.0},
@@ -96,11 +95,11 @@ CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))
         ),
         (
             {"tolerance": 1.0, "levels_wanted": 10.0, "ratios": (1.0, 2.0)},
-            "a tolerance cannot be combined with given exposure ratios; leave one of them out",
+            "a tolerance cannot be combined with ratios; leave one of them out",
         ),
         (
             {"response": "auto", "ratios": (1.0, 2.0)},
-            "an automatic response cannot be combined with given exposure ratios; choose another",
+            "an automatic response cannot be combined with ratios; leave one",
         ),
         (
             {"response": "auto", "base_s": 0.01},
@@ -112,6 +111,14 @@ def test_invalid_request_is_a_usage_error_of_one_line(fields: dict[str, Any], me
     with pytest.raises(UsageError, match=message) as failure:
         CaptureRequest(**fields)
     assert "\n" not in str(failure.value)
+
+
+def test_names_of_ranges_are_numbers_and_without_light_auto_is_medium() -> None:
+    for name, number in RANGES.items():
+        assert CaptureRequest(dynamic_range=name) == CaptureRequest(dynamic_range=number)
+    assert CaptureRequest().given_range is None
+    assert CaptureRequest(base_s=0.01).given_range == RANGE_WITHOUT_LIGHT == RANGES["medium"]
+    assert CaptureRequest(base_s=0.01, dynamic_range="high").given_range == RANGES["high"]
 
 
 def test_exponent_of_gamma_is_one_half_without_another() -> None:

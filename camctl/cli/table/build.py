@@ -16,11 +16,11 @@ from camctl.cli.output import print_json, print_text, print_warning, progress_ba
 from camctl.cli.parameter_types import PATH, DynamicRange, ListOf, WholeNumber
 from camctl.cli.response_options import (
     RESPONSE,
-    RESPONSES,
     RealCameraOptions,
     real_camera_options,
 )
 from camctl.errors import CamctlError, StorageError
+from camctl.model.response.names import RESPONSES
 
 
 class LostWorkerError(CamctlError):

@@ -161,7 +161,8 @@ def _chosen_by_accuracy(camera: KnownCamera) -> list[TableEntry]:
     from camctl.exposure.accuracy_lookup import accuracy_jobs
     from camctl.exposure.exposure_choices import AccuracyProblem
     from camctl.exposure.table import accuracy_rows
-    from camctl.model.response.desired import RANGES, RESPONSES, desired_response
+    from camctl.model.response.desired import desired_response
+    from camctl.model.response.names import RANGES, RESPONSES
 
     problems = [
         AccuracyProblem(
@@ -293,7 +294,7 @@ def _rows_text(entries: list[TableEntry], levels: list[float], *, noise_known: b
 
 def _place(entry: TableEntry) -> tuple[int, float, int]:
     """Return the order of rows: by response, range and number of exposures."""
-    from camctl.model.response.desired import RESPONSES
+    from camctl.model.response.names import RESPONSES
 
     names = list(RESPONSES)
     is_known = entry.response in names

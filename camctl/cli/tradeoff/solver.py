@@ -21,8 +21,9 @@ from camctl.cli.output import (
     without_stage,
 )
 from camctl.cli.parameter_types import DynamicRange, ListOf, Name, Number, WholeNumber
-from camctl.cli.response_options import RESPONSE, RESPONSES
+from camctl.cli.response_options import RESPONSE
 from camctl.cli.tradeoff.study_options import StudyOptions, study_options
+from camctl.model.response.names import RESPONSES
 from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:

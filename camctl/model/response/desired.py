@@ -16,10 +16,8 @@ from numpy.typing import ArrayLike
 
 from camctl.errors import UsageError, unknown_name
 from camctl.model.response.camera import FloatArray
+from camctl.model.response.names import RANGES, RESPONSES
 from camctl.system.number_text import range_text
-
-RANGES: dict[str, float] = {"low": 256.0, "medium": 1000.0, "high": 16000.0}
-RESPONSES: tuple[str, ...] = ("linear", "gamma", "log")
 
 MAX_RANGE = 1e12
 """Largest finite dynamic range: 40 stops, more than any scene has."""
