@@ -63,7 +63,7 @@ def test_import_loads_no_numpy_until_a_name_is_used(tmp_path: Path) -> None:
         import camctl
         dir(camctl), camctl.__version__, camctl.UsageError, camctl.VirtualClock
         print("numpy" in sys.modules)
-        camctl.CaptureRequest
+        camctl.CaptureRequest()
         print("numpy" in sys.modules)
     """
     assert run_python(code, tmp_path).split() == ["False", "True"]

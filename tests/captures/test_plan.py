@@ -308,18 +308,9 @@ def test_automatic_response_follows_the_light(tmp_path: Path) -> None:
     assert read_capture(tmp_path / "out").plan == report.plan
 
 
-@pytest.mark.parametrize(
-    ("request_", "message"),
-    [
-        (CaptureRequest("auto"), "a table has no exposures for a time budget, an automatic"),
-        (CaptureRequest(dynamic_range="auto"), "name response and range"),
-        (CaptureRequest(time_budget_s=1.0), "a table has no exposures for a time budget"),
-    ],
-)
-def test_table_cannot_be_used_where_ratios_depend_on_the_light(
-    request_: CaptureRequest, message: str
-) -> None:
-    with small_camera() as camera, pytest.raises(UsageError, match=message):
+@pytest.mark.parametrize("request_", [CaptureRequest("auto"), CaptureRequest(time_budget_s=1.0)])
+def test_table_cannot_be_used_where_ratios_depend_on_the_light(request_: CaptureRequest) -> None:
+    with small_camera() as camera, pytest.raises(UsageError, match="a table has no exposures for"):
         plan_capture(camera, request_, table=ExposureTable())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -114,21 +114,21 @@ def test_invalid_request_is_a_usage_error_of_one_line(fields: dict[str, Any], me
 
 
 def test_names_of_ranges_are_numbers_and_without_light_auto_is_medium() -> None:
-    for name, number in RANGES.items():
-        assert CaptureRequest(dynamic_range=name) == CaptureRequest(dynamic_range=number)
+    names: tuple[Literal["low", "medium", "high"], ...] = ("low", "medium", "high")
+    assert [CaptureRequest(dynamic_range=each).given_range for each in names] == [*RANGES.values()]
     assert CaptureRequest().given_range is None
     assert CaptureRequest(base_s=0.01).given_range == RANGE_WITHOUT_LIGHT == RANGES["medium"]
     assert CaptureRequest(base_s=0.01, dynamic_range="high").given_range == RANGES["high"]
 
 
 def test_exponent_of_gamma_is_one_half_without_another() -> None:
-    default = CaptureRequest("gamma").desired
+    default = CaptureRequest("gamma", 1000.0).desired
     assert isinstance(default, GammaDesired)
     assert default.gamma == 0.5
-    other = CaptureRequest("gamma", gamma=0.45).desired
+    other = CaptureRequest("gamma", 1000.0, gamma=0.45).desired
     assert isinstance(other, GammaDesired)
     assert other.gamma == 0.45
-    assert isinstance(CaptureRequest("gamma", gamma=1.0).desired, LinearDesired)
+    assert isinstance(CaptureRequest("gamma", 1000.0, gamma=1.0).desired, LinearDesired)
 
 
 def test_curve_has_its_own_dynamic_range() -> None:
