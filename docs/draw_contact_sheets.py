@@ -36,8 +36,8 @@ SMALL = (150, 112)
 
 
 def main() -> None:
-    """Write docs/contact-sheets/*.png, docs/room-responses.png and docs/previews.png."""
-    folder = Path(__file__).parent
+    """Write the pictures of the page on previews, in docs/pictures."""
+    folder = Path(__file__).parent / "pictures"
     sheets = folder / "contact-sheets"
     sheets.mkdir(exist_ok=True)
     rows = {}

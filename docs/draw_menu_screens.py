@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/menu.md: every screen on each kind of panel.
+"""Draw the pictures of docs/how-to/menu.md: every screen on each kind of panel.
 
 The figures are those of the simulated camera: its plans for each entry, and one capture.  The
 errors are those of real failures, one for each screen of an error.
@@ -34,7 +34,7 @@ from menu.screens import screen
 from menu.tables import STATES, Work
 from menu.worker import failure_text
 
-FOLDER = Path(__file__).parent.absolute() / "menu"
+FOLDER = Path(__file__).parent.absolute() / "pictures/menu"
 GAP = 6
 FREE_BYTES = 12_300_000_000
 CAPTURES = Path("captures")

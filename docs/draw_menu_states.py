@@ -1,4 +1,4 @@
-"""Draw docs/menu-states.svg from the tables of the menu; needs graphviz (the program dot).
+"""Draw docs/pictures/menu-states.svg from the tables of the menu; needs graphviz (the program dot).
 
 The file holds the source of the drawing, so that a test can tell whether it is up to date.
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from menu.diagram import diagram
 
-PICTURE = Path(__file__).with_name("menu-states.svg")
+PICTURE = Path(__file__).parent / "pictures" / "menu-states.svg"
 
 
 def main() -> None:

@@ -37,8 +37,8 @@ SENSORS = {"outdoor-sun": "security", "pwm-lamp": "security", "stars": "ccd"}
 
 
 def main() -> None:
-    """Write docs/scenes/*.png."""
-    folder = Path(__file__).parent / "scenes"
+    """Write docs/pictures/scenes/*.png."""
+    folder = Path(__file__).parent / "pictures/scenes"
     folder.mkdir(exist_ok=True)
     for name, time_s in TIMES_S.items():
         sensor = load_sensor(SENSORS.get(name, "complete"))

@@ -1,4 +1,4 @@
-"""Print what happens with each recorded body: the table of docs/bodies.md.
+"""Print what happens with each recorded body: the table of docs/reference/bodies.md.
 
     python docs/print_bodies.py
 

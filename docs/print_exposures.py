@@ -2,8 +2,8 @@
 
     python docs/print_exposures.py
 
-This is the table of docs/exposures.md: an 8-bit linear camera, G = n * 255 desired levels, dynamic
-range 2^(8 + n - 1).  Takes about 15 s.
+This is the table of docs/explanation/exposures.md: an 8-bit linear camera, G = n * 255 desired
+levels, dynamic range 2^(8 + n - 1).  Takes about 15 s.
 """
 
 from __future__ import annotations

@@ -56,7 +56,8 @@ def states_page() -> str:
             "# States of the menu",
             "",
             "This page and its diagram are generated from the tables of the menu:",
-            "`python -m menu.diagram > docs/menu-states.md` and `python docs/draw_menu_states.py`.",
+            "`python -m menu.diagram > docs/reference/menu-states.md` and",
+            "`python docs/draw_menu_states.py`.",
             "",
             "An arrow names what causes the transition: a key in capitals, a button or the entry "
             "of a",
@@ -66,7 +67,7 @@ def states_page() -> str:
             "any key",
             "leads from it to the screen *Ready*; its arrows are left out.",
             "",
-            "![state diagram of the menu](menu-states.svg)",
+            "![state diagram of the menu](../pictures/menu-states.svg)",
             "",
             "| screen | kind | keys | buttons |",
             "|---|---|---|---|",

@@ -2,7 +2,7 @@
 
 `step` alone leads from one `Model` to the next.  It is a pure function: work to be done is returned
 as an effect, and its outcome comes in again as an event.  ``python -m menu.diagram`` prints the
-tables as the page docs/menu-states.md.
+tables as the page docs/reference/menu-states.md.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ import pytest
 import camctl
 
 ROOT = Path(__file__).parents[1]
-PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
-API = ROOT / "docs" / "api.md"
+PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")))
+API = ROOT / "docs/reference/api.md"
 _BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\]\((?!https?://)([^)#\s]+)(?:#[^)]*)?\)")
 
@@ -34,7 +34,7 @@ def commands() -> Iterator[tuple[str, list[str]]]:
                 for part in re.split(r"&&|\|", line):
                     words = shlex.split(part, comments=True)
                     if words and Path(words[0]).name == "camctl":
-                        yield page.name, words[1:]
+                        yield str(page.relative_to(ROOT)), words[1:]
 
 
 def options_of(command: click.Command) -> set[str]:
@@ -83,7 +83,7 @@ def test_a_command_of_the_documentation_is_valid(page: str, arguments: list[str]
     assert used <= known, f"{page}: {sorted(used - known)}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_to_files(page: Path) -> None:
     missing = [
         target
@@ -93,14 +93,14 @@ def test_links_lead_to_files(page: Path) -> None:
     assert missing == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_block_names_its_language(page: Path) -> None:
     fences = re.findall(r"^```.*$", page.read_text("utf-8"), re.MULTILINE)
     assert len(fences) % 2 == 0
     assert "```" not in fences[::2]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_an_option_named_in_the_text_exists(page: Path) -> None:
     from camctl.cli import cli
 
@@ -118,7 +118,12 @@ def test_every_public_name_is_in_the_api_reference() -> None:
 
 
 @pytest.mark.parametrize(
-    "page", ["api.md", "exposures.md", pytest.param("vision.md", marks=pytest.mark.slow)]
+    "page",
+    [
+        "reference/api.md",
+        "explanation/exposures.md",
+        pytest.param("how-to/vision.md", marks=pytest.mark.slow),
+    ],
 )
 def test_a_python_example_runs(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

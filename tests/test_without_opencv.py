@@ -40,7 +40,7 @@ def test_page_states_the_aarch64_wheels_of_all_compiled_dependencies() -> None:
     """Every dependency that is installed here with compiled code has its row."""
     needed = _needed("camctl", set(), without="") - {"camctl"}
     compiled = {name for name in needed if "Root-Is-Purelib: false" in _wheel_file(name)}
-    page = (ROOT / "docs" / "menu.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/how-to/menu.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| ([\w-]+) \| [\d.]+, `manylinux\w+_aarch64` \|", page, re.MULTILINE)
     assert {_name(row) for row in rows} == compiled
 

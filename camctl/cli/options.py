@@ -201,7 +201,7 @@ def scene_options(default_sensor: str | None = None) -> Decorator:
             "faults",
             metavar="FAULT,...",
             help="Faults of the simulated camera, such as unplug@3 or wrong@1=0.5 (see "
-            "docs/ci.md).  [default: none]",
+            "docs/how-to/ci.md).  [default: none]",
         ),
     )
 

@@ -107,7 +107,7 @@ def per_scene(
 
 
 def print_scenes(rows: list[dict[str, Any]]) -> None:
-    """Print the table of the scenes as Markdown, as in docs/simulation.md."""
+    """Print the table of the scenes as Markdown, as in docs/explanation/simulation.md."""
     kinds = ("tolerance", "exact", "both")
     print(
         "| scene | exposure | every effect, ms | tolerance | kept | both | largest, DN | mean, DN |"

@@ -181,12 +181,12 @@ def test_diagram_has_every_state_and_every_transition() -> None:
 
 
 def test_page_of_the_documentation_is_up_to_date() -> None:
-    """Update it with: python -m menu.diagram > docs/menu-states.md."""
-    assert (DOCS / "menu-states.md").read_text(encoding="utf-8") == states_page()
+    """Update it with: python -m menu.diagram > docs/reference/menu-states.md."""
+    assert (DOCS / "reference/menu-states.md").read_text(encoding="utf-8") == states_page()
 
 
 def test_drawing_of_the_documentation_is_up_to_date() -> None:
     """Update it with: python docs/draw_menu_states.py (needs graphviz)."""
-    drawing = (DOCS / "menu-states.svg").read_text(encoding="utf-8")
+    drawing = (DOCS / "pictures/menu-states.svg").read_text(encoding="utf-8")
     assert drawing.startswith(f"<!--\n{diagram()}-->\n<svg")
     assert drawing.count('class="edge"') == diagram().count(" -> ")

@@ -1,4 +1,4 @@
-"""The streaming driver of docs/drivers.md works, on a small fake of the maker's library."""
+"""The streaming driver of docs/how-to/drivers.md works, on a small fake of the maker's library."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from camctl.interface.clock import Clock, VirtualClock
 from camctl.profiles.profile import change_profile
 from camctl.testing.conformance import CameraConformance
 
-PAGE = Path(__file__).parents[2] / "docs" / "drivers.md"
+PAGE = Path(__file__).parents[2] / "docs/how-to/drivers.md"
 DELAY = 3
 
 

@@ -108,7 +108,7 @@ def test_unknown_fault(camctl_camera): ...
 
 
 def test_fixture_gives_the_camera_of_the_marker_as_documented(pytester: pytest.Pytester) -> None:
-    page = Path(__file__).parents[2] / "docs" / "ci.md"
+    page = Path(__file__).parents[2] / "docs/how-to/ci.md"
     first, second = [
         block.partition("```")[0]
         for block in page.read_text("utf-8").split("```python\n")[1:]

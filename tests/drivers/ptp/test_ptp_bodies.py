@@ -1,6 +1,7 @@
 """Recorded bodies of seven makers: each takes the pictures of its settings, or says why not.
 
-The table of docs/bodies.md says what is expected of each; `docs/print_bodies.py` prints it.
+The table of docs/reference/bodies.md says what is expected of each body.
+`docs/print_bodies.py` prints it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from sim.devices.ptp.protocol import Response
 from sim.devices.ptp.responder import Responder
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
-PAGE = Path(__file__).parents[3] / "docs" / "bodies.md"
+PAGE = Path(__file__).parents[3] / "docs/reference/bodies.md"
 
 
 @cache
