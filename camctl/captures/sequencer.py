@@ -8,12 +8,12 @@ import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from datetime import datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import camctl
 from camctl.captures.accumulator import sum_dtype
 from camctl.captures.plan import plan_capture
 from camctl.captures.sequence import Cancelled, OnProgress, Progress, Sequence
@@ -98,7 +98,7 @@ def capture(
             timing={"planning_s": time.perf_counter() - started},
             clock="virtual" if isinstance(camera.clock, VirtualClock) else "real",
             versions={
-                "camctl": camctl.__version__,
+                "camctl": version("camctl"),
                 "numpy": np.__version__,
                 "python": platform.python_version(),
             },

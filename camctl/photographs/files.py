@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from camctl.interface.camera import Pixels
     from camctl.interface.controls import Layout
     from camctl.photographs.photograph import Photograph
-    from drivers.common.exif import StatedExposure
-    from drivers.common.still_file import Still
+    from camctl.stills.decoding import Still
+    from camctl.stills.exif import StatedExposure
 
 #: Largest file of a camera that is read.
 _MOST_BYTES = 1 << 30
@@ -40,9 +40,9 @@ def read_photograph(path: Path) -> tuple[Still, StatedExposure]:
     Raises:
         DataError: it cannot be read
     """
+    from camctl.stills.decoding import read_still
+    from camctl.stills.exif import stated_exposure
     from camctl.system.input_files import read_input
-    from drivers.common.exif import stated_exposure
-    from drivers.common.still_file import read_still
 
     data = read_input(path, "", most_bytes=_MOST_BYTES)
     try:
@@ -251,8 +251,8 @@ def _largest_of_exr(paths: Sequence[Path]) -> float:
 def _exr_values(path: Path) -> Any:
     import numpy as np
 
+    from camctl.stills.radiance_map import read_map
     from camctl.system.input_files import check_regular
-    from sim.scenes.radiance_map import read_map
 
     check_regular(path, "")
     values = np.asarray(read_map(path)[0], np.float32)

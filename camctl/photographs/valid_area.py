@@ -13,9 +13,9 @@ from camctl.errors import CameraProtocolError, DataError
 from camctl.interface.camera import Pixels
 from camctl.photographs.checks import invalid_border, largest_rectangle
 from camctl.photographs.files import PhotographFiles
+from camctl.stills.decoding import read_still
 from camctl.system.input_files import read_input
 from camctl.system.number_text import percent_text
-from drivers.common.still_file import read_still
 
 _MOST_BYTES = 1 << 28
 

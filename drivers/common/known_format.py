@@ -11,8 +11,8 @@ from camctl.errors import CameraError, CameraProtocolError
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.controls import ExposureSetting
 from camctl.profiles.profile import StillRecord, load_profile
-from drivers.common.exif import stated_exposure
-from drivers.common.still_file import Still
+from camctl.stills.decoding import Still
+from camctl.stills.exif import stated_exposure
 
 #: Formats in the order in which "auto" prefers them: the fewest changes to the samples first.
 FORMATS = ("raw", "tiff", "jpeg")

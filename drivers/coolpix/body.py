@@ -17,9 +17,9 @@ from camctl.errors import (
 )
 from camctl.interface.clock import Clock
 from camctl.interface.controls import ExposureSetting
-from drivers.common.exif import exposure_time_s
+from camctl.stills.decoding import Still
+from camctl.stills.exif import exposure_time_s
 from drivers.common.serial_link import SerialLink
-from drivers.common.still_file import Still
 from drivers.coolpix.pictures import (
     CardPicture,
     Progress,

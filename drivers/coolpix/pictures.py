@@ -12,8 +12,8 @@ from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import Clock
 from camctl.interface.controls import Layout
 from camctl.profiles.profile import StillRecord, load_profile
+from camctl.stills.decoding import Still, read_still
 from drivers.common.still_camera import save_record
-from drivers.common.still_file import Still, read_still
 from drivers.coolpix.settings import FORMATS, read_register_or_none
 from drivers.coolpix.sierra.packets import RefusedCommandError, Register
 from drivers.coolpix.sierra.session import Sierra

@@ -14,6 +14,7 @@ from camctl.interface.camera import CameraBase, CameraInfo, Frame, OriginalFile
 from camctl.interface.clock import Clock, RealClock
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting, ResponseOrigin
 from camctl.model.response.camera import named_response
+from camctl.stills.decoding import read_still
 from drivers.common.known_format import (
     FORMATS,
     FormatChangedError,
@@ -29,7 +30,6 @@ from drivers.common.still_camera import (
     StillTimes,
     save_record,
 )
-from drivers.common.still_file import read_still
 from drivers.gphoto2.body import Body
 from drivers.gphoto2.process import CameraProcess, FullError
 

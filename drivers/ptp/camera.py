@@ -27,7 +27,8 @@ from camctl.interface.controls import (
     Steps,
 )
 from camctl.model.response.camera import named_response
-from drivers.common.exif import stated_exposure
+from camctl.stills.decoding import Still, read_still
+from camctl.stills.exif import stated_exposure
 from drivers.common.known_format import (
     FormatChangedError,
     KnownFormat,
@@ -37,7 +38,6 @@ from drivers.common.known_format import (
 )
 from drivers.common.response_option import ResponseOptions
 from drivers.common.still_camera import StillTimes, forget_record, save_record
-from drivers.common.still_file import Still, read_still
 from drivers.common.usb import device_name, usb_identity
 from drivers.ptp.body import Body
 from drivers.ptp.dialects import STANDARD

@@ -15,9 +15,9 @@ from pathlib import PurePath
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
 from camctl.interface.camera import Frame, OriginalFile
 from camctl.interface.controls import ExposureSetting
+from camctl.stills.decoding import read_still
 from drivers.common.known_format import KnownFormat, checked_exposure, matched_pixels
 from drivers.common.still_camera import StillTimes
-from drivers.common.still_file import read_still
 from drivers.ptp.body import Body
 from drivers.ptp.dials import Dial
 from drivers.ptp.shooting import ExposureRequest, PendingExposure, Shooter, Shot

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from camctl.errors import DataError, UsageError, unknown_name
+from camctl.stills.radiance_map import SUFFIXES, read_map, read_shape
 from camctl.system.input_files import exists
 from sim.data_files import (
     FileModel,
@@ -25,7 +26,6 @@ from sim.data_files import (
 )
 from sim.scenes.drawings import DRAWINGS, wheel
 from sim.scenes.motion import Lamps, PwmLamps, Target
-from sim.scenes.radiance_map import SUFFIXES, read_map, read_shape
 
 DEFAULT_SCENE = "tile-floor"
 PHOTONS = "photons per pixel per second"

@@ -26,7 +26,7 @@ from camctl.profiles.response import ChannelResponse
 
 
 def memorial(folder: Path) -> None:
-    from sim.scenes.radiance_map import read_map
+    from camctl.stills.radiance_map import read_map
 
     rows = [line.split() for line in (folder / "image_list.txt").read_text().splitlines()]
     listed = [(row[0], 1 / float(row[2])) for row in rows if row and row[0].endswith(".png")]

@@ -118,7 +118,7 @@ def test_the_share_that_is_too_dark_is_predicted(run: Run, series: Series, suffi
 
 @pytest.mark.slow
 def test_the_memorial_photographs_come_out_without_warnings(run: Run, real_data: Path) -> None:
-    from sim.scenes.radiance_map import read_map
+    from camctl.stills.radiance_map import read_map
 
     folder = real_data / "memorial"
     lines = (folder / "image_list.txt").read_text().splitlines()

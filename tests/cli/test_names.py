@@ -18,7 +18,7 @@ from camctl.cli.output import visible
 from camctl.errors import CameraProtocolError
 from camctl.interface.backends import BackendListing
 from camctl.interface.camera import CameraBase, CameraInfo
-from drivers.common.still_file import read_still
+from camctl.stills.decoding import read_still
 from menu.text import fit
 from sim.camera import SimulatedCamera
 

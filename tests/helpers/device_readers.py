@@ -18,9 +18,9 @@ from ptp_bench import bench, settings_at
 from v4l2_model import PATH, Model
 
 from camctl.interface.controls import Layout
-from drivers.common.exif import exposure_time_s
+from camctl.stills.decoding import read_still
+from camctl.stills.exif import exposure_time_s
 from drivers.common.serial_link import SerialLink
-from drivers.common.still_file import read_still
 from drivers.ptp.datasets import (
     DeviceInfo,
     ObjectInfo,

@@ -17,7 +17,7 @@ from pathlib import Path
 import usb.core
 
 from camctl.interface.clock import RealClock
-from drivers.common.still_file import read_still
+from camctl.stills.decoding import read_still
 from drivers.ptp.backend import PtpBackend
 from drivers.ptp.codes import Op
 from drivers.ptp.datasets import DeviceInfo, ObjectInfo, Reader

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from camctl.interface.controls import ExposureControls
     from camctl.model.response.camera import CameraResponse
     from camctl.records.report import CaptureReport
-    from drivers.common.still_file import Still
+    from camctl.stills.decoding import Still
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from coolpix_bench import (
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.profiles.profile import StillRecord, change_profile, load_profile
+from camctl.stills.decoding import read_still
 from camctl.testing.conformance import CameraConformance
-from drivers.common.still_file import read_still
 from drivers.coolpix.camera import CoolpixCamera
 from drivers.coolpix.settings import CANDIDATES_US
 from sim.devices.sierra.config import SHUTTER_US

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from camctl.interface.controls import Layout
+from camctl.stills.decoding import Still
 from drivers.common.known_format import FORMATS, FormatChangedError, KnownFormat, matched_pixels
-from drivers.common.still_file import Still
 from drivers.ptp.datasets import ObjectInfo
 from drivers.ptp.still_formats import format_of
 

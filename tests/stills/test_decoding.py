@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.interface.controls import Layout
-from drivers.common.still_file import MAX_PIXELS, read_still
+from camctl.stills.decoding import MAX_PIXELS, read_still
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 

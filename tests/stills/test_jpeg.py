@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError
+from camctl.stills.decoding import read_still
 from camctl.system.library_output import with_messages
-from drivers.common.still_file import read_still
 
 ROWS, COLUMNS = 160, 208
 

@@ -22,10 +22,10 @@ from camctl.errors import CameraProtocolError, UsageError
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.profiles.profile import StillRecord
+from camctl.stills.exif import PNG, png_chunks
+from camctl.stills.jpeg import CUT_SHORT, JpegStructure
 from camctl.system.library_output import quiet_libraries, with_messages
 from camctl.system.picture_operations import required_opencv
-from drivers.common.exif import PNG, png_chunks
-from drivers.common.jpeg_file import CUT_SHORT, JpegStructure
 
 # The largest pictures of still cameras (medium format with pixel shift) have 400 million pixels.
 MAX_PIXELS = 1 << 29
