@@ -19,7 +19,7 @@ from camctl.evidence.pair import Pair, Side
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.findings import note
-from camctl.interface.camera import PHOTOGRAPHS, Camera, Pixels
+from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise
 from camctl.pictures.details import thumbnail
@@ -73,9 +73,9 @@ class FrameChecks:
     def suspects(self) -> list[int]:
         """Return the positions of the frames that are probably wrong and were shot once.
 
-        Photographs cannot be shot again.
+        None where frames cannot be shot again.
         """
-        if self._capture.camera.driver == PHOTOGRAPHS:
+        if not self._controls.repeatable:
             return []
         checks = [frame.ratio for frame in self._frames]
         self._log.find(checks)
@@ -99,7 +99,13 @@ class FrameChecks:
                 self._compare(k, chosen[k].exposure / chosen[k - 1].exposure)
                 for k in range(1, len(frames))
             ]
-        judge(self._capture, checks, error, self._delay_of)
+        judge(
+            self._capture,
+            checks,
+            error,
+            self._delay_of,
+            exposures_exact=self._controls.exposures_exact,
+        )
         return chosen
 
     @property
@@ -149,6 +155,5 @@ class FrameChecks:
 
     def _compare(self, later: int, expected: float) -> RatioCheck:
         times_s = (self._frame(later - 1).applied_s, self._frame(later).applied_s)
-        is_taken = self._capture.camera.driver == PHOTOGRAPHS
-        most = math.inf if is_taken else MOST_CHANGE  # their exposures are not exact
+        most = MOST_CHANGE if self._controls.exposures_exact else math.inf
         return self._check.check(later, expected, times_s, self._capture.request.mains_hz, most)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import CaptureError, UsageError
 from camctl.evidence.light_ratio import NeighbourCheck
-from camctl.interface.camera import PHOTOGRAPHS, Camera, Frame, PreviewingCamera
+from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureSetting
 from camctl.model.response.camera import FloatArray
 from camctl.records.capture_plan import Metering
@@ -289,7 +289,7 @@ def light_histogram(
 def _longer(camera: Camera, setting: ExposureSetting, factor: float) -> ExposureSetting:
     """Return a setting with `factor` times the exposure, or the largest that metering uses."""
     controls = camera.controls
-    waited_s = math.inf if camera.info.driver == PHOTOGRAPHS else _LONGEST_HISTOGRAM_S
+    waited_s = _LONGEST_HISTOGRAM_S if controls.repeatable else math.inf  # else nobody waits
     longest_s = max(min(waited_s, controls.time_s.maximum), setting.time_s)
     time_s = controls.time_s.nearest(min(setting.time_s * factor, longest_s))
     gain = min(setting.gain * factor * setting.time_s / time_s, controls.gain.maximum)

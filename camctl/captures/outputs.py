@@ -18,7 +18,6 @@ from camctl.evidence.noise import measure_noise
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import Objective
 from camctl.findings import note
-from camctl.interface.camera import PHOTOGRAPHS
 from camctl.interface.controls import ExposureControls
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
@@ -68,8 +67,7 @@ def complete(
     full_scale_exposure = min(ratio.exposure for ratio in chosen)
     if controls.sensitivity is not None:
         full_scale_exposure *= controls.sensitivity
-    is_taken = unfinished.camera.driver == PHOTOGRAPHS
-    taken_at = min(_taken(frames) if is_taken else [], default=unfinished.taken_at)
+    taken_at = min(_taken(frames), default=unfinished.taken_at)
     noise = controls.frame_noise(applied)
     unit = "full scales per second" if controls.sensitivity is None else "as the scene"
     posteriors = [
@@ -161,14 +159,19 @@ def complete(
                         plan,
                         saturated=outside.saturated,
                         # What a mask leaves out of photographs is dark in the sum alone.
-                        dark=plan.light.dark if is_taken and plan.light else outside.dark,
-                        is_taken=is_taken,
+                        dark=outside.dark
+                        if controls.repeatable or plan.light is None
+                        else plan.light.dark,
+                        repeatable=controls.repeatable,
                     ),
                 ),
                 *map(
                     note,
                     spread_warnings(
-                        unfinished.request, plan, movement.found.spread, is_taken=is_taken
+                        unfinished.request,
+                        plan,
+                        movement.found.spread,
+                        repeatable=controls.repeatable,
                     )
                     if movement is not None
                     else [],
@@ -183,7 +186,7 @@ def complete(
 
 
 def _taken(frames: list[StoredFrame]) -> list[datetime]:
-    """Return when photographs were taken, of those that state it."""
+    """Return when frames were taken that state it."""
     stated = (frame.details.get("taken_at") for frame in frames)
     return [datetime.fromisoformat(each) for each in stated if each is not None]
 

@@ -33,7 +33,7 @@ from camctl.exposure.objective import Objective, xi
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.exposure.table import ExposureTable
 from camctl.findings import note
-from camctl.interface.camera import PHOTOGRAPHS, Camera, PreviewingCamera
+from camctl.interface.camera import Camera, PreviewingCamera
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.camera import CameraResponse
@@ -94,8 +94,8 @@ def plan_capture(
 
     found = replace(plan.light, bright_advice=bright_advice(request, plan, predict))
     is_free = isinstance(camera, PreviewingCamera) or request.desired is None
-    # Else its shadows were not metered, or no other photographs can be taken.
-    if is_free and camera.info.driver != PHOTOGRAPHS:
+    # Else its shadows were not metered, or there are no other frames.
+    if is_free and camera.controls.repeatable:
         found = replace(found, advice=dark_advice(request, plan, camera.controls, predict))
     return replace(plan, light=found)
 

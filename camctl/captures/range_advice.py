@@ -23,7 +23,7 @@ def outside_warnings(
     *,
     saturated: float,
     dark: float,
-    is_taken: bool = False,
+    repeatable: bool = True,
 ) -> list[str]:
     """Return a warning for each end of the range that more than `MUCH` of the samples are beyond.
 
@@ -34,11 +34,11 @@ def outside_warnings(
         plan: of the capture
         saturated: share of the samples that every frame saturated
         dark: share of the samples with light below the range
-        is_taken: the frames are photographs already taken
+        repeatable: frames can be shot at other settings
     """
     found = []
     metered = _metered_clip(request, plan)
-    if not is_taken and metered is not None and saturated > metered + UNEXPECTED:
+    if repeatable and metered is not None and saturated > metered + UNEXPECTED:
         stops = request.compensation_stops - _FLICKER_STOPS
         found.append(
             f"{saturated:.1%} of the picture is brighter than its range, and in the metering "
@@ -46,13 +46,13 @@ def outside_warnings(
             f"shorter (--compensation {stops:g})"
         )
     elif saturated > MUCH:
-        advice = _shorter(request, plan, is_taken)
+        advice = _shorter(request, plan, repeatable)
         found.append(f"{saturated:.1%} of the picture is brighter than its range: {advice}")
     if dark > MUCH:
         found.append(
             f"{dark:.1%} of the picture is darker than its range of "
             f"{range_text(plan.dynamic_range)}: "
-            f"{_wider(request, plan, is_taken)}"
+            f"{_wider(request, plan, repeatable)}"
         )
     return found
 
@@ -64,22 +64,22 @@ def _metered_clip(request: CaptureRequest, plan: CapturePlan) -> float | None:
     return max(plan.light.clips, plan.metering.clipped, request.clip or 0.0)
 
 
-def _shorter(request: CaptureRequest, plan: CapturePlan, is_taken: bool) -> str:
+def _shorter(request: CaptureRequest, plan: CapturePlan, repeatable: bool) -> str:
     """Return what to do where too much is saturated."""
     if request.base_s is not None:
         return "leave the base exposure (--base) out, so that it is metered"
     if plan.light is not None and plan.light.bright_advice is not None:
         return plan.light.bright_advice
-    if is_taken:
+    if not repeatable:
         return "a photograph with a shorter exposure would show it"
     return "close the aperture, or put a filter before the lens; no option makes the light less"
 
 
-def _wider(request: CaptureRequest, plan: CapturePlan, is_taken: bool) -> str:
+def _wider(request: CaptureRequest, plan: CapturePlan, repeatable: bool) -> str:
     """Return what to do where too much is dark."""
     if request.response == CURVE:
         return "it is that of the desired curve; give one of a larger range"
-    if is_taken:
+    if not repeatable:
         if plan.desired.name != LOG:
             return _OTHER_RESPONSE.format(plan.desired.name)
         return "photographs with longer exposures would show it"

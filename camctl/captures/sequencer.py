@@ -89,6 +89,7 @@ def capture(
             source=dict(source or {}),
             layout=controls.layout,
             pixel_format=controls.pixel_format,
+            repeatable=controls.repeatable,
             response_origin=controls.response_origin,
             request=request,
             plan=plan,

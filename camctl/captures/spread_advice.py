@@ -16,7 +16,7 @@ _SMALL_RANGE, _STOPS = 256, 2.0
 
 
 def spread_warnings(
-    request: CaptureRequest, plan: CapturePlan, spread: float, *, is_taken: bool = False
+    request: CaptureRequest, plan: CapturePlan, spread: float, *, repeatable: bool = True
 ) -> list[str]:
     """Return a warning if at least `MUCH_SPREAD` of the samples are too bright by spread light.
 
@@ -24,7 +24,7 @@ def spread_warnings(
         request: what was asked for
         plan: of the capture
         spread: share of the samples, see `FoundMovement`
-        is_taken: the frames are photographs already taken
+        repeatable: frames can be shot at other settings
     """
     if spread < MUCH_SPREAD:
         return []
@@ -32,13 +32,13 @@ def spread_warnings(
     return [
         f"light that spread from saturated samples, or a thing beside them that moved: "
         f"{spread:.1%} of the picture is too bright (mask bit 4, marked in the contact sheet): "
-        f"{_advice(request, plan, is_taken)}"
+        f"{_advice(request, plan, repeatable)}"
     ]
 
 
-def _advice(request: CaptureRequest, plan: CapturePlan, is_taken: bool) -> str:
+def _advice(request: CaptureRequest, plan: CapturePlan, repeatable: bool) -> str:
     """Return how to make the longest exposure shorter."""
-    if is_taken:
+    if not repeatable:
         return "leave out the photographs with the longest exposures"
     is_free = request.ratios is None and request.response != CURVE
     options = []

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from camctl.evidence.delay import DelayError
 from camctl.evidence.ratio_check import LAMP_DEPTH, RatioCheck
 from camctl.findings import note
-from camctl.interface.camera import PHOTOGRAPHS
 from camctl.records.report import UnfinishedCapture
 
 #: A frame contradicts the metered light if this share of its samples is saturated, beyond those
@@ -28,6 +27,8 @@ def judge(
     checks: Sequence[RatioCheck | None],
     error: DelayError | None,
     delay_of: str | None,
+    *,
+    exposures_exact: bool = True,
 ) -> None:
     """Write into the report of a capture what its frames say of their exposures.
 
@@ -36,14 +37,14 @@ def judge(
         checks: `checks[k]` compares frame k with frame k - 1
         error: see `ShotLog.find`
         delay_of: id of the camera where its settings take effect late
+        exposures_exact: see `ExposureControls`
     """
     measure = f"measure the control delay with camctl calibrate delay --camera {delay_of}"
-    are_photographs = capture.camera.driver == PHOTOGRAPHS
     wrong = [(k, check) for k, check in enumerate(checks) if check and not check.agrees]
     certain = [
         (k, check)
         for k, check in wrong
-        if check.contradicts and (not are_photographs or _is_no_movement(check))
+        if check.contradicts and (exposures_exact or _is_no_movement(check))
     ]
     reasons = [_difference_text(capture, k, check) for k, check in certain]
     if not reasons and delay_of and (brighter := _brighter_than_metered(capture)):
@@ -67,14 +68,14 @@ def judge(
         is_of_lamps = all(
             check.is_of_whole_picture and check.factor <= _LAMPS for _, check in certain
         )
-        if is_of_lamps and not (are_photographs or capture.request.estimate_ratios):
+        if is_of_lamps and exposures_exact and not capture.request.estimate_ratios:
             reasons.append(f"if lamps flicker, {_MENDS}")
         if delay_of:
             reasons.append(f"if this happens again, {measure}")
     if reasons:
         capture.trustworthy, capture.untrustworthy_because = False, "; ".join(reasons)
-    if are_photographs:
-        return  # their exposures are not exact, and were compared before
+    if not exposures_exact:
+        return  # they were compared before
     estimated = capture.request.estimate_ratios
     capture.findings += [
         note(_change_text(capture, k, check, is_estimated=estimated))
@@ -84,9 +85,9 @@ def judge(
 
 
 def _is_no_movement(check: RatioCheck) -> bool:
-    """Return whether photographs contradict each other by one ratio, or in most of the picture.
+    """Return whether frames contradict each other by one ratio, or in most of the picture.
 
-    Their exposures were compared before, so that the rest is things that moved.
+    Exposures that are not exact were compared before, so that the rest is things that moved.
     """
     if check.measured is not None and check.is_of_whole_picture:
         return True
@@ -135,10 +136,10 @@ def _brighter_than_metered(capture: UnfinishedCapture) -> str | None:
 
 
 def _names(capture: UnfinishedCapture, position: int) -> tuple[str, str]:
-    """Return what to call a frame and the one before it: photographs by their files."""
+    """Return what to call a frame and the one before it: by their files where they have some."""
     frames = [capture.frames[k] for k in (position, position - 1)]
     one, before = ("" if each is None else str(each.details.get("file", "")) for each in frames)
-    if capture.camera.driver == PHOTOGRAPHS and one and before:
+    if one and before:
         return one, before
     return f"frame {position + 1}", "the frame before"
 

@@ -228,10 +228,8 @@ def _timing_text(report: CaptureReport) -> str:
 
 def _wall_rows(report: CaptureReport) -> list[tuple[str, str]]:
     """Return planned and actual time until the last frame; virtual time is marked."""
-    from camctl.interface.camera import PHOTOGRAPHS
-
     timing = report.timing
-    if "actual_wall_s" not in timing or report.camera.driver == PHOTOGRAPHS:
+    if "actual_wall_s" not in timing or not report.repeatable:
         return []
     is_virtual = " of the simulated camera's own clock" if report.clock == "virtual" else ""
     at_least = "" if report.plan.is_wall_known else "at least "
@@ -286,17 +284,11 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
 
 
 def _shortest_s(report: CaptureReport) -> float:
-    """Return the planned time of the shortest exposure; of photographs, the one that it has."""
-    from camctl.interface.camera import PHOTOGRAPHS
-
-    if report.camera.driver != PHOTOGRAPHS:
-        return report.plan.base_s
+    """Return the time of the shortest exposure."""
     return min(report.frames, key=lambda frame: frame.exposure).applied_s
 
 
 def _metering_text(report: CaptureReport) -> str:
-    from camctl.interface.camera import PHOTOGRAPHS
-
     metering = report.plan.metering
     if metering is None:
         return "as given"
@@ -304,7 +296,7 @@ def _metering_text(report: CaptureReport) -> str:
         f"highlights reach {format_percent(metering.highlight)} of full scale, "
         f"{format_percent(metering.clipped)} are saturated"
     )
-    if report.camera.driver == PHOTOGRAPHS:
+    if not report.repeatable:
         return f"in which {reached}"
     frames = "1 frame" if metering.frames == 1 else f"{metering.frames} frames"
     return f"metered in {frames}: at {format_duration(metering.setting.time_s)} {reached}"

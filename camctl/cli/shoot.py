@@ -311,14 +311,13 @@ def _shoot(
 
 def _resume(directory: Path, camera_options: CameraOptions, complete: _Complete) -> CaptureReport:
     from camctl.captures.sequencer import already_complete, resume
-    from camctl.interface.camera import PHOTOGRAPHS
     from camctl.records.folder_store import read_capture
 
     refuse_other_options()
     report = read_capture(directory)
     if report.status == "complete":
         raise already_complete(directory, report)
-    if report.camera.driver == PHOTOGRAPHS:
+    if not report.repeatable:
         raise DataError(
             f"{directory} is no capture of a camera, but was begun by camctl merge",
             hint="merge the photographs again, with --force",

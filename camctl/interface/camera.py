@@ -24,10 +24,6 @@ from camctl.system.interrupts import entering, uninterrupted
 Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 
-PHOTOGRAPHS = "photographs"
-"""Id and driver of the camera that photographs already taken are (`camctl merge`)."""
-
-
 @dataclass(frozen=True)
 class CameraInfo:
     """Identity of a camera.

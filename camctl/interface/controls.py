@@ -140,6 +140,9 @@ class ExposureControls:
         notes: remarks about its pictures for people, one line each
         profile: what a calibration of this camera has replaced above, one line; None: nothing
         pixel_format: of the stream where the layout does not say all, such as yuyv or mjpg
+        exposures_exact: the exposures are those stated, to `tolerance`; False: they may be others
+        repeatable: a frame can be shot again, and others at other settings; False: there are no
+            frames beside those that are there
 
     Raises:
         ValueError: the bit depth, black level and white level do not fit together
@@ -167,6 +170,8 @@ class ExposureControls:
     hot_pixels: tuple[tuple[int, int], ...] = ()
     profile: str | None = None
     pixel_format: str = ""
+    exposures_exact: bool = True
+    repeatable: bool = True
     response_origin: ResponseOrigin = field(kw_only=True)
 
     def __post_init__(self) -> None:

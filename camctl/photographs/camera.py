@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
-from camctl.interface.camera import PHOTOGRAPHS, CameraBase, CameraInfo, Frame, Pixels
+from camctl.interface.camera import CameraBase, CameraInfo, Frame, Pixels
 from camctl.interface.clock import RealClock
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
 from camctl.photographs.photograph import Photograph
 
+#: Id and driver of this camera.
+_ID = "photographs"
 #: Photographs of the same exposure are distinguished by this relative difference.
 _APART = 1e-7
 
@@ -70,9 +72,16 @@ class PhotographCamera(CameraBase):
 
     def _open(self) -> None:
         make, model, serial = self._taken_by
-        self._info = CameraInfo(PHOTOGRAPHS, make, model or PHOTOGRAPHS, serial, PHOTOGRAPHS)
+        self._info = CameraInfo(_ID, make, model or _ID, serial, _ID)
         times = Choices(tuple(sorted(self._position)))
-        self._controls = replace(self._given, time_s=times, gain=Choices((1.0,)), tolerance=1e-9)
+        self._controls = replace(
+            self._given,
+            time_s=times,
+            gain=Choices((1.0,)),
+            tolerance=1e-9,
+            exposures_exact=False,  # shutters are not, and labels may be wrong
+            repeatable=False,
+        )
 
     def _close(self) -> None:
         """There is nothing to disconnect."""

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import DataError, StorageError
 from camctl.findings import note
-from camctl.interface.camera import PHOTOGRAPHS, Frame, Pixels
+from camctl.interface.camera import Frame, Pixels
 from camctl.pictures.details import PictureDetails
 from camctl.pictures.files import (
     load_libraries,
@@ -226,7 +226,7 @@ class FolderStore:
         """Name the command that completes the capture."""
         if not (self.directory / REPORT).exists():
             return f"{self.directory} was removed meanwhile, and the frames with it", "shoot again"
-        if self.report is not None and self.report.camera.driver == PHOTOGRAPHS:
+        if self.report is not None and not self.report.repeatable:
             return "the photographs are as they were", "merge them again, with --force"
         return (
             f"{done} of {count} frames are kept",

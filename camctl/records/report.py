@@ -80,6 +80,7 @@ class _CaptureData(ReportModel):
         camera: identity of the camera
         source: what is needed to open the camera again
         layout, pixel_format: of the frames, as in `camctl.ExposureControls`
+        repeatable: whether its frames can be shot again, likewise
         response_origin: whether the response used is stated, measured or only assumed; None in
             earlier versions
         request: what was asked for
@@ -108,6 +109,7 @@ class _CaptureData(ReportModel):
     source: dict[str, Any]
     layout: Layout
     pixel_format: str = ""
+    repeatable: bool = True
     response_origin: ResponseOrigin | None = None
     request: CaptureRequest
     plan: CapturePlan

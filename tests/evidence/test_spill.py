@@ -106,5 +106,5 @@ def test_advice_fits_what_was_asked_for() -> None:
     assert spread_warnings(request, report.plan, 0.9 * MUCH_SPREAD) == []
     (fixed,) = spread_warnings(request, report.plan, MUCH_SPREAD)
     assert "(--base 0.0025)" in fixed
-    (taken,) = spread_warnings(request, report.plan, MUCH_SPREAD, is_taken=True)
+    (taken,) = spread_warnings(request, report.plan, MUCH_SPREAD, repeatable=False)
     assert "photographs" in taken
