@@ -50,6 +50,20 @@ class ChannelResponse(BaseModel):
     deviation: _Curve | None
     measured: tuple[FiniteFloat, FiniteFloat]
 
+    def level_table(self, phase: float) -> FloatArray:
+        """Return the irradiance that each sample of a frame shows, (white + 1,), in its unit.
+
+        A sample of brightness k (above black) has an irradiance between the thresholds of levels k
+        and k + 1: the table has the one in the middle of both brightnesses, and 0 up to black.
+
+        Args:
+            phase: of the quantiser, `ResponseRecord.phase`
+        """
+        levels = self.white - self.black
+        middle = (np.arange(self.white + 1) - self.black + 0.5 - phase) / (levels + 1)
+        middle[: self.black + 1] = 0.0
+        return np.interp(middle, self.brightness, self.irradiance)
+
     def sample_weights(self, noise_dn: float = 1.0) -> FloatArray:
         """Return the weight of each brightness in a mean of ln(irradiance), (white + 1,).
 

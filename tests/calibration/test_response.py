@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from camctl.calibration.response_series import Series
 from camctl.errors import DataError, UsageError
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, srgb_to_linear
-from camctl.profiles.response import ResponseRecord
+from camctl.profiles.response import ChannelResponse, ResponseRecord
 
 Curve = Callable[[FloatArray], FloatArray]
 STOPS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
@@ -196,6 +197,23 @@ def test_the_record_gives_the_levels_of_a_camera() -> None:
     assert np.abs(response.levels / expected - 1)[20:].max() < 0.03
     with pytest.raises(UsageError, match="unknown channel 'R'"):
         record.camera_response("R")
+
+
+def test_the_plain_table_is_the_irradiance_of_each_sample() -> None:
+    """A linear camera of 4 bits has 12 levels above black 2; it rounds or truncates."""
+    line: dict[str, Any] = {
+        "irradiance": (0.0, 1.0),
+        "brightness": (0.0, 1.0),
+        "measured": (0.0, 1.0),
+    }
+    channel = ChannelResponse(name="Y", black=2, white=14, saturates=True, deviation=None, **line)
+    rounds, truncates = channel.level_table(0.5), channel.level_table(0.0)
+    assert rounds == pytest.approx([0, 0, 0, *(np.arange(1, 13) / 13)])
+    assert truncates == pytest.approx([0, 0, 0, *(np.arange(1.5, 13) / 13)])
+    # The thresholds of the same response lie half a level below and above each entry.
+    record = ResponseRecord(channels=(channel,), phase=0.5, frames=2, measured_at="")
+    thresholds = record.camera_response().levels
+    assert rounds[3:14] == pytest.approx((thresholds[:-1] + thresholds[1:]) / 2)
 
 
 @settings(max_examples=20)

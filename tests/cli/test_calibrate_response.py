@@ -54,6 +54,11 @@ def test_a_camera_is_measured_and_the_result_is_kept(run: Run) -> None:
         assert np.all(np.diff(B) > 0)
         assert np.abs(np.interp(srgb_to_linear(B), E, B) - B).max() < 0.02
         assert len(channel["confidence"]) == E.size
+        table, expected = np.array(channel["levels"]), srgb_to_linear(np.arange(256) / 255)
+        assert table[0] == 0
+        assert (
+            np.abs(table[20:-1] / table[128] / (expected[20:-1] / expected[128]) - 1).max() < 0.05
+        )
     (profile,) = list_profiles()
     assert list(profile.responses) == ["rgb-160x120-255"]
     shown = run("profile", "show", profile.name)

@@ -311,7 +311,8 @@ def _json(record: ResponseRecord) -> dict[str, Any]:
     from camctl.profiles.response import Z_95
 
     described = record.model_dump()
-    for channel in described["channels"]:
+    for measured, channel in zip(record.channels, described["channels"], strict=True):
+        channel["levels"] = measured.level_table(record.phase).tolist()
         deviation = channel["deviation"]
         channel["confidence"] = None if deviation is None else [Z_95 * each for each in deviation]
     return described

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from sim.devices.clock import DeviceClock, RealDeviceClock
@@ -31,7 +31,7 @@ _VERSION = 0x0001_0000
 
 
 class NetworkCamera(PtpDevice):
-    """The camera in the network; `make` builds one from a configuration.
+    """The camera in the network; `sim.devices.ptp.tcp.make` builds one from a configuration.
 
     Args:
         config: see `NetworkConfig`
@@ -238,17 +238,3 @@ class NetworkCamera(PtpDevice):
         """End all faults."""
         super().do_ok()
         self.is_silent = False
-
-
-def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> NetworkCamera:
-    """Return the camera of a configuration (`NetworkConfig`); `attach` lets it listen.
-
-    Raises:
-        UsageError, DataError: an option is unknown or invalid
-    """
-    from sim.devices.ptp.tcp import TcpPort
-
-    options = NetworkConfig.parse(config)
-    camera = NetworkCamera(options, options.load_picture_sensor(), clock)
-    TcpPort(camera)
-    return camera

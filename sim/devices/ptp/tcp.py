@@ -5,10 +5,13 @@ from __future__ import annotations
 import socket
 import struct
 import threading
+from collections.abc import Mapping
 from contextlib import suppress
+from typing import Any
 
 from camctl.errors import UsageError
-from sim.devices.ptp.link import Connection
+from sim.devices.clock import DeviceClock
+from sim.devices.ptp.link import Connection, NetworkConfig
 from sim.devices.ptp.network import NetworkCamera
 
 HOST = "127.0.0.1"
@@ -96,3 +99,15 @@ def _read(link: socket.socket, connection: Connection) -> None:
         while data := link.recv(_READ_BYTES):
             connection.received(data)
     connection.lost()
+
+
+def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> NetworkCamera:
+    """Return the camera of a configuration (`NetworkConfig`); `attach` lets it listen.
+
+    Raises:
+        UsageError, DataError: an option is unknown or invalid
+    """
+    options = NetworkConfig.parse(config)
+    camera = NetworkCamera(options, options.load_picture_sensor(), clock)
+    TcpPort(camera)
+    return camera
