@@ -120,6 +120,7 @@ def test_every_public_name_is_in_the_api_reference() -> None:
 @pytest.mark.parametrize(
     "page",
     [
+        "tutorials/python.md",
         "reference/api.md",
         "explanation/exposures.md",
         pytest.param("how-to/vision.md", marks=pytest.mark.slow),
@@ -131,8 +132,9 @@ def test_a_python_example_runs(
     examples = blocks(ROOT / "docs" / page, "python")
     assert examples
     monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
     for example in examples:
-        exec(compile(example, page, "exec"), {})
+        exec(compile(example, page, "exec"), names)
     assert "nan" not in capsys.readouterr().out
 
 
