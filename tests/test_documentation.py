@@ -4,6 +4,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -108,6 +109,17 @@ def test_an_option_named_in_the_text_exists(page: Path) -> None:
     spans = re.findall(r"`((?:camctl |-)[^`\n]*)`", text)
     used = {option for span in spans for option in re.findall(r"(?<!\S)--[a-z][a-z-]*", span)}
     assert used <= options_of(cli) | {"--help"}
+
+
+def test_the_layers_of_the_architecture_are_those_that_are_checked() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]
+    (layers,) = [
+        each["layers"] for each in contracts["contracts"] if each.get("containers") == ["camctl"]
+    ]
+    page = ROOT / "CONTRIBUTING.md"
+    assert blocks(page, "text")[-1].splitlines() == layers[1:]  # below __main__
+    packages = re.findall(r"^\| `camctl/(\w+)(?:/|\.py)` \|", page.read_text("utf-8"), re.MULTILINE)
+    assert sorted(packages) == sorted(name for layer in layers[1:] for name in layer.split(" | "))
 
 
 def test_every_public_name_is_in_the_api_reference() -> None:
