@@ -43,14 +43,12 @@ class RealDeviceClock(RealClock):
     """The machine's monotonic clock; each scheduled call has a thread of its own."""
 
     def call_at(self, time_s: float, action: Callable[[], None]) -> ScheduledCall:
-        """Call `action` in another thread; see `DeviceClock.call_at`."""
         timer = threading.Timer(max(0.0, time_s - self.now()), action)
         timer.daemon = True
         timer.start()
         return timer
 
     def wait_for(self, event: threading.Event, deadline_s: float = math.inf) -> bool:
-        """Wait for `event`; see `DeviceClock.wait_for`."""
         if deadline_s == math.inf:
             return event.wait()
         return event.wait(max(0.0, deadline_s - self.now()))
@@ -86,7 +84,6 @@ class VirtualDeviceClock(VirtualClock):
         super().sleep_until(deadline_s)
 
     def call_at(self, time_s: float, action: Callable[[], None]) -> ScheduledCall:
-        """Schedule `action`; see `DeviceClock.call_at`."""
         call = _VirtualCall(action)
         with self._lock:
             heapq.heappush(self._calls, (time_s, next(self._order), call))

@@ -146,13 +146,10 @@ class Controllable:
         return result or {}
 
     def do_unplug(self) -> None:
-        """Unplug the device."""
         self.detach()
 
     def do_plug(self) -> None:
-        """Plug the device in again."""
         self.attach()
 
     def do_state(self) -> dict[str, Any]:
-        """Return `state`."""
         return self.state()

@@ -42,7 +42,7 @@ MakeDevice: TypeAlias = Callable[[Mapping[str, Any]], Controllable]
 KINDS: Mapping[str, str] = {
     "uvc": "sim.devices.uvc.camera",
     "ptp": "sim.devices.ptp.camera",
-    "ptpip": "sim.devices.ptp.tcp",
+    "ptpip": "sim.devices.ptp.network",
     "sierra": "sim.devices.sierra.device",
 }
 _SERIAL_KINDS = ("sierra",)

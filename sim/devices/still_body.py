@@ -156,7 +156,6 @@ class StillBody:
         return max(self._options.object_bytes, rows * columns * 3 * 2 + _OVERHEAD_BYTES)
 
     def clear_faults(self) -> None:
-        """End all faults."""
         self.faults = StillFaults()
 
     def release(self, exposure: Exposure, done: Callable[[Sequence[ImageFile]], None]) -> None:
@@ -186,7 +185,6 @@ class StillBody:
             self._clock.call_at(now_s, partial(self._read_out, replace(shot, exposure=exposure)))
 
     def now(self) -> float:
-        """Return the time on the camera's clock, s."""
         return self._clock.now()
 
     def call_later(self, delay_s: float, act: Callable[[], None]) -> None:

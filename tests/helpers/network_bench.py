@@ -14,7 +14,6 @@ from drivers.ptp.network_transport import Caller, NetworkTransport
 from sim.devices.clock import VirtualDeviceClock
 from sim.devices.ptp.link import HostConnection, NetworkConfig
 from sim.devices.ptp.network import NetworkCamera as VirtualCamera
-from sim.devices.ptp.tcp import TcpPort
 
 CALLER = Caller(bytes(range(16)))
 
@@ -57,7 +56,7 @@ def camera_on_network(
 def camera_on_tcp(scene: str = "ramp", **config: Any) -> Iterator[tuple[VirtualCamera, int]]:
     """Yield a camera that listens on 127.0.0.1, in real time, and its port."""
     device = VirtualCamera(NetworkConfig(**config), virtual_sensor(scene))
-    port = TcpPort(device)
+    port = device.listen()
     device.attach()
     try:
         yield device, port.number

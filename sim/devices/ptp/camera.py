@@ -81,7 +81,6 @@ class PtpCamera(PtpDevice, UsbDevice):
     def control(
         self, request_type: int, request: int, value: int, index: int, length: int, data: bytes
     ) -> ControlReply:
-        """Return the reply to a class request."""
         if (request_type, request) == (0xA1, _STATUS):
             if self._is_stalled:
                 halted = struct.pack("<II", BULK_IN | IN, BULK_OUT)
@@ -98,7 +97,6 @@ class PtpCamera(PtpDevice, UsbDevice):
         return STALL
 
     def received(self, endpoint: int, data: bytes) -> None:
-        """Process a container or a piece of one."""
         if endpoint != BULK_OUT:
             return
         self._buffer += data
@@ -117,7 +115,6 @@ class PtpCamera(PtpDevice, UsbDevice):
                 self.take_data(body)
 
     def halt_cleared(self, endpoint: int) -> None:
-        """Leave the stalled state."""
         self._is_stalled = False
 
     def detached(self) -> None:
@@ -132,7 +129,6 @@ class PtpCamera(PtpDevice, UsbDevice):
         return kind == Container.DATA and HEADER.size <= length <= _LARGEST_CONTAINER
 
     def refuse_transfers(self) -> None:
-        """Halt both bulk endpoints."""
         self._cancel()
         self._is_stalled = True
         self.stall(BULK_IN | IN)
@@ -153,7 +149,6 @@ class PtpCamera(PtpDevice, UsbDevice):
             self.send(EVENTS, pack_container(Container.EVENT, code, _NO_TRANSACTION, body))
 
     def send_bytes(self, data: bytes) -> None:
-        """Send bytes that are no container."""
         self._make_room()
         self.send(BULK_IN, data)
 
@@ -162,7 +157,6 @@ class PtpCamera(PtpDevice, UsbDevice):
             self.flush(BULK_IN)
 
     def send_reply(self, command: Command, reply: Reply) -> None:
-        """Send data and response."""
         self._make_room()
         if reply.data is not None and not self._send_data(command, reply.data):
             return

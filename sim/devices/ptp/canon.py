@@ -35,7 +35,6 @@ CARD, HOST = 2, 4  # capture destinations
 _HOST_HANDLE = 0x9000_0001  # of a picture in memory whose destination is the host
 _STEPS_A_STOP = 8
 _ONE_SECOND, _F1, _ISO_100 = 0x38, 0x08, 0x48  # codes
-_PROGRAM_MANUAL, _PROGRAM_AUTOMATIC = 3, 0
 # Thirds of a stop, rounded to eighths as in Canon's codes.
 _THIRDS = (0, 3, 5)
 SHUTTER_CODES = tuple(code for code in range(0x10, 0xA1) if code % _STEPS_A_STOP in _THIRDS)
@@ -60,13 +59,15 @@ def _code_of_stops(stops: float, zero: int) -> int:
     return zero + _STEPS_A_STOP * whole + _THIRDS[thirds]
 
 
-def time_of_code(code: int) -> float:
-    """Return the shutter time of a code, s."""
+def _time_of_code(code: int) -> float:
     return float(2.0 ** -stops_of_code(code, _ONE_SECOND))
 
 
-def code_of_iso(iso: int) -> int:
-    """Return the code of a sensitivity."""
+def _f_number_of_code(code: int) -> float:
+    return float(2.0 ** (stops_of_code(code, _F1) / 2))
+
+
+def _code_of_iso(iso: int) -> int:
     return _code_of_stops(math.log2(iso / 100), _ISO_100)
 
 
@@ -100,11 +101,11 @@ class CanonResponder(Responder):
         "lens": Response.CANON_LENS_COVER,
     }
     program_code: ClassVar[int] = Property.EOS_PROGRAM
-    manual: ClassVar[int] = _PROGRAM_MANUAL
+    manual: ClassVar[int] = 3
+    automatic: ClassVar[int] = 0
     events: ClassVar[tuple[int, ...]] = ()
 
     def make_properties(self) -> list[DeviceProperty]:
-        """Return the battery level and Canon's properties."""
         config = self.config
         is_manual = config.mode != "auto"
         codes = (*([BULB] if config.bulb else []), *SHUTTER_CODES)
@@ -116,8 +117,8 @@ class CanonResponder(Responder):
             DeviceProperty(
                 Property.EOS_PROGRAM,
                 Type.UINT16,
-                _PROGRAM_MANUAL if is_manual else _PROGRAM_AUTOMATIC,
-                (_PROGRAM_AUTOMATIC, _PROGRAM_MANUAL),
+                self.manual if is_manual else self.automatic,
+                (self.automatic, self.manual),
                 is_writable=False,
             ),
             DeviceProperty(Property.EOS_AVAILABLE_SHOTS, Type.UINT32, 999, is_writable=False),
@@ -126,7 +127,7 @@ class CanonResponder(Responder):
         if config.needs_output:
             items.append(DeviceProperty(Property.EOS_OUTPUT, Type.UINT32, 0, (0, 1, 2, _OUTPUT_PC)))
         if config.isos:
-            isos = tuple(dict.fromkeys(code_of_iso(iso) for iso in config.isos))
+            isos = tuple(dict.fromkeys(_code_of_iso(iso) for iso in config.isos))
             items.append(DeviceProperty(Property.EOS_ISO, Type.UINT16, isos[0], isos))
         if config.f_numbers:
             stops = tuple(dict.fromkeys(code_of_f_number(n) for n in config.f_numbers))
@@ -138,7 +139,6 @@ class CanonResponder(Responder):
         return [Property.BATTERY_LEVEL]
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return the standard operations without captures, and Canon's."""
         self._records: deque[bytes] = deque(maxlen=_WAITING_RECORDS)
         self._changed: set[int] = set()
         self._is_remote, self._is_polled = not self.config.remote_mode, False
@@ -153,64 +153,44 @@ class CanonResponder(Responder):
             Operation.EOS_GET_DEVICE_INFO: self._get_eos_info,
             Operation.EOS_RELEASE: self._release,
             Operation.EOS_RELEASE_ON: self._release,
-            Operation.EOS_RELEASE_OFF: self._accept,
+            Operation.EOS_RELEASE_OFF: self.accept,
             Operation.EOS_SET_PROPERTY: self._set_eos_property,
             Operation.EOS_SET_REMOTE_MODE: self._set_remote_mode,
             Operation.EOS_SET_EVENT_MODE: self._set_event_mode,
             Operation.EOS_GET_EVENTS: self._get_events,
             Operation.EOS_TRANSFER_COMPLETE: self._transfer_complete,
-            Operation.EOS_HOST_CAPACITY: self._accept,
-            Operation.EOS_KEEP_ON: self._accept,
+            Operation.EOS_HOST_CAPACITY: self.accept,
+            Operation.EOS_KEEP_ON: self.accept,
             Operation.EOS_BULB_START: self._bulb_start,
             Operation.EOS_BULB_END: self._bulb_end,
             Operation.EOS_REQUEST_PROPERTY: self._request_property,
         }
 
     def close_session(self) -> None:
-        """End the session and remote mode."""
         super().close_session()
         self._is_remote = not self.config.remote_mode
         self._is_polled = False
 
-    def turn_dial(self, mode: str) -> None:
-        """Turn the mode dial; Canon numbers the modes differently."""
-        super().turn_dial(mode)
-        is_manual = mode == "manual"
-        self.properties[self.program_code].value = (
-            _PROGRAM_MANUAL if is_manual else _PROGRAM_AUTOMATIC
-        )
-
     def time_of(self, code: int, value: int) -> float | None:
-        """Return the time of a shutter code."""
-        return time_of_code(value) if code == Property.EOS_SHUTTER and value != BULB else None
-
-    def exposure_time_s(self) -> float | None:
-        """Return the time that is set."""
-        return self.time_of(Property.EOS_SHUTTER, self.properties.number(Property.EOS_SHUTTER))
+        return _time_of_code(value) if code == Property.EOS_SHUTTER and value != BULB else None
 
     def gain(self) -> float:
-        """Return the linear gain of the sensitivity that is set."""
         if Property.EOS_ISO not in self.properties:
             return 1.0
         return float(2.0 ** stops_of_code(self.properties.number(Property.EOS_ISO), _ISO_100))
 
     def light(self) -> float:
-        """Return the share of the light that the aperture lets through, 1 for the widest."""
-        aperture = self.properties.get(Property.EOS_APERTURE)
-        if aperture is None:
+        aperture, now = self.properties.get(Property.EOS_APERTURE), self.f_number()
+        if aperture is None or now is None:
             return 1.0
-        widest, code = min(aperture.choices), self.properties.number(Property.EOS_APERTURE)
-        return float(2.0 ** (stops_of_code(widest, _F1) - stops_of_code(code, _F1)))
+        return (_f_number_of_code(min(aperture.choices)) / now) ** 2
 
     def f_number(self) -> float | None:
-        """Return the f-number that is set; None: the host cannot set one."""
         if Property.EOS_APERTURE not in self.properties:
             return None
-        code = self.properties.number(Property.EOS_APERTURE)
-        return float(2.0 ** (stops_of_code(code, _F1) / 2))
+        return _f_number_of_code(self.properties.number(Property.EOS_APERTURE))
 
     def announce_changed(self, codes: Iterable[int]) -> None:
-        """Record changed properties for the next poll."""
         self._changed.update(codes)
 
     def store(self, files: Sequence[ImageFile]) -> None:
@@ -225,9 +205,6 @@ class CanonResponder(Responder):
             kind, items = Event.EOS_OBJECT_ADDED, {h: self.card.objects[h] for h in handles}
         if self.sends_events:
             self._records.extend(_object_record(kind, handle, o) for handle, o in items.items())
-
-    def _accept(self, parameters: Sequence[int], data: bytes) -> Reply:
-        return Reply()
 
     def _get_storage_info(self, parameters: Sequence[int], data: bytes) -> Reply:
         return Reply(data=self.card.packed())

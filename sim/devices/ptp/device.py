@@ -50,7 +50,6 @@ class Command:
 
     @property
     def is_of_object(self) -> bool:
-        """True if its data phase is an object."""
         return self.code in _OBJECT_OPERATIONS
 
 
@@ -174,7 +173,6 @@ class PtpDevice(WireFaultCommands, StillFaultCommands):
     # Control commands.
 
     def do_ok(self) -> None:
-        """End all faults."""
         self.faults = WireFaults()
         self.body.clear_faults()
         self.responder.sends_events = self.config.event_order != "never"
@@ -202,6 +200,5 @@ class PtpDevice(WireFaultCommands, StillFaultCommands):
             }
 
     def do_log(self) -> dict[str, Any]:
-        """Return the last operations and the last exposures."""
         with self.lock:
             return {"operations": list(self.responder.log), "shots": list(self.body.log)}

@@ -14,7 +14,6 @@ from sim.devices.ptp.config import Identity
 from sim.devices.ptp.properties import DeviceProperty
 from sim.devices.ptp.protocol import Event, Handler, Operation, Property, Reply, Response, Type
 from sim.devices.ptp.responder import Responder
-from sim.devices.still_body import ImageFile
 
 _BY_CAMERA, _BY_HOST = 1, 2  # property D207
 _HALF_PRESSED, _FULLY_PRESSED = 0x0200, 0x0304  # property D208
@@ -29,9 +28,10 @@ class FujiResponder(Responder):
 
     identity: ClassVar[Identity] = Identity(0x04CB, 0x02E3, "FUJIFILM", "X-T3 (virtual)", 0x0E, 100)
     events: ClassVar[tuple[int, ...]] = (Event.FUJI_OBJECT_ADDED, Event.CAPTURE_COMPLETE)
+    added: ClassVar[int] = Event.FUJI_OBJECT_ADDED
+    is_completion_announced: ClassVar[bool] = False
 
     def make_properties(self) -> list[DeviceProperty]:
-        """Return the standard properties and Fuji's."""
         items = [i for i in super().make_properties() if i.code != Property.EXPOSURE_TIME]
         times = tuple(math.floor(1e6 * 2 ** (third / 3)) for third in _THIRDS)
         is_writable = self.config.mode != "auto"
@@ -48,11 +48,9 @@ class FujiResponder(Responder):
         ]
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return the standard operations; the one that captures executes the button."""
         return {**super().make_operations(), Operation.INITIATE_CAPTURE: self._execute_button}
 
     def set_number(self, item: DeviceProperty, value: int) -> Response:
-        """Set a numeric property, if the host may."""
         priority = self.properties[Property.FUJI_PRIORITY]
         if item is not priority and priority.value != _BY_HOST:
             return Response.ACCESS_DENIED
@@ -64,16 +62,6 @@ class FujiResponder(Responder):
             return None
         third = round(3 * math.log2(value / 1e6))
         return float(2 ** (third / 3))
-
-    def gain(self) -> float:
-        """Return the linear gain; negative numbers of 500F are automatic."""
-        gain = super().gain()
-        return gain if 0 < gain < 1e6 else 4.0
-
-    def store(self, files: Sequence[ImageFile]) -> None:
-        """Put files on the card and announce them by Fuji's event."""
-        for handle in self.card.add(files):
-            self.announce(Event.FUJI_OBJECT_ADDED, handle)
 
     def _execute_button(self, parameters: Sequence[int], data: bytes) -> Reply | None:
         state = self.properties[Property.FUJI_FOCUS_STATE]

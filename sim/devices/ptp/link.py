@@ -122,7 +122,6 @@ class Connection:
                     self.camera.process(self, kind, body)
 
     def send(self, kind: Packet, body: bytes = b"") -> None:
-        """Send a packet."""
         self.send_bytes(HEADER.pack(HEADER.size + len(body), kind) + body)
 
     def send_bytes(self, data: bytes) -> None:
@@ -162,7 +161,6 @@ class Connection:
             self.wire.end(is_reset=is_reset)
 
     def lost(self) -> None:
-        """The host has closed the connection."""
         with self.camera.lock:
             self.is_open = False
             self.camera.connection_lost(self)
@@ -188,12 +186,10 @@ class HostConnection:
         self._connection = camera.accept(self)
 
     def deliver(self, data: bytes) -> None:
-        """Take bytes from the camera."""
         self._received += data
         self._changed.set()
 
     def end(self, *, is_reset: bool) -> None:
-        """The camera has closed the connection."""
         self._end = is_reset
         self._changed.set()
 
@@ -219,7 +215,6 @@ class HostConnection:
         return b""
 
     def close(self) -> None:
-        """Close the connection."""
         if self._end is None:
             self._end = False
             self._connection.lost()

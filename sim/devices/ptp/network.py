@@ -1,17 +1,20 @@
 """A PTP still camera in the network: PTP/IP, the packets of CIPA DC-005-2005.
 
 A host opens two connections to one port: the first for commands and data, the second for events,
-pings and cancellations.  This module processes their bytes; `sim.devices.ptp.tcp` has the sockets,
-and `sim.devices.ptp.link.HostConnection` connects a host in the same process.
+pings and cancellations.  `TcpPort` has the sockets, and `sim.devices.ptp.link.HostConnection`
+connects a host in the same process.
 """
 
 from __future__ import annotations
 
+import socket
 import struct
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
+from camctl.errors import UsageError
 from sim.devices.clock import DeviceClock, RealDeviceClock
 from sim.devices.common import VirtualSensor
 from sim.devices.ptp.device import Command, PtpDevice, identity_of
@@ -28,10 +31,13 @@ from sim.devices.ptp.link import (
 from sim.devices.ptp.protocol import Reply, Response, pack_parameters
 
 _VERSION = 0x0001_0000
+HOST = "127.0.0.1"
+_READ_BYTES = 1 << 16
+_RESET = struct.pack("ii", 1, 0)  # SO_LINGER: closing a socket resets its connection
 
 
 class NetworkCamera(PtpDevice):
-    """The camera in the network; `sim.devices.ptp.tcp.make` builds one from a configuration.
+    """The camera in the network; `make` builds one from a configuration.
 
     Args:
         config: see `NetworkConfig`
@@ -40,8 +46,7 @@ class NetworkCamera(PtpDevice):
 
     Attributes:
         is_silent: it receives and answers nothing, and keeps its connections open
-        on_attach, on_detach: called when it is switched on and off, by the sockets
-        port_number: returns the port where it listens
+        port: where it listens while it is switched on; None: hosts are in this process alone
     """
 
     config: NetworkConfig
@@ -54,23 +59,24 @@ class NetworkCamera(PtpDevice):
         self.make_body(config, sensor)
         self.is_silent = False
         self.is_attached = True
-        self.on_attach: Callable[[], None] = lambda: None
-        self.on_detach: Callable[[], None] = lambda: None
-        self.port_number: Callable[[], int] = lambda: config.port
+        self.port: TcpPort | None = None
         self._commands: Connection | None = None
         self._events: Connection | None = None
         self._data = bytearray()
         self._number = 0
         self._pongs = 0
 
+    def listen(self) -> TcpPort:
+        """Make its port, which the next attaching opens; until then the camera is switched off."""
+        self.port, self.is_attached = TcpPort(self.config.port, self.accept), False
+        return self.port
+
     def accept(self, wire: Wire) -> Connection:
-        """Return the camera's end of a new connection."""
         return Connection(self, wire)
 
     # What the host sends.
 
     def process(self, connection: Connection, kind: int, body: bytes) -> None:
-        """Process a packet of the host."""
         if connection.kind is None:
             self._initialise(connection, kind, body)
         elif kind == Packet.PING:
@@ -160,13 +166,11 @@ class NetworkCamera(PtpDevice):
     # What the camera sends.
 
     def send_event(self, code: int, parameters: Sequence[int]) -> None:
-        """Send an event over the second connection."""
         if self._events is not None:
             body = struct.pack("<HI", code, 0) + pack_parameters(parameters)
             self._events.send(Packet.EVENT, body)
 
     def send_bytes(self, data: bytes) -> None:
-        """Send bytes that are no packet."""
         if self._commands is not None:
             self._commands.send_bytes(data)
 
@@ -175,7 +179,6 @@ class NetworkCamera(PtpDevice):
         self.end_session(is_reset=True)
 
     def send_reply(self, command: Command, reply: Reply) -> None:
-        """Send data and response."""
         if self._commands is None:
             return
         if reply.data is not None and not self._send_data(self._commands, command, reply.data):
@@ -210,20 +213,20 @@ class NetworkCamera(PtpDevice):
     # Control commands.
 
     def attach(self) -> None:
-        """Switch the camera on in the network."""
         self.is_attached = True
-        self.on_attach()
+        if self.port is not None:
+            self.port.open()
 
     def detach(self) -> None:
         """Switch it off: its connections are reset, and new ones refused."""
         with self.lock:
             self.is_attached = False
             self.end_session(is_reset=True)
-        self.on_detach()
+        if self.port is not None:
+            self.port.close()
 
     def state(self) -> dict[str, Any]:
-        """Return the port, and what `PtpDevice.state` returns."""
-        return {"port": self.port_number(), **super().state()}
+        return {"port": self.port.number if self.port else 0, **super().state()}
 
     def do_reset(self) -> None:
         """Reset the connections; the camera stays in the network."""
@@ -235,6 +238,93 @@ class NetworkCamera(PtpDevice):
         self.is_silent = is_silent
 
     def do_ok(self) -> None:
-        """End all faults."""
         super().do_ok()
         self.is_silent = False
+
+
+class TcpPort:
+    """Where a camera listens on 127.0.0.1 while it is switched on.
+
+    Args:
+        number: of the port; 0: the first opening chooses a free one
+        accept: returns the camera's end of a new connection
+    """
+
+    def __init__(self, number: int, accept: Callable[[Wire], Connection]) -> None:
+        self.number, self._accept_wire = number, accept
+        self._listener: socket.socket | None = None
+
+    def open(self) -> None:
+        """Listen.
+
+        Raises:
+            UsageError: the port is in use
+        """
+        listener = socket.socket()
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((HOST, self.number))
+        except OSError as error:
+            listener.close()
+            raise UsageError(
+                f"port {self.number} of {HOST} cannot be opened: {error.strerror}",
+                hint="choose another port, or 0 for any",
+            ) from None
+        listener.listen()
+        self.number = listener.getsockname()[1]
+        self._listener = listener
+        threading.Thread(target=self._accept, args=(listener,), daemon=True).start()
+
+    def close(self) -> None:
+        """Refuse new connections."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            with suppress(OSError):
+                listener.shutdown(socket.SHUT_RDWR)  # wakes the thread that accepts
+            listener.close()
+
+    def _accept(self, listener: socket.socket) -> None:
+        while True:
+            try:
+                link, _ = listener.accept()
+            except OSError:
+                return
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection = self._accept_wire(_Socket(link))
+            threading.Thread(target=_read, args=(link, connection), daemon=True).start()
+
+
+class _Socket:
+    def __init__(self, link: socket.socket) -> None:
+        self._link = link
+
+    def deliver(self, data: bytes) -> None:
+        with suppress(OSError):  # the thread that reads notices it, too
+            self._link.sendall(data)
+
+    def end(self, *, is_reset: bool) -> None:
+        with suppress(OSError):
+            if is_reset:
+                self._link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            # The thread that reads is woken by this, and closes the socket.
+            self._link.shutdown(socket.SHUT_RD if is_reset else socket.SHUT_RDWR)
+
+
+def _read(link: socket.socket, connection: Connection) -> None:
+    """Pass on what a host sends until it closes the connection."""
+    with link, suppress(OSError):
+        while data := link.recv(_READ_BYTES):
+            connection.received(data)
+    connection.lost()
+
+
+def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> NetworkCamera:
+    """Return the camera of a configuration (`NetworkConfig`); `attach` lets it listen.
+
+    Raises:
+        UsageError, DataError: an option is unknown or invalid
+    """
+    options = NetworkConfig.parse(config)
+    camera = NetworkCamera(options, options.load_picture_sensor(), clock)
+    camera.listen()
+    return camera

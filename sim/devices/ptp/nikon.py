@@ -9,6 +9,7 @@ from fractions import Fraction
 from typing import ClassVar
 
 from sim.devices.ptp.config import Identity
+from sim.devices.ptp.picture_settings import AUTOMATIC_GAIN
 from sim.devices.ptp.properties import UNITS_PER_S, DeviceProperty, to_units, true_time_s
 from sim.devices.ptp.protocol import (
     Event,
@@ -29,7 +30,6 @@ _WAITING_EVENTS = 64
 _TO_CARD, _TO_MEMORY = 0, 1
 _WITHOUT_FOCUSING = 0xFFFF_FFFF
 _SPECIAL = 0xFFFF_FFF0  # values from here on are no times
-_AUTOMATIC_GAIN = 4.0  # that the camera chooses itself, times the one that is set
 
 
 class NikonResponder(Responder):
@@ -96,7 +96,6 @@ class NikonResponder(Responder):
     }
 
     def all_properties(self) -> list[DeviceProperty]:
-        """Return the properties, recorded ones included, whose two shutter times agree."""
         items = super().all_properties()
         found = {item.code: item for item in items}
         standard = found.get(Property.EXPOSURE_TIME)
@@ -109,12 +108,11 @@ class NikonResponder(Responder):
         return items
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return the standard operations and Nikon's."""
         self._polled: deque[tuple[int, int]] = deque(maxlen=_WAITING_EVENTS)
         return {
             **super().make_operations(),
             Operation.NIKON_CAPTURE: self._capture,
-            Operation.NIKON_DRIVE_FOCUS: self._accept,
+            Operation.NIKON_DRIVE_FOCUS: self.accept,
             Operation.NIKON_SET_CONTROL_MODE: self._set_control_mode,
             Operation.NIKON_CHECK_EVENTS: self._check_events,
             Operation.NIKON_DEVICE_READY: self._device_ready,
@@ -124,7 +122,6 @@ class NikonResponder(Responder):
         }
 
     def time_of(self, code: int, value: int) -> float | None:
-        """Return the time of a value of either shutter property."""
         if code == Property.EXPOSURE_TIME and Property.NIKON_EXPOSURE_TIME in self.properties:
             value = self._fraction_of.get(value, BULB)
         elif code == Property.EXPOSURE_TIME:
@@ -133,17 +130,10 @@ class NikonResponder(Responder):
             return None
         return None if value >= _SPECIAL or not value & 0xFFFF else (value >> 16) / (value & 0xFFFF)
 
-    def exposure_time_s(self) -> float | None:
-        """Return the shutter time that is set; None: bulb."""
-        code = Property.NIKON_EXPOSURE_TIME
-        if code not in self.properties:
-            return super().exposure_time_s()
-        return self.time_of(code, self.properties.number(code))
-
     def gain(self) -> float:
         """Return the gain: the one that is set, unless the camera chooses it itself."""
         automatic = self.properties.get(Property.NIKON_AUTO_ISO)
-        return super().gain() * (_AUTOMATIC_GAIN if automatic and automatic.value else 1)
+        return super().gain() * (AUTOMATIC_GAIN if automatic and automatic.value else 1)
 
     def listed_properties(self) -> list[int]:
         """Return the properties in the device info: without those that 90CA lists."""
@@ -162,7 +152,6 @@ class NikonResponder(Responder):
         return [code for code in hidden if code in self.properties]
 
     def after_set(self, code: int) -> tuple[int, ...]:
-        """Update the other shutter property."""
         exact = self.properties.get(Property.NIKON_EXPOSURE_TIME)
         standard = self.properties.get(Property.EXPOSURE_TIME)
         if exact is None or standard is None:
@@ -176,7 +165,6 @@ class NikonResponder(Responder):
         return self.shutter_codes
 
     def announce(self, event: int, *parameters: int) -> None:
-        """Send an event, and keep it for the next poll."""
         super().announce(event, *parameters)
         if self.sends_events:
             self._polled.append((event, parameters[0] if parameters else 0))
@@ -186,9 +174,6 @@ class NikonResponder(Responder):
         if standard.value not in self._fraction_of:
             standard.value = standard.default = standard.choices[0]
         return int(standard.value)
-
-    def _accept(self, parameters: Sequence[int], data: bytes) -> Reply:
-        return Reply()
 
     def _set_control_mode(self, parameters: Sequence[int], data: bytes) -> Reply:
         """Let the host set the shutter time, where it could not before."""

@@ -13,12 +13,10 @@ from sim.devices.ptp.config import Identity
 from sim.devices.ptp.properties import DeviceProperty, battery
 from sim.devices.ptp.protocol import Event, Handler, Operation, Property, Reply, Response, Type
 from sim.devices.ptp.responder import Responder
-from sim.devices.still_body import ImageFile
 
 _BY_CAMERA, _BY_HOST = 2, 1  # property D052
 _PRESS, _RELEASE = 3, 6  # parameters of the capture
 _SPECIAL = 0xFFFF_FFF0  # shutter numbers from here on: bulb, time, composite
-_PROGRAM_MANUAL = 0x8100
 
 
 class OlympusResponder(Responder):
@@ -26,12 +24,17 @@ class OlympusResponder(Responder):
 
     identity: ClassVar[Identity] = Identity(0x07B4, 0x0130, "OLYMPUS", "E-M1MarkII (virtual)", 0)
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.OLYMPUS_SHUTTER,)
+    iso_code: ClassVar[int] = Property.OLYMPUS_ISO
+    automatic_iso: ClassVar[int] = 0xFFF0
+    aperture_code: ClassVar[int] = Property.OLYMPUS_APERTURE
+    aperture_units: ClassVar[int] = 10
     program_code: ClassVar[int] = Property.OLYMPUS_PROGRAM
-    manual: ClassVar[int] = _PROGRAM_MANUAL
+    manual: ClassVar[int] = 0x8100
     events: ClassVar[tuple[int, ...]] = (Event.OLYMPUS_OBJECT_ADDED,)
+    added: ClassVar[int] = Event.OLYMPUS_OBJECT_ADDED
+    is_completion_announced: ClassVar[bool] = False
 
     def make_properties(self) -> list[DeviceProperty]:
-        """Return the battery level and Olympus' properties."""
         config = self.config
         times = tuple(t.numerator << 16 | t.denominator for t in sorted(config.times, reverse=True))
         stops = tuple(number // 10 for number in config.f_numbers) or (28,)
@@ -41,22 +44,18 @@ class OlympusResponder(Responder):
             DeviceProperty(Property.OLYMPUS_SHUTTER, Type.UINT32, times[0], times),
             DeviceProperty(Property.OLYMPUS_APERTURE, Type.UINT16, min(stops), stops),
             DeviceProperty(Property.OLYMPUS_ISO, Type.UINT16, isos[0], isos),
-            DeviceProperty(
-                Property.OLYMPUS_PROGRAM, Type.UINT16, _PROGRAM_MANUAL, is_writable=False
-            ),
+            DeviceProperty(Property.OLYMPUS_PROGRAM, Type.UINT16, self.manual, is_writable=False),
             DeviceProperty(
                 Property.OLYMPUS_CONTROL_MODE, Type.UINT16, _BY_CAMERA, (_BY_HOST, _BY_CAMERA)
             ),
         ]
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return the standard operations without captures, and Olympus' own."""
         operations = super().make_operations()
         del operations[Operation.INITIATE_CAPTURE]
         return {**operations, Operation.OLYMPUS_CAPTURE: self._capture}
 
     def set_number(self, item: DeviceProperty, value: int) -> Response:
-        """Set a numeric property, if the host may."""
         if item.code != Property.OLYMPUS_CONTROL_MODE and not self._is_by_host:
             return Response.ACCESS_DENIED
         return super().set_number(item, value)
@@ -66,41 +65,9 @@ class OlympusResponder(Responder):
         return self.properties[Property.OLYMPUS_CONTROL_MODE].value == _BY_HOST
 
     def time_of(self, code: int, value: int) -> float | None:
-        """Return the time of a shutter number."""
         if code != Property.OLYMPUS_SHUTTER or value >= _SPECIAL or not value & 0xFFFF:
             return None
         return (value >> 16) / (value & 0xFFFF)
-
-    def exposure_time_s(self) -> float | None:
-        """Return the shutter time that is set."""
-        code = Property.OLYMPUS_SHUTTER
-        if code not in self.properties:
-            return super().exposure_time_s()
-        return self.time_of(code, self.properties.number(code))
-
-    def gain(self) -> float:
-        """Return the linear gain; numbers from FFF0 on are automatic."""
-        code = Property.OLYMPUS_ISO
-        number = self.properties.number(code) if code in self.properties else 100
-        return number / 100 if number < 0xFFF0 else 4.0
-
-    def light(self) -> float:
-        """Return the share of the light that the aperture lets through, 1 for the widest."""
-        item, now = self.properties.get(Property.OLYMPUS_APERTURE), self.f_number()
-        if item is None or not item.choices or not now:
-            return 1.0
-        return float((min(item.choices) / (10 * now)) ** 2)
-
-    def f_number(self) -> float | None:
-        """Return the f-number that is set."""
-        code = Property.OLYMPUS_APERTURE
-        number = self.properties.number(code) if code in self.properties else 0
-        return number / 10 if number else None  # 0: there is no lens
-
-    def store(self, files: Sequence[ImageFile]) -> None:
-        """Put files on the card and announce them by Olympus' event."""
-        for handle in self.card.add(files):
-            self.announce(Event.OLYMPUS_OBJECT_ADDED, handle)
 
     def _capture(self, parameters: Sequence[int], data: bytes) -> Reply | None:
         if not self._is_by_host:

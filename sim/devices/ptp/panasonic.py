@@ -52,7 +52,6 @@ class PanasonicResponder(Responder):
         return Operation.PANASONIC_CAPTURE in self.facts.all_operations
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return the standard operations, and Panasonic's."""
         isos, stops = self.config.isos or (200,), self.config.f_numbers or (280,)
         self._dials = {
             ISO: DeviceProperty(ISO, Type.UINT32, isos[0], isos),
@@ -73,33 +72,29 @@ class PanasonicResponder(Responder):
         }
 
     def exposure_time_s(self) -> float | None:
-        """Return the shutter time that is set."""
         if Property.EXPOSURE_TIME in self.properties:
             return super().exposure_time_s()
         number = int(self._dials[SHUTTER].value)
         return (number - _LONG) / 1000 if number >= _LONG else 1000 / number
 
     def gain(self) -> float:
-        """Return the linear gain of the sensitivity that is set."""
         if Property.EXPOSURE_INDEX in self.properties:
             return super().gain()
         return int(self._dials[ISO].value) / 100
 
     def light(self) -> float:
-        """Return the share of the light that the aperture lets through, 1 for the widest."""
         if Property.F_NUMBER in self.properties:
             return super().light()
         aperture = self._dials[APERTURE]
         return float((min(aperture.choices) / int(aperture.value)) ** 2)
 
     def f_number(self) -> float | None:
-        """Return the f-number that is set."""
         if Property.F_NUMBER in self.properties:
             return super().f_number()
         return int(self._dials[APERTURE].value) / 10
 
     def store(self, files: Sequence[ImageFile]) -> None:
-        """Put files on the card and announce them, by Panasonic's event where it has one."""
+        """Announce files by Panasonic's event where the body has it."""
         if Operation.PANASONIC_CAPTURE not in self.operations:
             super().store(files)
             return

@@ -44,7 +44,6 @@ class DeviceProperty:
         self.default = self.value
 
     def allows(self, value: int) -> bool:
-        """Return whether `value` is an allowed value."""
         if self.choices:
             return value in self.choices
         if self.limits is not None:
@@ -53,11 +52,9 @@ class DeviceProperty:
         return True
 
     def packed(self) -> bytes:
-        """Return the value as bytes."""
         return pack_value(self.kind, self.value)
 
     def description(self) -> bytes:
-        """Return the property description dataset."""
         head = struct.pack("<HHB", self.code, self.kind, self.is_writable)
         return head + pack_value(self.kind, self.default) + self.packed() + self.form()
 
@@ -78,7 +75,6 @@ class PropertyTable(dict[int, DeviceProperty]):
         super().__init__({item.code: item for item in properties})
 
     def number(self, code: int) -> int:
-        """Return the value of a numeric property."""
         value = self[code].value
         assert isinstance(value, int)
         return value

@@ -274,7 +274,6 @@ class DeviceInfo:
     serial: str
 
     def packed(self) -> bytes:
-        """Return the dataset."""
         lists = (
             self.operations,
             self.events,

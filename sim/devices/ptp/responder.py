@@ -10,13 +10,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ClassVar
 
 from sim.devices.ptp.config import Identity, PtpConfig
-from sim.devices.ptp.exposure import ExposureProperties
-from sim.devices.ptp.picture_formats import PictureFormats
+from sim.devices.ptp.picture_settings import PictureSettings
 from sim.devices.ptp.properties import (
-    AUTOMATIC,
     CHARGE,
     LOW_CHARGE,
-    MANUAL,
     DeviceProperty,
     PropertyTable,
     longest_within,
@@ -39,7 +36,7 @@ from sim.devices.still_body import Exposure, ImageFile, StillBody
 _LOG_LENGTH = 256  # operations in the log, and in the counter: a host may go on without end
 
 
-class Responder(ExposureProperties, PictureFormats):
+class Responder(PictureSettings):
     """A camera without a maker's extension; the makers' cameras derive from it.
 
     Args:
@@ -52,8 +49,6 @@ class Responder(ExposureProperties, PictureFormats):
     identity: ClassVar[Identity] = Identity(0x1209, 0x0001, "camctl", "Virtual PTP camera")
     # Operations with a data phase from the host.
     takes_data: ClassVar[frozenset[int]] = frozenset({Operation.SET_PROPERTY_VALUE})
-    # Properties that hold the shutter time.
-    shutter_codes: ClassVar[tuple[int, ...]] = (Property.EXPOSURE_TIME,)
     # Responses in states of the body in which it takes no picture.
     refusals: ClassVar[Mapping[str, Response]] = {
         "playback": Response.ACCESS_DENIED,
@@ -69,6 +64,9 @@ class Responder(ExposureProperties, PictureFormats):
         Event.STORE_FULL,
         Event.CAPTURE_COMPLETE,
     )
+    # The event of a new picture, and whether the end of an exposure has one, too.
+    added: ClassVar[int] = Event.OBJECT_ADDED
+    is_completion_announced: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -80,13 +78,12 @@ class Responder(ExposureProperties, PictureFormats):
         self.body = body
         self.config = config
         self.facts = config.facts
-        recorded = None if self.facts is None else self.facts.access
-        access = config.access if recorded is None else recorded
+        recorded = self.facts.access if self.facts is not None else None
         self.card = Card(
             config.card_bytes,
             body.note_download,
             formats=self.object_formats,
-            access=access,
+            access=config.access if recorded is None else recorded,
             reuses=config.reuses_names,
         )
         self.session = 0
@@ -133,13 +130,12 @@ class Responder(ExposureProperties, PictureFormats):
         return handler(parameters, data)
 
     def close_session(self) -> None:
-        """End the session."""
         self.session = 0
 
     def turn_dial(self, mode: str) -> None:
         """Turn the mode dial to "manual" or "auto"."""
         is_manual = mode == "manual"
-        self.properties[self.program_code].value = MANUAL if is_manual else AUTOMATIC
+        self.properties[self.program_code].value = self.manual if is_manual else self.automatic
         for code in self.shutter_codes:
             self.properties[code].is_writable = is_manual
         self.announce_changed((self.program_code, *self.shutter_codes))
@@ -187,8 +183,9 @@ class Responder(ExposureProperties, PictureFormats):
         if self.config.folder_event:
             self.announce(Event.OBJECT_ADDED, PICTURE_FOLDER)
         for handle in self.card.add(files):
-            self.announce(Event.OBJECT_ADDED, handle)
-        self.announce(Event.CAPTURE_COMPLETE, self._captured_by)
+            self.announce(self.added, handle)
+        if self.is_completion_announced:
+            self.announce(Event.CAPTURE_COMPLETE, self._captured_by)
 
     def listed_properties(self) -> list[int]:
         """Return the properties in the device info."""
@@ -199,6 +196,10 @@ class Responder(ExposureProperties, PictureFormats):
         return sorted(set(self.operations).difference(self.config.unlisted))
 
     # The makers' cameras call these.
+
+    def accept(self, parameters: Sequence[int], data: bytes) -> Reply:
+        """Execute an operation that has no effect here."""
+        return Reply()
 
     def when_ready(self, handler: Handler) -> Handler:
         """Return `handler` for a camera that is busy during exposures unless it has overlap."""

@@ -36,7 +36,6 @@ _MEMORY_FILES = 16
 _READY = 0x8000  # added to the number of files in memory, in property D215
 _PRESSED, _RELEASED = 2, 1  # states of a button
 _VERSION = 0xC8
-_AUTOMATIC_ISO = 0xFF_FFFF
 # Properties that set another one, on newer cameras.
 _SET_BY: dict[int, int] = {
     Property.SONY_SHUTTER_SET: Property.SONY_SHUTTER,
@@ -65,11 +64,12 @@ class SonyResponder(Responder):
         Operation.SONY_CONTROL,
     }
     shutter_codes: ClassVar[tuple[int, ...]] = (Property.SONY_SHUTTER,)
+    iso_code: ClassVar[int] = Property.SONY_ISO
+    automatic_iso: ClassVar[int] = 0xFF_FFFF
     compressions: ClassVar[Mapping[str, int]] = SONY_COMPRESSIONS
     events: ClassVar[tuple[int, ...]] = (Event.SONY_OBJECT_ADDED, Event.SONY_PROPERTY_CHANGED)
 
     def make_properties(self) -> list[DeviceProperty]:
-        """Return the battery level, standard properties, and Sony's."""
         config = self.config
         # Bulb, then the longest first: a step up the dial is the next shorter time.
         longest_first = sorted(config.times, reverse=True)
@@ -112,7 +112,6 @@ class SonyResponder(Responder):
         return [Property.BATTERY_LEVEL]
 
     def make_operations(self) -> dict[int, Handler]:
-        """Return the standard operations without captures, and Sony's."""
         self._steps: list[int] = []  # of the handshake, that have been done
         self._stepping, self._ready_s = False, 0.0
         self._memory: deque[StoredObject] = deque()
@@ -128,28 +127,13 @@ class SonyResponder(Responder):
         }
 
     def close_session(self) -> None:
-        """End the session, which needs another handshake."""
         super().close_session()
         self._steps = []
 
     def time_of(self, code: int, value: int) -> float | None:
-        """Return the time of a value of the shutter property."""
         return _seconds(value) if code == Property.SONY_SHUTTER and value != BULB else None
 
-    def exposure_time_s(self) -> float | None:
-        """Return the shutter time that is set; None: bulb."""
-        if Property.SONY_SHUTTER not in self.properties:
-            return super().exposure_time_s()
-        return self.time_of(Property.SONY_SHUTTER, self.properties.number(Property.SONY_SHUTTER))
-
-    def gain(self) -> float:
-        """Return the linear gain of the sensitivity that is set."""
-        code = Property.SONY_ISO
-        number = self.properties.number(code) if code in self.properties else 100
-        return number / 100 if number < _AUTOMATIC_ISO else 4.0
-
     def announce_changed(self, codes: Iterable[int]) -> None:
-        """Announce changed properties by Sony's event."""
         for code in codes:
             self.announce(Event.SONY_PROPERTY_CHANGED, code)
 

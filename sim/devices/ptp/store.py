@@ -45,7 +45,6 @@ class StoredObject:
     thumbnail: bytes = b""
 
     def info(self, storage: int) -> bytes:
-        """Return the object info dataset."""
         thumb_format = _JFIF if self.thumbnail else 0
         return (
             struct.pack("<IHHI", storage, self.format, 0, len(self.data))
@@ -103,12 +102,10 @@ class Card:
 
     @property
     def free_bytes(self) -> int:
-        """Free bytes."""
         return max(0, self.capacity - sum(len(item.data) for item in self.objects.values()))
 
     @property
     def count(self) -> int:
-        """Number of pictures."""
         return sum(item.format != Format.FOLDER for item in self.objects.values())
 
     def add(self, files: Sequence[ImageFile]) -> list[int]:

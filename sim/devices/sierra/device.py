@@ -79,11 +79,9 @@ class SierraDevice(LineFaultCommands, StillFaultCommands):
         self._timer_s = math.inf
 
     def attach(self) -> None:
-        """Plug the camera in (CameraNotFoundError: the line cannot be opened)."""
         self.line.open()
 
     def detach(self) -> None:
-        """Unplug the camera."""
         self.line.close()
         with self.lock:
             self._end_session()
@@ -277,7 +275,6 @@ class SierraDevice(LineFaultCommands, StillFaultCommands):
     # Control commands.
 
     def do_ok(self) -> None:
-        """End all faults."""
         self.faults = LineFaults()
         self.body.clear_faults()
 
@@ -287,7 +284,6 @@ class SierraDevice(LineFaultCommands, StillFaultCommands):
             self._end_session()
 
     def state(self) -> dict[str, Any]:
-        """Return settings in force and counters, ready for JSON."""
         with self.lock:
             return {
                 "path": self.line.path,
@@ -300,7 +296,6 @@ class SierraDevice(LineFaultCommands, StillFaultCommands):
             }
 
     def do_log(self) -> dict[str, Any]:
-        """Return the last exposures."""
         with self.lock:
             return {"shots": list(self.body.log)}
 

@@ -79,7 +79,6 @@ class TerminalLine(Line):
         return None
 
     def open(self) -> None:
-        """Open the line; see `Line.open`."""
         if self._node == "pty":
             self._file, self._host_end = os.openpty()
             tty.setraw(self._host_end)
@@ -94,7 +93,6 @@ class TerminalLine(Line):
         self._thread.start()
 
     def close(self) -> None:
-        """Close the line; see `Line.close`."""
         thread, self._thread = self._thread, None
         if thread is None:
             return

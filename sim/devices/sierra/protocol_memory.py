@@ -50,18 +50,15 @@ class MemoryLine(Line):
         return None if self.host is None else int(self.host.baudrate)
 
     def open(self) -> None:
-        """Open the camera's end."""
         _lines[self.path] = self
 
     def close(self) -> None:
-        """Close the camera's end; see `Line.close`."""
         host, self.host = self.host, None
         if host is not None:
             host.hang_up()
         _lines.pop(self.path, None)
 
     def send(self, data: bytes, speed: int = 0) -> None:
-        """Send bytes to the host; see `Line.send`."""
         if self.host is None:
             return
         if not speed:
@@ -85,7 +82,6 @@ class Serial(serial.SerialBase):  # type: ignore[misc]  # pyserial has no types
         super().__init__(*arguments, **options)
 
     def open(self) -> None:
-        """Open the host's end (SerialException: no such line, or another host has it open)."""
         line = _lines.get(self.port)
         if line is None:
             raise serial.SerialException(f"cannot open {self.port}: no camera is there")
@@ -95,7 +91,6 @@ class Serial(serial.SerialBase):  # type: ignore[misc]  # pyserial has no types
         self.is_open = True
 
     def close(self) -> None:
-        """Close the host's end; a second call does nothing."""
         if self._line is not None:
             self._line.host = None
         self._line = None
@@ -103,7 +98,6 @@ class Serial(serial.SerialBase):  # type: ignore[misc]  # pyserial has no types
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes have arrived and have not been read."""
         self._connected()
         return len(self._buffer)
 
@@ -129,7 +123,6 @@ class Serial(serial.SerialBase):  # type: ignore[misc]  # pyserial has no types
         return len(data)
 
     def arrive(self, data: bytes) -> None:
-        """Receive bytes from the camera."""
         with self._lock:
             self._buffer += data
         self._arrived.set()

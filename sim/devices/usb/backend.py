@@ -63,7 +63,6 @@ class _Connection:
 
     @property
     def configuration(self) -> Descriptor:
-        """The configuration descriptor, parsed."""
         return parse_configuration(self.device.configuration_descriptor)
 
 
@@ -95,13 +94,11 @@ class BackendPort:
         self._connection: _Connection | None = None
 
     def attach(self, device: UsbDevice) -> None:
-        """Plug the device in, at a new address."""
         self.detach()
         self._connection = self._backend.add(device)
         device.connect()
 
     def detach(self) -> None:
-        """Unplug the device."""
         connection, self._connection = self._connection, None
         if connection is not None:
             self._backend.remove(connection)
@@ -124,7 +121,6 @@ class DescribedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     # pyusb calls these; parameters have the names of its interface.
 
     def get_configuration_descriptor(self, dev: Described, config: int) -> SimpleNamespace:
-        """Return the configuration descriptor's fields."""
         if config:
             raise IndexError(config)
         return dev.configuration.as_namespace()
@@ -132,13 +128,11 @@ class DescribedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def get_interface_descriptor(
         self, dev: Described, intf: int, alt: int, config: int
     ) -> SimpleNamespace:
-        """Return an interface descriptor's fields."""
         return dev.configuration.alternate(intf, alt).as_namespace()
 
     def get_endpoint_descriptor(
         self, dev: Described, ep: int, intf: int, alt: int, config: int
     ) -> SimpleNamespace:
-        """Return an endpoint descriptor's fields."""
         return dev.configuration.alternate(intf, alt).children[ep].as_namespace()
 
 
@@ -161,26 +155,22 @@ class VirtualBackend(DescribedBackend):
             device.attach()
 
     def add(self, device: UsbDevice) -> _Connection:
-        """Connect a device at the next address."""
         connection = _Connection(device, next(self._addresses) % 127 + 1)
         self._connections.append(connection)
         return connection
 
     def remove(self, connection: _Connection) -> None:
-        """Disconnect a device."""
         self._connections.remove(connection)
 
     # pyusb calls these; parameters have the names of its interface.
 
     def enumerate_devices(self) -> Iterator[_Connection]:
-        """Yield the devices that are plugged in."""
         yield from tuple(self._connections)
 
     def get_parent(self, dev: _Connection) -> None:
         """Return None: there is no hub between host and device."""
 
     def get_device_descriptor(self, dev: _Connection) -> SimpleNamespace:
-        """Return the device descriptor's fields, and bus and address."""
         return SimpleNamespace(
             **parse_device(dev.device.device_descriptor),
             bus=BUS,
@@ -191,13 +181,11 @@ class VirtualBackend(DescribedBackend):
         )
 
     def open_device(self, dev: _Connection) -> _Handle:
-        """Open a device."""
         handle = _Handle(dev)
         handle.device()
         return handle
 
     def close_device(self, dev_handle: _Handle) -> None:
-        """Close a device; the claims of this handle end."""
         connection = dev_handle.connection
         others = {n: owner for n, owner in connection.claims.items() if owner is not dev_handle}
         connection.claims = others
@@ -214,37 +202,30 @@ class VirtualBackend(DescribedBackend):
         return dev_handle.connection.configuration.fields["bConfigurationValue"]
 
     def set_interface_altsetting(self, dev_handle: _Handle, intf: int, altsetting: int) -> None:
-        """Set an alternate setting."""
         self._request(dev_handle, (1, 11, altsetting, intf, 0))
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """Claim an interface for this handle."""
         dev_handle.device()
         if dev_handle.connection.claims.setdefault(intf, dev_handle) is not dev_handle:
             _fail(errno.EBUSY)
 
     def release_interface(self, dev_handle: _Handle, intf: int) -> None:
-        """Release an interface."""
         dev_handle.device()
         if dev_handle.connection.claims.get(intf) is not dev_handle:
             _fail(errno.ENOENT)
         del dev_handle.connection.claims[intf]
 
     def is_kernel_driver_active(self, dev_handle: _Handle, intf: int) -> bool:
-        """Return False: the kernel does not see these devices."""
         dev_handle.device()
         return False
 
     def detach_kernel_driver(self, dev_handle: _Handle, intf: int) -> None:
-        """Fail: there is no kernel driver."""
         _fail(errno.ENOENT)
 
     def attach_kernel_driver(self, dev_handle: _Handle, intf: int) -> None:
-        """Fail: there is no kernel driver."""
         _fail(errno.ENOENT)
 
     def clear_halt(self, dev_handle: _Handle, ep: int) -> None:
-        """Clear an endpoint's halt."""
         self._request(dev_handle, (2, 1, 0, ep, 0))
 
     def reset_device(self, dev_handle: _Handle) -> None:
@@ -256,7 +237,6 @@ class VirtualBackend(DescribedBackend):
     def bulk_write(
         self, dev_handle: _Handle, ep: int, intf: int, data: array[int], timeout: int
     ) -> int:
-        """Write to an OUT endpoint; return the number of bytes written."""
         device = dev_handle.claimed_device(intf)
         raw = data.tobytes()
         if error := device.write(ep, raw):
@@ -301,7 +281,6 @@ class VirtualBackend(DescribedBackend):
         data: array[int],
         timeout: int,
     ) -> int:
-        """Send a control request; return the number of bytes moved."""
         size = len(data) * data.itemsize
         sent = b"" if bmRequestType & IN else data.tobytes()
         setup = (bmRequestType, bRequest, wValue, wIndex, size)

@@ -156,13 +156,11 @@ class UsbDevice(Controllable):
             self._pipes[endpoint & 15].transfers.clear()
 
     def attach(self) -> None:
-        """Plug the device into its port (UsageError: it has none)."""
         if self.port is None:
             raise UsageError("the virtual device has no port", hint="set device.port")
         self.port.attach(self)
 
     def detach(self) -> None:
-        """Unplug the device."""
         if self.port is not None:
             self.port.detach()
 
@@ -229,7 +227,6 @@ class UsbDevice(Controllable):
         return reply[:length] if isinstance(reply, bytes) and request_type & IN else reply
 
     def _standard(self, request_type: int, request: int, value: int, index: int) -> ControlReply:
-        """Return the reply to a standard request (USB 2.0, table 9-4)."""
         match request_type, request:
             case (0x80, 6):
                 return self._descriptor(value >> 8, value & 0xFF)

@@ -170,7 +170,6 @@ class VhciPort:
             self._connection, self._thread = _plug_in(device, _free_port(device.speed))
 
     def detach(self) -> None:
-        """Unplug the device; returns when its connection has ended."""
         connection, thread, self._connection = self._connection, self._thread, None
         if connection is None or thread is None:
             return

@@ -97,7 +97,6 @@ class UvcCamera(UsbDevice):
     def control(
         self, request_type: int, request: int, value: int, index: int, length: int, data: bytes
     ) -> ControlReply:
-        """Return the reply to a class request for a control, a probe or a commit."""
         if self._is_hanging:
             return NO_REPLY
         if request_type & 0x60 != 0x20:
@@ -235,7 +234,6 @@ class UvcCamera(UsbDevice):
     # Control commands.
 
     def do_ok(self) -> None:
-        """End all faults."""
         with self.lock:
             self._is_hanging = self._is_frozen = False
             self._truncations = self._garbage = self._errors = self._light_count = 0

@@ -49,11 +49,9 @@ class ControlSpec:
     is_bitmap: bool = False
 
     def pack(self, value: int) -> bytes:
-        """Return a value as bytes."""
         return value.to_bytes(self.size, "little")
 
     def allows(self, value: int) -> bool:
-        """Return whether the control can be set to a value."""
         if self.is_bitmap:
             return value.bit_count() == 1 and bool(value & self.step)
         return self.minimum <= value <= self.maximum
@@ -100,7 +98,6 @@ class Controls:
 
     @property
     def is_metering(self) -> bool:
-        """True while automatic exposure is on."""
         return self.values["ae_mode"] != MANUAL
 
     @property

@@ -1,13 +1,14 @@
-"""The exposure that a camera's properties set, and the properties of a recorded body."""
+"""What the properties of a camera set for a picture, and the properties of a recorded body."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from sim.devices.ptp.body_facts import DIALS, BodyFacts
-from sim.devices.ptp.config import PtpConfig
+from sim.devices.ptp.config import COMPRESSIONS, PtpConfig, file_formats
 from sim.devices.ptp.properties import (
+    AUTOMATIC,
     MANUAL,
     DeviceProperty,
     PropertyTable,
@@ -15,8 +16,10 @@ from sim.devices.ptp.properties import (
     true_time_s,
 )
 from sim.devices.ptp.protocol import Property, Type
+from sim.devices.ptp.store import FORMATS
 
 _AUTOMATIC_S = 1 / 60  # exposures of a camera without a shutter property
+AUTOMATIC_GAIN = 4.0  # of a camera that chooses its sensitivity itself
 
 # A dial with fewer choices was recorded while the camera chose the value itself.
 _FULL_DIAL = 12
@@ -54,8 +57,8 @@ def recorded_properties(
     return list(found.values())
 
 
-class ExposureProperties:
-    """What the properties of a camera mean; the makers' cameras override it.
+class PictureSettings:
+    """Exposure and files by the properties of a camera; the makers' cameras override what differs.
 
     Attributes:
         config: options of the camera
@@ -70,6 +73,19 @@ class ExposureProperties:
     missing: ClassVar[frozenset[int]] = frozenset()
     program_code: ClassVar[int] = Property.EXPOSURE_PROGRAM
     manual: ClassVar[int] = MANUAL
+    automatic: ClassVar[int] = AUTOMATIC
+    # Properties that hold the shutter time, the most exact one last.
+    shutter_codes: ClassVar[tuple[int, ...]] = (Property.EXPOSURE_TIME,)
+    # The sensitivity, and the lowest of the numbers that are automatic, with those below 1.
+    iso_code: ClassVar[int] = Property.EXPOSURE_INDEX
+    automatic_iso: ClassVar[int] = 10**8
+    # The aperture, and its numbers per unit of the f-number.
+    aperture_code: ClassVar[int] = Property.F_NUMBER
+    aperture_units: ClassVar[int] = 100
+    # Of the entries of `PtpConfig.files`, in property 5004.
+    compressions: ClassVar[Mapping[str, int]] = COMPRESSIONS
+    # Of the objects.
+    object_formats: ClassVar[Mapping[str, int]] = FORMATS
 
     def make_properties(self) -> list[DeviceProperty]:
         """Return the camera's properties with their values at power-on."""
@@ -100,27 +116,45 @@ class ExposureProperties:
 
     def exposure_time_s(self) -> float | None:
         """Return the shutter time that is set; None: bulb."""
-        code = Property.EXPOSURE_TIME
-        if code not in self.properties:
-            return _AUTOMATIC_S
-        return self.time_of(code, self.properties.number(code))
+        for code in reversed(self.shutter_codes):
+            if code in self.properties:
+                return self.time_of(code, self.properties.number(code))
+        return _AUTOMATIC_S
 
     def gain(self) -> float:
         """Return the linear gain of the sensitivity that is set."""
-        code = Property.EXPOSURE_INDEX
-        return self.properties.number(code) / 100 if code in self.properties else 1.0
+        code = self.iso_code
+        number = self.properties.number(code) if code in self.properties else 100
+        return number / 100 if 0 < number < self.automatic_iso else AUTOMATIC_GAIN
 
     def light(self) -> float:
         """Return the share of the light that the aperture lets through, 1 for the widest."""
-        code = Property.F_NUMBER
-        if code not in self.properties:
+        item, now = self.properties.get(self.aperture_code), self.f_number()
+        choices = [number for number in item.choices if number] if item is not None else []
+        if not now or not choices:
             return 1.0
-        item = self.properties[code]
-        now = self.properties.number(code)
-        widest = min((number for number in item.choices if number), default=now)
-        return float((widest / now) ** 2) if now else 1.0
+        return float((min(choices) / self.aperture_units / now) ** 2)
 
     def f_number(self) -> float | None:
-        """Return the f-number that is set; None: the host cannot set one."""
-        code = Property.F_NUMBER
-        return self.properties.number(code) / 100 if code in self.properties else None
+        """Return the f-number that is set; None: the host cannot set one, or there is no lens."""
+        code = self.aperture_code
+        number = self.properties.number(code) if code in self.properties else 0
+        return number / self.aperture_units if number else None
+
+    def selected_formats(self) -> tuple[str, ...]:
+        """Return the formats of the files that an exposure gives, by the compression setting."""
+        if Property.COMPRESSION not in self.properties:
+            return file_formats(self.config.files[0])
+        value = self.properties.number(Property.COMPRESSION)
+        return next(file_formats(c) for c in self.config.files if self.compressions[c] == value)
+
+    def formats_of_object(self, number: int) -> tuple[str, ...]:
+        """Return the formats of the camera that have an object format's number."""
+        return tuple(form for form in self._all_formats() if self.object_formats[form] == number)
+
+    def listed_formats(self) -> list[int]:
+        """Return the object formats in the device info."""
+        return sorted(self.object_formats[form] for form in self._all_formats())
+
+    def _all_formats(self) -> set[str]:
+        return {form for each in self.config.files for form in file_formats(each)}
