@@ -1,10 +1,10 @@
 """Draw the contact sheets of the built-in scenes: ``python docs/draw_contact_sheets.py``.
 
-Each is the contact.png of one simulated capture, reduced in size and in colours.  The picture
-room-responses.png is that of ``camctl shoot --preview-only``, and previews.png shows each scene as
-image.tiff, by three tone mappers of OpenCV, and as preview.png.  Where $CAMCTL_DATA/memorial holds
-Debevec and Malik's photographs, memorial.png is that of ``camctl merge`` with all of them, and
-previews.png has a row of them, too.
+Each is the contact.png of one simulated capture, reduced in size and in colours.
+room-responses.png is the picture of ``camctl shoot --preview-only``.  previews.png shows each scene
+as image.tiff, by three tone mappers of OpenCV, and as preview.png.  Where $CAMCTL_DATA/memorial
+holds Debevec and Malik's photographs, memorial.png is the sheet of ``camctl merge`` with all of
+them, and previews.png has a row of them, too.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from sim.scenes.scene import scene_names
 
 SENSORS = {"outdoor-sun": "security", "pwm-lamp": "security", "stars": "ccd"}
 COUNT = 4
-#: Bytes of a file at most, those of previews.png, and the widths and steps of a colour that are
-#: tried for it.
+#: Bytes of a sheet at most, bytes of previews.png at most, and the widths and steps of a colour
+#: that are tried for it.
 MOST_BYTES, PREVIEWS_BYTES = 145_000, 200_000
 REDUCTIONS = ((860, 2), (860, 4), (760, 4), (680, 4), (600, 4), (520, 4), (440, 4))
 #: Size of a picture in previews.png.

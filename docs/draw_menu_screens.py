@@ -1,7 +1,7 @@
 """Draw the pictures of docs/how-to/menu.md: every screen on each kind of panel.
 
-The figures are those of the simulated camera: its plans for each entry, and one capture.  The
-errors are those of real failures, one for each screen of an error.
+The figures are from the simulated camera: its plans for each entry, and one capture.  The
+errors are from real failures, one for each screen of an error.
 
     python docs/draw_menu_screens.py
 """

@@ -90,7 +90,7 @@ class CameraJob:
         save_settings(self._settings_path, settings)
 
     def find_cameras(self) -> tuple[CameraEntry, ...]:
-        """Return the cameras of all backends, and the one of the command line."""
+        """Return the cameras of all backends, and the camera of the command line."""
         found = tuple(entry_of(info) for info in list_cameras())
         known = {each.id for each in found}
         return found if not self._entry.id or self._entry.id in known else (self._entry, *found)
@@ -146,7 +146,7 @@ class CameraJob:
         )
 
     def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
-        """Yield the cost of each choice: that of its plan, all from the same metering frames."""
+        """Yield the cost of the plan of each choice, all from the same metering frames."""
         if self._camera is None:
             self.open(self._camera_id)
         assert self._camera is not None  # it was opened

@@ -22,7 +22,7 @@ class Settings:
         timer: index of the entry of `menu.entries.TIMERS`
         saver: index of the entry of `menu.entries.SAVERS`
         mains: index of the entry of `menu.entries.MAINS`
-        camera: id of the camera that was chosen last; "": the one of the command line
+        camera: id of the camera that was chosen last; "": the camera of the command line
     """
 
     response: int = 0
@@ -60,8 +60,8 @@ class Choice:
 
     Attributes:
         response: desired response, one of `camctl.model.response.desired.RESPONSES`, or "auto"
-        dynamic_range: desired dynamic range, brightest over darkest; None: that of the scene
-        count: number of exposures; None: as many as the other two need
+        dynamic_range: desired dynamic range, brightest over darkest; None: the range of the scene
+        count: number of exposures; None: the number that response and range need
         time_budget_s: longest time of the capture, s
         accuracy: effective levels to reach in the least time
         mains_hz: frequency of the mains that feeds the lamps; None: daylight

@@ -155,7 +155,7 @@ class Job(Protocol):
         ...
 
     def open(self, camera_id: str) -> CameraEntry:
-        """Open a camera, "" the one of the command line; the one before is closed."""
+        """Open a camera, "" for the camera of the command line; the camera before is closed."""
         ...
 
     def meter(self) -> Reading:

@@ -59,7 +59,7 @@ class SimulatedCamera(CameraBase):
         repeat_noise: every frame has the noise of frame 0, so that it depends on its exposure
             alone, as with `sim.devices.common.VirtualSensor`
         is_unknown: the camera states neither response, noise nor sensitivity, and its control delay
-            is that of its profile
+            is taken from its profile
 
     Attributes:
         scene, sensor, is_unknown: as given

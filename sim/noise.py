@@ -198,7 +198,7 @@ class TileNoise:
     ) -> None:
         """Replace means (electrons, >= 0) by whole Poisson numbers, in place.
 
-        The first 16 of the 32 bits of each are those of `add_photon_noise`.
+        The first 16 of the 32 bits of each are the bits of `add_photon_noise`.
         """
         count = electrons.size
         uniform = tile_bits(seed, frame, Stream.PHOTON, tile, count).astype(np.float64)

@@ -70,8 +70,8 @@ def poisson_quantiles(
         means: electrons, >= 0
         uniform: of the same shape, above 0 and below 1
 
-    Below a mean of 8 the probabilities are added up, which is exact, and up to one of 24 where the
-    expansion is in doubt.  Otherwise the quantile is that of the expansion in the normal quantile w
+    Below a mean of 8 the probabilities are added up, which is exact, and up to a mean of 24 where
+    the expansion is in doubt.  Otherwise the quantile is the expansion in the normal quantile w
     by Giles (Algorithm 955, ACM TOMS 42, 2016, Q_N2), rounded down:
     ``m + w sqrt m + (1/3 + w^2/6) - (w/36 + w^3/72) / sqrt m
     + (-8/405 + 7 w^2/810 + w^4/270) / m``.

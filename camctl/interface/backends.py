@@ -157,7 +157,7 @@ def _load_error(kind: str, point: EntryPoint, error: Exception) -> UsageError:
 def shadowing_error(error: ImportError) -> UsageError | None:
     """Return the error that names what shadows a package of camctl; None if nothing does.
 
-    `error` is that of an import within camctl's own distribution.
+    `error` was raised by an import within camctl's own distribution.
     """
     package = (error.name or "").partition(".")[0]
     if package not in OWN_PACKAGES or (shadowing := _shadowing_path(package)) is None:

@@ -122,7 +122,7 @@ class ExposureControls:
         phase: phase of the quantiser in levels: 0 truncates, 1/2 rounds; a black level that is not
             a whole number gives values between
         response: as levels between black and white; None: linear; where the colours have responses
-            of their own, that of green
+            of their own, the response of green
         response_origin: whether the response is stated, measured or only assumed; every driver must
             say it
         responses: the responses of R, G and B where they differ; else none
@@ -233,7 +233,7 @@ class ExposureControls:
         return setting.exposure * (1.0 if correction is None else correction.factor)
 
     def nearest_time(self, true_s: float, gain: float) -> float:
-        """Return the shutter time whose true exposure is nearest to that of `true_s`, at a gain."""
+        """Return the shutter time whose true exposure is nearest to `true_s`, at a gain."""
         stated = ExposureSetting(self.time_s.nearest(true_s), gain)
         return self.time_s.nearest(true_s * stated.exposure / self.exposure(stated))
 

@@ -43,7 +43,7 @@ class NoiseModel:
     Attributes:
         conversion_e_per_dn: K, electrons of one level at gain 1
         read_noise_e: (gain, read noise in electrons) pairs, gains ascending; between two gains it
-            is interpolated over the logarithm of the gain, beyond them it is that of the nearest
+            is interpolated over the logarithm of the gain, beyond them it is constant
         full_well_e: electrons that a pixel holds; None where this is unknown
         dark_current_e_s: electrons a pixel a second without light
         prnu: standard deviation of the sensitivity over the pixels, relative (EMVA 1288 PRNU)

@@ -80,7 +80,7 @@ def write_picture_files(
                 codes = _written(total, rendering, exr, reducer, threads)
                 _write_image(image_part, codes, total, rendering, tags)
         finally:
-            summed.result()  # raises its error before those of the others
+            summed.result()  # raises its error before the errors of the others
         return_free_memory()
         light = reducer.light()
         mapped = threads.submit(tone_map, light)  # while the disk takes the files

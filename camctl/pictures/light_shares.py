@@ -48,7 +48,7 @@ def light_shares(
     Args:
         layout: pixel layout of the sum
         total: (rows, columns) or (rows, columns, 3)
-        tables: one for all of the sum, or those of R, G and B of a mosaic
+        tables: one for all of the sum, or one each for R, G and B of a mosaic
         desired: the desired response
     """
     planes = [total]

@@ -46,8 +46,8 @@ Attribute = str | float | tuple[float, ...]
 def exr_attributes(details: PictureDetails, channels: str) -> dict[str, Attribute]:
     """Return the standard attributes of radiance.exr by name.
 
-    The colours are those of the camera, without a conversion; the chromaticities of BT.709 are what
-    they are shown with.  `expTime` is the sum of the shutter times.
+    The colours are the camera's, without a conversion; viewers show them by the chromaticities of
+    BT.709.  `expTime` is the sum of the shutter times.
     """
     camera = details.camera
     found: dict[str, Attribute] = {
@@ -78,7 +78,7 @@ def fill_exr_header(path: Path, attributes: Mapping[str, Attribute], summary: st
     """Write attributes and a comment into an EXR file that was made with `EXR_PLACEHOLDER`."""
     start = _exr_attribute(_COMMENT, "")[:-4] + struct.pack("<i", _ROOM)
     with path.open("r+b") as file:
-        # Long names of channels before it would take more; those of a capture are short.
+        # Long names of channels before it would take more; channels of a capture have short names.
         place = file.read(4096).index(start)
         written = b"".join(_exr_attribute(name, value) for name, value in attributes.items())
         room = _ROOM - len(written)

@@ -54,12 +54,12 @@ _UNLIT = 0.15
 #: Brightness is set by samples whose noise is less than this share of the light, of at most so
 #: many rows and columns.
 _READABLE, _MOST_READ = 0.5, 1024
-#: Of a natural logarithm's deviation that of a logarithm to the base 2.
+#: A logarithm to the base 2 over the natural logarithm of the same number.
 _LOG2_E = np.float32(1 / np.log(2))
 #: Rows of a band: what is made of them is small beside the picture.  Noise is filtered out of more,
 #: since those around them are, too.
 _ROWS, _CLEANED_ROWS = 64, 128
-#: Least variance of log2 of the light, less than that of any picture.
+#: Least variance of log2 of the light, less than in any picture.
 _LEAST_VARIANCE = np.float32(1e-9)
 #: Luminance of the sRGB primaries.
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)

@@ -22,7 +22,7 @@ from camctl.system.picture_operations import channels_apart, channels_together, 
 
 #: Values of a mask: within the range, light below the range, saturated in every frame.
 GOOD, DARK, SATURATED = 0, 1, 2
-#: Bits of a mask: the frames contradict each other; the sample is that of a hot pixel, or was
+#: Bits of a mask: the frames contradict each other; the sample is from a hot pixel, or was
 #: interpolated from one.
 CONTRADICTING, HOT = 4, 8
 #: Largest value of image.tiff.
@@ -39,7 +39,7 @@ _RED_BLUE_WEIGHTS = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
 #: Bits kept of a float32's fraction: standard deviations are exact to 0.1 %, and irradiance that is
 #: interpolated to 4e-6 of it.  Files are a quarter smaller, and are written in half the time.
 _DEVIATION_BITS, _INTERPOLATED_BITS = 9, 17
-#: Error of a standard deviation as a share of the light that is as small as that of the light.
+#: Error of a standard deviation, as a share of the light, that equals the rounding of the light.
 _NEGLIGIBLE = 2.0 ** -(_INTERPOLATED_BITS + 1)
 #: Stands for an infinite standard deviation while they are interpolated; its square is finite.
 _LARGEST_DEVIATION = np.float32(1e18)
@@ -197,7 +197,7 @@ class Strip:
     """Some rows of the pictures.
 
     Attributes:
-        irradiance: of each channel, (rows, columns) float32, one or those of R, G and B
+        irradiance: of each channel, (rows, columns) float32, one channel or R, G and B
         light: `irradiance` without hot pixels, the same where there are none
         deviation: standard deviation of each channel, float32
         mask: of each channel, uint8
@@ -217,7 +217,8 @@ class Rendering:
 
     Attributes:
         layout: pixel layout of the frames
-        tables: irradiance, code and mask for each value of the sum: one table, or those of R, G, B
+        tables: irradiance, code and mask for each value of the sum: one table, or three for
+            R, G, B
         desired: desired response of the image
         full_scale_exposure: irradiance in the pictures times this is E, 1 at full scale
         hot_pixels: (row, column) of pixels that have the mask `HOT`; the image has the median of
@@ -247,10 +248,9 @@ class Rendering:
     def deviations_are_halves(self) -> bool:
         """Whether float16 has all standard deviations of the pictures.
 
-        It has those of at least 2^-15 exactly, since they have `_DEVIATION_BITS` bits, and less
-        ones to 2^-25.  They count as well if that is less than 4e-6 of the light, to which the
-        light itself is known in a file: such are those of sums between two levels that nearly
-        coincide.
+        float16 has deviations of at least 2^-15 exactly, since they have `_DEVIATION_BITS` bits,
+        and smaller ones to 2^-25.  These count as exact if the error is less than 4e-6 of the
+        light, to which the light itself is known in a file, as between levels that nearly coincide.
         """
         # Interpolation at most halves a deviation; a sample has a weight of 1/4 at least.
         halved, weight = (2, 1 / 4) if self.layout.is_mosaic else (1, 1.0)

@@ -152,7 +152,7 @@ def _unfit(profile: Profile, measured: str, now: str) -> DataError:
 class CalibratedCamera:
     """A camera with what its profile says of it; see `camctl.Camera`.
 
-    Everything but `controls` is that of the camera itself, further attributes of its driver
+    Everything but `controls` is taken from the camera itself, further attributes of its driver
     included.
 
     Args:

@@ -91,12 +91,12 @@ class GainNoise(BaseModel):
 
 
 class HotPixel(BaseModel):
-    """A pixel whose dark signal grows far faster than that of the others.
+    """A pixel whose dark signal grows far faster than in the others.
 
     Attributes:
         row: counted from 0
         column: counted from 0
-        rate_e_s: dark signal above that of the median pixel, electrons a second
+        rate_e_s: dark signal minus the dark signal of the median pixel, electrons a second
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -33,7 +33,7 @@ class ChannelResponse(BaseModel):
         saturates: whether samples were seen to be saturated at `white`
         irradiance: ascending from 0 to 1; each channel has its own unit
         brightness: above black, as a share of white - black + 1, ascending from 0 to 1
-        deviation: standard deviation of ln(irradiance), relative to that at half the brightness;
+        deviation: standard deviation of ln(irradiance / irradiance at half the brightness);
             None where the method gives none
         measured: the least and the largest brightness that the frames determine; the curve outside
             continues it smoothly
@@ -54,7 +54,7 @@ class ChannelResponse(BaseModel):
         """Return the irradiance that each sample of a frame shows, (white + 1,), in its unit.
 
         A sample of brightness k (above black) has an irradiance between the thresholds of levels k
-        and k + 1: the table has the one in the middle of both brightnesses, and 0 up to black.
+        and k + 1: the table has the irradiance in the middle of both, and 0 up to black.
 
         Args:
             phase: of the quantiser, `ResponseRecord.phase`
@@ -67,9 +67,9 @@ class ChannelResponse(BaseModel):
     def sample_weights(self, noise_dn: float = 1.0) -> FloatArray:
         """Return the weight of each brightness in a mean of ln(irradiance), (white + 1,).
 
-        It is the inverse of the variance: that of the noise through the slope of the curve, and
-        that of the curve.  Samples up to the black level and from the white level on have weight
-        0: they say nothing about the irradiance, and would pull dark and bright pixels together.
+        It is the inverse of the variance of the noise, through the slope of the curve, plus the
+        variance of the curve.  Samples up to the black level and from the white level on have
+        weight 0: they do not show the irradiance, and would pull dark and bright pixels together.
 
         Args:
             noise_dn: standard deviation of a sample, DN
@@ -88,8 +88,8 @@ class ChannelResponse(BaseModel):
     def exponent_error(self) -> float:
         """Standard deviation of the exponent of the curve; 0 where no deviation is known.
 
-        An exponent that is wrong by e changes ln(irradiance) by e times its distance from that at
-        half the brightness.  The rest of the curve's deviation is errors of single parts, so
+        An exponent that is wrong by e changes ln(irradiance) by e times its distance from its value
+        at half the brightness.  The rest of the curve's deviation is errors of single parts, so
         the smallest ratio of deviation and distance is the error of the exponent.
         """
         if self.deviation is None:

@@ -234,7 +234,7 @@ class FolderStore:
         )
 
     def frame(self, position: int) -> Pixels:
-        """Read the samples of a frame, and compare its checksum with that in the report.
+        """Read the samples of a frame, and compare its checksum with the one in the report.
 
         Until the capture is complete the frames that this process wrote are trusted.
         """

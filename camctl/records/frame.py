@@ -50,7 +50,7 @@ class StoredFrame(ReportModel):
         white: brightness from which samples are saturated, DN
         saturated_fraction: share of its samples at or above white
         timestamp_s: when the exposure ended, on the camera's clock, s
-        ratio: its exposure compared with that of the frame before
+        ratio: its exposure compared with the frame before
         attempts: 2 where it was shot again because its exposure did not agree
         details: what the camera reported besides
     """

@@ -173,7 +173,7 @@ class SeriesOptions(_Model):
 
     Attributes:
         repeat: number of sets; None: until the user ends it
-        interval_s: time from the start of one set to that of the next, s; None: at once
+        interval_s: time from the start of one set to the start of the next, s; None: at once
         on_key: each set begins when a key is pressed
         name: pattern of the folders' names, see `check_pattern`
         meter: "once": all sets have the exposures of the first; "each": each set is metered
@@ -291,7 +291,7 @@ def check_series_folder(directory: Path) -> None:
 
 
 def is_series(directory: Path) -> bool:
-    """Return whether a folder is that of a series."""
+    """Return whether a folder holds a series."""
     return os.path.lexists(directory / SERIES)
 
 

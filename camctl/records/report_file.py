@@ -1,7 +1,7 @@
 """Reading ``report.json`` and naming the files of a capture's folder.
 
 A report is read as hostile input: anybody may have written it.  What `read_report_file` returns
-names files of its own folder only, and its numbers are those of a capture that can exist.
+names files of its own folder only, and its numbers are possible for a capture.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class _Versions(BaseModel):
 
 
 class _Header(BaseModel):
-    """What reports of all versions have in common; those of format 1 do not state it."""
+    """What reports of all versions have in common; reports of format 1 do not state it."""
 
     format_version: int | None = None
     versions: _Versions | None = None
@@ -236,7 +236,7 @@ def _problems(report: CaptureReport | UnfinishedCapture) -> Iterator[str]:
     if not all(map(_is_possible, used)):
         yield "an exposure setting is not positive and finite"
     elif not _agree(report.plan.exposures, relative_exposures(settings)):
-        yield "plan.exposures are not those of plan.settings"
+        yield "plan.exposures do not follow from plan.settings"
     elif max(one.exposure for one in used) > _WIDEST_RATIO * min(one.exposure for one in used):
         yield f"the exposures differ by more than a factor of {_WIDEST_RATIO:g}"
     if not 0 < report.plan.levels_wanted <= MAX_LEVELS_WANTED:
@@ -279,7 +279,7 @@ def _frame_problems(
 ) -> Iterator[str]:
     expected = report.white, report.black_total
     if (frame.white, frame.black * len(report.frames)) != expected:
-        yield f"frames.{position}: its black and white are not those of the capture"
+        yield f"frames.{position}: its black and white differ from the capture's"
     if (frame.requested_s, frame.applied_s) != (frame.requested.time_s, frame.applied.time_s):
         yield f"frames.{position}: requested_s and applied_s are not the times of its settings"
     if (frame.file is None) != (frame.sha256 is None):
@@ -289,7 +289,7 @@ def _frame_problems(
 
 
 def _name_problems(report: CaptureReport | UnfinishedCapture) -> Iterator[str]:
-    """Yield names that are not those of a capture: only these are opened, renamed or removed."""
+    """Yield names that a capture cannot have: no other file is opened, renamed or removed."""
     for position, frame in enumerate(report.frames):
         if frame is None:
             continue
@@ -302,13 +302,13 @@ def _name_problems(report: CaptureReport | UnfinishedCapture) -> Iterator[str]:
     for name in report.rejected:
         match = FRAME_FILE.fullmatch(name.removeprefix(f"{FRAMES}/"))
         if not name.startswith(f"{FRAMES}/") or match is None or match[2] is None:
-            yield "rejected: a name is not that of a rejected frame"
+            yield "rejected: a file with another name than a rejected frame"
     if any(PICTURE_FILES.get(kind) != name for kind, name in report.files.items()):
-        yield "files: a name is not that of a picture"
+        yield "files: a file with another name than a picture"
     if not isinstance(report, UnfinishedCapture):
         return
     named = named_files(report.model_copy(update={"discarded": []}))
     for name in report.discarded:
         is_frame = name.startswith(f"{FRAMES}/") and FRAME_FILE.fullmatch(name[len(FRAMES) + 1 :])
         if (not is_frame and name not in PICTURE_FILES.values()) or name in named:
-            yield "discarded: a name is not that of a file of an earlier capture"
+            yield "discarded: a file with another name than the files of a capture"

@@ -23,7 +23,7 @@ MAX_COMPENSATION_STOPS = 64.0
 class CaptureRequest(Goal):
     """A goal, and how to shoot it; everything else is looked up, metered or measured.
 
-    The fields of the goal, with their defaults, are those of `camctl.exposure.goal.Goal`.
+    The fields of the goal, with their defaults, are fields of `camctl.exposure.goal.Goal`.
 
     Attributes:
         ratios: the exposures, relative to each other, instead of looked-up ones; `count` is not

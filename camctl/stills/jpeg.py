@@ -63,7 +63,7 @@ class JpegStructure:
 
     @classmethod
     def of(cls, data: bytes) -> JpegStructure:
-        """Return that of a file from its first marker up to the end of the first image."""
+        """Return the structure of a file from its first marker up to the end of the first image."""
         found, at = cls(), 2
         while (match := _MARKER.search(data, at)) is not None:
             if not found._scans and match.start() != at:

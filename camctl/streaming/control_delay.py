@@ -10,7 +10,7 @@ from camctl.interface.clock import CaptureTiming
 from camctl.profiles.profile import DelayRecord
 
 ASSUMED_LARGEST = 6
-"""Largest delay, in frames, that is assumed where none was measured: twice that of usual webcams.
+"""Largest delay, in frames, that is assumed where none was measured: usual webcams have half of it.
 """
 
 

@@ -42,7 +42,7 @@ _SEQUENCES = 2**32
 _RATE_TOLERANCE = 0.1
 #: Gaps show another rate where all differ by at most this share from their median.
 _GAP_TOLERANCE = 0.04
-#: Recent frames are those of so many slots: few enough for an interval that is off by 0.3 %.
+#: Recent frames are the frames of so many slots: few enough for an interval that is off by 0.3 %.
 _RECENT_SLOTS = 32
 #: The interval is measured from at least so many frames.
 _FEWEST_FRAMES = 12

@@ -121,7 +121,7 @@ class ExposurePipeline(Generic[DataT]):
     ) -> list[Shot[DataT]]:
         """Settle at `before`, write `after`, and return the next `frames` frames without a gap.
 
-        Frame 0 is the first whose exposure had not begun at the write; `applied` is that of `after`
+        Frame 0 is the first whose exposure had not begun at the write; `applied` belongs to `after`
         and `index` counts the frames.  `after` is written early in a slot and late in a slot in
         turn, so that a delay which depends on that is not mistaken for a constant one.
 
@@ -291,6 +291,6 @@ class ExposurePipeline(Generic[DataT]):
 
 
 def _write_again(pending: deque[_Pending], count: int, unwritten: list[int]) -> None:
-    """Put the first `count` settings that were written back among those to be written."""
+    """Put the first `count` written settings back among the settings to be written."""
     for _ in range(count):
         heappush(unwritten, pending.popleft().index)

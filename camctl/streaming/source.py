@@ -22,7 +22,7 @@ class FrameStamp:
     """Which frame arrived.
 
     Attributes:
-        number: of its slot; larger than that of every frame before it
+        number: of its slot; larger than the number of every frame before it
         time_s: when its exposure ended, on the camera's clock, s
         is_certain: False where an unknown number of frames was lost, so that the number may
             be wrong in relation to the numbers before it

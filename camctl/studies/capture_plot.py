@@ -158,7 +158,7 @@ def _draw_decades(axes: Axes, study: CaptureStudy) -> None:
 
 
 def _plain_ticks(axes: Axes, *, x_digits: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
-    """Write the numbers of both axes in full: 0.2, 1, 20; on x those with these digits.
+    """Write the numbers of both axes in full: 0.2, 1, 20; on x numbers with these digits.
 
     Only those within the present limits: what is added beside is for names.
     """

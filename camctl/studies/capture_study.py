@@ -2,8 +2,8 @@
 
 Irradiance is normalised as in a capture: E = 1 is full scale of the shortest exposure that was
 applied, which is metered so that the highlights are just below saturation.  Prediction and
-measurement use the same exposures and this same scale.  The error is that of the image in the
-desired response, in u; every part of u counts alike, as in the definition of effective levels,
+measurement use the same exposures and this same scale.  The error is the error of the image in
+the desired response, in u; every part of u counts alike, as in the definition of effective levels,
 however many pixels a scene has there; parts of u that the scene lacks are left out of both.
 """
 

@@ -43,7 +43,7 @@ DETAIL = (slice(430, 550), slice(650, 830))
 """Rows and columns of the detail in figure 10: beside the highlight of the ball."""
 
 NOISE_8_BIT = 1.95
-"""Noise in figure 6, in brightness levels, which are read as those of 8 bits."""
+"""Noise in figure 6, in brightness levels of 8 bits."""
 
 
 def _figure_6(figure: Figure) -> None:
@@ -171,7 +171,7 @@ FIGURES = (
         "7",
         "White cloth, by a camera of 4 bits",
         """White cloth in soft folds (scene 'cloth' instead of the paper's photograph, contrast
-        enhanced as there). (a) The doubled exposures draw contours like those of a map where the
+        enhanced as there). (a) The doubled exposures draw contours as on a map where the
         cloth should be smooth. (c) The computed and (d) the printed exposures of the same 4-bit
         camera come close to (b), one exposure of a 12-bit camera.""",
         (8.0, 7.4),

@@ -104,7 +104,7 @@ def _response_panel(
 def _responses(
     axes: Axes, bits: int, response: str, dynamic_range: float, printed: tuple[float, ...]
 ) -> None:
-    """Draw the desired response, and those of doubled, printed and computed exposures."""
+    """Draw the desired response, and the responses of doubled, printed and computed exposures."""
     camera, desired = linear_response(bits), desired_response(response, dynamic_range)
     doubled = tuple(2.0**k for k in range(len(printed)))
     found = computed(bits, response, dynamic_range, len(printed)).exposures
@@ -200,7 +200,7 @@ FIGURES = (
         "A linear camera with more levels",
         f"""The effective camera should be linear (dashed), at least as steep everywhere. With the
         doubled exposures {ratios_text(BASELINE)} (orange) only the shortest frame is not saturated
-        above half of the irradiance: the steps there are as coarse as those of one frame. The
+        above half of the irradiance: the steps there are as coarse as in one frame. The
         computed exposures (blue) have two frames there, whose levels interleave, and steps of half
         the width, (a) with 4 bits, (b) with 8 bits; the inset shows the steps near the highlights.
         In (a) they miss 9.4 of the 45 desired levels, the set printed in the paper (green) 10.2,

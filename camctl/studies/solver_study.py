@@ -59,7 +59,7 @@ class SolverRun:
         seed: of the random numbers; a grid has none
         limit_s: CPU time, s
         max_evaluations: sets of exposures that are scored at most; None: only the time ends a run.
-            The points of a run are the same again up to the one at which the time ended it
+            A repeated run has the same points up to the point at which the time ended it
 
     Raises:
         UsageError: an unknown method, fewer than two exposures, no time, or no evaluations

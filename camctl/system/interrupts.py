@@ -133,7 +133,7 @@ _sending = threading.Lock()
 _waiting: int | None = None
 
 _INTERRUPTIBLE = run_interruptible.__code__
-_UNINTERRUPTED = uninterrupted(lambda: None).__code__  # that of `call`
+_UNINTERRUPTED = uninterrupted(lambda: None).__code__  # the code of `call`
 
 
 def _handle(number: int, frame: FrameType | None) -> None:

@@ -62,8 +62,8 @@ def required_opencv(task: str) -> ModuleType:
 def png(picture: NDArray[Any], level: int = 1) -> bytes:
     """Return a picture as a PNG file: (rows, columns) or (rows, columns, 3), 8 or 16 bits.
 
-    Rows are predicted from those above.  `level` is that of the compression, 1 to 9; with 1 it is
-    as fast as OpenCV, and the file is as large.
+    Rows are predicted from the rows above.  `level` of compression is 1 to 9; with 1 it is as fast
+    as OpenCV, and the file is as large.
     """
     rows, columns = picture.shape[:2]
     lines = np.ascontiguousarray(picture, picture.dtype.newbyteorder(">")).view(np.uint8)

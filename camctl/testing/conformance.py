@@ -40,7 +40,7 @@ class CameraConformance(LightChecks, FaultChecks):
         assert info.driver
 
     def test_frames_have_the_format_of_the_controls(self, camera: Camera) -> None:
-        """Shape, pixel layout, type, black and white level of a frame are those of `controls`."""
+        """Shape, pixel layout, type, black and white level of a frame are as in `controls`."""
         controls = camera.controls
         (frame,) = self.shoot(camera, self.times(camera, [1]))
         colours = (3,) if controls.layout is Layout.RGB else ()
@@ -50,7 +50,7 @@ class CameraConformance(LightChecks, FaultChecks):
         assert (frame.black, frame.white) == (controls.black, controls.white)
 
     def test_the_response_is_known_or_said_to_be_assumed(self, camera: Camera) -> None:
-        """`response_origin` is one of its values; that of raw samples is known."""
+        """`response_origin` is one of its values; the response of raw samples is known."""
         controls = camera.controls
         assert isinstance(controls.response_origin, ResponseOrigin)
         assert not (controls.layout.is_mosaic and controls.has_assumed_response), (
@@ -81,7 +81,7 @@ class CameraConformance(LightChecks, FaultChecks):
         assert self.shoot(camera, []) == []
 
     def test_light_is_proportional_to_the_exposure(self, camera: Camera) -> None:
-        """Every frame has the exposure that it reports, and not that of an earlier setting."""
+        """Every frame has the exposure that it reports, not the one of an earlier setting."""
         settings = self.times(camera, [1, 0.25, 1, 0.5, 0.25])
         frames = self.shoot(camera, settings)
         compared = [self.check_light(camera, frames[0], frame) for frame in frames[1:]]

@@ -17,7 +17,8 @@ from camctl.testing.suite import UNUSABLE, CameraSuite
 _STEP = 2.0
 # How far quantisation may move the mean of a block, levels.
 _QUANTISATION = 0.3
-# Where the irradiance should be this many times that of white, a sample must be saturated.
+# Where the irradiance should be this many times the irradiance of white, a sample must be
+# saturated.
 _SURELY_WHITE = 1.5
 _LEAST_WHITE_SHARE = 0.98
 # How far below white a saturated sample may lie beside a dark one in a JPEG file.
@@ -39,7 +40,7 @@ class LightChecks(CameraSuite):
     def test_light_follows_the_control_over_its_whole_range(
         self, camera: Camera, control: str
     ) -> None:
-        """From one end of a control to the other, the light is that of the stated settings.
+        """From one end of a control to the other, the light follows the stated settings.
 
         The other controls compensate as far as they can, so that most frames are neither black nor
         white.  Where a frame must be white, it is.

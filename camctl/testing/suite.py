@@ -34,10 +34,10 @@ _QUANTISATION = 0.3
 
 @dataclass(frozen=True)
 class Comparison:
-    """The light of one frame against that of another, on samples that are usable in both.
+    """The light of two frames compared, on samples that are usable in both frames.
 
     Attributes:
-        ratio: mean irradiance of the second over that of the first
+        ratio: mean irradiance of the second over mean irradiance of the first
         level: mean brightness of the darker frame, levels
     """
 

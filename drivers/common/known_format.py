@@ -67,7 +67,7 @@ def saved_format(info: CameraInfo, format_name: str | None) -> KnownFormat | Non
 
 
 class WrongFormatError(CameraError):
-    """The camera saves files of other formats than that of the frames."""
+    """The camera saves files in another format than the frames."""
 
 
 class FormatChangedError(CameraProtocolError):
@@ -92,7 +92,7 @@ def matched_pixels(still: Still, known: KnownFormat, name: str) -> tuple[Pixels,
         name: of the file, for errors
 
     Raises:
-        FormatChangedError: size, layout, bits or levels differ from those of `known`
+        FormatChangedError: size, layout, bits or levels differ from `known`
     """
     record, shape = known.record, still.pixels.shape[:2]
     same = (shape, still.layout, still.bits) == (

@@ -110,7 +110,7 @@ def usb_error(error: usb.core.USBError, name: str) -> CameraError:
 
 @contextmanager
 def typed_usb_errors(name: str) -> Iterator[None]:
-    """Turn pyusb's errors into those of `camctl.errors`; `name` is the device's name in them."""
+    """Turn pyusb's errors into `camctl.errors`; `name` is the device's name in them."""
     try:
         yield
     except usb.core.NoBackendError:

@@ -28,7 +28,7 @@ _TEST_PICTURE_S = 1 / 60
 
 
 class CoolpixOptions(ResponseOptions):
-    """Options of a CoolPix, beside those of `ResponseOptions`.
+    """Options of a CoolPix, besides `ResponseOptions`.
 
     Attributes:
         format: of the frames' files

@@ -20,7 +20,7 @@ _US_PER_S = 1_000_000
 # A setting is written again once if the session ended between writing and reading it.
 _ATTEMPTS = 2
 
-# Nominal times: 1/n s, then s, in third and half stops, and those of the CoolPix 880.
+# Nominal times: 1/n s, then s, in third and half stops, and the times of the CoolPix 880.
 _DENOMINATORS = (
     *(1000, 800, 750, 640, 500, 400, 350, 320, 250, 200, 180, 160, 125, 100, 90, 80, 60, 50, 45),
     *(40, 30, 25, 20, 15, 13, 10, 8, 6, 5, 4, 3, 2.5, 2, 1.6, 1.5, 1.3),

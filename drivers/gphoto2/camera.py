@@ -46,7 +46,7 @@ _TEST_PICTURE_S = 0.01
 
 
 class Gphoto2Options(ResponseOptions):
-    """Options of a camera through libgphoto2, beside those of `ResponseOptions`.
+    """Options of a camera through libgphoto2, besides `ResponseOptions`.
 
     Attributes:
         format: of the frames' files; "auto": the best that the camera is set to save
@@ -240,7 +240,7 @@ class Gphoto2Camera(CameraBase):
         return data
 
     def _delete_fetched(self) -> bool:
-        """Delete the files that were fetched: those in its memory, and others if requested.
+        """Delete the fetched files: from its memory always, from its card if requested.
 
         It takes libgphoto2 0.3 s a file, so it is done when the memory is full, and at the end.
         """

@@ -26,7 +26,7 @@ from camctl.interface.clock import Clock
 from drivers.common.device_holders import holding
 
 #: Silence after which the process counts as hanging, s: longer than all time-outs of libgphoto2
-#: but that of a capture.
+#: but its time-out of a capture.
 SILENCE_S = 60.0
 #: A busy camera is asked again after the first pause, then after twice that, and so on, s.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.05, 2.0

@@ -45,7 +45,7 @@ class PtpBackend:
         )
 
     def open(self, address: str, options: Mapping[str, str]) -> PtpCamera:
-        """Return the open camera at `address`; `options` are those of `PtpOptions`.
+        """Return the open camera at `address`; `options` as in `PtpOptions`.
 
         Raises:
             CameraNotFoundError: no such camera, libusb missing, or no permission

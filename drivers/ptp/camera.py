@@ -63,7 +63,7 @@ _CLOSE_S = 5.0
 
 
 class PtpOptions(ResponseOptions):
-    """Options of a PTP camera, beside those of `ResponseOptions`.
+    """Options of a PTP camera, besides `ResponseOptions`.
 
     Attributes:
         format: of the frames' files; "auto": the first of raw, tiff and jpeg that the camera saves

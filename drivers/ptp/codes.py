@@ -74,7 +74,7 @@ class Op(IntEnum):
 
 
 class Event(IntEnum):
-    """Events; those of Canon are record types in the answer to EOS_EVENTS."""
+    """Events; Canon's events are record types in the answer to EOS_EVENTS."""
 
     OBJECT_ADDED = 0x4002
     STORE_FULL = 0x400A

@@ -1,7 +1,7 @@
 """Dialects of PTP: what the standard and each maker use to set an exposure and to take a picture.
 
 This module has the form of a dialect, and the standard's (ISO 15740), which alone is published;
-those of the makers are in `drivers.ptp.makers`.
+the dialects of the makers are in `drivers.ptp.makers`.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ _EOS_THIRDS = {3: 1 / 3, 5: 2 / 3}
 
 
 def _eos_stops(steps: int) -> float:
-    """Return stops from the difference of Canon's codes to that of a whole stop."""
+    """Return stops from the difference of a Canon code to the code of a whole stop."""
     whole, eighths = divmod(steps, 8)
     return whole + _EOS_THIRDS.get(eighths, eighths / 8)
 
@@ -110,7 +110,7 @@ def eos_gain(code: int) -> float | None:
     return float(2.0 ** _eos_stops(code - 0x48)) if 0x28 <= code <= 0xB8 else None
 
 
-# Fuji's numbers from 64 s on count minutes in their last digits; those of 2 to 60 minutes are
+# Fuji's numbers from 64 s on count minutes in their last digits; numbers of 2 to 60 minutes are
 # labels whose true times are not known.
 _FUJI_LONGEST = 64_000_000
 
@@ -162,8 +162,8 @@ def hundredths(number: int) -> float | None:
     return number / 100 if 0 < number < 0xFFFE else None
 
 
-# ISO numbers above 1,000 are multiples of 50; others, and those from FF00 to FFFF and from F0000000
-# on, are automatic or the maker's own.
+# ISO numbers above 1,000 are multiples of 50; others, and numbers from FF00 to FFFF and from
+# F0000000 on, are automatic or the maker's own.
 _ISO_STEP = 50
 
 

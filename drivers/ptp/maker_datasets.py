@@ -71,7 +71,7 @@ class EosEvents:
 
 
 def _eos_records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield (type, body) of each record up to the one of type 0, which ends the list."""
+    """Yield (type, body) of each record up to a record of type 0, which ends the list."""
     reader = Reader(data, "list of events")
     while reader.left >= _EOS_HEADER_BYTES:
         size, kind = reader.u32(), reader.u32()

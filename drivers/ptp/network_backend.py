@@ -20,7 +20,7 @@ DRIVER = "ptpip"
 
 
 class NetworkOptions(PtpOptions):
-    """Options of a camera in the network, beside those of `PtpOptions`.
+    """Options of a camera in the network, besides `PtpOptions`.
 
     Attributes:
         guid: number by which the camera recognises a computer, 32 hexadecimal digits; None: one
@@ -94,7 +94,7 @@ class NetworkBackend:
         return ()
 
     def open(self, address: str, options: Mapping[str, Any]) -> NetworkCamera:
-        """Return the open camera at `address`; `options` are those of `NetworkOptions`.
+        """Return the open camera at `address`; `options` as in `NetworkOptions`.
 
         Raises:
             UsageError: an invalid address, an unknown option, or an invalid value

@@ -97,7 +97,7 @@ class Address:
         return cls(match[1] or match[2], port)
 
 
-#: Opens one more connection to a camera; the errors are those of `camctl.errors`.
+#: Opens one more connection to a camera; its errors are `camctl.errors`.
 Connect = Callable[[Address], Link]
 
 
@@ -205,7 +205,7 @@ class PacketLink:
         if not known or not HEADER.size <= length <= _MAX_PACKET_BYTES:
             raise CameraProtocolError(
                 f"{self.name} sent bytes that are no PTP/IP packet",
-                hint="check that the address is that of a camera, then try again",
+                hint="check that the address belongs to a camera, then try again",
             )
         self._fill(length, silence_s)
         body = bytes(memoryview(self._received)[HEADER.size : length])

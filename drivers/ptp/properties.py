@@ -263,7 +263,7 @@ class Properties:
         """Set a property; the result is not read back."""
         code, task = description.code, f"set property {description.code:04X}"
         if code > _LAST_STANDARD_CODE:
-            # What is set has the next code after that of the description.
+            # The code to set is the next one after the code of the description.
             data = pack_panasonic_property(code + 1, number, description.data_type)
             self._session.call(Op.PANASONIC_SET, code + 1, task=task, data=data)
             return

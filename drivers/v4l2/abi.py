@@ -1,7 +1,7 @@
 """The kernel's interface to video devices: the V4L2 ioctls that the driver uses, and their data.
 
-Source of numbers and layouts: linux/videodev2.h and linux/v4l2-controls.h.  The structures are
-those of 64-bit Linux; a test compares their sizes and the ioctl numbers with the kernel's.
+Source of numbers and layouts: linux/videodev2.h and linux/v4l2-controls.h.  The structures have
+the layout of 64-bit Linux; a test compares their sizes and the ioctl numbers with the kernel's.
 """
 
 from __future__ import annotations

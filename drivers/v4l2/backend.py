@@ -48,7 +48,7 @@ def _check_system() -> None:
 def find_cameras(root: Path = Path("/"), kernel: Kernel | None = None) -> list[CameraInfo]:
     """Return the cameras whose nodes can be opened; no stream is started.
 
-    A UVC camera has a node for metadata beside the one for video; only the latter counts.
+    A UVC camera has a node for metadata beside its node for video; only the latter counts.
 
     Raises:
         CameraError: there are nodes, and none can be opened

@@ -95,7 +95,7 @@ class TimeUnit:
     per_s: float
 
 
-#: The gain of webcams, and that of image sensors.
+#: The gain of webcams, and the gain of image sensors.
 GAINS = (ControlId.GAIN, ControlId.ANALOGUE_GAIN)
 
 

@@ -97,7 +97,7 @@ FORMATS: tuple[PixelFormat, ...] = (
 
 
 def choose_format(offered: Sequence[int], name: str, path: str) -> PixelFormat:
-    """Return the requested one of the pixel formats offered, or the one of highest fidelity.
+    """Return the requested pixel format if it is offered, or the one that loses least.
 
     `name` is a name of `FORMATS`, "bayer" for the Bayer format with the most bits, or "auto".
 
@@ -164,7 +164,7 @@ def sample_scale(
         format_: the pixel format
         current: what V4L2 reports of the format that is set
         bits: bits that samples of 16 bits use; None: all
-        black: brightness without light, DN; None: that of the range
+        black: brightness without light, DN; None: the lower end of the luma range
         luma_range: "auto", "full" or "limited"
         response: one of `camctl.model.response.camera.RESPONSES`, or "auto"
 

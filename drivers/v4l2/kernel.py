@@ -1,4 +1,4 @@
-"""The system calls for a video node, and those of the running Linux."""
+"""The system calls for a video node: the port, and the running Linux behind it."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class Packing:
         Args:
             data: its bytes
             shape: (rows, columns)
-            line_bytes: from the start of a line to that of the next, where lines are padded
+            line_bytes: from the start of a line to the start of the next, where lines are padded
 
         Raises:
             DamagedFrameError: bytes are missing, or they cannot be decoded
@@ -90,7 +90,7 @@ def _second_of_two(data: Bytes, shape: Shape) -> Pixels:
 def _mipi(bits: int, count: int, data: Bytes, shape: Shape) -> Pixels:
     """Unpack groups of bytes: the upper 8 bits of `count` samples, then all their lower bits.
 
-    The lower bits are one little-endian number, with those of the first sample lowest.
+    The lower bits are one little-endian number, with the bits of the first sample lowest.
     """
     lower_bits = bits - 8
     groups = data.reshape(-1, count * bits // 8).astype(np.uint32)

@@ -50,7 +50,7 @@ class WebPanel:
 
     Args:
         address: ``PORT`` or ``HOST:PORT``; a host other than the loopback interface needs a token
-        token: what a browser must know; None: the one in the environment, "" none
+        token: what a browser must know; None: the token in the environment, "": no token
     """
 
     def __init__(self, address: str = str(DEFAULT_PORT), *, token: str | None = None) -> None:

@@ -58,7 +58,7 @@ class VirtualSensor:
         """Return a picture exposed for `time_s` at linear `gain`, with the noise of frame `number`.
 
         (rows, columns), or (rows, columns, 3) as RGB; uint8 up to 8 bits, else uint16; read-only
-        with `repeat_noise`.  It is then bit for bit that of a `SimulatedCamera` with
+        with `repeat_noise`.  It is then bit for bit the frame of a `SimulatedCamera` with
         `repeat_noise`, the same scene, sensor and seed.
         """
         with self._lock:

@@ -4,9 +4,9 @@ The noise is bounded (``|z| <= largest_noise()``), so that the bound is certain 
 With S the set of effects left out, in the order in which light goes through them:
 
 1. *Light.*  Each effect of lens and motion is an average of light with weights >= 0 and sum 1, so
-   that a difference before it does not grow; the changes of those in S add up to ``alpha``.
-2. *Factors.*  Those that run multiply ``alpha`` by at most their largest product; those in S change
-   the light by at most the share R, the largest distance of their product from 1.
+   that a difference before it does not grow; the changes of the effects in S add up to ``alpha``.
+2. *Factors.*  Effects that run multiply ``alpha`` by at most their largest product; effects in S
+   change the light by at most the share R, the largest distance of their product from 1.
 3. *Mean.*  ``d = (electrons for one photon a second) alpha + (changes by dark signal, lag, ...)``.
 4. *Photon noise* of mean m is ``m + s z + a (z^2 - 1)`` with ``a = m / (6 m + 0.2)`` and
    ``s^2 = m - 2 a^2``.  s^2 grows with a slope between 0.5 and 1, and a is concave, so that for an

@@ -117,7 +117,7 @@ def plan_frame(
         tolerance_dn: largest allowed change of any sample before the ADC; 0 leaves out only what
             changes no bit
         left_out: names of the effects to leave out instead, whatever that changes
-        bounds: those of `shot`, where the caller has them
+        bounds: the bounds of `shot`, where the caller has them
 
     Raises:
         UsageError: an invalid tolerance; an unknown effect in `left_out`

@@ -103,8 +103,7 @@ def _airy_intensity() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def airy_kernel(radius_px: float) -> NDArray[np.float64]:
     """Return the Airy disk averaged over pixels, with sum 1, up to its third dark ring.
 
-    The light beyond that ring, 6 %, is spread over the rest.  `radius_px` is that of the first
-    dark ring.
+    The light beyond that ring, 6 %, is spread over the rest.  `radius_px`: of the first dark ring.
     """
     reach = max(1, math.ceil(radius_px * _THIRD_ZERO / _FIRST_ZERO))
     parts, side = _PARTS_OF_A_PIXEL, 2 * reach + 1
@@ -123,7 +122,7 @@ def _diffraction(planes: Light, shot: Shot) -> Light:
         here = (..., number) if planes.ndim == 3 else (...,)
         kernel = airy_kernel(shot.sensor.airy_radius_px(length_um))
         # In double precision, since large kernels are applied by a Fourier transform, whose
-        # rounding is that of the brightest light; it may leave less than nothing, too.
+        # rounding error is relative to the brightest light; results may be negative.
         wide = cv2.filter2D(
             planes[here].astype(np.float64), -1, kernel, borderType=cv2.BORDER_REFLECT
         )

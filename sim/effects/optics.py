@@ -93,9 +93,9 @@ def _vignetting(light: Light, shot: Shot) -> Light:
 def _vignetting_bend(shot: Shot) -> float:
     """Return by how much vignetting can enlarge second differences, along rows plus along columns.
 
-    The second difference of a product V E is at most that of E, plus twice the product of the
-    slopes, plus E times the second difference of V; at a border, which is mirrored, plus E times
-    the slope of V instead.  A slope of E is at most its range.
+    The second difference of a product V E is at most the second difference of E, plus twice the
+    product of the slopes, plus E times the second difference of V; at a border, which is mirrored,
+    plus E times the slope of V instead.  A slope of E is at most its range.
     """
     s = shot.statistics
     loss, *edges = _vignetting_loss(shot)

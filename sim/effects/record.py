@@ -163,7 +163,7 @@ class Shot:
 
     @property
     def lag_ratio(self) -> float:
-        """Exposure time of the frame before over that of this frame."""
+        """Exposure time of the frame before over the exposure time of this frame."""
         return 1.0 if self.previous_s is None else self.previous_s / self.time_s
 
     @property

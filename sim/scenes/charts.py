@@ -11,7 +11,7 @@ Light = NDArray[np.float32]
 
 _EDGE_DEGREES = 5.0
 _EDGE_CONTRAST = 4.0
-_ROWS_OF_A_PIXEL = 16  # at which an edge is drawn exactly; their mean is that of the pixel
+_ROWS_OF_A_PIXEL = 16  # at which an edge is drawn exactly; their mean is the light of the pixel
 
 _STEPS = (4, 5)  # rows and columns of the grey steps
 _STEPS_RANGE = 10_000.0

@@ -34,7 +34,7 @@ LUMINANCE = "candela per square metre"
 
 HIGHLIGHT_CD_M2 = 464.8576
 """Luminance that the highlight of a radiance map gets, and that the brightest diffuse part of six
-built-in scenes has, about that of white paper in 1,500 lux: the standard sensor, at f/4 and
+built-in scenes has, about as white paper in 1,500 lux: the standard sensor, at f/4 and
 3.45 um, sees a million photons a pixel a second, and is filled by them in 20 ms."""
 
 _HIGHLIGHT_QUANTILE = 0.999  # of a map's positive irradiance

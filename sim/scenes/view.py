@@ -66,7 +66,7 @@ class Statistics:
     """Statistics of a scene's light, in photons a sample a second.
 
     Attributes:
-        least, most: of all light, that of a moving target included
+        least, most: of all light, a moving target included
         bend: largest second difference along rows plus that along columns, borders mirrored
         slopes: largest first difference from row to row, and from column to column
         drift: largest change of light if the target moves by one pixel; 0 without a target

@@ -67,7 +67,7 @@ class Dark(FileModel):
 
     @property
     def rate_factor(self) -> float:
-        """Rates at `temperature_c` over those at `reference_c`."""
+        """Rates at `temperature_c` over the rates at `reference_c`."""
         return math.exp2((self.temperature_c - self.reference_c) / self.doubling_k)
 
     @model_validator(mode="after")
@@ -118,7 +118,7 @@ class ReadOut(FileModel):
         rts_e: largest step of such a signal, electrons; the steps are spread evenly from 0 to it
         reset_s: seconds from the reset of a pixel to the reading of its reset level, for which
             light as bright as the sun fills that level; CMOS sensors only
-        row_s: seconds from the exposure of one row to that of the next; 0 is a global shutter
+        row_s: seconds from the exposure of one row to the next row; 0 is a global shutter
         nonlinearity_dn: bow of the ADC in the middle of its range, DN
         cosmic_rate_s: hits on a million pixels a second (0.002 at sea level for 3.45 um)
         cosmic_e: mean charge of a hit, electrons

@@ -33,7 +33,7 @@ class CameraResponse:
         notes: repairs made to a measured curve, one line each
         exponent_error: standard deviation of the exponent of a measured curve: where it is e, all
             ratios r of irradiances may be wrong by the same power, r^(1 + e)
-        deviation: (M,) standard deviation of ln(E_k) of a measured curve, relative to that at half
+        deviation: (M,) standard deviation of ln(E_k) of a measured curve, relative to ln(E) at half
             the brightness; infinite where the curve only continues what was measured; None: exact
         scale_error: the same of E = 1
 
@@ -88,7 +88,7 @@ class CameraResponse:
         """Return the slope of brightness in levels per unit of irradiance, in the shape of E.
 
         The slope is one level per gap (m levels where m coincide).  Below the first level it is the
-        slope of the first gap, above the last level that of the last one: the caller must handle
+        slope of the first gap, above the last level of the last gap: the caller must handle
         saturation.
         """
         distinct, counts = np.unique(self.levels, return_counts=True)

@@ -223,7 +223,7 @@ def read_curve(
     """Return a measured response from a text file of two columns, irradiance and brightness.
 
     Columns are separated by blanks, tabs, commas or semicolons; ``#`` starts a comment.  `bits`,
-    `phase` and `levels` are those of `measured_response`.
+    `phase` and `levels` as in `measured_response`.
 
     Raises:
         UsageError: bits or phase are out of range

@@ -73,7 +73,7 @@ class BodyFacts(BaseModel):
         make, model, version, extension: of its device information
         operations: that it lists; none: its summary does not say ..
         captures: .. but names the ways in which it takes pictures
-        listed: properties that its information lists, with those of the maker's operations; none:
+        listed: properties that its information or the maker's operations list; none:
             its summary does not say
         hidden: properties that only a maker's operation lists
         access: access to its card, ISO 15740 section 5.5.3; None: not recorded

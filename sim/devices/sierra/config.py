@@ -1,8 +1,8 @@
 """A Nikon CoolPix 990: its registers, and the options and faults of the virtual one.
 
-Numbers and meanings of registers are those of the lists that libgphoto2 and photopc publish for the
+Numbers and meanings of registers are from the lists that libgphoto2 and photopc publish for the
 Sierra protocol.  The real camera's shutter times and f-numbers are not documented: the times here
-are those listed for the CoolPix 880, the f-numbers those of the data sheet at the wide end of the
+are listed for the CoolPix 880, and the f-numbers are from the data sheet at the wide end of the
 zoom.
 """
 

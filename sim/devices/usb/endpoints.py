@@ -1,6 +1,6 @@
 """Parsed USB descriptors, and the queues of IN endpoints.
 
-Layouts and field names of descriptors are those of USB 2.0, section 9.6.
+Layouts and field names of descriptors are from USB 2.0, section 9.6.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class UsbIpConnection:
         unanswered: sequence numbers of control requests without a reply
         last_submitted: sequence number of the last transfer; they increase
         early_unlinks: unlink requests that came before their transfer: their own sequence number by
-            that of the transfer
+            the number of the transfer
     """
 
     device: UsbDevice

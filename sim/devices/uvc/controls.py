@@ -1,6 +1,6 @@
 """The controls of a virtual webcam's camera terminal and processing unit.
 
-Section numbers are those of "USB Device Class Definition for Video Devices", revision 1.1.
+Section numbers are from "USB Device Class Definition for Video Devices", revision 1.1.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Options, pixel formats and descriptors (USB Video Class 1.0) of a virtual webcam.
 
-Section numbers are those of "USB Device Class Definition for Video Devices", revision 1.1; format
-identifiers are those that Linux's uvcvideo maps to V4L2 pixel formats.
+Section numbers are from "USB Device Class Definition for Video Devices", revision 1.1; format
+identifiers are known to Linux's uvcvideo, which maps them to V4L2 pixel formats.
 """
 
 from __future__ import annotations
