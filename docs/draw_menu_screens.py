@@ -20,7 +20,7 @@ import numpy as np
 import camctl
 from camctl.errors import CamctlError
 from camctl.interface.camera import Camera
-from camctl.records.file_names import REPORT
+from camctl.records import REPORT
 from camctl.system.picture_operations import png
 from menu import camera_job
 from menu.camera_job import CameraJob

@@ -22,6 +22,7 @@ from camctl.errors import (
 from camctl.exposure.goal import AUTO
 from camctl.interface.backends import list_cameras
 from camctl.interface.camera import Camera, PreviewingCamera
+from camctl.messages.menu import error_text
 from camctl.records.request import CaptureRequest
 from camctl.system.memory import return_free_memory
 from menu.capture_list import list_captures, next_folder
@@ -135,7 +136,7 @@ class CameraJob:
         try:
             metered = meter(source)
         except CaptureError as error:
-            return replace(reading, remark=str(error))
+            return replace(reading, remark=error_text(error))
         frame = source.take(metered.setting)
         return replace(
             reading,

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from camctl.errors import CamctlError
-from camctl.records.file_names import REPORT
+from camctl.records import REPORT
 from camctl.system.input_files import read_own_file
 from menu.data import Past
 

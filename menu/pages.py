@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import camctl
@@ -61,19 +60,9 @@ def idle(model: Model) -> Screen:
     )
 
 
-_COMMANDS = (
-    (r"\w[\w ]*: camctl shoot --resume .*", "Menu, Captures: enter shoots the missing ones"),
-    (r"camctl cameras\b.*", "Other camera lists what is connected"),
-)
-"""Commands that errors name, and what a user who has only the panel does in their place."""
-
-
 def failure(model: Model) -> Screen:
     """Return the message of the last failure."""
-    text = model.error
-    for command, instead in _COMMANDS:
-        text = re.sub(command, instead, text, flags=re.DOTALL)
-    return replace(BLANK, paragraphs=(text,))
+    return replace(BLANK, paragraphs=(model.error,))
 
 
 def confirm(_: Model) -> Screen:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from camctl.interface.camera import CameraInfo
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
+from camctl.messages.menu import finding_text
 from menu.data import CameraEntry, Plan, Progress, Summary
 from menu.text import format_exact_time
 from menu.thumbnails import preview_picture
@@ -49,7 +50,7 @@ def plan_view(plan: CapturePlan, request: CaptureRequest) -> Plan:
         xi=plan.xi,
         levels_wanted=plan.levels_wanted,
         dynamic_range=plan.dynamic_range,
-        warnings=plan.warnings,
+        warnings=tuple(map(finding_text, plan.findings)),
         handle=(plan, request),
     )
 
@@ -77,7 +78,7 @@ def summary_view(report: CaptureReport, folder: Path) -> Summary:
         planned_levels=report.plan.effective_levels,
         saturated=report.achieved.saturated_fraction,
         folder=str(folder),
-        notes=tuple(report.warnings),
+        notes=tuple(map(finding_text, report.findings)),
         untrustworthy_because=report.untrustworthy_because or "",
         histogram=tuple(report.achieved.light_shares),
         picture=preview_picture(folder),

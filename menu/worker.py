@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 
 from camctl.errors import CamctlError, InterruptedCaptureError
+from camctl.messages.menu import error_text
 from camctl.system.interrupts import uninterrupted
 from menu.data import Choice, Past, Plan, Settings
 from menu.ports import Job
@@ -21,7 +22,7 @@ _CAPTURES = (Work.SHOOT, Work.RESUME)
 def failure_text(error: Exception) -> str:
     """Return what the menu shows of an error."""
     if isinstance(error, CamctlError):
-        return str(error)
+        return error_text(error)
     return f"internal error: {type(error).__name__}: {error}"
 
 

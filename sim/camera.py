@@ -152,7 +152,7 @@ class SimulatedCamera(CameraBase):
 
     @property
     def unused_faults(self) -> list[str]:
-        """Faults of frames that were not taken yet, as `--fault` has them."""
+        """Faults of frames that were not taken yet, as the option `faults` has them."""
         return self._faults.unused(self._frames_returned)
 
     @property

@@ -1,4 +1,4 @@
-"""Faults of the simulated hardware, for tests: as Python, as JSON, or as the text of `--fault`."""
+"""Faults of the simulated hardware, for tests: as Python, as JSON, or as the text of an option."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Faults:
         return light
 
     def unused(self, frames: int) -> list[str]:
-        """Return the faults of frames that a camera did not come to, as `--fault` has them.
+        """Return the faults of frames that a camera did not come to, as the text has them.
 
         Args:
             frames: that it has returned

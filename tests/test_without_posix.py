@@ -83,7 +83,7 @@ def test_v4l2_backend_reports_that_it_needs_linux(tmp_path: Path) -> None:
 
 
 def test_commands_that_need_no_device(tmp_path: Path) -> None:
-    run(command("shoot --size 64x48 --ratios 1,4 -o out"), tmp_path)
+    run(command("shoot -O size=64x48 --ratios 1,4 -o out"), tmp_path)
     assert (tmp_path / "out" / "radiance.exr").exists()
     assert "exposures" in run(command("solve -n 2 --bits 4"), tmp_path)
     assert "sim" in run(command("cameras"), tmp_path)

@@ -12,10 +12,11 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from camctl.interface.camera import Camera, Frame, Pixels
 from camctl.interface.controls import Layout
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.frame import StoredFrame
-from camctl.records.frame_store import CaptureStore
+from camctl.records.frame_store import AfterFailure, CaptureStore
 from camctl.records.report import CaptureReport, UnfinishedCapture
 from camctl.records.report_file import clean_details
 from camctl.system.interrupts import uninterrupted
@@ -105,11 +106,13 @@ class Sequence:
             raise self._failure(error.what, InterruptedCaptureError) from None
         except CamctlError as error:
             kind = type(error) if _is_made_from_message(error) else CaptureError
-            raise self._failure(str(error), kind) from error
+            raise self._failure(str(error), kind, error.remedies) from error
         except Exception as error:
             if (refused := resource_error(error)) is not None:
                 raise self._failure(str(refused), type(refused)) from error
-            error.add_note("; ".join(self._kept()))
+            after = self._kept()
+            error.add_note(f"{after.kept}; {after.hint}")
+            vars(error)["remedies"] = after.remedies  # as an error of camctl has them
             raise
         finally:
             return_free_memory()
@@ -118,12 +121,18 @@ class Sequence:
     def _done(self) -> int:
         return sum(frame is not None for frame in self._capture.frames)
 
-    def _failure(self, what: str, kind: type[CamctlError]) -> CamctlError:
+    def _failure(
+        self, what: str, kind: type[CamctlError], remedies: Mapping[str, Any] | None = None
+    ) -> CamctlError:
         """Return the error with the number of frames that are kept, and how to go on."""
-        kept, hint = self._kept()
-        return kind(f"{what}; {kept}", hint=hint)
+        after = self._kept()
+        return kind(
+            f"{what}; {after.kept}",
+            hint=after.hint,
+            remedies={**(remedies or {}), **after.remedies},
+        )
 
-    def _kept(self) -> tuple[str, str]:
+    def _kept(self) -> AfterFailure:
         return self._store.after_failure(self._done, len(self._capture.frames))
 
     def _planned_wall_s(self, positions: list[int]) -> float:

@@ -164,5 +164,5 @@ def already_complete(directory: Path, report: CaptureReport) -> DataError:
         report.frame(position)
     return DataError(
         f"the capture in {directory} is complete: all {len(report.frames)} frames were shot",
-        hint="take another picture with camctl shoot",
+        hint="take another picture",
     )

@@ -23,7 +23,6 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
-from camctl.records.file_names import resume_command
 from camctl.records.folder import CaptureFolder
 from camctl.records.journal import SERIES, SeriesJournal, SetRecord
 from camctl.records.report import CaptureReport
@@ -41,6 +40,8 @@ _SPACE_MARGIN = 1.25
 #: A series without an interval and without keys ends after so many failed sets in a row: else it
 #: would go through all its numbers while nobody looks.
 _MOST_FAILURES = 3
+
+_GO_ON = "go on with the series"
 
 TAKE_KEYS, PAUSE_KEYS, STOP_KEYS = (" ", "\n", "\r"), ("p", "P"), ("q", "Q", "\x1b")
 
@@ -92,7 +93,9 @@ class Series:
             except (KeyboardInterrupt, InterruptedCaptureError) as error:
                 what = error.what if isinstance(error, InterruptedCaptureError) else str(error)
                 raise InterruptedCaptureError(
-                    f"{what or 'interrupted'}; {self._done_text()}", hint=self._hint()
+                    f"{what or 'interrupted'}; {self._done_text()}",
+                    hint=_GO_ON,
+                    remedies=self._remedies,
                 ) from None
         return self.journal
 
@@ -198,7 +201,8 @@ class Series:
             raise StorageError(
                 f"the disk has {free / 1e6:,.0f} MB free and the next set needs about "
                 f"{needed / 1e6:,.0f} MB; {self._done_text()}",
-                hint=f"free some space, and {self._hint()}",
+                hint=f"free some space, and {_GO_ON}",
+                remedies=self._remedies,
             )
 
     def _check_failures(self) -> None:
@@ -209,7 +213,8 @@ class Series:
             raise CameraError(
                 f"{_MOST_FAILURES} sets in a row have failed: {last[-1].error}; "
                 f"{self._done_text()}",
-                hint=f"mend that, and {self._hint()}",
+                hint=f"mend that, and {_GO_ON}",
+                remedies=self._remedies,
             )
 
     # ---- when the next set begins
@@ -319,8 +324,9 @@ class Series:
         of = "" if total is None else f" of {total}"
         return f"{self.journal.completed}{of} sets are complete"
 
-    def _hint(self) -> str:
-        return f"go on with: {resume_command(self.directory)}"
+    @property
+    def _remedies(self) -> dict[str, Path]:
+        return {"resume": self.directory}
 
 
 def _folder_bytes(directory: Path) -> int:

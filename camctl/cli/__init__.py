@@ -31,6 +31,9 @@ _LONG_NAME = re.compile(r"\S{300,}")
 
 COMMANDS = (
     "shoot",
+    "series",
+    "preview",
+    "resume",
     "merge",
     "menu",
     "cameras",

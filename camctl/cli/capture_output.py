@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
+
+import click
 
 from camctl.cli.output import (
     format_duration,
@@ -17,6 +19,10 @@ from camctl.cli.output import (
     format_percent,
     format_request,
     format_table,
+    print_finding,
+    print_json,
+    print_text,
+    print_warning,
     progress_bar,
 )
 from camctl.system.number_text import range_text
@@ -28,6 +34,9 @@ if TYPE_CHECKING:
     from camctl.records.capture_plan import CapturePlan
     from camctl.records.report import CaptureReport
     from camctl.records.scene_light import PlannedLight
+
+Complete: TypeAlias = "Callable[[CaptureReport], CaptureReport]"
+"""Takes the report of a complete capture, and returns it."""
 
 UNTRUSTWORTHY = 3
 """Exit status for a picture whose frames contradict their exposures."""
@@ -56,11 +65,24 @@ def new_directory(parent: Path = Path(), kind: str = "capture") -> Path:
     return next(parent / name for name in names if not (parent / name).exists())
 
 
-@contextmanager
-def noting_completion(directory: Path) -> Iterator[Callable[[CaptureReport], CaptureReport]]:
-    """Yield a function that takes the report of a complete capture, and returns it.
+def show_capture(
+    take: Callable[[Complete], CaptureReport],
+    directory: Path,
+    *,
+    as_json: bool,
+    explain: bool = False,
+    show: Callable[[CaptureReport], None] | None = None,
+) -> None:
+    """Take a capture, and print what was found and its summary.
 
-    Errors after that, such as in closing the camera or printing, get a note that it is complete.
+    Errors after it is complete, such as in closing the camera or printing, get a note of that.
+
+    Args:
+        take: takes it; passes the complete report through its argument
+        directory: of the capture
+        as_json: print the report as JSON
+        explain: also print which effects a simulated camera left out
+        show: prints the findings and the report in another way
     """
     completed: list[CaptureReport] = []
 
@@ -69,11 +91,36 @@ def noting_completion(directory: Path) -> Iterator[Callable[[CaptureReport], Cap
         return report
 
     try:
-        yield complete
+        report = take(complete)
+        if show is not None:
+            show(report)
+        else:
+            print_findings(report)
+            if as_json:
+                print_json(report.model_dump(mode="json"))
+            else:
+                print_text(capture_text(report, directory, with_bars=draws_bars()))
+            if explain and not as_json:
+                print_text("\n" + simulation_text(report))
     except BaseException as error:
         if completed:
             error.add_note(f"the capture in {directory} is complete")
         raise
+    if not report.trustworthy:
+        click.get_current_context().exit(UNTRUSTWORTHY)
+
+
+def print_findings(
+    report: CaptureReport, name_frames: Callable[[str], str] = lambda text: text
+) -> None:
+    """Print one line of warning for each finding of a report.
+
+    `name_frames` turns numbers of frames in a text into names.
+    """
+    for finding in report.findings:
+        print_finding(finding)
+    if report.untrustworthy_because is not None:
+        print_warning(f"not trustworthy: {name_frames(report.untrustworthy_because)}")
 
 
 @contextmanager

@@ -8,7 +8,8 @@ from typing import Any, TypeAlias
 
 import click
 
-from camctl.cli.output import logged_warnings, print_text, visible
+from camctl.cli.old_options import new_command, new_options
+from camctl.cli.output import logged_warnings, print_text, print_warning, visible
 from camctl.errors import UsageError, unknown_name
 
 DEBUG_KEY = "camctl.debug"
@@ -62,12 +63,17 @@ def _show_help_without_command(context: click.Context) -> None:
 
 
 class Command(click.Command):
-    """A command whose help shows examples and whose usage errors fit on one line."""
+    """A command whose help shows examples and whose usage errors fit on one line.
 
-    def __init__(self, *arguments: Any, examples: Examples = (), **settings: Any) -> None:
+    `others_refused` says why options of other commands cannot be given.
+    """
+
+    def __init__(
+        self, *arguments: Any, examples: Examples = (), others_refused: str = "", **settings: Any
+    ) -> None:
         settings["context_settings"] = _CONTEXT | settings.get("context_settings", {})
         super().__init__(*arguments, **settings)
-        self.examples = examples
+        self.examples, self._others_refused = examples, others_refused
         self.params.append(_debug_option())
 
     def get_help_option(self, ctx: click.Context) -> click.Option | None:
@@ -100,6 +106,10 @@ class Command(click.Command):
         try:
             rest = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
+            if self._others_refused:
+                raise UsageError(
+                    f"{error.option_name} cannot be given here", hint=self._others_refused
+                ) from error
             names = [name for option in self.get_params(ctx) for name in option.opts]
             long = [name for name in names if name.startswith("--")]
             raise unknown_name("option", error.option_name, long) from error
@@ -157,11 +167,18 @@ class LazyGroup(Command, click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the command that the first argument names; `UsageError` for an unknown one."""
-        name = args[0]
+        name, rest = args[0], args[1:]
+        remarks: list[str] = []
+        if name == "shoot" and not ctx.resilient_parsing:
+            name, rest, remarks = new_command(rest)
         command = self.get_command(ctx, name)
         if command is None and not ctx.resilient_parsing:
             raise unknown_name("command", name, self.list_commands(ctx))
-        return name if command else None, command, args[1:]
+        if command is not None and not ctx.resilient_parsing:
+            rest, more = new_options(command, rest)
+            for remark in remarks + more:
+                print_warning(remark)
+        return name if command else None, command, rest
 
 
 def command(

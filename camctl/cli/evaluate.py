@@ -9,7 +9,6 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.noise_options import KnownCamera, NoiseOptions, noise_options
 from camctl.cli.output import (
     format_effective,
     format_fields,
@@ -21,15 +20,15 @@ from camctl.cli.output import (
     print_warning,
 )
 from camctl.cli.parameter_types import Ratios
-from camctl.cli.response_options import (
-    DesiredOptions,
-    ObjectiveOptions,
+from camctl.cli.real_camera import (
+    KnownCamera,
+    NoiseOptions,
     RealCameraOptions,
-    desired_options,
-    levels_wanted,
-    objective_options,
+    noise_options,
     real_camera_options,
 )
+from camctl.cli.request_options import RequestOptions, request_options
+from camctl.cli.search_options import ObjectiveOptions, objective_options
 from camctl.cli.sensitivity import sensitivity_json, sensitivity_text
 
 if TYPE_CHECKING:
@@ -60,9 +59,8 @@ QUICK_LEVELS = 2**16
     metavar="A,B,...",
     help="Exposures, relative to each other.",
 )
-@desired_options()
+@request_options("response", "gamma", "dynamic_range", "levels_wanted")
 @real_camera_options
-@levels_wanted
 @objective_options
 @noise_options
 @click.option(
@@ -75,9 +73,8 @@ QUICK_LEVELS = 2**16
 @options.as_json
 def evaluate(
     ratios: tuple[float, ...],
-    desired: DesiredOptions,
+    request: RequestOptions,
     real_camera: RealCameraOptions,
-    levels_wanted: float | None,
     objective: ObjectiveOptions,
     noise: NoiseOptions,
     sensitivity: bool | None,
@@ -96,8 +93,8 @@ def evaluate(
     real = camera.response
     for note in real.notes:
         print_warning(note)
-    response = desired.desired()
-    score = Objective(levels_wanted, objective.p, objective.noise_term(), objective.jitter)
+    response, wanted = request.desired(), request.get("levels_wanted")
+    score = Objective(wanted, objective.p, objective.noise_term(), objective.jitter)
     quality = evaluate_exposures(
         real, response, ratios, objective=score, noise=camera.frame_noise([1.0] * len(ratios))
     )

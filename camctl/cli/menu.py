@@ -9,10 +9,10 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.light_options import LightOptions, light_options
 from camctl.cli.options import CameraOptions
 from camctl.cli.output import print_text, print_warning, visible
 from camctl.cli.parameter_types import PANEL, PATH
+from camctl.cli.request_options import RequestOptions, request_options
 from camctl.errors import UsageError, unknown_name
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ CAMERAS, PANELS = "camctl.cameras", "camctl.panels"
     help="Panel that shows the menu: terminal (this one, with the arrow keys), "
     "cfa635:/dev/ttyUSB0, framebuffer:/dev/fb0, web[:PORT], image:DIR.",
 )
-@light_options()
+@request_options("mains_hz", "use_aperture", "spend_shutter", "estimate_ratios")
 @click.option(
     "-o",
     "--output",
@@ -62,7 +62,7 @@ CAMERAS, PANELS = "camctl.cameras", "camctl.panels"
 def menu(
     camera: CameraOptions,
     panel_id: str,
-    light: LightOptions,
+    request: RequestOptions,
     parent: Path,
     settings: Path | None,
 ) -> None:
@@ -85,11 +85,10 @@ def menu(
         return calibrated.open_camera(camera_id), {"camera": camera_id, "options": {}}
 
     def make_job() -> Job:
-        from camctl.records.request import CaptureRequest
         from menu.camera_job import CameraJob
 
-        request = CaptureRequest(**light.request_fields())
-        return CameraJob(open_camera, parent, _settings_path(settings), request=request)
+        wanted = request.request()
+        return CameraJob(open_camera, parent, _settings_path(settings), request=wanted)
 
     # What is wrong with the command line is reported before the panel is opened.
     camera.source()

@@ -11,23 +11,29 @@ import click
 
 from camctl.cli import options
 from camctl.cli.capture_output import (
-    UNTRUSTWORTHY,
     capture_text,
     new_directory,
-    noting_completion,
+    print_findings,
+    show_capture,
 )
 from camctl.cli.commands import command
 from camctl.cli.output import (
     format_duration,
     format_table,
-    print_finding,
     print_json,
     print_text,
     print_warning,
 )
-from camctl.cli.parameter_types import FILE, PATH, Name, Number, Ratios, Text
-from camctl.cli.photograph_options import BLACK_OPTION, TIMES_OPTION, WHITE_OPTION
-from camctl.cli.response_options import STANDARDS, DesiredOptions, desired_options
+from camctl.cli.parameter_types import FILE, PATH, Name, Ratios, Text
+from camctl.cli.real_camera import STANDARDS
+from camctl.cli.request_options import (
+    COUNT,
+    STOPS,
+    RequestOption,
+    RequestOptions,
+    request_options,
+)
+from camctl.errors import UsageError
 
 if TYPE_CHECKING:
     from camctl.photographs.merge import MergePlan
@@ -51,7 +57,7 @@ _source_options = options.option_group(
     SourceOptions,
     "source",
     click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILES..."),
-    TIMES_OPTION,
+    options.TIMES_OPTION,
     click.option(
         "--labels",
         type=Name("meaning of the times", ("auto", "dial", "exact")),
@@ -61,8 +67,8 @@ _source_options = options.option_group(
         "labels where all of them are usual ones.  Both are then corrected from the pixels; exact "
         "times are not.",
     ),
-    BLACK_OPTION,
-    WHITE_OPTION,
+    options.BLACK_OPTION,
+    options.WHITE_OPTION,
     click.option(
         "--curve",
         type=Text(lambda: (*STANDARDS, "linear", "power:"), files=True),
@@ -81,52 +87,24 @@ _source_options = options.option_group(
 )
 
 
-@dataclass(frozen=True)
-class ChoiceOptions:
-    """Which of the photographs are used."""
-
-    count: int | None
-    ratios: tuple[float, ...] | None
-    compensation_stops: float
-    clip_percent: float | None
-
-
-_choice_options = options.option_group(
-    ChoiceOptions,
-    "choice",
-    click.option(
-        "-n",
-        "--exposures",
-        "count",
-        type=options.COUNT,
-        metavar="N",
-        help="Number of photographs to use.  [default: as many as raise the effective levels by "
-        "5 % each]",
+_CHOICE = {
+    "count": RequestOption(
+        "Number of photographs to use.  [default: as many as raise the effective levels by 5 % "
+        "each]",
+        "N",
+        COUNT,
     ),
-    click.option(
-        "--ratios",
-        type=Ratios(),
-        metavar="A,B,...",
-        help="Exposures to use, relative to each other, instead of those chosen.",
+    "ratios": RequestOption(
+        "Exposures to use, relative to each other, instead of those chosen.", "A,B,...", Ratios()
     ),
-    click.option(
-        "--compensation",
-        "compensation_stops",
-        type=Number("a number of stops from -64 to 64, such as -1 or 0.5", least=-64, most=64),
-        default="0",
-        metavar="STOPS",
-        help="Let more of the highlights saturate, and begin with a longer photograph (-1: a "
-        "shorter one).",
+    "compensation_stops": RequestOption(
+        "Let more of the highlights saturate, and begin with a longer photograph (-1: a shorter "
+        "one).  [default: 0]",
+        "STOPS",
+        STOPS,
     ),
-    click.option(
-        "--clip",
-        "clip_percent",
-        type=Number("a percentage from 0 to 50", least=0, most=50),
-        metavar="PERCENT",
-        help="Let so many percent of the pixels, the brightest, saturate in every photograph.  "
-        "[default: lamps and reflections: at most 0.5 %, if the rest is two stops darker]",
-    ),
-)
+}
+"""Options of a request whose help pages say something else of photographs."""
 
 
 @command(
@@ -137,14 +115,14 @@ _choice_options = options.option_group(
     )
 )
 @_source_options
-@desired_options(has_light=True)
-@_choice_options
+@request_options(
+    *("response", "gamma", "dynamic_range", "clip_percent", *_CHOICE), has_light=True, **_CHOICE
+)
 @options.result_folder("merge")
 @options.as_json
 def merge(
     source: SourceOptions,
-    desired: DesiredOptions,
-    choice: ChoiceOptions,
+    request: RequestOptions,
     directory: Path | None,
     force: bool,
     as_json: bool,
@@ -159,31 +137,26 @@ def merge(
     from camctl.photographs.merge import plan_merge
     from camctl.photographs.photograph_set import PhotographOptions
     from camctl.records.folder_store import FolderStore
-    from camctl.records.request import CaptureRequest
 
-    context = click.get_current_context()
-    if choice.ratios is not None:
-        options.refuse_together(context, "--ratios", {"count"})
-    request = CaptureRequest(**desired.request_fields(), **asdict(choice))
-    directory = new_directory(kind="merge") if directory is None else directory
-    FolderStore.check_free(directory, overwrite=force)
+    if "ratios" in request and "count" in request:
+        raise UsageError("--ratios cannot be combined with -n", hint="leave one of them out")
+    folder = new_directory(kind="merge") if directory is None else directory
+    FolderStore.check_free(folder, overwrite=force)
     known = asdict(source)
-    found = plan_merge(known.pop("files"), request, PhotographOptions(**known))
+    found = plan_merge(known.pop("files"), request.request(), PhotographOptions(**known))
     for note in found.notes:
         print_warning(note)
-    with noting_completion(directory) as complete:
-        report = complete(found.capture(directory, overwrite=force))
-        for finding in report.findings:
-            print_finding(finding)
-        if report.untrustworthy_because is not None:
-            print_warning(f"not trustworthy: {_with_names(report.untrustworthy_because, report)}")
-        _print(report, found, directory, as_json=as_json)
-    if not report.trustworthy:
-        context.exit(UNTRUSTWORTHY)
+    show_capture(
+        lambda complete: complete(found.capture(folder, overwrite=force)),
+        folder,
+        as_json=as_json,
+        show=lambda report: _print(report, found, folder, as_json=as_json),
+    )
 
 
 def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json: bool) -> None:
     """Print which photographs are used, which are not and why, and the summary of the capture."""
+    print_findings(report, lambda text: _with_names(text, report))
     if as_json:
         print_json(report.model_dump(mode="json") | found.facts)
         return

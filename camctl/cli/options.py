@@ -16,14 +16,12 @@ from camctl.cli.parameter_types import (
     PATH,
     SCENE,
     SENSOR,
-    FrameSize,
     KeyValue,
-    Name,
-    Number,
+    ListOf,
+    Seconds,
     WholeNumber,
 )
 from camctl.errors import UsageError
-from camctl.exposure.goal import DEFAULT_COUNT
 
 if TYPE_CHECKING:
     from camctl.interface.camera import Camera
@@ -85,36 +83,6 @@ def refuse_together(
         raise UsageError(f"{option} cannot be combined with {', '.join(conflicts)}", hint=hint)
 
 
-COUNT = WholeNumber(least=1, most=16)
-
-count = click.option(
-    "-n",
-    "--exposures",
-    "count",
-    type=COUNT,
-    default=DEFAULT_COUNT,
-    metavar="N",
-    help="Number of exposures.",
-)
-
-objective_kind = click.option(
-    "--objective",
-    "objective_kind",
-    type=Name("objective", ("xi", "accuracy")),
-    metavar="xi|accuracy",
-    help="Choose exposures by the levels that they miss (xi), or by the least predicted error with "
-    "the camera's noise (accuracy): of sets within 0.5 % of the most effective levels the one of "
-    "least time.",
-)
-
-accuracy = click.option(
-    "--accuracy",
-    type=Number("a number of effective levels from 1", least=1),
-    metavar="LEVELS",
-    help="Reach so many effective levels, noise included, in the least time; with as many "
-    "exposures as that needs, up to 6, unless -n is given.",
-)
-
 seed = click.option(
     "--seed",
     type=WholeNumber(least=0),
@@ -128,6 +96,26 @@ as_json = click.option(
     "as_json",
     is_flag=True,
     help="Write one JSON value to standard output and nothing else.",
+)
+
+TIMES_OPTION = click.option(
+    "--times",
+    type=ListOf(Seconds()),
+    metavar="SECONDS,...",
+    help="Shutter time of each of FILES, such as 1/30,1/15,1/8.  [default: from their EXIF data]",
+)
+BLACK_OPTION = click.option(
+    "--black",
+    type=WholeNumber(least=0, most=65534),
+    metavar="DN",
+    help="Black level of FILES.  [default: stated in raw files, else from the pixels]",
+)
+WHITE_OPTION = click.option(
+    "--white",
+    type=WholeNumber(least=1, most=65535),
+    metavar="DN",
+    help="White level of FILES, such as 4095 for 12 bits in 16-bit files.  "
+    "[default: stated in raw files, else from the pixels]",
 )
 
 force = click.option("--force", is_flag=True, help="Replace existing files.")
@@ -148,61 +136,24 @@ def result_folder(kind: str) -> Decorator:
     )
 
 
-@dataclass(frozen=True)
-class SceneOptions:
-    """What the simulated camera looks at, and with which sensor; None is the default."""
-
-    scene: str | None
-    sensor: str | None
-    size: str | None
-    seed: int | None
-    faults: str | None = None
-
-    def camera_options(self) -> dict[str, Any]:
-        """Return those that were given, by their names as options of the simulated camera."""
-        values = {field.name: getattr(self, field.name) for field in fields(SceneOptions)}
-        return {name: value for name, value in values.items() if value is not None}
+def scene_option() -> Decorator:
+    """Return --scene."""
+    return click.option(
+        "--scene",
+        type=SCENE,
+        metavar="NAME|FILE",
+        help="Scene before the simulated camera: a built-in one or a radiance map "
+        "(.hdr, .exr, .tiff, .npy).  [default: tile-floor]",
+    )
 
 
-def scene_options(default_sensor: str | None = None) -> Decorator:
-    """Return the options of `SceneOptions`; their argument is called `scenery`."""
-    return option_group(
-        SceneOptions,
-        "scenery",
-        click.option(
-            "--scene",
-            type=SCENE,
-            metavar="NAME|FILE",
-            help="Scene before the simulated camera: a built-in one or a radiance map "
-            "(.hdr, .exr, .tiff, .npy).  [default: tile-floor]",
-        ),
-        click.option(
-            "--sensor",
-            type=SENSOR,
-            default=default_sensor,
-            metavar="NAME|FILE.json",
-            help="Sensor of the simulated camera."
-            + ("" if default_sensor else "  [default: standard]"),
-        ),
-        click.option(
-            "--size",
-            type=FrameSize(),
-            metavar="WIDTHxHEIGHT",
-            help="Size of a frame in pixels.  [default: the sensor's, or the radiance map's]",
-        ),
-        click.option(
-            "--seed",
-            type=WholeNumber(least=0),
-            metavar="N",
-            help="Seed of the simulated noise; the same seed gives the same frames.  [default: 0]",
-        ),
-        click.option(
-            "--fault",
-            "faults",
-            metavar="FAULT,...",
-            help="Faults of the simulated camera, such as unplug@3 or wrong@1=0.5 (see "
-            "docs/how-to/ci.md).  [default: none]",
-        ),
+def sensor_option(default: str = "standard") -> Decorator:
+    """Return --sensor of the simulated camera."""
+    return click.option(
+        "--sensor",
+        type=SENSOR,
+        metavar="NAME|FILE.json",
+        help=f"Sensor of the simulated camera.  [default: {default}]",
     )
 
 
@@ -213,13 +164,9 @@ camera_settings = click.option(
     type=KeyValue(),
     multiple=True,
     metavar="NAME=VALUE",
-    help="Option of this kind of camera, such as format=y16; may be given several times.",
-)
-
-no_profile = click.option(
-    "--no-profile",
-    is_flag=True,
-    help="Leave out what calibrations of this camera have measured; the same as -O profile=none.",
+    help="Option of this kind of camera, such as format=y16; may be given several times: "
+    "profile=none leaves out what calibrations have measured; the simulated camera has "
+    "size=WIDTHxHEIGHT, seed=N, time=real, tolerance=DN and faults=FAULT,...",
 )
 
 
@@ -229,25 +176,17 @@ class CameraOptions:
 
     camera_id: str
     camera_settings: tuple[tuple[str, str], ...]
-    scenery: SceneOptions
-    real_time: bool
-    no_profile: bool = False
-    simulation_tolerance: float | None = None
+    scene: str | None = None
+    sensor: str | None = None
 
     def camera_options(self) -> dict[str, str]:
         """Return the camera's options by name; raise `UsageError` where one is given twice."""
-        simulation = self.scenery.camera_options()
-        if self.real_time:
-            simulation["time"] = "real"
-        if self.simulation_tolerance is not None:
-            simulation["tolerance"] = self.simulation_tolerance
-        options = {name: str(value) for name, value in simulation.items()}
+        named = {"scene": self.scene, "sensor": self.sensor}
+        options = {name: value for name, value in named.items() if value is not None}
         for name, value in self.camera_settings:
             if name in options:
                 raise UsageError(f"camera option '{name}' is given twice", hint="give it once")
             options[name] = value
-        if self.no_profile:
-            options["profile"] = "none"
         return options
 
     def open(self, *, profile: str = "all") -> Camera:
@@ -258,7 +197,7 @@ class CameraOptions:
 
     def unused_faults(self, camera: Camera) -> str | None:
         """Return which of the faults asked for did not happen, if there are any."""
-        unused = getattr(camera, "unused_faults", []) if self.scenery.faults else []
+        unused = getattr(camera, "unused_faults", ()) if "faults" in self.camera_options() else ()
         if not unused:
             return None
         return f"these faults did not happen, since fewer frames were taken: {', '.join(unused)}"
@@ -298,17 +237,9 @@ camera_options = option_group(
         help="Camera; `camctl cameras` lists the ids.",
     ),
     camera_settings,
-    scene_options(),
-    click.option(
-        "--real-time",
-        is_flag=True,
-        help="Let the simulated camera take as long as a real one would.",
-    ),
-    no_profile,
+    scene_option(),
+    sensor_option(),
 )
 
-
-CAMERA_PARAMETERS = {
-    field.name for model in (CameraOptions, SceneOptions) for field in fields(model)
-}
+CAMERA_PARAMETERS = {each.name for each in fields(CameraOptions)}
 """Names of the parameters that say which camera is opened, and how."""

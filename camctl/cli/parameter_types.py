@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -178,13 +178,13 @@ class Name(_ValueType):
 
 
 class NameOrFile(Name):
-    """One of a few names, or a file, whose path contains a dot or a slash."""
+    """One of a few names, or a file: it exists, or its path contains a dot or a slash."""
 
     completes_files = True
 
     def parse(self, text: str, option: str) -> str:
         """Return the name, or the path as it was given."""
-        if "." in text or "/" in text:
+        if "." in text or "/" in text or (text.lower() not in self.names and exists(text)):
             return text
         return super().parse(text, option)
 
@@ -254,6 +254,39 @@ class KeyValue(_ValueType):
         if not (equals and name.strip()):
             raise invalid_value(option, text, "expected NAME=VALUE such as format=y16")
         return name.strip(), value.strip()
+
+
+class SettingOf(KeyValue):
+    """One of several settings: a name, = and a value; `table` has a field and a type for each."""
+
+    def __init__(self, table: Mapping[str, tuple[str, AnyType]]) -> None:
+        self._table = table
+
+    def parse(self, text: str, option: str) -> tuple[str, Any]:
+        """Return the field and the parsed value."""
+        name, value = super().parse(text, option)
+        if name not in self._table:
+            raise unknown_name("setting", name, self._table)
+        field, kind = self._table[name]
+        if isinstance(kind, _ValueType):
+            return field, kind.parse(value, f"{option} {name}")
+        return field, kind.convert(value, None, None)
+
+    def suggestions(self) -> Iterable[str]:
+        """Return the names, ready for their values."""
+        return [f"{name}=" for name in self._table]
+
+
+class Truth(_ValueType):
+    """Yes or no."""
+
+    name = "yes or no"
+
+    def parse(self, text: str, option: str) -> bool:
+        """Return whether it is yes."""
+        if text.lower() not in ("yes", "no"):
+            raise invalid_value(option, text, "expected yes or no")
+        return text.lower() == "yes"
 
 
 class FrameSize(_ValueType):

@@ -1,281 +1,158 @@
-"""`camctl shoot` with --repeat or --on-key: a series, and its continuation with --resume."""
+"""`camctl series`: the same picture many times, at even intervals or on a key."""
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from datetime import datetime, timedelta
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from camctl.cli.capture_output import UNTRUSTWORTHY
-from camctl.cli.output import (
-    ProgressBar,
-    format_duration,
-    format_fields,
-    format_number,
-    print_error,
-    print_json,
-    print_text,
-    print_warning,
-    progress_bar,
-)
-from camctl.cli.resumed_camera import refuse_other_options, resumed_camera
-from camctl.cli.series_options import SeriesRequest, check_keys, terminal_keys
-from camctl.errors import CaptureError, DataError
+from camctl.cli import options
+from camctl.cli.capture_output import new_directory
+from camctl.cli.commands import command
+from camctl.cli.options import CameraOptions
+from camctl.cli.parameter_types import PATH, Name, Seconds, Text, WholeNumber
+from camctl.cli.request_options import RequestOptions, request_options
+from camctl.cli.series_run import HookOptions, hook_options, run_series
+from camctl.cli.shoot import PICTURE_OPTIONS
+from camctl.cli.terminal_keys import check_keys
+from camctl.errors import UsageError
 
 if TYPE_CHECKING:
-    from camctl.captures.series_tools import SeriesProgress
-    from camctl.cli.options import CameraOptions
-    from camctl.interface.camera import Camera
-    from camctl.records.journal import SeriesJournal, SeriesOptions, SetRecord
-    from camctl.records.request import CaptureRequest
+    from camctl.records.journal import SeriesOptions
 
-#: Characters of what a failed hook has printed that are shown, at its end.
-_SHOWN = 200
+_MOST_SETS = 100_000  # `camctl.records.journal.MOST_SETS`, which imports numpy
 
 
-def new_series(
-    camera_options: CameraOptions,
-    request: CaptureRequest,
-    series: SeriesRequest,
-    chosen: SeriesOptions,
-    table_file: Path | None,
-    directory: Path,
-    *,
+@dataclass(frozen=True)
+class SetOptions:
+    """How the sets of a series follow each other."""
+
+    repeat: int | None
+    interval_s: float | None
+    on_key: bool
+    name: str | None
+    metering: str | None
+
+    def options(self) -> SeriesOptions:
+        """Return the options as the journal of a series keeps them.
+
+        Raises:
+            UsageError: the name pattern is invalid, or two options contradict each other
+        """
+        from camctl.records.journal import PATTERN, SeriesOptions, check_pattern
+
+        if self.repeat is None and not self.on_key:
+            raise UsageError(
+                "a series needs its number of sets", hint="give it with --repeat N, or use --on-key"
+            )
+        if self.on_key and self.interval_s is not None:
+            raise UsageError(
+                "--on-key cannot be combined with --interval", hint="leave one of them out"
+            )
+        return SeriesOptions(
+            repeat=self.repeat,
+            interval_s=self.interval_s,
+            on_key=self.on_key,
+            name=check_pattern(PATTERN if self.name is None else self.name),
+            meter="each" if self.metering == "each" else "once",
+        )
+
+
+_set_options = options.option_group(
+    SetOptions,
+    "sets",
+    click.option(
+        "--repeat",
+        type=WholeNumber(least=1, most=_MOST_SETS),
+        metavar="N",
+        help="Number of sets.  In a terminal p pauses the series and q ends it.",
+    ),
+    click.option(
+        "--interval",
+        "interval_s",
+        type=Seconds(),
+        metavar="SECONDS",
+        help="Time from the start of one set to the start of the next; a start that has passed "
+        "because the set before took longer is left out.  [default: one set after another]",
+    ),
+    click.option(
+        "--on-key",
+        is_flag=True,
+        help="Take a set whenever enter or space is pressed, until q is (or N are taken).",
+    ),
+    click.option(
+        "--name",
+        type=Text(),
+        metavar="PATTERN",
+        help="Names of the sets' folders, with {number}, {date} and {time}; a name that is taken "
+        "gets -{number} at its end.  [default: set-{number}]",
+    ),
+    click.option(
+        "--meter",
+        "metering",
+        is_flag=False,
+        flag_value="once",
+        type=Name("time to meter", ("once", "each")),
+        metavar="[once|each]",
+        help="Meter with full exposures on a camera that has no preview: once for all sets (as "
+        "without --meter), or each of them.",
+    ),
+)
+
+
+@command(
+    examples=(
+        ("camctl series --repeat 50 --interval 60 -o day", "one picture a minute"),
+        ("camctl series --on-key", "one picture for each key"),
+        ("camctl resume day", "go on with a series that was interrupted"),
+    )
+)
+@_set_options
+@hook_options
+@options.camera_options
+@request_options(
+    *(each for each in PICTURE_OPTIONS if each != "spend_shutter"), "settings", has_light=True
+)
+@click.option(
+    "-o",
+    "--output",
+    "directory",
+    type=PATH,
+    metavar="PATH",
+    help="Folder of the series.  [default: series-DATE-TIME in the working directory]",
+)
+@options.as_json
+def series(
+    sets: SetOptions,
+    hook: HookOptions,
+    camera: CameraOptions,
+    request: RequestOptions,
+    directory: Path | None,
     as_json: bool,
 ) -> None:
-    """Take a series into a new folder, and print what became of it."""
+    """Take the same picture many times.
+
+    Each set is what `camctl shoot` takes, in a folder of its own, with a page of all of them
+    (index.html). A set that fails is tried again once, then left out.
+    """
     from camctl.records.journal import SeriesJournal, check_series_folder
 
+    hook.check()
+    chosen = sets.options()
+    request["spend_shutter"] = sets.metering is not None
+    wanted = request.request()
+    directory = new_directory(kind="series") if directory is None else directory
     check_keys(needed=chosen.on_key)
     check_series_folder(directory)
-    with camera_options.open() as camera:
+    with camera.open() as opened:
         journal = SeriesJournal(
-            camera=camera.info,
-            source=camera_options.source(),
-            request=request,
-            table_file=None if table_file is None else str(Path.cwd() / table_file),
+            camera=opened.info,
+            source=camera.source(),
+            request=wanted,
+            table_file=None if request.table is None else str(Path.cwd() / request.table),
             options=chosen,
-            has_hook=series.hook is not None,
+            has_hook=hook.hook is not None,
         )
-        _run(camera, journal, series, directory, as_json=as_json)
-
-
-def continued_series(
-    directory: Path, series: SeriesRequest, camera_options: CameraOptions, *, as_json: bool
-) -> None:
-    """Go on with the series in a folder, and print what became of it."""
-    from camctl.records.journal import SERIES, read_series
-
-    refuse_other_options({"hook", "hook_limit_s"})
-    journal = read_series(directory)
-    if journal.is_done():
-        raise DataError(
-            f"the series in {directory} is complete: {journal.completed} of "
-            f"{len(journal.sets)} sets were taken",
-            hint="take another one with camctl shoot --repeat N",
-        )
-    if journal.has_hook and series.hook is None:
-        print_warning("the series was begun with --hook, which is not kept: give it again")
-    check_keys(needed=journal.options.on_key)
-    with resumed_camera(camera_options, journal.source, directory, SERIES) as camera:
-        begun, present = journal.camera, camera.info
-        if (begun.make, begun.model, begun.serial) != (present.make, present.model, present.serial):
-            raise DataError(
-                f"{directory} was begun with {begun.make} {begun.model} {begun.serial}, and this "
-                f"camera is {present.make} {present.model} {present.serial}",
-                hint="connect the same camera",
-            )
-        _run(camera, journal, series, directory, as_json=as_json)
-
-
-def _run(
-    camera: Camera,
-    journal: SeriesJournal,
-    series: SeriesRequest,
-    directory: Path,
-    *,
-    as_json: bool,
-) -> None:
-    from camctl.captures.series import Series
-    from camctl.captures.series_sets import CameraSets
-    from camctl.captures.series_tools import SeriesTools, date_by
-
-    hook = None if series.hook is None else Hook(series.hook, series.hook_limit_s, directory)
-    with terminal_keys() as keys, _progress(camera) as progress:
-        tools = SeriesTools(
-            camera.clock,
-            keys=keys,
-            hook=hook,
-            warn=print_warning,
-            progress=progress,
-            date=date_by(camera.clock),
-        )
-        Series(directory, journal, CameraSets(camera, journal, date=tools.date), tools).run()
-    if as_json:
-        described = journal.model_dump(mode="json")
-        print_json(described | {"completed": journal.completed, "failed": len(journal.failed)})
-    else:
-        print_text(_text(journal, directory))
-    _exit_status(journal, directory)
-
-
-class Hook:
-    """A shell command that is run after each set.
-
-    Args:
-        command: for the shell
-        limit_s: longest time that it may take, s
-        directory: folder of the series
-    """
-
-    def __init__(self, command: str, limit_s: float, directory: Path) -> None:
-        self._command, self._limit_s, self._directory = command, limit_s, directory
-
-    def __call__(self, folder: Path, record: SetRecord) -> None:
-        """Run the command; raise `CaptureError` where it fails or takes too long."""
-        named = {
-            "CAMCTL_FOLDER": str(folder.resolve()),
-            "CAMCTL_SERIES": str(self._directory.resolve()),
-            "CAMCTL_NUMBER": str(record.number),
-        }
-        with tempfile.TemporaryFile() as output:
-            with _process(self._command, {**os.environ, **named}, output.fileno()) as process:
-                try:
-                    status = process.wait(self._limit_s)
-                except subprocess.TimeoutExpired:
-                    raise CaptureError(
-                        f"the hook was ended after {format_duration(self._limit_s)}",
-                        hint="allow more with --hook-limit",
-                    ) from None
-            if status:
-                size = output.seek(0, os.SEEK_END)
-                output.seek(max(0, size - _SHOWN))
-                said = " ".join(output.read().decode(errors="replace").split())
-                raise CaptureError(
-                    f"the hook failed with status {status}" + (f": {said}" if said else "")
-                )
-
-
-@contextmanager
-def _process(
-    command: str, environment: dict[str, str], output: int
-) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a shell command; at the end of the block it and its children are ended."""
-    process = subprocess.Popen(
-        command,
-        shell=True,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=output,
-        stderr=output,
-        start_new_session=True,  # Control-C ends it through the finally below, and only once
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            with suppress(ProcessLookupError):
-                if hasattr(os, "killpg"):
-                    os.killpg(process.pid, signal.SIGKILL)
-                else:
-                    process.kill()
-        process.wait()
-
-
-@contextmanager
-def _progress(camera: Camera) -> Iterator[Callable[[SeriesProgress], None]]:
-    """Yield a function that shows the progress of a series in a terminal."""
-    with progress_bar("opening") as bar:
-        yield _Shown(bar, camera) if bar is not None else lambda _: None
-
-
-class _Shown:
-    """Shows which set a series is at, and when it will end."""
-
-    def __init__(self, bar: ProgressBar, camera: Camera) -> None:
-        from camctl.interface.clock import VirtualClock
-
-        self._bar = bar
-        self._is_virtual = isinstance(camera.clock, VirtualClock)
-        self._began, self._done_before = time.monotonic(), -1
-
-    def __call__(self, progress: SeriesProgress) -> None:
-        if self._done_before < 0:
-            self._done_before = progress.done
-        number = min(progress.done + 1, progress.total or sys.maxsize)
-        of = "" if progress.total is None else f" of {progress.total}"
-        stage = f"set {number}{of}, {progress.state}"
-        if progress.state == "paused":
-            stage += ": p goes on, q ends"
-        elif (left_s := self._left_s(progress)) is not None:
-            end = datetime.now() + timedelta(seconds=left_s)
-            stage += f", ends about {end:%H:%M:%S}" + ("" if left_s < 72000 else f" on {end:%d %b}")
-        self._bar(progress.done / progress.total if progress.total else 0.0, stage)
-
-    def _left_s(self, progress: SeriesProgress) -> float | None:
-        """Return how long the series will last; a virtual clock does not know it."""
-        taken = progress.done - self._done_before
-        if not self._is_virtual or progress.ends_in_s is None or not taken:
-            return progress.ends_in_s if not self._is_virtual else None
-        assert progress.total is not None  # its end is known
-        return (time.monotonic() - self._began) / taken * (progress.total - progress.done)
-
-
-def _text(journal: SeriesJournal, directory: Path) -> str:
-    """Return the summary of a series."""
-    levels = [each.effective_levels for each in journal.sets if each.effective_levels is not None]
-    of = "" if journal.options.repeat is None else f" of {journal.options.repeat}"
-    rows = [("sets", f"{journal.completed}{of} complete")]
-    again = journal.count(lambda each: each.attempts > 1 and each.state == "complete")
-    for name, count in (
-        ("tried again", again),
-        ("failed", len(journal.failed)),
-        ("starts left out", journal.skipped),
-        ("hooks failed", journal.count(lambda each: each.hook == "failed")),
-        ("not trustworthy", journal.count(lambda each: not each.trustworthy)),
-    ):
-        if count:
-            rows.append((name, str(count)))
-    if levels:
-        rows.append(
-            (
-                "effective levels",
-                f"{format_number(min(levels), 4)} to {format_number(max(levels), 4)}",
-            )
-        )
-    rows += [
-        (
-            "metered",
-            "once, before the first set" if journal.options.meter == "once" else "each set",
-        ),
-        ("result", str(directory)),
-        ("", "index.html"),
-        ("", f"{journal.sets[0].folder}/ ..." if journal.sets else "no set was taken"),
-    ]
-    return format_fields(rows)
-
-
-def _exit_status(journal: SeriesJournal, directory: Path) -> None:
-    """End with status 1 where sets or hooks have failed, else 3 where a set is not trustworthy."""
-    problems = []
-    if journal.failed:
-        names = ", ".join(each.folder for each in journal.failed[:3])
-        more = "" if len(journal.failed) <= 3 else " and others"
-        problems.append(f"{len(journal.failed)} of {len(journal.sets)} sets failed ({names}{more})")
-    if hooks := journal.count(lambda each: each.hook == "failed"):
-        problems.append(f"the hook failed after {hooks} of {len(journal.sets)} sets")
-    if problems:
-        print_error(f"{'; '.join(problems)}; see {directory}/index.html")
-        click.get_current_context().exit(CaptureError.exit_status)
-    if journal.count(lambda each: not each.trustworthy):
-        click.get_current_context().exit(UNTRUSTWORTHY)
+        run_series(opened, journal, hook, directory, as_json=as_json)

@@ -14,7 +14,6 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import SceneOptions
 from camctl.cli.output import (
     format_duration,
     format_fields,
@@ -25,7 +24,15 @@ from camctl.cli.output import (
     print_text,
     print_warning,
 )
-from camctl.cli.parameter_types import PATH, ListOf, Number, Ratios, Seconds
+from camctl.cli.parameter_types import (
+    PATH,
+    FrameSize,
+    ListOf,
+    Number,
+    Ratios,
+    Seconds,
+    WholeNumber,
+)
 from camctl.errors import StorageError, unknown_name
 
 if TYPE_CHECKING:
@@ -38,6 +45,49 @@ if TYPE_CHECKING:
 SUFFIXES = (".tiff", ".tif", ".png", ".npy")
 DEFAULT_SENSOR = "complete"
 """The sensor that has every effect."""
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """What the simulated camera looks at, and with which sensor; None is the default."""
+
+    scene: str | None
+    sensor: str | None
+    size: str | None
+    seed: int | None
+    faults: str | None
+
+    def camera_options(self) -> dict[str, Any]:
+        """Return those that were given, by their names as options of the simulated camera."""
+        values = {**vars(self), "sensor": self.sensor or DEFAULT_SENSOR}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+scene_options = options.option_group(
+    SceneOptions,
+    "scenery",
+    options.scene_option(),
+    options.sensor_option(DEFAULT_SENSOR),
+    click.option(
+        "--size",
+        type=FrameSize(),
+        metavar="WIDTHxHEIGHT",
+        help="Size of a frame in pixels.  [default: the sensor's, or the radiance map's]",
+    ),
+    click.option(
+        "--seed",
+        type=WholeNumber(least=0),
+        metavar="N",
+        help="Seed of the simulated noise; the same seed gives the same frames.  [default: 0]",
+    ),
+    click.option(
+        "--fault",
+        "faults",
+        metavar="FAULT,...",
+        help="Faults of the simulated camera, such as unplug@3 or wrong@1=0.5 (see "
+        "docs/ci.md).  [default: none]",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -102,7 +152,7 @@ frame_settings = options.option_group(
         ),
     )
 )
-@options.scene_options(DEFAULT_SENSOR)
+@scene_options
 @frame_settings
 @click.option(
     "--tolerance",

@@ -10,11 +10,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import click
-
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.noise_options import KnownCamera, NoiseOptions, noise_options
 from camctl.cli.output import (
     ProgressBar,
     print_json,
@@ -23,16 +20,28 @@ from camctl.cli.output import (
     progress_bar,
     without_stage,
 )
-from camctl.cli.response_options import (
-    DesiredOptions,
-    ObjectiveOptions,
+from camctl.cli.real_camera import (
+    KnownCamera,
+    NoiseOptions,
     RealCameraOptions,
-    desired_options,
-    levels_wanted,
-    objective_options,
+    noise_options,
     real_camera_options,
 )
-from camctl.cli.search_limits import SearchLimits, search_limits
+from camctl.cli.request_options import (
+    TOLERANCE,
+    RequestOption,
+    RequestOptions,
+    request_options,
+)
+from camctl.cli.search_options import (
+    TOLERANCE_HELP,
+    ObjectiveOptions,
+    SearchLimits,
+    by_accuracy,
+    count_of,
+    objective_options,
+    search_limits,
+)
 from camctl.cli.solve_output import SettingsResult, SolveResult
 from camctl.errors import UsageError
 
@@ -73,18 +82,20 @@ _REFRESH_S = 0.2
         ),
     )
 )
-@desired_options()
+@request_options(
+    *("response", "gamma", "dynamic_range", "count", "objective", "accuracy", "tolerance"),
+    "levels_wanted",
+    tolerance=RequestOption(TOLERANCE_HELP, "X", TOLERANCE),
+)
 @search_limits
 @real_camera_options
-@levels_wanted
 @objective_options
 @noise_options
 @options.as_json
 def solve(
-    desired: DesiredOptions,
+    request: RequestOptions,
     limits: SearchLimits,
     real_camera: RealCameraOptions,
-    levels_wanted: float | None,
     objective: ObjectiveOptions,
     noise: NoiseOptions,
     as_json: bool,
@@ -96,17 +107,16 @@ def solve(
     number of equal steps of brightness that would be as accurate (more is better). Where the
     noise is known (--sensor, --camera, --electrons, --read-noise), effective levels count it in.
     """
-    limits.check(levels_wanted)
+    limits.check(request)
     camera = noise.camera(real_camera)
     for note in camera.response.notes:
         print_warning(note)
-    response = desired.desired()
-    if limits.by_accuracy:
-        result = _solve_by_accuracy(camera, response, limits)
+    if by_accuracy(request):
+        result = _solve_by_accuracy(camera, request, limits)
     elif limits.certificate:
-        result = _solve_with_certificate(camera, response, limits, levels_wanted)
+        result = _solve_with_certificate(camera, request, limits)
     else:
-        result = _solve(camera, response, limits, levels_wanted, objective)
+        result = _solve(camera, request, limits, objective)
     if as_json:
         print_json(result.to_json(limits.seed))
     else:
@@ -115,9 +125,8 @@ def solve(
 
 def _solve(
     camera: KnownCamera,
-    desired: DesiredResponse,
+    request: RequestOptions,
     limits: SearchLimits,
-    levels_wanted: float | None,
     objective: ObjectiveOptions,
 ) -> SolveResult:
     from camctl.exposure.grid_search import solve_settings
@@ -127,25 +136,25 @@ def _solve(
     from camctl.exposure.solver import solve as search
     from camctl.exposure.tradeoff import fewest_exposures
 
-    real = camera.response
+    real, desired = camera.response, request.desired()
+    levels_wanted, count = request.get("levels_wanted"), count_of(request)
     total_limit = math.inf if limits.total_limit is None else limits.total_limit
     with progress_bar("searching") as bar:
-        if limits.tolerance is not None and levels_wanted is not None:
-            count_given = "count" in options.given(click.get_current_context())
+        if "tolerance" in request and levels_wanted is not None:
             found = fewest_exposures(
                 real,
                 desired,
-                limits.tolerance,
+                request["tolerance"],
                 levels_wanted,
                 seed=limits.seed,
-                max_count=limits.count if count_given else MOST_FOR_TOLERANCE,
+                max_count=request.get("count", MOST_FOR_TOLERANCE),
                 progress=without_stage(bar),
             )
         else:
             found = search(
                 real,
                 desired,
-                limits.count,
+                count,
                 objective=Objective(
                     levels_wanted, objective.p, objective.noise_term(), objective.jitter
                 ),
@@ -158,7 +167,7 @@ def _solve(
         restricted = solve_settings(
             real,
             desired,
-            limits.count,
+            count,
             SettingsGrid(limits.settings, limits.gains or (1.0,), total_limit=total_limit),
             objective=Objective(levels_wanted, objective.p),
             search=SearchOptions(limits.seed),
@@ -167,7 +176,7 @@ def _solve(
 
 
 def _solve_by_accuracy(
-    camera: KnownCamera, desired: DesiredResponse, limits: SearchLimits
+    camera: KnownCamera, request: RequestOptions, limits: SearchLimits
 ) -> SolveResult:
     from camctl.exposure.accuracy import solve_accuracy
     from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
@@ -178,23 +187,25 @@ def _solve_by_accuracy(
             hint="name a camera with --sensor or --camera, or give --electrons and --read-noise",
         )
     total_limit = math.inf if limits.total_limit is None else limits.total_limit
+    desired = request.desired()
+    counts, accuracy = limits.counts(request), request.get("accuracy")
     problem = AccuracyProblem(camera.response, desired, camera.noise, black=camera.black)
     with progress_bar("searching") as bar:
         if limits.settings is None:
             found = solve_accuracy(
                 problem,
-                limits.counts,
+                counts,
                 total_limit=total_limit,
-                accuracy=limits.accuracy,
+                accuracy=accuracy,
                 progress=without_stage(bar),
             )
             return SolveResult(camera, desired, found, objective="accuracy")
         available = AvailableExposures(limits.settings, limits.gains or (1.0,), unit_s=1.0)
         restricted = solve_accuracy(
             replace(problem, available=available),
-            limits.counts,
+            counts,
             total_limit=total_limit,
-            accuracy=limits.accuracy,
+            accuracy=accuracy,
             progress=without_stage(bar),
         )
         found = solve_accuracy(problem, [len(restricted.exposures)])
@@ -203,25 +214,23 @@ def _solve_by_accuracy(
 
 
 def _solve_with_certificate(
-    camera: KnownCamera,
-    desired: DesiredResponse,
-    limits: SearchLimits,
-    levels_wanted: float | None,
+    camera: KnownCamera, request: RequestOptions, limits: SearchLimits
 ) -> SolveResult:
     from camctl.exposure.objective import ExposureProblem, Objective
     from camctl.exposure.solver import Solution
 
-    real = camera.response
+    real, desired = camera.response, request.desired()
+    levels_wanted, count = request.get("levels_wanted"), count_of(request)
     certificate = _certify(
         real,
         desired,
-        limits.count,
+        count,
         levels_wanted=levels_wanted,
         seed=limits.seed,
         time_limit_s=limits.time_limit,
     )
     found = Solution.of(
-        ExposureProblem(real, desired, limits.count, Objective(levels_wanted)),
+        ExposureProblem(real, desired, count, Objective(levels_wanted)),
         certificate.exposures,
         seconds=certificate.seconds,
         evaluations=certificate.evaluations,

@@ -17,7 +17,7 @@ from camctl.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from camctl.cli.noise_options import KnownCamera
+    from camctl.cli.real_camera import KnownCamera
     from camctl.exposure.accuracy import AccuracySolution
     from camctl.exposure.evaluation import Evaluation
     from camctl.exposure.grid_search import SettingsSolution

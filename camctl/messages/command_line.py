@@ -2,36 +2,62 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from camctl.errors import CamctlError
-from camctl.findings import Finding
-from camctl.messages.plain import sentence
+
+if TYPE_CHECKING:
+    from camctl.findings import Finding
 
 OPTIONS: Final[dict[str, str]] = {
     "accuracy": "--accuracy",
     "base_s": "--base",
+    "black": "--black",
     "clip_percent": "--clip",
     "compensation_stops": "--compensation",
     "count": "-n",
+    "curve": "--curve",
+    "directory": "-o",
     "dynamic_range": "--range",
     "estimate_ratios": "--estimate-ratios",
+    "gamma": "--gamma",
+    "labels": "--labels",
     "levels_wanted": "--levels",
+    "longest_s": "--longest",
+    "mains_hz": "--set mains=",
+    "mask": "--mask",
+    "method": "--method",
+    "methods": "--methods",
     "objective": "--objective",
+    "overwrite": "--force",
+    "patches": "--patches",
     "ratios": "--ratios",
     "response": "--response",
     "spend_shutter": "--meter",
-    "table": "--table",
+    "table": "--set table=",
     "time_budget_s": "--time-budget",
+    "times": "--times",
+    "tolerance": "--tolerance",
+    "white": "--white",
 }
 """The option of each remedy that is one, see `camctl.findings.Finding.remedies`."""
 
 COMMANDS: Final[dict[str, str]] = {
-    "calibrate_delay": "camctl calibrate delay",
+    "calibrate_all": "camctl calibrate all --camera {}",
+    "calibrate_delay": "camctl calibrate delay --camera {}",
+    "calibrate_noise": "camctl calibrate noise --camera {}",
+    "calibrate_response": "camctl calibrate response --camera {}",
+    "cameras": "camctl cameras",
+    "profile_remove": "camctl profile remove {}",
+    "resume": "camctl resume {}",
+    "shoot": "camctl shoot -o {}",
+    "table_build": "camctl table build",
 }
-"""The command of each remedy that is one; its value, if any, is the id of the camera."""
+"""The command of each remedy that is one; {} stands for its value, and an option that has none is
+left out."""
 
 CAMERA_OPTION: Final = "option:"
 """Beginning of the name of a remedy that is an option of the camera: "option:format"."""
@@ -39,6 +65,8 @@ CAMERA_OPTION: Final = "option:"
 
 def finding_line(finding: Finding) -> str:
     """Return the finding as one line with the options that help."""
+    from camctl.messages.plain import sentence  # loads pydantic
+
     return with_remedies(sentence(finding), finding.remedies)
 
 
@@ -57,12 +85,16 @@ def _remedy(name: str, value: Any) -> str:
     """Return the option or the command of a remedy, as it is typed."""
     if name.startswith(CAMERA_OPTION):
         option = f"-O {name.removeprefix(CAMERA_OPTION)}="
-        return f"{option}..." if value is None else option + shlex.quote(_text(value))
+        return f"{option}..." if value is None else option + word(_text(value))
     if name in COMMANDS:
-        camera = "" if value is None else f" --camera {shlex.quote(str(value))}"
-        return COMMANDS[name] + camera
+        command = COMMANDS[name]
+        if value is None:
+            return command.partition(" --camera {}")[0]
+        return command.format(word(str(value)))
     option = OPTIONS[name]
-    return option if value is None or value is True else f"{option} {shlex.quote(_text(value))}"
+    if value is None or value is True:
+        return option
+    return f"{option}{'' if option.endswith('=') else ' '}{word(_text(value))}"
 
 
 def _text(value: Any) -> str:
@@ -70,3 +102,18 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return ",".join(map(_text, value)) if isinstance(value, tuple | list) else str(value)
+
+
+def word(text: str) -> str:
+    r"""Return a text as one word for a shell, also one that is not UTF-8 (in bash).
+
+    >>> print(word("hall"), word("red hall"), word("caf\udce9"))
+    hall 'red hall' $'caf\xe9'
+    """
+    if text.isprintable():
+        return shlex.quote(text)
+    codes = "".join(
+        chr(byte) if 32 <= byte < 127 and byte not in b"\\'" else f"\\x{byte:02x}"
+        for byte in os.fsencode(text)
+    )
+    return f"$'{codes}'"

@@ -33,10 +33,9 @@ from camctl.pictures.files import (
     write_picture_files,
 )
 from camctl.pictures.render import Rendering
-from camctl.records.file_names import resume_command
 from camctl.records.folder import CaptureFolder, staged_name
 from camctl.records.frame import StoredFrame
-from camctl.records.frame_store import KeptFiles
+from camctl.records.frame_store import AfterFailure, KeptFiles
 from camctl.records.report import CaptureReport, UnfinishedCapture
 from camctl.records.report_file import (
     LOCK,
@@ -146,17 +145,20 @@ class FolderStore:
         with folder.storage_errors():
             if is_unused(directory):
                 return set()
-            hint = "choose another folder with -o"
+            hint, remedies = "choose another folder", {"directory": None}
             is_capture = (directory / REPORT).exists()
             if not (is_capture and overwrite):
                 if is_capture:
-                    hint += ", or replace this capture with --force"
-                raise StorageError(f"{directory} is not empty", hint=hint)
+                    hint += ", or replace this capture"
+                    remedies = {**remedies, "overwrite": None}
+                raise StorageError(f"{directory} is not empty", hint=hint, remedies=remedies)
             try:
                 report = read_report_file(directory)
             except DataError as error:
                 raise StorageError(
-                    f"{directory} is not empty, and not replaced: {error.what}", hint=hint
+                    f"{directory} is not empty, and not replaced: {error.what}",
+                    hint=hint,
+                    remedies=remedies,
                 ) from error
             names = named_files(report)
             folder.check_claims(names)
@@ -222,15 +224,17 @@ class FolderStore:
         write_picture_files(total, rendering, details, self.directory)
         return dict(PICTURE_FILES)
 
-    def after_failure(self, done: int, count: int) -> tuple[str, str]:
-        """Name the command that completes the capture."""
+    def after_failure(self, done: int, count: int) -> AfterFailure:
+        """Say how many frames are kept, and how to go on."""
         if not (self.directory / REPORT).exists():
-            return f"{self.directory} was removed meanwhile, and the frames with it", "shoot again"
+            gone = f"{self.directory} was removed meanwhile, and the frames with it"
+            return AfterFailure(gone, "shoot again")
         if self.report is not None and not self.report.repeatable:
-            return "the photographs are as they were", "merge them again, with --force"
-        return (
-            f"{done} of {count} frames are kept",
-            f"go on with: {resume_command(self.directory)}",
+            return AfterFailure(
+                "the photographs are as they were", "merge them again", {"overwrite": True}
+            )
+        return AfterFailure(
+            f"{done} of {count} frames are kept", "shoot the others", {"resume": self.directory}
         )
 
     def frame(self, position: int) -> Pixels:
@@ -334,6 +338,7 @@ def read_report(directory: str | os.PathLike[str]) -> CaptureReport:
     if isinstance(report, UnfinishedCapture):
         raise DataError(
             f"{directory} holds an incomplete capture",
-            hint=f"complete it with: {resume_command(directory)}",
+            hint="shoot its other frames",
+            remedies={"resume": directory},
         )
     return report

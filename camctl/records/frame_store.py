@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,20 @@ class KeptFiles:
     sha256: str | None = None
     original: str | None = None
     original_sha256: str | None = None
+
+
+class AfterFailure(NamedTuple):
+    """What an error adds where a capture fails.
+
+    Attributes:
+        kept: how many frames are kept
+        hint: how to go on
+        remedies: the same as data, see `camctl.findings.Finding.remedies`
+    """
+
+    kept: str
+    hint: str
+    remedies: Mapping[str, Any] = MappingProxyType({})
 
 
 class CaptureStore(Pictures, Protocol):
@@ -57,7 +73,7 @@ class CaptureStore(Pictures, Protocol):
         """
         ...
 
-    def after_failure(self, done: int, count: int) -> tuple[str, str]:
+    def after_failure(self, done: int, count: int) -> AfterFailure:
         """Return what an error adds: how many frames are kept, and how to go on."""
         ...
 
@@ -114,9 +130,9 @@ class MemoryStore:
         self._arrays = arrays
         return {}
 
-    def after_failure(self, done: int, count: int) -> tuple[str, str]:
+    def after_failure(self, done: int, count: int) -> AfterFailure:
         """State that the frames are lost."""
-        return (
+        return AfterFailure(
             f"{done} of {count} frames were taken and are lost",
             "capture again, into a folder to keep the frames",
         )

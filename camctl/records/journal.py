@@ -286,7 +286,9 @@ def check_series_folder(directory: Path) -> None:
         raise storage_error(directory, error) from error
     if not unused:
         raise StorageError(
-            f"{directory} is not empty", hint="choose another folder for the series with -o"
+            f"{directory} is not empty",
+            hint="choose another folder for the series",
+            remedies={"directory": None},
         )
 
 

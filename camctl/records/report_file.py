@@ -21,8 +21,8 @@ from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import check_count
 from camctl.pictures.files import CONTACT, IMAGE, PREVIEW, RADIANCE, SUM
+from camctl.records import REPORT as REPORT
 from camctl.records.capture_plan import relative_exposures
-from camctl.records.file_names import REPORT as REPORT
 from camctl.records.frame import StoredFrame
 from camctl.records.report import FORMAT_VERSION, CaptureReport, UnfinishedCapture
 from camctl.system.files import leftovers
@@ -199,7 +199,8 @@ def _no_report(directory: Path) -> DataError:
     if nothing_shot:
         return DataError(
             f"nothing was shot into {directory}",
-            hint=f"start anew with: camctl shoot -o {directory}",
+            hint="start anew",
+            remedies={"shoot": directory},
         )
     return DataError(
         f"{directory} holds no capture: {REPORT} is missing", hint="name the folder of a capture"

@@ -25,7 +25,7 @@ from camctl.errors import StorageError
 if TYPE_CHECKING:
     from filelock import BaseFileLock
 
-_OTHER_FOLDER = "choose another folder with -o"
+_OTHER_FOLDER = "choose another folder"
 
 #: Error numbers of the system, in words, with what to do.
 _REASONS = {
@@ -38,7 +38,7 @@ _REASONS = {
     errno.ENOENT: ("no file can be made there", _OTHER_FOLDER),
     errno.ENOTDIR: ("a part of the path is a file", _OTHER_FOLDER),
     errno.EEXIST: ("a file of that name already exists", _OTHER_FOLDER),
-    errno.ENAMETOOLONG: ("its name is too long", "choose a shorter one with -o"),
+    errno.ENAMETOOLONG: ("its name is too long", "choose a shorter one"),
     errno.EMFILE: ("too many files are open", "raise the limit (ulimit -n)"),
 }
 
@@ -64,7 +64,8 @@ def storage_error(path: Path, error: OSError) -> StorageError:
     if _INCOMPLETE in str(error):
         other = _UNKNOWN_LIMIT
     what, hint = _REASONS.get(number, other)
-    return StorageError(f"cannot write {path}: {what}", hint=hint)
+    remedies = {"directory": None} if "choose" in hint else {}
+    return StorageError(f"cannot write {path}: {what}", hint=hint, remedies=remedies)
 
 
 def check_replaceable(path: Path) -> None:
@@ -82,7 +83,9 @@ def check_replaceable(path: Path) -> None:
         raise storage_error(path, error) from error
     if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
         what = "it is a folder" if stat.S_ISDIR(mode) else "it is no regular file"
-        raise StorageError(f"cannot write {path}: {what}", hint="choose another file with -o")
+        raise StorageError(
+            f"cannot write {path}: {what}", hint="choose another file", remedies={"directory": None}
+        )
 
 
 @contextmanager

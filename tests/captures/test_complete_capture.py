@@ -55,7 +55,7 @@ def test_resume_names_a_frame_of_a_complete_capture_that_has_changed(
     path.write_bytes(data)
     with pytest.raises(DataError, match=r"frame-02\.npy cannot be read: .*checksum"):
         camctl.resume(camera, folder)
-    assert main(["shoot", "--resume", str(folder)]) == 1
+    assert main(["resume", str(folder)]) == 1
     assert "frame-02.npy" in capsys.readouterr().err
 
 

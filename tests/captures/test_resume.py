@@ -37,13 +37,12 @@ def test_frames_before_a_failure_are_kept_and_resume_completes_them(
 ) -> None:
     with small_camera(faults=faults) as camera, pytest.raises(kind) as failure:
         capture(camera, GIVEN, tmp_path / "out")
-    assert str(failure.value).endswith(
-        f"; 2 of 3 frames are kept; go on with: camctl shoot --resume {tmp_path / 'out'}"
-    )
+    assert str(failure.value).endswith("; 2 of 3 frames are kept; shoot the others")
+    assert failure.value.remedies == {"resume": tmp_path / "out"}
     assert "\n" not in str(failure.value)
     kept = [np.load(tmp_path / "out" / "frames" / f"frame-0{k}.npy") for k in (1, 2)]
     assert read_capture(tmp_path / "out").status == "incomplete"
-    with pytest.raises(DataError, match="holds an incomplete capture; complete it with: camctl"):
+    with pytest.raises(DataError, match="holds an incomplete capture; shoot its other frames"):
         read_report(tmp_path / "out")
     with small_camera(seed=1) as camera:
         report = resume(camera, tmp_path / "out")

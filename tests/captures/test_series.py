@@ -164,7 +164,7 @@ def test_the_disk_must_have_room_for_the_next_set(bench: Bench) -> None:
     assert caught.value.what == (
         "the disk has 10 MB free and the next set needs about 10 MB; 1 of 3 sets are complete"
     )
-    assert f"camctl shoot --resume {bench.folder}" in caught.value.hint
+    assert caught.value.remedies == {"resume": bench.folder}
     assert bench.run(sets, read_series(bench.folder), free=10_000_001).completed == 3
 
 
@@ -230,9 +230,9 @@ def test_an_interrupted_series_goes_on_with_the_set_that_was_begun(bench: Bench)
     with pytest.raises(InterruptedCaptureError) as caught:
         bench.run(sets, journal(repeat=4, interval_s=10.0))
     assert str(caught.value) == (
-        "interrupted; 1 of 3 frames are kept; 1 of 4 sets are complete; "
-        f"go on with: camctl shoot --resume {bench.folder}"
+        "interrupted; 1 of 3 frames are kept; 1 of 4 sets are complete; go on with the series"
     )
+    assert caught.value.remedies == {"resume": bench.folder}
     kept = read_series(bench.folder)
     assert [each.state for each in kept.sets] == ["complete", "begun"]
     again = FakeSets(bench.clock)

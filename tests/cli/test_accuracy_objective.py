@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from command_line import Run
 
-SMALL = ("--size", "32x24", "-o", "out")
+SMALL = ("-O", "size=32x24", "-o", "out")
 
 
 def test_solve_by_accuracy_beats_xi_with_the_noise_of_a_sensor(run: Run) -> None:
@@ -95,19 +95,19 @@ def test_requests_that_cannot_be_met_are_one_line(
 
 
 def test_shoot_chooses_by_accuracy_unless_asked_otherwise(run: Run) -> None:
-    arguments = ("--response", "linear", "--size", "64x48", "--json")
+    arguments = ("--response", "linear", "-O", "size=64x48", "--json")
     by_accuracy = run("shoot", *arguments, "-o", "a").json
-    by_xi = run("shoot", *arguments, "--objective", "xi", "-o", "b").json
+    by_xi = run("shoot", *arguments, "--set", "objective=xi", "-o", "b").json
     assert (by_accuracy["plan"]["objective"], by_xi["plan"]["objective"]) == ("accuracy", "xi")
     assert by_accuracy["request"]["objective"] is None
     assert len(by_accuracy["frames"]) == len(by_xi["frames"]) == 3
     achieved = by_accuracy["achieved"]["effective_levels"]
     assert achieved > 1.1 * by_xi["achieved"]["effective_levels"]
-    assert "chosen by" in run("shoot", "--size", "32x24", "-o", "c").out
+    assert "chosen by" in run("shoot", "-O", "size=32x24", "-o", "c").out
 
 
 def test_shoot_keeps_a_time_budget(run: Run) -> None:
-    arguments = ("--response", "linear", "--range", "low", "--size", "64x48", "--json")
+    arguments = ("--response", "linear", "--range", "low", "-O", "size=64x48", "--json")
     report = run("shoot", *arguments, "--time-budget", "0.25", "-o", "a").json
     assert report["timing"]["actual_wall_s"] <= 0.25 * (1 + 1e-6)
     assert report["timing"]["planned_wall_s"] <= 0.25 * (1 + 1e-6)

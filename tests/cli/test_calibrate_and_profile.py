@@ -19,7 +19,7 @@ from camctl.profiles.folder import list_profiles
 from camctl.profiles.profile import StillRecord, change_profile
 from sim.sensors.sensor import load_sensor
 
-SMALL = ("--size", "64x48")
+SMALL = ("-O", "size=64x48")
 STILL_CAMERA = CameraInfo("ptp:1", "Make", "Still 5", "77", "ptp")
 
 
@@ -57,7 +57,7 @@ def test_text_output_states_delay_consequence_and_file(run: Run) -> None:
 
 def test_profile_holds_several_modes_of_one_camera(run: Run) -> None:
     for size in ("64x48", "32x24"):
-        assert run("calibrate", "delay", "--size", size, "--trials", "4").status == 0
+        assert run("calibrate", "delay", "-O", f"size={size}", "--trials", "4").status == 0
     (kept,) = list_profiles()
     assert sorted(kept.delays) == ["mono8-32x24-30", "mono8-64x48-30"]
 
@@ -149,7 +149,7 @@ def test_still_camera_has_a_timing_and_no_delay(run: Run, monkeypatch: pytest.Mo
     assert list_profiles() == []
 
 
-SMALL_PHONE = ("--sensor", "phone", "--size", "320x240")
+SMALL_PHONE = ("--sensor", "phone", "-O", "size=320x240")
 
 
 def test_true_exposures_are_measured_kept_and_used(run: Run) -> None:
@@ -187,7 +187,7 @@ def test_exposures_are_measured_in_a_capture_that_is_done(run: Run) -> None:
 
 
 CURVED_OPTIONS = {"sensor": "consumer", "scene": "ramp", "size": "160x120", "unknown": True}
-CURVED = ("--sensor", "consumer", "--scene", "ramp", "--size", "160x120", "-O", "unknown=yes")
+CURVED = ("--sensor", "consumer", "--scene", "ramp", "-O", "size=160x120", "-O", "unknown=yes")
 
 
 @pytest.mark.parametrize("what", ["exposure", "noise"])
@@ -245,7 +245,7 @@ def test_measured_exposures_are_named_where_they_contradict_the_pixels(run: Run)
     ran = run("calibrate", "response", *CURVED)
     assert ran.status == 1
     assert "measured exposures in the camera's profile" in ran.error
-    assert run("calibrate", "response", *CURVED, "--no-profile").status == 0
+    assert run("calibrate", "response", *CURVED, "-O", "profile=none").status == 0
 
 
 @pytest.mark.parametrize(

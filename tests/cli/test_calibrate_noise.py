@@ -13,7 +13,7 @@ from command_line import Run
 
 from camctl.profiles.folder import list_profiles
 
-SIZE = ("--size", "160x120")
+SIZE = ("-O", "size=160x120")
 
 
 def write_pairs(suffix: str = ".png") -> list[Path]:

@@ -44,7 +44,7 @@ def write(frames: list[NDArray[Any]], suffix: str = ".png") -> list[Path]:
 
 
 def test_a_camera_is_measured_and_the_result_is_kept(run: Run) -> None:
-    ran = run("calibrate", "response", "--sensor", "consumer", "--size", "160x120", "--json")
+    ran = run("calibrate", "response", "--sensor", "consumer", "-O", "size=160x120", "--json")
     assert ran.status == 0, ran.err
     assert [each["name"] for each in ran.json["channels"]] == ["R", "G", "B"]
     for channel in ran.json["channels"]:
@@ -114,7 +114,7 @@ def test_estimated_exposures_are_printed(run: Run) -> None:
 
 
 def test_the_folder_of_a_capture_is_measured(run: Run) -> None:
-    small = ("--sensor", "consumer", "--size", "320x240")
+    small = ("--sensor", "consumer", "-O", "size=320x240")
     shot = run("shoot", *small, "--ratios", "1,2,4,8,16,32", "-o", "hall")
     assert shot.status == 0, shot.err
     ran = run("calibrate", "response", "hall", "--json")
@@ -211,7 +211,7 @@ def test_what_is_not_exact_enough_is_kept_on_request_only(run: Run) -> None:
     """Four frames of a chart before a camera are few."""
     line = (
         *("calibrate", "response", "--scene", "colour-chart", "--sensor", "consumer"),
-        *("--size", "320x240", "-n", "4", "--chart", "macbeth", "--json"),
+        *("-O", "size=320x240", "-n", "4", "--chart", "macbeth", "--json"),
     )
     ran = run(*line)
     assert ran.status == 0, ran.err

@@ -31,7 +31,7 @@ def complete(run: Run, monkeypatch: pytest.MonkeyPatch, line: str) -> list[str]:
         ("camctl help so", ["solve"]),
         ("camctl help table b", ["build"]),
         ("camctl shoot --ra", ["--range", "--ratios"]),
-        ("camctl shoot --response ", ["linear", "gamma", "log", "auto"]),
+        ("camctl shoot --response ", ["<file>", "linear", "gamma", "log", "auto"]),
         ("camctl solve --response ", ["<file>", "linear", "gamma", "log"]),
         ("camctl solve --response l", ["<file>", "linear", "log"]),
         ("camctl shoot --range ", ["low", "medium", "high", "auto"]),
@@ -40,8 +40,8 @@ def complete(run: Run, monkeypatch: pytest.MonkeyPatch, line: str) -> list[str]:
         ("camctl shoot --camera s", ["sim"]),
         ("camctl menu --panel t", ["terminal"]),
         ("camctl shoot --base ", ["auto"]),
-        ("camctl shoot --mains ", ["50", "60"]),
-        ("camctl shoot --desired ", ["<file>"]),
+        ("camctl menu --mains ", ["50", "60"]),
+        ("camctl shoot --set ob", ["objective="]),
         ("camctl solve --noise-kind ", ["paper", "time", "aperture", "gain"]),
         ("camctl solve --curve ", ["<file>", "srgb", "rec709", "power:"]),
         ("camctl table build --responses log,l", ["log,linear", "log,log"]),
@@ -59,7 +59,7 @@ def test_completion_offers_commands_options_and_values(
 def test_completion_offers_profiles(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert complete(run, monkeypatch, "camctl profile show ") == []
     monkeypatch.delenv("_CAMCTL_COMPLETE")
-    assert run("calibrate", "delay", "--size", "32x24", "--trials", "2").status == 0
+    assert run("calibrate", "delay", "-O", "size=32x24", "--trials", "2").status == 0
     (name,) = [each["name"] for each in run("profile", "list", "--json").json]
     assert complete(run, monkeypatch, "camctl profile show ") == [name]
 

@@ -150,7 +150,11 @@ RATIOS = "expected positive numbers such as 1,2,4"
         ("shoot --response lograrithm", "unknown response 'lograrithm'"),
         ("shoot --response liner", "unknown response 'liner'; did you mean linear?"),
         ("shoot --range hihg", "unknown dynamic range 'hihg'; did you mean high?"),
-        ("shoot --mains 55", "unknown mains frequency '55'"),
+        ("shoot --set mains=55", "unknown mains frequency '55'"),
+        ("shoot --set main=50", "unknown setting 'main'; did you mean mains?"),
+        ("shoot --set aperture=1", "invalid value for --set aperture: 1; expected yes or no"),
+        ("shoot --set levels=0", "invalid value for --set levels: 0; expected a number of levels"),
+        ("shoot --set mains=50 --set mains=60", "a setting of --set is given twice; give it once"),
         ("shoot --scene", "option '--scene' requires an argument; see camctl shoot --help"),
         ("shoot folder", "unexpected argument 'folder'; see camctl shoot --help"),
         ("evaluate", "option --ratios is missing; see camctl evaluate --help"),
@@ -194,7 +198,7 @@ RATIOS = "expected positive numbers such as 1,2,4"
             "invalid value for --compensation: inf; expected a number of stops",
         ),
         (
-            "shoot --size 640",
+            "simulate --size 640",
             "invalid value for --size: 640; expected WIDTHxHEIGHT such as 640x480",
         ),
         ("shoot --ratios 1,2,4 -n 2", "--ratios has 3 exposures but -n is 2; leave -n out"),
@@ -206,7 +210,7 @@ RATIOS = "expected positive numbers such as 1,2,4"
         ),
         ("shoot -O =y16", "invalid value for --camera-option: =y16; expected NAME=VALUE"),
         ("shoot -O size=9x9 -O size=8x8", "camera option 'size' is given twice; give it once"),
-        ("menu -O size=9x9 --size 9x9", "camera option 'size' is given twice; give it once"),
+        ("menu -O scene=room --scene room", "camera option 'scene' is given twice; give it once"),
         ("shoot -O fromat=y16", "unknown camera option 'fromat'; did you mean"),
         ("shoot -O scenes=room", "unknown camera option 'scenes'; did you mean scene or"),
         (
@@ -220,11 +224,11 @@ RATIOS = "expected positive numbers such as 1,2,4"
         ("profile remove x", "unknown profile 'x': there are no profiles; make one with camctl"),
         ("cameras --udev-rules --json", "--udev-rules cannot be combined with --json"),
         (
-            "shoot --resume x -O a=b",
-            "--resume cannot be combined with --camera-option; the capture continues with the "
-            "options it was started with",
+            "resume x -O a=b",
+            "--camera-option needs --camera here; the capture goes on with the options that it was "
+            "begun with",
         ),
-        ("shoot --resume x -n 2", "--resume cannot be combined with --exposures; the capture"),
+        ("resume x -n 2", "-n cannot be given here; the capture goes on with the options"),
     ],
 )
 def test_usage_error_is_one_line_with_status_2(run: Run, line: str, message: str) -> None:

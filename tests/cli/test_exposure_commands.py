@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from command_line import Run
 
-from camctl.cli import response_options
+from camctl.cli import real_camera, search_options
 from camctl.cli.output import to_json
 from camctl.exposure.noise import NOISE_KINDS
 from camctl.model.response.camera import STANDARDS
@@ -19,8 +19,8 @@ CURVE = "0 0\n0.25 0.5\n1 1\n"
 
 
 def test_names_on_the_command_line_are_those_of_the_library() -> None:
-    assert response_options.NOISE_KINDS == NOISE_KINDS
-    assert set(response_options.STANDARDS) <= set(STANDARDS)
+    assert search_options.NOISE_KINDS == NOISE_KINDS
+    assert set(real_camera.STANDARDS) <= set(STANDARDS)
 
 
 def test_evaluate_gives_known_numbers_for_the_usual_bracket(run: Run) -> None:

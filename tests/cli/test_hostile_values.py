@@ -45,6 +45,7 @@ run as root, and a command that replaced a device or a system file would damage 
 
 REFUSED = {
     "menu",
+    "resume",
     "profile export",
     "profile import",
     "profile show",
@@ -56,21 +57,23 @@ REFUSED = {
 NUMERIC = (Number, WholeNumber, Seconds, DynamicRange, FrameSize, ListOf)
 """Types of options that open no files."""
 
-LEFT_OUT = {"--real-time", "--debug", "--help", "--probe", "--workers"}
-"""Real time waits; the next two print what they promise; a probe writes to serial ports; and
+LEFT_OUT = {"--debug", "--help", "--probe", "--workers"}
+"""The first two print what they promise; a probe writes to serial ports; and
 workers are processes."""
 
 BASES = {
     "shoot": (
-        "--scene uniform --size 16x12 -o out -n 2 --force",
-        "--size 9x7 --base 0.01",
-        "--scene uniform --size 9x7 --base 0.01 -n 1 --repeat 1",
+        "--scene uniform -O size=16x12 -o out -n 2 --force",
+        "-O size=9x7 --base 0.01",
     ),
+    "series": ("--scene uniform -O size=9x7 --base 0.01 -n 1 --repeat 1",),
+    "preview": ("--scene uniform -O size=16x12 -n 1 -o p.png --force",),
+    "resume": ("nothing",),
     "merge": ("p0.png p1.png p2.png --times 1/8,1/2,2 --curve power:2.222 -o out --force",),
-    "menu": ("--scene uniform --size 16x12",),
+    "menu": ("--scene uniform -O size=16x12",),
     "cameras": ("",),
-    "calibrate all": ("--scene uniform --size 16x12 --longest 0.01 -O unknown=yes",),
-    "calibrate delay": ("--scene uniform --size 16x12 --trials 2",),
+    "calibrate all": ("--scene uniform -O size=16x12 --longest 0.01 -O unknown=yes",),
+    "calibrate delay": ("--scene uniform -O size=16x12 --trials 2",),
     "profile list": ("",),
     "profile show": ("nothing",),
     "profile export": ("nothing",),
@@ -98,10 +101,10 @@ BASES = {
     ),
     "figures": ("--only 11 --dpi 30 --force",),
     "calibrate exposure": (
-        "--scene uniform --size 16x12 --sensor ideal-6 --repeats 2 --longest 0.01",
+        "--scene uniform -O size=16x12 --sensor ideal-6 --repeats 2 --longest 0.01",
     ),
-    "calibrate noise": ("--sensor phone --scene tile-floor --size 64x48",),
-    "calibrate response": ("--scene tile-floor --size 160x120 -n 6",),
+    "calibrate noise": ("--sensor phone --scene tile-floor -O size=64x48",),
+    "calibrate response": ("--scene tile-floor -O size=160x120 -n 6",),
     "help": ("",),
 }
 """Command lines that work, and are quick, by command; each option is added to each.  There is no

@@ -90,13 +90,13 @@ def long_name(suffix: str = "") -> str:
     [
         "shoot --scene {}.hdr",
         "shoot --sensor {}.json",
-        "shoot --table {}",
-        "shoot -o {} --size 24x16",
-        "shoot --resume {}",
+        "shoot --set table={}",
+        "shoot -o {} -O size=24x16",
+        "resume {}",
         "simulate --size 24x16 -o {}.tiff",
         "solve --curve {}",
         "solve --settings {}",
-        "solve --desired {}",
+        "solve --response ./{}",
         "table show --table {}",
         "table build -n 1 --bits 3 -o {}",
         "evaluate --ratios 1,2 --curve {}",
@@ -116,12 +116,12 @@ UNREADABLE = [
     *((f"shoot --scene bad{suffix}", f"bad{suffix}") for suffix in (".hdr", ".exr")),
     *((f"shoot --scene bad{suffix}", f"bad{suffix}") for suffix in (".tiff", ".npy")),
     ("shoot --sensor bad.json", "bad.json"),
-    ("shoot --size 24x16 --table bad.json", "bad.json"),
-    ("shoot --desired bad.txt", "bad.txt"),
+    ("shoot -O size=24x16 --set table=bad.json", "bad.json"),
+    ("shoot --response bad.txt", "bad.txt"),
     ("simulate --scene bad.exr", "bad.exr"),
     ("solve --curve bad.txt", "bad.txt"),
     ("solve --settings bad.txt", "bad.txt"),
-    ("solve --desired bad.txt", "bad.txt"),
+    ("solve --response bad.txt", "bad.txt"),
     ("evaluate --ratios 1,2 --curve bad.txt", "bad.txt"),
     ("table show --table bad.json", "bad.json"),
 ]
@@ -185,7 +185,7 @@ def test_folder_that_cannot_be_written(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "line",
-    ["shoot --size 24x16", "shoot --scene x.hdr", "solve --curve x", "solve --settings x.txt"],
+    ["shoot -O size=24x16", "shoot --scene x.hdr", "solve --curve x", "solve --settings x.txt"],
 )
 def test_working_directory_that_was_deleted(folder: Path, line: str) -> None:
     gone = folder / "gone"
@@ -216,7 +216,7 @@ def test_too_few_open_files(folder: Path, files: int) -> None:
 
 
 #: A frame has 38,528 bytes, the sum 77,056, and the EXR file about 83,000.
-SIZES = ("--size", "240x160", *SHOOT[3:])
+SIZES = ("-O", "size=240x160", *SHOOT[3:])
 
 
 @pytest.mark.parametrize(
@@ -226,11 +226,11 @@ SIZES = ("--size", "240x160", *SHOOT[3:])
 def test_limit_of_file_sizes(folder: Path, limit: int, file: str, kept: int) -> None:
     ended = camctl(folder, "shoot", *SIZES, limits={resource.RLIMIT_FSIZE: limit})
     message = ended.check_one_line(1)
-    assert message.endswith(f"{kept} of 2 frames are kept; go on with: camctl shoot --resume out")
+    assert message.endswith(f"{kept} of 2 frames are kept; shoot the others (camctl resume out)")
     assert file in message
     assert "raise the limit" in message
     assert damaged(folder / "out") == []
-    resumed = camctl(folder, "shoot", "--resume", "out")
+    resumed = camctl(folder, "resume", "out")
     assert (resumed.status, resumed.err) == (0, "")
 
 
@@ -245,7 +245,7 @@ def test_limit_of_file_sizes(folder: Path, limit: int, file: str, kept: int) -> 
 )
 def test_limit_of_memory(folder: Path, size: str, megabytes: int, message: str) -> None:
     limits = {resource.RLIMIT_AS: megabytes << 20}
-    line = ("shoot", "--size", size, *SHOOT[3:])
+    line = ("shoot", "-O", f"size={size}", *SHOOT[3:])
     ended = camctl(folder, *line, limits=limits, environment={"OPENBLAS_NUM_THREADS": "1"})
     assert ended.check_one_line(1).startswith(message)
     if (folder / "out").exists():
@@ -286,7 +286,7 @@ def test_report_cannot_hold_every_name_of_a_scene(run: Run) -> None:
 
 
 def test_damaged_cached_exposures_are_set_aside_with_a_warning(run: Run, tmp_path: Path) -> None:
-    line = ("shoot", *UNKNOWN, "--size", "24x16", "--base", "0.01", "-o")
+    line = ("shoot", *UNKNOWN, "-O", "size=24x16", "--base", "0.01", "-o")
     assert run(*line, "first").err == ""
     (path,) = (tmp_path / "cache").rglob("*.json")
     path.write_text("{")

@@ -13,7 +13,7 @@ import menu.app
 from menu.data import Choice, Summary
 from menu.ports import Job
 
-SMALL = ("--size", "64x48")
+SMALL = ("-O", "size=64x48")
 
 
 def test_menu_needs_a_terminal(run: Run) -> None:

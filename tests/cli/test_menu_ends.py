@@ -32,7 +32,7 @@ def second_frame_waits(camera, shot, requested):
     return frame(camera, shot, requested)
 
 CameraJob.shoot, SimulatedCamera._counted_frame = shoot_until, second_frame_waits
-sys.argv = ["camctl", "menu", "--size", "24x16"]
+sys.argv = ["camctl", "menu", "-O", "size=24x16"]
 sys.exit(run())
 """
 """`camctl menu` with a camera whose second frame comes when the capture has been cancelled."""
@@ -105,7 +105,7 @@ def test_menu_that_ends_during_a_capture_keeps_the_frames(
     ended, text = end(terminal)
     assert ended == status
     (capture,) = folder.iterdir()
-    expected = f"2 of 3 frames are kept; go on with: camctl shoot --resume {capture.name}"
+    expected = f"2 of 3 frames are kept; shoot the others (camctl resume {capture.name})"
     assert text == f"camctl: {err}; cancelled; {expected}\n"
     assert [path.name for path in sorted(capture.glob("frames/*"))] == [
         "frame-01.npy",

@@ -175,7 +175,7 @@ def test_a_failed_merge_says_how_to_go_on(
         ran = run(*line)
     assert ran.status == 1
     assert "the photographs are as they were; merge them again, with --force" in ran.error
-    resumed = run("shoot", "--resume", "out")
+    resumed = run("resume", "out")
     assert "was begun by camctl merge; merge the photographs again, with --force" in resumed.error
     again = run(*line, "--force")
     assert again.status == 0, again.err

@@ -41,9 +41,9 @@ def check_visible(ran: Ran) -> None:
         ["shoot", "--sensor", f"{NAME}.json"],
         ["shoot", "--sensor", NAME],
         ["shoot", "--camera", NAME],
-        ["shoot", "--resume", NAME],
+        ["resume", NAME],
         ["shoot", "-O", f"{NAME}=1"],
-        ["shoot", "--table", NAME],
+        ["shoot", "--set", f"table={NAME}"],
         ["shoot", NAME],
         ["simulate", "-o", f"{NAME}/x.png", "--size", "24x16"],
         ["solve", "--curve", NAME],
@@ -72,12 +72,12 @@ def test_name_in_json_is_escaped(run: Run) -> None:
 
 
 def test_output_folder_is_visible(run: Run) -> None:
-    ran = run("shoot", "--size", "24x16", "--ratios", "1,2", "--base", "0.01", "-o", NAME)
+    ran = run("shoot", "-O", "size=24x16", "--ratios", "1,2", "--base", "0.01", "-o", NAME)
     assert ran.status == 0
     assert f"  {SHOWN}\n" in ran.out
     check_visible(ran)
     assert Path(NAME, "sum.tiff").exists()
-    refused = run("shoot", "--size", "24x16", "--ratios", "1,2", "-o", NAME)
+    refused = run("shoot", "-O", "size=24x16", "--ratios", "1,2", "-o", NAME)
     assert refused.error.startswith(f"{SHOWN} is not empty")
 
 
@@ -85,7 +85,7 @@ def test_name_of_a_sensor_and_its_camera_is_visible(run: Run) -> None:
     file = resources.files("sim") / "sensors" / "standard.json"
     sensor = json.loads(file.read_text(encoding="utf-8")) | {"name": NAME}
     Path("sensor.json").write_text(json.dumps(sensor))
-    options = ("--sensor", "sensor.json", "--size", "24x16")
+    options = ("--sensor", "sensor.json", "-O", "size=24x16")
     shot = run("shoot", *options, "--ratios", "1,2", "--base", "0.01", "-o", "out")
     assert shot.status == 0
     assert f"simulated {SHOWN} (sim)" in shot.out

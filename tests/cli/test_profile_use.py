@@ -16,7 +16,7 @@ from camctl.interface.camera import CameraInfo
 from camctl.profiles.folder import import_profile, list_profiles
 from camctl.profiles.profile import DelayRecord, Profile, change_profile
 
-UNKNOWN = ("--sensor", "consumer", "--scene", "ramp", "--size", "160x120", "-O", "unknown=yes")
+UNKNOWN = ("--sensor", "consumer", "--scene", "ramp", "-O", "size=160x120", "-O", "unknown=yes")
 ASSUMED = "the response linear is assumed until it is measured"
 DELAY = DelayRecord(frames=2, smallest=2, largest=2, trials=12, measured_at="2026-11-22")
 CAMERA = CameraInfo("v4l2:/dev/video0", "Make", "Webcam 3000", "A1B2", "v4l2")
@@ -65,11 +65,10 @@ def test_shoot_uses_the_profile_and_says_so(run: Run, calibrated: str, tmp_path:
     assert used == ["profile", "profile"]
 
 
-@pytest.mark.parametrize("option", [("--no-profile",), ("-O", "profile=none")])
 @pytest.mark.usefixtures("calibrated")
-def test_the_profile_is_switched_off(run: Run, tmp_path: Path, option: tuple[str, ...]) -> None:
+def test_the_profile_is_switched_off(run: Run, tmp_path: Path) -> None:
     line = ("shoot", *UNKNOWN, "--response", "linear", "-n", "2", "-o", str(tmp_path / "a"))
-    ran = run(*line, *option, "--json")
+    ran = run(*line, "-O", "profile=none", "--json")
     assert ran.json["profile"] is None
     assert "using the profile" not in ran.err
     assert ran.json["response_origin"] == "assumed"
@@ -89,13 +88,14 @@ def test_computations_for_a_camera_use_its_profile(run: Run, calibrated: str, co
         assert ran.status == 0, ran.err
     assert using(calibrated) in ran.err
     assert ASSUMED not in ran.err
-    without = run(*line, "--no-profile").err
+    without = run(*line, "-O", "profile=none").err
     assert using(calibrated) not in without
     assert without.count(ASSUMED) == 1
 
 
 def test_options_of_a_camera_need_one(run: Run) -> None:
-    assert run("solve", "--no-profile").error == "--no-profile needs --camera; name the camera"
+    ran = run("solve", "-O", "profile=none")
+    assert ran.error == "--camera-option needs --camera; name the camera"
 
 
 def test_show_draws_the_responses(run: Run, calibrated: str, tmp_path: Path) -> None:

@@ -275,17 +275,20 @@ def test_desired_response_from_a_file_has_its_own_range(run: Run, option: str) -
 @pytest.mark.parametrize(
     ("line", "message", "status"),
     [
-        ("--desired falling.txt", "invalid desired response 'falling.txt': u must not decrease", 1),
-        ("--desired one.txt", "one.txt, line 1: expected 2 columns, found 1", 1),
-        ("--desired none.txt", "none.txt: No such file", 1),
         (
-            "--desired falling.txt --range 10",
-            "--desired cannot be combined with --range; the file defines response and range",
+            "--response falling.txt",
+            "invalid desired response 'falling.txt': u must not decrease",
+            1,
+        ),
+        ("--response one.txt", "one.txt, line 1: expected 2 columns, found 1", 1),
+        ("--response none.txt", "none.txt: No such file", 1),
+        (
+            "--response falling.txt --range 10",
+            "--response FILE cannot be combined with --range; the file defines response and range",
             2,
         ),
         ("--desired falling.txt --response log", "--desired cannot be combined with --resp", 2),
-        ("--desired falling.txt --gamma 0.3", "--desired cannot be combined with --gamma", 2),
-        ("--response falling.txt --range 10", "--response FILE cannot be combined with --ra", 2),
+        ("--response falling.txt --gamma 0.3", "--response FILE cannot be combined with --ga", 2),
         ("--response lug", "unknown response 'lug'; did you mean log", 2),
     ],
 )

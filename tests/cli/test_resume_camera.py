@@ -1,4 +1,4 @@
-"""Which camera `camctl shoot --resume` opens: none that only a report asks for."""
+"""Which camera `camctl resume` opens: none that only a report asks for."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from command_line import Ran, Run
 from camctl.interface.backends import is_local
 
 LIGHT = {"span": 2.0, "is_open": False, "clips": 0.5, "dark": 0.1, "needed": 1.0}
-SMALL = ("--size", "64x48", "--ratios", "1,4", "--base", "0.01")
+SMALL = ("-O", "size=64x48", "--ratios", "1,4", "--base", "0.01")
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def edit(folder: Path, **changes: Any) -> None:
 
 
 def resume(run: Run, *arguments: str | Path) -> Ran:
-    return run("shoot", "--resume", "here", *arguments)
+    return run("resume", "here", *arguments)
 
 
 def test_report_with_a_spy_url_writes_no_file(run: Run, begun: Path) -> None:
@@ -46,7 +46,7 @@ def test_report_with_a_spy_url_writes_no_file(run: Run, begun: Path) -> None:
     assert ran.status == 1
     assert ran.error == (
         f"here/report.json names the camera {url[:80]!r}, which is not opened unless you name it: "
-        "it may lead to another machine; if you trust it: camctl shoot --resume here --camera ID"
+        "it may lead to another machine; if you trust it: camctl resume here --camera ID"
     )
     assert victim.read_text() == "dear"
 
@@ -71,9 +71,9 @@ def test_the_user_can_name_the_camera(run: Run, begun: Path) -> None:
 def test_other_options_are_refused_beside_the_camera(run: Run, begun: Path) -> None:
     ran = resume(run, "--camera", "sim", "-n", "2")
     assert ran.status == 2
-    assert ran.error.startswith("--resume cannot be combined with --exposures; ")
+    assert ran.error.startswith("-n cannot be given here; the capture goes on")
     ran = resume(run, *SMALL[:2])
-    assert ran.error.startswith("--resume cannot be combined with --size; ")
+    assert ran.error.startswith("--camera-option needs --camera here; ")
 
 
 @pytest.mark.parametrize(
@@ -124,8 +124,8 @@ def test_the_command_that_goes_on_can_be_pasted(run: Run, name: str) -> None:
         Path(name).rmdir()
     except OSError:
         pytest.skip("this file system has no such names")
-    error = run("shoot", *SMALL, "-o", name, "--fault", "unplug@1").error
-    command = error[error.index("camctl shoot --resume ") :]
+    error = run("shoot", *SMALL, "-o", name, "-O", "faults=unplug@1").error
+    command = error[error.index("camctl resume ") :].removesuffix(")")
     shell = ["bash", "-c", f"camctl() {{ printf '%s\\0' \"$@\"; }}; {command}"]
     printed = subprocess.run(shell, check=True, capture_output=True).stdout
     folder = os.fsdecode(printed.split(b"\0")[2])

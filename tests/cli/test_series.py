@@ -23,7 +23,7 @@ from camctl.captures.series_sets import CameraSets
 from camctl.errors import CaptureError
 from sim.camera import SimulatedCamera
 
-TINY = ("shoot", "--size", "16x12", "--scene", "uniform", "--ratios", "1,4", "--base", "0.01")
+TINY = ("series", "-O", "size=16x12", "--scene", "uniform", "--ratios", "1,4", "--base", "0.01")
 
 
 def sets(folder: str = "day") -> Any:
@@ -46,9 +46,9 @@ def test_a_series_is_a_folder_of_captures_with_a_page(run: Run) -> None:
         assert datetime.fromisoformat(report["taken_at"]).replace(tzinfo=None) == begun
     page = Path("day/index.html").read_text()
     assert page.count("<article>") == 3
-    assert run("shoot", "--resume", "day").error == (
-        "the series in day is complete: 3 of 3 sets were taken; take another one with camctl shoot "
-        "--repeat N"
+    assert run("resume", "day").error == (
+        "the series in day is complete: 3 of 3 sets were taken; take another one with camctl "
+        "series --repeat N"
     )
 
 
@@ -65,8 +65,8 @@ def test_the_space_of_a_set_is_known_before_the_first_one(sensor: str, tmp_path:
 
 
 def test_a_set_that_is_not_trustworthy_is_named(run: Run) -> None:
-    faults = ("--size", "160x120", "--repeat", "2", "--fault", "corrupt@4", "-n", "3")
-    ran = run("shoot", *faults, "-o", "day")
+    faults = ("-O", "size=160x120", "--repeat", "2", "-O", "faults=corrupt@4", "-n", "3")
+    ran = run("series", *faults, "-o", "day")
     wrong = [each["folder"] for each in sets() if each["trustworthy"] is False]
     assert len(wrong) == 1
     assert (ran.status, f"{wrong[0]} is not trustworthy: " in ran.err) == (3, True)
@@ -90,17 +90,14 @@ def test_a_series_has_a_folder_of_its_own(run: Run) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("--interval 5", "--interval belongs to a series; say how many sets with --repeat N"),
-        ("--hook true", "--hook belongs to a series"),
-        ("--name x", "--name belongs to a series"),
-        ("--meter each", "--meter each belongs to a series"),
+        ("--interval 5", "a series needs its number of sets; give it with --repeat N"),
         ("--repeat 2 --hook ''", "--hook is empty"),
         ("--repeat 0", "invalid value for --repeat"),
         ("--repeat 2 --interval 0", "invalid value for --interval"),
         ("--repeat 2 --name ../x", "invalid folder name '../x'"),
         ("--repeat 2 --name {n}", "unknown field of a name '{n}'"),
         ("--repeat 2 --name day-%03n", "unknown field of a name '%03n', which is one of gphoto2"),
-        ("--repeat 2 --force", "a series cannot be combined with --force"),
+        ("--repeat 2 --force", "unknown option '--force'"),
         ("--on-key", "--on-key needs a terminal on standard input"),
         ("--on-key --interval 3", "--on-key cannot be combined with --interval"),
         ("--repeat 2 --meter twice", "unknown time to meter 'twice'"),
@@ -184,10 +181,10 @@ def test_a_signal_keeps_what_was_shot_and_resume_goes_on(
         patch.setattr(SimulatedCamera, "_frames", sending)
         ran = run(*TINY, "--repeat", "3", "--hook", "true", "-o", "day")
     assert ran.status == status
-    assert "1 of 3 sets are complete; go on with: camctl shoot --resume day" in ran.error
+    assert "1 of 3 sets are complete; go on with the series (camctl resume day)" in ran.error
     assert sets()[1]["state"] == "begun"
     assert list(Path("day/set-0002/frames").glob("frame-01.npy"))
-    again = run("shoot", "--resume", "day")
+    again = run("resume", "day")
     assert (again.status, "3 of 3 complete" in again.out) == (0, True)
     assert again.err == (
         "camctl: warning: the series was begun with --hook, which is not kept: give it again\n"
@@ -198,7 +195,7 @@ def test_a_signal_keeps_what_was_shot_and_resume_goes_on(
 def test_options_of_a_series_are_not_changed_when_it_is_resumed(run: Run) -> None:
     assert run(*TINY, "--repeat", "1", "-o", "day").status == 0
     for line in (["--repeat", "3"], ["-n", "2"], ["--name", "x", "--repeat", "2"]):
-        assert "--resume cannot be combined with" in run("shoot", "--resume", "day", *line).error
+        assert "cannot be given here; the capture goes on" in run("resume", "day", *line).error
 
 
 def test_a_journal_of_another_camera_is_not_opened_unasked(run: Run) -> None:
@@ -213,8 +210,8 @@ def test_a_journal_of_another_camera_is_not_opened_unasked(run: Run) -> None:
         ({}, "does not name the camera"),
     ):
         Path("day/series.json").write_text(json.dumps(content | {"source": source}))
-        assert message in run("shoot", "--resume", "day").error
-    assert run("shoot", "--resume", "day", "--camera", "sim", "--size", "16x12").status == 0
+        assert message in run("resume", "day").error
+    assert run("resume", "day", "--camera", "sim", "-O", "size=16x12").status == 0
 
 
 PROGRAM = "import sys; from camctl.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -257,7 +254,7 @@ def test_keys_of_a_terminal_take_sets_and_end_the_series(tmp_path: Path) -> None
 
 def test_a_series_on_a_terminal_pauses_and_says_when_it_will_end(tmp_path: Path) -> None:
     folder = tmp_path / "day"
-    terminal = on_terminal(folder, "--repeat", "3", "--interval", "0.7", "--real-time")
+    terminal = on_terminal(folder, "--repeat", "3", "--interval", "0.7", "-O", "time=real")
     try:
         wait_for_sets(terminal, folder, 1)
         terminal.type("p")
@@ -273,7 +270,7 @@ def test_a_series_on_a_terminal_pauses_and_says_when_it_will_end(tmp_path: Path)
 
 def test_a_killed_series_is_resumed(tmp_path: Path) -> None:
     folder = tmp_path / "day"
-    line = [*TINY, "--repeat", "100", "--interval", "0.05", "--real-time", "-o", str(folder)]
+    line = [*TINY, "--repeat", "100", "--interval", "0.05", "-O", "time=real", "-o", str(folder)]
     process = subprocess.Popen([sys.executable, "-c", PROGRAM, *line])
     try:
         while not (folder / "set-0002").exists():
@@ -287,7 +284,7 @@ def test_a_killed_series_is_resumed(tmp_path: Path) -> None:
     (folder / "series.json").write_text(json.dumps(content))
     hook = f"echo $CAMCTL_NUMBER >> {tmp_path}/numbers"
     resumed = subprocess.run(
-        [sys.executable, "-c", PROGRAM, "shoot", "--resume", str(folder), "--hook", hook],
+        [sys.executable, "-c", PROGRAM, "resume", str(folder), "--hook", hook],
         capture_output=True,
         text=True,
         check=False,

@@ -19,7 +19,7 @@ from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
 
-SMALL = ("--size", "64x48")
+SMALL = ("-O", "size=64x48")
 RESULT = {
     "sum.tiff",
     "image.tiff",
@@ -86,7 +86,7 @@ def test_sum_is_that_of_the_frames_in_the_report(run: Run) -> None:
 
 
 def test_options_reach_plan_and_request(run: Run) -> None:
-    report = shot(run, "-o", "a", "--ratios", "4,1,2", "--base", "1/500", "--levels", "300")
+    report = shot(run, "-o", "a", "--ratios", "4,1,2", "--base", "1/500", "--set", "levels=300")
     assert report["plan"]["ratios"] == [1, 2, 4]
     assert report["plan"]["base_s"] == pytest.approx(1 / 500)
     assert report["plan"]["levels_wanted"] == 300
@@ -94,14 +94,14 @@ def test_options_reach_plan_and_request(run: Run) -> None:
     assert applied == pytest.approx([0.002, 0.004, 0.008])
     longer = shot(run, "-o", "b", "--ratios", "1,2", "--base", "0.002", "--compensation", "2")
     assert longer["plan"]["base_s"] == pytest.approx(0.008)
-    flicker = shot(run, "-o", "c", "--ratios", "1,2", "--mains", "50")
+    flicker = shot(run, "-o", "c", "--ratios", "1,2", "--set", "mains=50")
     assert flicker["request"]["mains_hz"] == 50
-    assert shot(run, "-o", "d", "--aperture")["request"]["use_aperture"] is True
+    assert shot(run, "-o", "d", "--set", "aperture=yes")["request"]["use_aperture"] is True
     assert shot(run, "-o", "e", "--meter")["request"]["spend_shutter"] is True
 
 
 def test_any_gamma_is_the_desired_response(run: Run) -> None:
-    arguments = ("--sensor", "ideal-4", "-n", "2", "--objective", "xi", "--range", "medium")
+    arguments = ("--sensor", "ideal-4", "-n", "2", "--set", "objective=xi", "--range", "medium")
     report = shot(run, *arguments, "--gamma", "0.45", "-o", "a")
     assert report["request"]["response"] == report["plan"]["response"] == "gamma"
     assert report["request"]["gamma"] == 0.45
@@ -117,26 +117,25 @@ def test_any_gamma_is_the_desired_response(run: Run) -> None:
 def test_desired_response_comes_from_a_file(run: Run) -> None:
     rows = [(0.01, 0.0), (0.1, 0.7), (1.0, 1.0)]
     Path("desired.txt").write_text("\n".join(f"{E} {u}" for E, u in rows))
-    arguments = ("--sensor", "ideal-4", "-n", "2", "--objective", "xi")
-    report = shot(run, *arguments, "--desired", "desired.txt", "-o", "a")
+    arguments = ("--sensor", "ideal-4", "-n", "2", "--set", "objective=xi")
+    report = shot(run, *arguments, "--response", "desired.txt", "-o", "a")
     assert report["request"]["response"] == "curve"
     assert report["request"]["desired_curve"] == [list(row) for row in rows]
     assert report["plan"]["dynamic_range"] == pytest.approx(100)
-    found = run(*("solve", "--bits", "4", "--desired", "desired.txt", "-n", "2", "--json")).json
+    found = run(*("solve", "--bits", "4", "--response", "desired.txt", "-n", "2", "--json")).json
     assert report["plan"]["ratios"] == pytest.approx(found["exposures"])
     again = json.loads(Path("a/report.json").read_text())
     Path("a/report.json").write_text(json.dumps({**again, "status": "incomplete"}))
     Path("a/frames/frame-02.npy").unlink()
-    assert run("shoot", "--resume", "a", "--json").json["plan"] == report["plan"]
+    assert run("resume", "a", "--json").json["plan"] == report["plan"]
 
 
 @pytest.mark.parametrize(
     ("line", "message", "status"),
     [
-        ("--desired missing.txt", "cannot read curve missing.txt: No such file", 1),
-        ("--desired flat.txt", "invalid desired response 'flat.txt': u must not decrease and", 1),
-        ("--desired flat.txt --range low", "--desired cannot be combined with --range; the", 2),
-        ("--desired flat.txt --response auto", "--desired cannot be combined with --response", 2),
+        ("--response missing.txt", "cannot read curve missing.txt: No such file", 1),
+        ("--response flat.txt", "invalid desired response 'flat.txt': u must not decrease and", 1),
+        ("--response flat.txt --range low", "--response FILE cannot be combined with --range", 2),
         ("--gamma 0.45 --response auto", "--gamma cannot be combined with --response auto", 2),
         ("--gamma 0", "invalid value for --gamma: 0; expected an exponent from 0.01 to 100", 2),
         ("--gamma 200", "invalid value for --gamma: 200; expected an exponent from 0.01 to 100", 2),
@@ -155,14 +154,14 @@ def test_invalid_desired_response_is_one_line(
 def test_seed_determines_the_noise(run: Run) -> None:
     arguments = ("--ratios", "1,2", "--base", "0.01")
     for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-        shot(run, *arguments, "--seed", seed, "-o", name)
+        shot(run, *arguments, "-O", f"seed={seed}", "-o", name)
     sums = [tifffile.imread(f"{name}/sum.tiff") for name in "abc"]
     assert np.array_equal(sums[0], sums[1])
     assert not np.array_equal(sums[0], sums[2])
 
 
 def test_warnings_go_to_standard_error(run: Run) -> None:
-    ran = run("shoot", *SMALL, "--base", "1/500", "--ratios", "1,2", "--mains", "50", "--json")
+    ran = run("shoot", *SMALL, "--base", "1/500", "--ratios", "1,2", "--set", "mains=50", "--json")
     assert ran.json["warnings"]
     for warning in ran.json["warnings"]:
         assert f"camctl: warning: {warning}\n" in ran.err
@@ -175,14 +174,14 @@ def test_two_captures_in_one_second_get_two_folders(run: Run) -> None:
 
 
 def test_earlier_capture_is_replaced_only_with_force(run: Run) -> None:
-    shot(run, "-o", "here", "--seed", "1")
+    shot(run, "-o", "here", "-O", "seed=1")
     before = Path("here/sum.tiff").read_bytes()
-    ran = run("shoot", *SMALL, "-o", "here", "--seed", "2")
+    ran = run("shoot", *SMALL, "-o", "here", "-O", "seed=2")
     assert ran.status == 1
     assert "here is not empty" in ran.error
     assert "--force" in ran.error
     assert Path("here/sum.tiff").read_bytes() == before
-    shot(run, "-o", "here", "--seed", "2", "--force")
+    shot(run, "-o", "here", "-O", "seed=2", "--force")
     assert Path("here/sum.tiff").read_bytes() != before
 
 
@@ -211,13 +210,13 @@ class FaultyBackend:
 def test_resume_completes_a_broken_capture(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibrated, "load", lambda *_: FaultyBackend)
     FaultyBackend.faults = Faults(unplug_after=1)
-    broken = run("shoot", "--seed", "4", "-o", "here")
+    broken = run("shoot", "-O", "seed=4", "-o", "here")
     assert broken.status == 1
-    assert "camctl shoot --resume here" in broken.error
+    assert "camctl resume here" in broken.error
     kept = json.loads(Path("here/report.json").read_text())
     assert kept["source"] == {"camera": "sim", "options": {"seed": "4"}}
     assert kept["status"] == "incomplete"
-    ran = run("shoot", "--resume", "here", "--json")
+    ran = run("resume", "here", "--json")
     assert ran.json["status"] == "complete"
     assert all(ran.json["frames"])
     assert ran.json["plan"] == kept["plan"]
@@ -241,11 +240,13 @@ def test_untrustworthy_capture_ends_with_status_3(
 
 
 def test_a_frame_shot_again_and_a_fault_that_did_not_happen_are_named(run: Run) -> None:
-    ran = run("shoot", "--size", "160x120", "--fault", "wrong@1=0.5,drop@9,unplug@7", "-o", "here")
+    ran = run(
+        "shoot", "-O", "size=160x120", "-O", "faults=wrong@1=0.5,drop@9,unplug@7", "-o", "here"
+    )
     assert ran.status == 0
     assert "\nshot again           frame 2: the brightness did not fit" in ran.out
     assert "fewer frames were taken: unplug@7, drop@9\n" in ran.err
-    ran = run("shoot", "--size", "160x120", "--fault", "drop@1,clamp=60", "-o", "there")
+    ran = run("shoot", "-O", "size=160x120", "-O", "faults=drop@1,clamp=60", "-o", "there")
     assert "shot again" not in ran.out
     assert "fault" not in ran.err
 
@@ -264,9 +265,9 @@ def test_interrupted_capture_can_be_resumed_once(run: Run, monkeypatch: pytest.M
         patch.setattr(SimulatedCamera, "shoot", shoot_one_frame)
         ran = run("shoot", *SMALL, "-o", "here")
     assert ran.status == 130
-    assert "camctl shoot --resume here" in ran.error
-    assert run("shoot", "--resume", "here").status == 0
-    again = run("shoot", "--resume", "here")
+    assert "camctl resume here" in ran.error
+    assert run("resume", "here").status == 0
+    again = run("resume", "here")
     assert again.status == 1
     assert again.error == (
         "the capture in here is complete: all 3 frames were shot; "
@@ -283,7 +284,7 @@ def test_complete_capture_is_reported_without_its_camera(
         raise AssertionError("the camera must not be opened")
 
     monkeypatch.setattr(calibrated, "open_camera", refuse)
-    assert "the capture in here is complete" in run("shoot", "--resume", "here").error
+    assert "the capture in here is complete" in run("resume", "here").error
 
 
 def test_resume_needs_the_camera_in_the_report(run: Run) -> None:
@@ -291,7 +292,7 @@ def test_resume_needs_the_camera_in_the_report(run: Run) -> None:
     report = json.loads(Path("here/report.json").read_text())
     report |= {"status": "incomplete", "source": {}}
     Path("here/report.json").write_text(json.dumps(report))
-    ran = run("shoot", "--resume", "here")
+    ran = run("resume", "here")
     assert ran.error.startswith("here/report.json does not name the camera to open; ")
     assert ran.status == 1
 
@@ -305,7 +306,7 @@ def test_camera_options_are_kept_for_resuming(run: Run) -> None:
     Path("here/frames/frame-02.npy").unlink()
     report = json.loads(Path("here/report.json").read_text())
     Path("here/report.json").write_text(json.dumps({**report, "status": "incomplete"}))
-    again = run("shoot", "--resume", "here", "--json").json
+    again = run("resume", "here", "--json").json
     assert again["layout"] == "rggb"
     assert all(again["frames"])
 
@@ -346,8 +347,6 @@ HDR = np.ones((4, 4), dtype=np.float32)
         ("--sensor bad.json", "bad.json: not JSON", 1),
         ("--base 100", "beyond the camera's", 1),
         ("--base 10 --ratios 1,1000", "is beyond the camera's controls", 1),
-        ("--resume missing", "missing holds no capture: report.json is missing", 1),
-        ("--resume damaged", "report.json is damaged", 1),
         ("-o dark.npy/x", "cannot write", 1),
     ],
 )
@@ -367,3 +366,17 @@ def test_impossible_capture_is_one_line_and_leaves_nothing(
     assert message in ran.error
     assert ran.status == status
     assert {path.name for path in Path().iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("folder", "message"),
+    [
+        ("missing", "missing holds no capture: report.json is missing"),
+        ("damaged", "report.json is damaged"),
+    ],
+)
+def test_what_is_no_capture_is_not_resumed(run: Run, folder: str, message: str) -> None:
+    Path("damaged").mkdir()
+    Path("damaged/report.json").write_text('{"status": "complete"}')
+    ran = run("resume", folder)
+    assert (ran.status, message in ran.error) == (1, True)

@@ -22,10 +22,10 @@ from camctl.records.folder import CaptureFolder
 from camctl.system.interrupts import run_interruptible
 from sim.camera import SimulatedCamera
 
-SHOOT = "shoot --size 24x16 --ratios 1,8 --base 0.03 -o out"
+SHOOT = "shoot -O size=24x16 --ratios 1,8 --base 0.03 -o out"
 SIGNALS = [(signal.SIGINT, ""), (signal.SIGTERM, " by SIGTERM"), (signal.SIGHUP, " by SIGHUP")]
 CLOSING = "sim.camera:SimulatedCamera._close"
-RESUME = "go on with: camctl shoot --resume out"
+RESUME = "shoot the others (camctl resume out)"
 
 
 class Cameras:
@@ -96,9 +96,9 @@ AtCall = Callable[[str, signal.Signals], None]
     ("line", "point", "end"),
     [
         (SHOOT, "camctl.captures.sequencer:plan_capture", ""),
-        ("shoot --size 24x16 -n 2 -o out", "sim.camera:SimulatedCamera.preview", ""),
+        ("shoot -O size=24x16 -n 2 -o out", "sim.camera:SimulatedCamera.preview", ""),
         (
-            "shoot --size 24x16 -n 2 --range 3 --base 0.01 -o out",
+            "shoot -O size=24x16 -n 2 --range 3 --base 0.01 -o out",
             "camctl.exposure.build:solve_job",
             "",
         ),
@@ -110,7 +110,7 @@ AtCall = Callable[[str, signal.Signals], None]
         ("solve -n 2", "camctl.exposure.solver:solve", ""),
         ("simulate --size 24x16", "sim.render:Renderer.expose", ""),
         ("simulate --size 24x16", CLOSING, ""),
-        ("calibrate delay --size 24x16", "sim.camera:SimulatedCamera.step", ""),
+        ("calibrate delay -O size=24x16", "sim.camera:SimulatedCamera.step", ""),
         (
             "table build -n 1 --bits 3 --workers 1",
             "camctl.exposure.build:solve_job",
@@ -260,7 +260,7 @@ def run_until(run: Run, folder: Path, k: int, number: signal.Signals) -> int:
 
     sys.setprofile(count)
     try:
-        ran = run("shoot", "--size", "24x16", "--ratios", "1,8", "--base", "0.03", "-o", folder)
+        ran = run("shoot", "-O", "size=24x16", "--ratios", "1,8", "--base", "0.03", "-o", folder)
     finally:
         sys.setprofile(None)
     if calls > k:
@@ -290,7 +290,7 @@ def wait_for_file(process: subprocess.Popen[str], path: Path) -> None:
         assert process.poll() is None, process.communicate()
 
 
-LONG = ("shoot", "--size", "24x16", "--ratios", "1,250", "--base", "0.2", "--real-time")
+LONG = ("shoot", "-O", "size=24x16", "--ratios", "1,250", "--base", "0.2", "-O", "time=real")
 """A capture whose second frame takes 50 s, with its folder in "out"."""
 
 

@@ -202,24 +202,24 @@ def test_invalid_simulation_is_one_line(run: Run, line: str, message: str, statu
 
 
 def test_shoot_explains_what_its_frames_lack(run: Run) -> None:
-    arguments = ("shoot", *SMALL, "--sensor", "complete", "--scene", "ramp", "--explain")
-    out = run(*arguments, "--simulation-tolerance", "0.5", "-o", "some").out
+    arguments = ("shoot", "-O", "size=64x48", "--sensor", "complete", "--scene", "ramp")
+    out = run(*arguments, "-O", "tolerance=0.5", "-o", "some").out
     for text in ("effect left out", "in frames", "cosmic rays", "a sample of the sum by at most"):
         assert text in out
     report = json.loads(Path("some/report.json").read_text())
     assert 0 < report["simulation"]["joint_bound_dn"] <= 0.5
     assert "cosmic rays" in report["simulation"]["left_out"]
-    exact = run(*arguments, "--simulation-tolerance", "0", "-o", "all").out
+    exact = run(*arguments, "-O", "tolerance=0", "-o", "all").out
     assert "a sample of the sum by at most 0 DN" in exact
 
 
 def test_the_command_line_causes_faults(run: Run) -> None:
-    small = ("--size", "64x48", "--ratios", "1,2,4,8", "--response", "log")
-    pulled = run("shoot", *small, "--fault", "unplug@3", "-o", "out")
+    small = ("-O", "size=64x48", "--ratios", "1,2,4,8", "--response", "log")
+    pulled = run("shoot", *small, "-O", "faults=unplug@3", "-o", "out")
     assert pulled.status == 1
     assert "unplugged" in pulled.err
-    assert run("shoot", "--resume", "out").status == 0
+    assert run("resume", "out").status == 0
     report = json.loads(Path("out/report.json").read_text())
     assert report["status"] == "complete"
     assert "faults" not in report["source"]["options"]
-    assert run("shoot", *small, "--fault", "bang@1").error.startswith("invalid fault 'bang@1'")
+    assert run("shoot", *small, "-O", "faults=bang@1").error.startswith("invalid fault 'bang@1'")

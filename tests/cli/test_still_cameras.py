@@ -96,7 +96,7 @@ def test_resume_opens_the_camera_with_the_same_format(
     report["status"] = "incomplete"
     Path("here/frames/frame-02.npy").unlink()
     Path("here/report.json").write_text(json.dumps(report))
-    again = run("shoot", "--resume", "here", "--json").json
+    again = run("resume", "here", "--json").json
     assert again["status"] == "complete"
     assert still_backend.opened.actuations == 1
     assert still_backend.opened.controls.bits == 10

@@ -72,7 +72,7 @@ def _resume(data: bytes, folder: Path) -> object:
     """Resume with the input as the report, by the command; it may end as commands do."""
     copy = _copy(folder, is_complete=False)
     (copy / "report.json").write_bytes(data)
-    return _run("shoot", "--resume", str(copy), "--json")
+    return _run("resume", str(copy), "--json")
 
 
 def _run(*arguments: str) -> int:

@@ -172,7 +172,7 @@ class FakeJob:
                 while not self.frame_may_end.wait(0.005):
                     if cancelled():
                         raise InterruptedCaptureError(
-                            f"stopped after {done} frames", hint="camctl shoot --resume x"
+                            f"stopped after {done} frames", remedies={"resume": "x"}
                         )
             return SUMMARY
         finally:

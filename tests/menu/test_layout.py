@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.records.file_names import resume_command
 from menu.data import Settings
 from menu.layout import binned, grid
 from menu.model import Model, State
@@ -115,15 +114,3 @@ def test_binned_histogram_keeps_its_highest_at_one() -> None:
 def test_buttons_that_do_not_fit_are_marked(action: int, line: str) -> None:
     page = Screen(Line(("T",)), actions=("Retry", "Back", "Other camera"), action=action)
     assert grid(page, 16, 2).lines[1] == line
-
-
-def test_errors_name_no_command_on_a_panel() -> None:
-    folder = "captures/capture-0003"
-    for state, error in (
-        (State.CANCELLED, f"2 of 3 frames are kept; go on with: {resume_command(folder)}"),
-        (State.CAMERA_FAILED, "there is no such device; camctl cameras lists what is connected"),
-    ):
-        text = " ".join(screen(replace(FULL, state=state, error=error)).paragraphs)
-        assert "camctl" not in text
-        assert text.startswith(error.partition(";")[0])
-        assert "Captures" in text or "Other camera" in text

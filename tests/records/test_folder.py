@@ -50,8 +50,7 @@ def test_folder_that_a_capture_is_writing_is_refused(tmp_path: Path, other: str)
     with small_camera(light=LIGHT) as camera:
         report = capture(camera, REQUEST, folder, progress=interfere)
     expected = (
-        f"{folder} is not empty; choose another folder with -o, or replace this capture with "
-        f"--force"
+        f"{folder} is not empty; choose another folder, or replace this capture"
         if other == "anew"
         else f"another process is writing {folder}; wait until it ends, or choose another folder"
     )
@@ -108,9 +107,7 @@ def test_folder_without_report_is_used_again(
         (folder / name).mkdir() if name == "frames" else (folder / name).touch()
     with pytest.raises(DataError) as failure:
         complete(folder)
-    assert str(failure.value) == (
-        f"nothing was shot into {folder}; start anew with: camctl shoot -o {folder}"
-    )
+    assert str(failure.value) == (f"nothing was shot into {folder}; start anew")
     shoot(folder, overwrite=overwrite)
     assert read_report(folder).status == "complete"
     assert not list(folder.glob("*.part"))

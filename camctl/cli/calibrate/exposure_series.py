@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from camctl.cli import options
 from camctl.cli.options import option_group
 from camctl.cli.output import print_warning
 from camctl.cli.parameter_types import PATH
-from camctl.cli.photograph_options import BLACK_OPTION, TIMES_OPTION, WHITE_OPTION
 from camctl.errors import DataError, UsageError
 from camctl.interface.controls import Layout
 from camctl.photographs.files import check_times, read_photograph, unknown_time
@@ -46,9 +46,9 @@ series_options = option_group(
     SeriesOptions,
     "source",
     click.argument("files", type=PATH, nargs=-1, metavar="[FILES]..."),
-    TIMES_OPTION,
-    BLACK_OPTION,
-    WHITE_OPTION,
+    options.TIMES_OPTION,
+    options.BLACK_OPTION,
+    options.WHITE_OPTION,
 )
 
 

@@ -14,11 +14,8 @@ from camctl.cli import options
 from camctl.cli.commands import command
 from camctl.cli.output import print_json, print_text, print_warning, progress_bar, visible
 from camctl.cli.parameter_types import PATH, DynamicRange, ListOf, WholeNumber
-from camctl.cli.response_options import (
-    RESPONSE,
-    RealCameraOptions,
-    real_camera_options,
-)
+from camctl.cli.real_camera import RealCameraOptions, real_camera_options
+from camctl.cli.request_options import COUNT, RESPONSE
 from camctl.errors import CamctlError, StorageError
 from camctl.model.response.names import RESPONSES
 
@@ -85,7 +82,7 @@ content_options = options.option_group(
         "-n",
         "--exposures",
         "count",
-        type=options.COUNT,
+        type=COUNT,
         default=6,
         metavar="N",
         help="Numbers of exposures: 1 up to N.",

@@ -10,7 +10,6 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.noise_options import KnownCamera, NoiseOptions, noise_options
 from camctl.cli.output import (
     NOISE_UNKNOWN,
     format_number,
@@ -20,7 +19,14 @@ from camctl.cli.output import (
     progress_bar,
 )
 from camctl.cli.parameter_types import PATH, DynamicRange
-from camctl.cli.response_options import RESPONSE, RealCameraOptions, real_camera_options
+from camctl.cli.real_camera import (
+    KnownCamera,
+    NoiseOptions,
+    RealCameraOptions,
+    noise_options,
+    real_camera_options,
+)
+from camctl.cli.request_options import COUNT, RESPONSE
 from camctl.cli.sensitivity import sensitivity_json, sensitivity_table
 from camctl.errors import DataError, UsageError
 from camctl.system.number_text import range_text
@@ -64,7 +70,7 @@ if TYPE_CHECKING:
     "-n",
     "--exposures",
     "count",
-    type=options.COUNT,
+    type=COUNT,
     metavar="N",
     help="Only this number of exposures.  [default: all]",
 )

@@ -22,7 +22,7 @@ from camctl.cli.parameter_types import (
     Seconds,
     WholeNumber,
 )
-from camctl.cli.response_options import RESPONSE
+from camctl.cli.request_options import COUNT, RESPONSE
 from camctl.cli.tradeoff.capture_table import study_text
 from camctl.cli.tradeoff.study_options import StudyOptions, study_options
 from camctl.errors import DataError, UsageError
@@ -171,7 +171,7 @@ bracket_options = options.option_group(
         "-n",
         "--exposures",
         "counts",
-        type=ListOf(options.COUNT, unique=True),
+        type=ListOf(COUNT, unique=True),
         default="1,2,3,4,5,6",
         metavar="N,...",
         help="Numbers of exposures.",
@@ -203,7 +203,11 @@ bracket_options = options.option_group(
         help="Captures of each bracket, each with noise of its own.",
     ),
     options.seed,
-    options.no_profile,
+    click.option(
+        "--no-profile",
+        is_flag=True,
+        help="Leave out what calibrations of this camera have measured.",
+    ),
 )
 
 

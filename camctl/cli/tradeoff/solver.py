@@ -21,7 +21,7 @@ from camctl.cli.output import (
     without_stage,
 )
 from camctl.cli.parameter_types import DynamicRange, ListOf, Name, Number, WholeNumber
-from camctl.cli.response_options import RESPONSE
+from camctl.cli.request_options import RESPONSE
 from camctl.cli.tradeoff.study_options import StudyOptions, study_options
 from camctl.model.response.names import RESPONSES
 from camctl.system.number_text import range_text

@@ -27,12 +27,12 @@ LASTING_FAULTS = {
     "hang": f"{CAMERA} does not answer; switch it off and on again, then resume",
     "card_full": (
         f"{CAMERA} did not take a picture: its card is full; make room on the card or put "
-        "another one in; 0 of 3 frames are kept; go on with: camctl shoot --resume "
+        "another one in; 0 of 3 frames are kept; shoot the others (camctl resume )"
         "card_full"
     ),
     "battery_low": (
         f"{CAMERA} did not take a picture: its battery has 3 % of its charge; charge it or "
-        "use a mains adapter; 0 of 3 frames are kept; go on with: camctl shoot --resume "
+        "use a mains adapter; 0 of 3 frames are kept; shoot the others (camctl resume )"
         "battery_low"
     ),
 }
@@ -116,8 +116,8 @@ class TestFaults:
         with guest.once_a_frame_is_kept(Path(verb).absolute(), lambda: self.fault(verb)):
             done = camctl("shoot", *rig.camera_arguments(self.device), *LONG_BRACKET, "-o", verb)
         if done.status != 0:  # the fault hit a command between two transfers
-            assert done.error.endswith(f"go on with: camctl shoot --resume {verb}"), done.error
-            done = camctl("shoot", "--resume", verb)
+            assert done.error.endswith(f"shoot the others (camctl resume {verb})"), done.error
+            done = camctl("resume", verb)
         assert done.status == 0, done.err
         rig.completed_frames(verb)
 
@@ -126,14 +126,14 @@ class TestFaults:
             cut = camctl("shoot", *rig.camera_arguments(self.device), *LONG_BRACKET, "-o", "cut")
         message = (
             f"{CAMERA} was disconnected; (taken and not fetched: [^;]*; )?plug it in and switch it "
-            "on, then try again; [1-4] of 5 frames are kept; go on with: camctl shoot --resume cut"
+            "on, then try again; [1-4] of 5 frames are kept; shoot the others (camctl resume cut)"
         )
         assert re.fullmatch(message, cut.error), cut.error
         kept = {path: path.stat().st_mtime_ns for path in Path("cut/frames").glob("*.npy")}
         assert 1 <= len(kept) < 5
         self.fault("plug")
         guest.wait_for("camera", lambda: rig.is_connected(self.device))
-        done = camctl("shoot", "--resume", "cut")
+        done = camctl("resume", "cut")
         assert done.status == 0, done.err
         rig.completed_frames("cut")
         # What had been shot was not shot again.

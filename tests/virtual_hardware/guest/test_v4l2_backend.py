@@ -220,14 +220,14 @@ class TestFaults:
             cut = camctl("shoot", *rig.camera_arguments(rig.WEB), *LONGER_BRACKET, "-o", "cut")
         message = (
             rf"{self.node} was unplugged; plug it in and open it again; \d+ of 12 frames are kept; "
-            "go on with: camctl shoot --resume cut"
+            "shoot the others (camctl resume cut)"
         )
         assert re.fullmatch(message, cut.error), cut.error
         kept = {path: path.stat().st_mtime_ns for path in Path("cut/frames").glob("*.npy")}
         assert kept
         self.fault("plug")
         guest.wait_for("camera", lambda: rig.is_connected(rig.WEB))
-        done = camctl("shoot", "--resume", "cut")
+        done = camctl("resume", "cut")
         assert done.status == 0, done.err
         assert len(rig.completed_frames("cut")) == 12
         # What had been shot was not shot again.

@@ -1,4 +1,4 @@
-"""`camctl shoot --preview-only`: one picture of the three responses; nothing is shot."""
+"""`camctl preview`: one picture of the three responses; nothing is shot."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from camctl.model.response.desired import desired_response
 
 
 def test_one_picture_is_written_and_nothing_else(run: Run) -> None:
-    done = run("shoot", "--preview-only", "--size", "80x60", "-o", "p.png", "--json")
+    done = run("preview", "-O", "size=80x60", "-o", "p.png", "--json")
     assert done.status == 0
     said = json.loads(done.out)
     assert [path.name for path in Path().iterdir()] == ["p.png"]
@@ -33,20 +33,20 @@ def test_one_picture_is_written_and_nothing_else(run: Run) -> None:
 
 
 def test_text_says_what_it_is_computed_from(run: Run) -> None:
-    done = run("shoot", "--preview-only", "--size", "80x60", "-o", "p.png")
+    done = run("preview", "-O", "size=80x60", "-o", "p.png")
     assert "computed from  preview frames of " in done.out
     assert "nothing was shot" in done.out
     assert "left out" not in done.out
 
 
 def test_exposures_too_long_for_a_preview_are_named(run: Run) -> None:
-    done = run("shoot", "--preview-only", "--scene", "room", "--size", "80x60", "-o", "p.png")
+    done = run("preview", "--scene", "room", "-O", "size=80x60", "-o", "p.png")
     assert re.search(r"^left out +\d+.*s: too long for a preview$", done.out, re.MULTILINE)
 
 
 @pytest.mark.parametrize(("scene", "unseen"), [("stars", True), ("uniform", False)])
 def test_light_that_metering_does_not_see_is_named(run: Run, scene: str, unseen: bool) -> None:
-    line = ("shoot", "--preview-only", "--scene", scene, "--size", "80x60", "--range", "high")
+    line = ("preview", "--scene", scene, "-O", "size=80x60", "--range", "high")
     done = run(*line, "-o", "p.png")
     assert ("not seen" in done.out) == unseen
     said = run(*line, "-o", "q.png", "--json").json
@@ -55,10 +55,10 @@ def test_light_that_metering_does_not_see_is_named(run: Run, scene: str, unseen:
 
 def test_existing_picture_is_kept_unless_forced(run: Run) -> None:
     Path("p.png").write_bytes(b"mine")
-    refused = run("shoot", "--preview-only", "--size", "80x60", "-o", "p.png")
+    refused = run("preview", "-O", "size=80x60", "-o", "p.png")
     assert (refused.status, Path("p.png").read_bytes()) == (1, b"mine")
     assert "p.png exists; choose another name with -o, or add --force" in refused.err
-    assert run("shoot", "--preview-only", "--size", "80x60", "-o", "p.png", "--force").status == 0
+    assert run("preview", "-O", "size=80x60", "-o", "p.png", "--force").status == 0
     assert Path("p.png").read_bytes()[:4] == b"\x89PNG"
 
 
@@ -66,11 +66,11 @@ def test_existing_picture_is_kept_unless_forced(run: Run) -> None:
     ("arguments", "message"),
     [
         (("-o", "folder"), "is not the name of a PNG file; name it -o folder.png"),
-        (("--repeat", "3"), "--preview-only cannot be combined with a series"),
+        (("--set", "table=x"), "a preview has no table of exposures"),
     ],
 )
 def test_what_cannot_be_combined(run: Run, arguments: tuple[str, ...], message: str) -> None:
-    done = run("shoot", "--preview-only", *arguments)
+    done = run("preview", *arguments)
     assert done.status == 2
     assert message in done.err
     assert done.err.count("\n") == 1

@@ -1,31 +1,139 @@
-"""Options that say which camera exposures are for, and with which noise."""
+"""Options that say which camera exposures are for: its response, and its noise."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from camctl.cli.options import (
-    camera_settings,
-    given,
-    no_profile,
-    option_group,
-    option_name,
-    refuse_together,
-)
+from camctl.cli.options import camera_settings, given, option_group, refuse_together
 from camctl.cli.output import print_warning
-from camctl.cli.parameter_types import CAMERA, SENSOR, Number
-from camctl.cli.response_options import RealCameraOptions
-from camctl.errors import UsageError
+from camctl.cli.parameter_types import CAMERA, SENSOR, ListOf, Number, Text, WholeNumber
+from camctl.errors import DataError, UsageError
+from camctl.system.input_files import exists, read_input_text
 
 if TYPE_CHECKING:
     from camctl.exposure.evaluation import Evaluation
     from camctl.model.noise import FrameNoise, NoiseModel
     from camctl.model.response.camera import CameraResponse
     from camctl.model.response.desired import DesiredResponse
+
+STANDARDS = ("srgb", "rec709")
+
+
+@dataclass(frozen=True)
+class RealCameraOptions:
+    """A real camera by its number of bits, its quantiser's phase and its response curve."""
+
+    bits: int
+    phase: float
+    curve: str | None
+    coefficients: tuple[float, ...] | None
+
+    def response(self) -> CameraResponse:
+        """Return the camera's levels.
+
+        Raises:
+            UsageError, DataError: the curve is unknown, or the file cannot be used
+        """
+        from camctl.model.response.camera import linear_response, standard_response
+        from camctl.model.response.measured import read_curve
+
+        if self.curve is None:
+            if self.coefficients is not None:
+                raise UsageError(
+                    "--coefficients needs --curve", hint="name a response model, such as emor.txt"
+                )
+            return linear_response(self.bits, phase=self.phase)
+        path = Path(self.curve)
+        if exists(path):
+            if _is_response_model(path):
+                return self._model_response(path)
+            if self.coefficients is None:
+                return read_curve(path, bits=self.bits, phase=self.phase)
+            raise DataError(
+                f"{path} is not a response model",
+                hint="--coefficients needs a file with blocks E =, f0 =, h(1) =, such as emor.txt",
+            )
+        if self.coefficients is not None:
+            raise DataError(
+                f"response model {path} does not exist", hint="give a file such as emor.txt"
+            )
+        name, _, gamma = self.curve.partition(":")
+        if name == "power":
+            if not gamma:
+                raise UsageError("--curve power needs a gamma", hint="for example power:2.2")
+            value = Number("a gamma from 0.05 to 20", least=0.05, most=20).parse(
+                gamma, "--curve power"
+            )
+            return standard_response(name, self.bits, phase=self.phase, gamma=value)
+        if self.curve in STANDARDS:
+            return standard_response(self.curve, self.bits, phase=self.phase)
+        raise DataError(
+            f"unknown curve '{self.curve}'",
+            hint=f"give an existing file of two columns, or {', '.join(STANDARDS)}, power:GAMMA",
+        )
+
+    def _model_response(self, path: Path) -> CameraResponse:
+        from camctl.model.response.measured import read_response_model
+
+        if self.coefficients is None:
+            raise DataError(
+                f"{path} is a response model, which holds many curves",
+                hint="choose one with --coefficients 1.5,-0.3, or the mean with --coefficients 0",
+            )
+        weights = ",".join(f"{value:g}" for value in self.coefficients)
+        name = f"{path.name} {weights}"
+        model = read_response_model(path)
+        try:
+            return model.response(self.coefficients, bits=self.bits, phase=self.phase, name=name)
+        except DataError as error:
+            raise DataError(error.what, hint="take --coefficients nearer to 0, the mean") from error
+
+
+def _is_response_model(path: Path) -> bool:
+    """Return whether a file has the headings of a response model; a curve contains no '='."""
+    lines = read_input_text(path, "curve").splitlines()
+    return any("=" in line.partition("#")[0] for line in lines)
+
+
+real_camera_options = option_group(
+    RealCameraOptions,
+    "real_camera",
+    click.option(
+        "--bits",
+        type=WholeNumber(least=1, most=16),
+        default=8,
+        metavar="B",
+        help="Bits per sample of the real camera.",
+    ),
+    click.option(
+        "--phase",
+        type=Number("a phase of at least 0 and below 1", least=0, below=1),
+        default="0",
+        metavar="PHI",
+        help="Phase of its quantiser in levels, from 0 to below 1: 0 rounds down, 0.5 to nearest.",
+    ),
+    click.option(
+        "--curve",
+        type=Text(lambda: (*STANDARDS, "power:"), files=True),
+        metavar="FILE|NAME",
+        help="Its response: a text file of two columns, irradiance and brightness, both 0 to 1; "
+        "srgb, rec709, or power:GAMMA for brightness = irradiance^(1/GAMMA); or with "
+        "--coefficients a response model such as emor.txt.  [default: linear]",
+    ),
+    click.option(
+        "--coefficients",
+        type=ListOf(Number("numbers such as 1.5,-0.3")),
+        metavar="A,B,...",
+        help="Weights of the components that are added to the mean of --curve's response model; 0 "
+        "is the mean alone.",
+    ),
+)
+
 
 _RESPONSE_OPTIONS = {"bits", "phase", "curve", "coefficients"}
 
@@ -83,7 +191,6 @@ class NoiseOptions:
     electrons: float | None
     read_noise: float | None
     camera_settings: tuple[tuple[str, str], ...]
-    no_profile: bool
 
     def camera(self, real_camera: RealCameraOptions) -> KnownCamera:
         """Return the camera that these options describe; raise what opening it raises.
@@ -91,11 +198,8 @@ class NoiseOptions:
         A sensor or a camera brings its own response, which --bits and the like then cannot give.
         """
         context = click.get_current_context()
-        if self.camera_id is None:
-            for name in sorted(given(context) & {"camera_settings", "no_profile"}):
-                raise UsageError(
-                    f"{option_name(context, name)} needs --camera", hint="name the camera"
-                )
+        if self.camera_id is None and self.camera_settings:
+            raise UsageError("--camera-option needs --camera", hint="name the camera")
         if self.sensor is None and self.camera_id is None:
             return KnownCamera(real_camera.response(), self._given())
         option = "--sensor" if self.camera_id is None else "--camera"
@@ -105,8 +209,6 @@ class NoiseOptions:
         from camctl.profiles.calibrated import open_camera
 
         settings = dict(self.camera_settings)
-        if self.no_profile:
-            settings["profile"] = "none"
         if self.sensor is not None:
             settings |= {"sensor": self.sensor}
             if self.camera_id is None:
@@ -153,7 +255,6 @@ noise_options = option_group(
         help="Take response and noise of this camera, with what its profile knows of it.",
     ),
     camera_settings,
-    no_profile,
     click.option(
         "--electrons",
         type=Number("a number of electrons of at least 0.001", least=1e-3),

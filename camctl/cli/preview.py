@@ -1,11 +1,15 @@
-"""`camctl shoot --preview-only`: the desired responses side by side, before anything is shot."""
+"""`camctl preview`: what the camera sees in the desired responses, before anything is shot."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import click
+
+from camctl.cli import options
 from camctl.cli.capture_output import new_directory
+from camctl.cli.commands import command
+from camctl.cli.options import CameraOptions
 from camctl.cli.output import (
     format_duration,
     format_fields,
@@ -16,46 +20,64 @@ from camctl.cli.output import (
     print_json,
     print_text,
 )
+from camctl.cli.parameter_types import PATH
+from camctl.cli.request_options import RequestOptions, request_options
+from camctl.cli.shoot import PICTURE_OPTIONS
 from camctl.errors import StorageError, UsageError
 from camctl.system.number_text import range_text
-
-if TYPE_CHECKING:
-    from camctl.cli.options import CameraOptions
-    from camctl.records.request import CaptureRequest
 
 _SUFFIX = ".png"
 
 
-def show_responses(
-    camera_options: CameraOptions,
-    request: CaptureRequest,
+@command(
+    examples=(
+        ("camctl preview", "the simulated camera, into preview-DATE-TIME.png"),
+        ("camctl preview --camera v4l2:/dev/video0 -o look.png", "what a webcam sees"),
+    )
+)
+@options.camera_options
+@request_options(*PICTURE_OPTIONS, "settings", has_light=True)
+@click.option(
+    "-o",
+    "--output",
+    "path",
+    type=PATH,
+    metavar="FILE.png",
+    help="The picture.  [default: preview-DATE-TIME.png]",
+)
+@options.force
+@options.as_json
+def preview(
+    camera: CameraOptions,
+    request: RequestOptions,
     path: Path | None,
-    *,
     force: bool,
     as_json: bool,
 ) -> None:
-    """Write the picture of the responses to `path`, and print what it was computed from.
+    """Show the scene in three responses, before anything is shot.
 
-    Raises:
-        UsageError: `path` is not the name of a PNG file
-        StorageError: the file exists and `force` is False, or it cannot be written
+    Writes one picture that shows the scene, as the camera sees it now, in a linear, a gamma and a
+    log response side by side, each over the range that its light has.
     """
     from camctl.captures.response_preview import preview_responses
     from camctl.captures.response_sheet import NOTABLY_UNSEEN
     from camctl.system.files import check_replaceable, write_bytes
     from camctl.system.picture_operations import png
 
+    if request.table is not None:
+        raise UsageError("a preview has no table of exposures", hint="leave --set table= out")
+    wanted = request.request()
     path = _free_name() if path is None else path
     if path.suffix.lower() != _SUFFIX:
         raise UsageError(
-            f"--preview-only writes a picture, and {path} is not the name of a PNG file",
+            f"the preview is a picture, and {path} is not the name of a PNG file",
             hint=f"name it -o {path.name or 'preview'}{_SUFFIX}",
         )
     if path.exists() and not force:
         raise StorageError(f"{path} exists", hint="choose another name with -o, or add --force")
     check_replaceable(path)
-    with camera_options.open() as camera:
-        shown = preview_responses(camera, request)
+    with camera.open() as opened:
+        shown = preview_responses(opened, wanted)
     write_bytes(path, png(shown.picture))
     for finding in shown.plan.findings:
         print_finding(finding)
@@ -65,6 +87,8 @@ def show_responses(
         print_json(
             {
                 "file": str(path),
+                "findings": [finding.model_dump(mode="json") for finding in shown.plan.findings],
+                "warnings": shown.plan.warnings,
                 "dynamic_range": shown.plan.dynamic_range,
                 "preview_times_s": times,
                 "left_out_s": shown.left_out_s,
