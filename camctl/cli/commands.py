@@ -108,7 +108,7 @@ class Command(click.Command):
         except click.NoSuchOption as error:
             if self._others_refused:
                 raise UsageError(
-                    f"{error.option_name} cannot be given here", hint=self._others_refused
+                    f"unknown option '{error.option_name}'", hint=self._others_refused
                 ) from error
             names = [name for option in self.get_params(ctx) for name in option.opts]
             long = [name for name in names if name.startswith("--")]

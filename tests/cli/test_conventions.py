@@ -228,7 +228,7 @@ RATIOS = "expected positive numbers such as 1,2,4"
             "--camera-option needs --camera here; the capture goes on with the options that it was "
             "begun with",
         ),
-        ("resume x -n 2", "-n cannot be given here; the capture goes on with the options"),
+        ("resume x -n 2", "unknown option '-n'; the capture goes on with the options"),
     ],
 )
 def test_usage_error_is_one_line_with_status_2(run: Run, line: str, message: str) -> None:

@@ -270,8 +270,7 @@ def test_interrupted_capture_can_be_resumed_once(run: Run, monkeypatch: pytest.M
     again = run("resume", "here")
     assert again.status == 1
     assert again.error == (
-        "the capture in here is complete: all 3 frames were shot; "
-        "take another picture with camctl shoot"
+        "the capture in here is complete: all 3 frames were shot; take another picture"
     )
 
 

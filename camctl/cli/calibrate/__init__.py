@@ -51,7 +51,7 @@ calibrate = LazyGroup(
     examples=(
         ("camctl calibrate delay --camera v4l2:/dev/video0", "a webcam, in its default format"),
         (
-            "camctl calibrate delay --camera v4l2:/dev/video0 -O format=yuyv --size 640x480",
+            "camctl calibrate delay --camera v4l2:/dev/video0 -O format=yuyv -O size=640x480",
             "in another format: a delay belongs to format, size and frame rate",
         ),
         ("camctl calibrate delay --sensor consumer --trials 40", "a simulated one, thoroughly"),
