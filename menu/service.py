@@ -13,7 +13,7 @@ from contextlib import suppress
 
 
 class ServiceNotifier:
-    """Sends reports; one that cannot be sent is left out, since the menu goes on without."""
+    """Sends reports; one that cannot be sent is left out, since the menu works without it."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         address = os.environ.get("NOTIFY_SOCKET", "")

@@ -31,7 +31,7 @@ class Faults:
         corrupt_frames: the lower half of these frames is random
         delayed_frames: frame number to the seconds that it arrives late
         clock_jumps: frame number to the seconds by which the camera's clock is changed before it
-        longest_exposure_s: longer exposures last only so long, which the camera does not admit
+        longest_exposure_s: longer exposures last only so long, which the camera does not report
     """
 
     unplug_after: int | None = None

@@ -45,7 +45,7 @@ class Comparison:
             it), DN
         mean_dn: mean difference over all samples, DN
         seconds, everything_s: time to render the frame, and to render it with every effect; the
-            shorter of two each, so that all that is kept between frames is there
+            shorter of two runs each, so that what is kept between frames has been computed
     """
 
     largest_dn: float

@@ -34,7 +34,7 @@ class CameraInfo:
         model: model
         serial: serial number, "" where unknown
         driver: name of the backend
-        remark: for whoever chooses among listed cameras, such as which backend suits it better
+        remark: for the choice among listed cameras, such as which backend suits it better
     """
 
     id: str

@@ -68,11 +68,12 @@ class CaptureTiming:
         download_s: still cameras: transfer and decoding of a file, s
         overlaps: still cameras: a file is downloaded during the next exposure
         lead_frames: streams: frames, on average, that pass from the request until the first setting
-            is written in time for a frame; half a frame, since a request comes at any time in one
+            is written in time for a frame; half a frame, since a request comes at any time
+            within a frame
         old_frames: streams without a constant control delay: frames after each write that still
             have the exposure before, on average
-        unsettled_frames: streams without a constant control delay: frames after those that are
-            not used, on average
+        unsettled_frames: streams without a constant control delay: frames after `old_frames`
+            that are not used, on average
         rests: streams: a preview or a capture leaves the stream with frames that take one frame
             interval each, however long its last exposure was
     """

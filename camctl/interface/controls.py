@@ -136,11 +136,11 @@ class ExposureControls:
         noise: the noise of its frames; None where this is unknown
         tolerance: largest relative error of a setting that counts as exact
         true_exposures: the measured exposures of its settings; None: as stated
-        hot_pixels: (row, column) of the pixels whose brightness says little of the light
+        hot_pixels: (row, column) of the pixels whose brightness does not show the light
         notes: remarks about its pictures for people, one line each
         profile: what a calibration of this camera has replaced above, one line; None: nothing
         pixel_format: of the stream where the layout does not say all, such as yuyv or mjpg
-        exposures_exact: the exposures are those stated, to `tolerance`; False: they may be others
+        exposures_exact: the true exposures are as stated, to `tolerance`; False: they may differ
         repeatable: a frame can be shot again, and others at other settings; False: there are no
             frames beside those that are there
 

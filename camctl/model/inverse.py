@@ -2,10 +2,9 @@
 
 By Bayes' rule the probability of an irradiance after a sum was observed is the probability of that
 sum at the irradiance (`NoisySum`) times a prior.  The prior is flat in u, the desired response,
-over its range; below the range it goes on at the density that it has at e_min, down to no light,
-and above E = 1 at a small density, up to where every frame is saturated.  Without noise the
-posterior is flat over the gap of the sum: its mean is the midpoint in u, and its standard deviation
-is the width of the gap / sqrt(12).
+over its range; below e_min its density is constant, down to no light, and above E = 1 small, up to
+where every frame is saturated.  Without noise the posterior is flat over the gap of the sum: its
+mean is the midpoint in u, and its standard deviation is the width of the gap / sqrt(12).
 """
 
 from __future__ import annotations
@@ -42,9 +41,10 @@ _WIDE_GAP = 4.0
 """A gap wider than the noise times this is integrated from one of its ends to the other."""
 
 _ABOVE_RANGE = 0.1
-"""Prior density above E = 1, as a share of that below.  The shortest exposure is metered so that
-little light is there.  With it, 67 % and 96 % of the irradiances from 0.97 to 1 lie within 0.994
-and 1.96 standard deviations, whether the scene goes on above 1 or not; with 1, 72 % and 96 % do."""
+"""Prior density above E = 1, as a share of the density below.  The shortest exposure is metered so
+that little light is there.  With it, 67 % and 96 % of the irradiances from 0.97 to 1 lie within
+0.994 and 1.96 standard deviations, whether the scene has light above 1 or not; with 1, 72 % and
+96 % do."""
 
 _LEAST_SLOPE = 1e-6
 """Least slope of u that is continued outside of the range."""
@@ -62,7 +62,7 @@ _NOTABLE_DSNU = 0.01
 
 @dataclass(frozen=True, eq=False)
 class ExtendedResponse:
-    """A desired response that goes on straight outside of its range: v(E) = u(E) inside of it."""
+    """A desired response, continued as a straight line outside of its range: v(E) = u(E) inside."""
 
     desired: DesiredResponse
     slopes: tuple[float, float] = field(init=False)
@@ -95,7 +95,7 @@ class Inverse:
 
     Attributes:
         u: posterior mean of u for a prior within the range: the value of least mean square error
-        E: irradiance at the posterior mean of u, for the prior that goes on outside of the range
+        E: irradiance at the posterior mean of u, for the prior that extends beyond the range
         deviation: root mean square error of `E`, irradiance
         mse: mean square error of `u` over the range
     """

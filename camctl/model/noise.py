@@ -105,8 +105,8 @@ class NoiseModel:
     def frame(self, *, gain: float, time_s: float, black: int = 0) -> FrameNoise:
         """Return the noise of a frame.
 
-        The two patterns of the pixels, of offset and of dark current, are taken for one, so that
-        their part of a sum of frames is rather too large where both are of like size.
+        The patterns of offset and of dark current are treated as one pattern, which makes their
+        part of a sum of frames too large where the two are of similar size.
 
         Args:
             gain: linear gain

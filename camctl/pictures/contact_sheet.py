@@ -1,4 +1,4 @@
-"""contact.png: the picture, its frames, and the light with what each exposure reached of it."""
+"""contact.png: the picture, its frames, and the light with the part that each exposure reaches."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _WIDTH = 1280
 _INNER = _WIDTH - 2 * MARGIN
 #: Largest height of the two pictures, and of a frame.
 _PICTURE_HEIGHT, _FRAME_HEIGHT = 460, 232
-#: Frames side by side at most, and at least as many places.
+#: Frames side by side at most, and places for frames at least.
 _MOST_IN_ROW, _LEAST_IN_ROW = 8, 4
 #: Height of the histogram, and of the line of an exposure under it.
 _HISTOGRAM_HEIGHT, _BAR_HEIGHT = 170, 17

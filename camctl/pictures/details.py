@@ -57,7 +57,7 @@ class PictureDetails:
         saturated: share of the samples that every frame saturated
         dark: share of the samples that are too dark
         moved: share of the samples whose frames contradict each other; None: not examined
-        spread: share of those that do by light that spread, which is not in `moved`
+        spread: share of the samples that light spread to, which is not in `moved`
     """
 
     camera: CameraInfo

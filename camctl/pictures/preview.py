@@ -10,8 +10,8 @@ Reproduction for Digital Images, 2002) with four changes:
 - The predicted noise of each pixel is known.  Where it hides the light, the light is the mean of
   the dark pixels around.  Elsewhere it is filtered out where the picture around shows no more
   variation than it (Lee, Digital Image Enhancement and Noise Filtering by Use of Local Statistics,
-  1980).  It takes the colour out where it is as large as the light.
-- The darkest light that the frames show is lifted to where a display still differs from black.
+  1980).  Where noise is as large as the light, the colour is removed.
+- The darkest light that the frames show is raised to a brightness that a display still shows.
 """
 
 from __future__ import annotations

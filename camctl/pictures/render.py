@@ -89,7 +89,7 @@ def _rounded(values: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
 
 
 def as_halves(values: NDArray[np.float32]) -> NDArray[np.float16]:
-    """Return what `deviations_are_halves` says that float16 has; a tenth of numpy's time.
+    """Return deviations rounded to float16 in a tenth of numpy's time, see `deviations_are_halves`.
 
     2^-112 times the value has float16's exponent, and its fraction, in the upper bits of float32.
     """

@@ -41,7 +41,7 @@ _log = logging.getLogger(__name__)
 
 
 def with_profile(camera: Camera, parts: Collection[str] = PARTS) -> Camera:
-    """Return an open camera with what its profile says of it; itself where that is nothing.
+    """Return an open camera with what its profile says of it; the camera itself without a profile.
 
     The profile is applied when the camera's controls are first asked for, which on some cameras
     takes a picture.  `CalibratedCamera.controls` raises `DataError` where the profile contradicts

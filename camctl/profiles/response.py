@@ -67,9 +67,9 @@ class ChannelResponse(BaseModel):
     def sample_weights(self, noise_dn: float = 1.0) -> FloatArray:
         """Return the weight of each brightness in a mean of ln(irradiance), (white + 1,).
 
-        It is the inverse of the variance of the noise, through the slope of the curve, plus the
-        variance of the curve.  Samples up to the black level and from the white level on have
-        weight 0: they do not show the irradiance, and would pull dark and bright pixels together.
+        It is 1 / (variance of the noise through the slope of the curve + variance of the curve).
+        Samples up to the black level and from the white level on have weight 0: they do not show
+        the irradiance, and would pull dark and bright pixels together.
 
         Args:
             noise_dn: standard deviation of a sample, DN

@@ -17,11 +17,12 @@ class ExposureRatio(ReportModel):
 
     Attributes:
         exposure: with which the pictures are computed
-        used: which one that is: the camera's statement, its profile's, or the estimate
+        used: where `exposure` comes from: the label of the camera, its profile, or the estimate
         label: as the camera states it
         profile: as the camera's profile corrects it; None where it has no correction
         estimate: from the pixels; None where it was not estimated
-        low: lower end of the 95 % confidence interval of the estimate, else of the profile's
+        low: lower end of the 95 % confidence interval of the estimate, or of the profile's value if
+            there is no estimate
         high: upper end
     """
 
@@ -78,7 +79,7 @@ class FrameRecord(StoredFrame):
     """One frame of a complete capture.
 
     Attributes:
-        exposure: that the pictures are computed with, relative to the smallest of the capture
+        exposure: with which the pictures are computed, relative to the smallest of the capture
         exposure_ratio: where it comes from; None in reports of earlier versions
     """
 

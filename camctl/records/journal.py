@@ -1,7 +1,8 @@
 """The folder of a series: its journal ``series.json``, and the names of the sets in it.
 
-Each set is a capture in a folder of its own.  The journal says before a set begins where it will
-be, and after it what became of it, so that a series can be continued whatever ended it.
+Each set is a capture in a folder of its own.  The journal states the folder of a set
+before the set begins, and afterwards how it ended, so that a series can be continued whatever
+ended it.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ _GAP_TOLERANCE = 0.04
 _RECENT_SLOTS = 32
 #: The interval is measured from at least so many frames.
 _FEWEST_FRAMES = 12
-#: It is changed where it differs by so many times what chance would make of late timestamps, and
-#: where no frame would be earlier than by this share of a slot.
+#: It is changed where it differs by so many times what late timestamps cause by chance, and where
+#: no frame would then be early by more than this share of a slot.
 _CHANCE, _JITTER = 6, 0.02
 
 #: When settings are written, in slots after the timestamp of a frame.  Up to the middle of the
@@ -97,7 +97,7 @@ class FrameClock:
         """Return the number of the frame with this timestamp, and sequence number if it has one.
 
         It is certain where timestamp and sequence numbers agree, or where there are none and the
-        timestamp is clear.  A timestamp that shows that those before it were late is uncertain:
+        timestamp is clear.  A timestamp that shows that earlier ones were late is uncertain:
         settings were perhaps written in another slot than it seemed.
         """
         counted = self._counted(sequence)
@@ -152,7 +152,7 @@ class FrameClock:
 
         It is changed where that moves them by more than chance: the earliest of m timestamps, of
         which half are late by more than u, is late by about 2 u / m.  No timestamp is early, so an
-        interval by which one would be is chance, too.
+        interval that makes one early is not used.
         """
         half = len(frames) // 2
         (first, first_s), (last, last_s) = map(self._earliest, (frames[:half], frames[half:]))

@@ -2,10 +2,10 @@
 
 The pipeline records for each setting that it wrote the first slot that may have it and the first
 slot that must have it, as libcamera's DelayedControls does for its sensors.  A frame belongs to a
-setting if its slot lies at or after the one in which the setting is in force at the latest, and
-before the one in which the next setting may be in force.  All other frames are discarded, so that a
+setting if its slot is not before the first slot that must have the setting, and before the first
+slot that may have the next setting.  All other frames are discarded, so that a
 frame of unknown exposure is never yielded.  A setting whose frame was lost or damaged is written
-again while the frames of those after it still come: it costs one slot.
+again while the frames of later settings still come: it costs one slot.
 """
 
 from __future__ import annotations
@@ -121,9 +121,9 @@ class ExposurePipeline(Generic[DataT]):
     ) -> list[Shot[DataT]]:
         """Settle at `before`, write `after`, and return the next `frames` frames without a gap.
 
-        Frame 0 is the first whose exposure had not begun at the write; `applied` belongs to `after`
-        and `index` counts the frames.  `after` is written early in a slot and late in a slot in
-        turn, so that a delay which depends on that is not mistaken for a constant one.
+        Frame 0 is the first whose exposure had not begun at the write; `applied` is `after` as read
+        back, and `index` counts the frames.  `after` is written early and late in a slot in turn,
+        so that a delay which depends on that is not mistaken for a constant one.
 
         Raises:
             CameraProtocolError: frames are lost in every attempt

@@ -1,4 +1,4 @@
-"""Exposures with the best worst-case signal-to-noise ratio: the rival that knows no quantiser.
+"""Exposures with the best worst-case signal-to-noise ratio: a method without a quantiser.
 
 Hasinoff, Durand and Freeman, "Noise-Optimal Capture for High Dynamic Range Photography" (CVPR
 2010), choose times and gains of n frames so that the signal-to-noise ratio of the merged irradiance

@@ -122,7 +122,7 @@ class SolverPoint:
 def measure(run: SolverRun) -> tuple[SolverPoint, ...]:
     """Return what a run found, in the order of time.
 
-    The search and the grid do not improve an answer as time goes on: each of their points is a
+    The search and the grid do not improve an answer over time: each of their points is a
     complete run of its own, with more effort or a finer grid than the one before.
 
     Raises:

@@ -69,7 +69,7 @@ class CameraConformance(LightChecks, FaultChecks):
             assert frame.applied.gain == pytest.approx(frame.requested.gain, rel=tolerance)
 
     def test_timestamps_increase(self, camera: Camera) -> None:
-        """Every frame has a later timestamp than the frame before, and none lies elsewhere."""
+        """Timestamps increase from frame to frame, and lie within the time of the sequence."""
         before_s = camera.clock.now()
         stamps_s = [f.timestamp_s for f in self.shoot(camera, self.times(camera, [1, 1, 2]))]
         assert stamps_s == sorted(set(stamps_s))
@@ -88,7 +88,7 @@ class CameraConformance(LightChecks, FaultChecks):
         assert all(compared), UNUSABLE
 
     def test_setting_out_of_range_is_refused_before_the_first_frame(self, camera: Camera) -> None:
-        """The call of `shoot` raises with the nearest setting, and the camera works on."""
+        """The call of `shoot` raises with the nearest setting, and the camera still works."""
         good = self.times(camera, [1])[0]
         beyond = ExposureSetting(camera.controls.time_s.maximum * 3, good.gain)
         with pytest.raises(RefusedSettingError) as refusal:

@@ -76,7 +76,7 @@ class FaultChecks(CameraSuite):
         assert camera.clock.now() - before_s <= self.silence_s
 
     def test_second_opener_does_not_disturb_the_first(self, camera: Camera) -> None:
-        """A second opener is refused with an error; the first camera works on."""
+        """A second opener is refused with an error; the first camera still works."""
         settings = self.times(camera, [1, 0.25])
         before = [self.light(camera, frame) for frame in self.shoot(camera, settings)]
         with pytest.raises(CameraError) as error:

@@ -20,7 +20,7 @@ UNUSABLE = "no two frames could be compared: choose another scene or middle_s"
 
 # Blocks of samples count as usable if their mean brightness lies between these shares of the white
 # level, black removed, and from two levels above black on, and if hardly a sample is clipped at
-# either end.  (Samples chosen one by one would be those whose noise is high, or low.)
+# either end.  (Samples chosen one by one would have high or low noise.)
 _DARKEST, _BRIGHTEST = 0.04, 0.9
 _LEAST_LEVEL = 2.0
 _MOST_CLIPPED = 0.01

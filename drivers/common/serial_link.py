@@ -156,7 +156,7 @@ class SerialLink:
         # descriptor (TypeError).
         except (serial.SerialException, OSError, TermiosError, TypeError) as error:
             what = f"the line {self.url} was disconnected"
-            if "multiple access" in str(error):  # pyserial cannot tell these two apart
+            if "multiple access" in str(error):  # pyserial cannot distinguish the two
                 what += ", or another process reads from it"
             raise CameraDisconnectedError(what, hint=_PLUG_IN_AGAIN) from error
 

@@ -98,8 +98,8 @@ class CardPicture:
 def newest_picture(sierra: Sierra) -> CardPicture:
     """Return the newest picture, in whatever folder it is.
 
-    Registers 4, set to 0, and 79 tell; register 10 counts the pictures of one folder, and a camera
-    puts a picture into another one when that is full.
+    It is read from register 4, set to 0, and register 79; register 10 counts the pictures of one
+    folder, and a camera puts a picture into another one when that is full.
     """
     number = sierra.get(Register.PICTURE, picture=0)
     try:
@@ -111,7 +111,7 @@ def newest_picture(sierra: Sierra) -> CardPicture:
 def is_next(later: CardPicture, earlier: CardPicture) -> bool:
     """Return whether `later` is the one picture taken since `earlier` was the newest.
 
-    When a folder is full, the camera counts from 1 again in another one; its names go on.
+    When a folder is full, the camera counts from 1 again in another one; its names continue.
     """
     if later.name == earlier.name and (later.name or later.number == earlier.number):
         return False
@@ -134,7 +134,7 @@ def wait_for_picture(
     """Return the next picture after `before`; None if there is none after `wait_s`."""
     deadline_s = clock.now() + wait_s
     while True:
-        # A camera that is still writing to its card may refuse to tell.
+        # A camera that is still writing to its card may refuse to answer.
         with suppress(RefusedCommandError):
             picture = newest_picture(sierra)
             if is_next(picture, before):

@@ -1,7 +1,7 @@
 """Codes of ISO 15740 (PTP) and of makers' extensions, and the error for each response code.
 
-Standard codes: ISO 15740:2013, sections 10 to 13.  Makers do not publish their codes; these are
-those that libgphoto2 and others have found.
+Standard codes: ISO 15740:2013, sections 10 to 13.  Makers do not publish their codes; these
+were found by libgphoto2 and others.
 """
 
 from __future__ import annotations

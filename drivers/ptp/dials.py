@@ -19,7 +19,7 @@ from camctl.interface.controls import Choices, Control, Steps
 from drivers.ptp.datasets import PropertyDescription
 
 _MAX_NUMBER = 0xFFFFFFFF
-# Ranges of some cameras: all numbers of the data type, which says nothing of the settings.
+# Some cameras state all numbers of the data type as the range: no setting follows from it.
 _ANY_NUMBER = ((0, 0xFFFF, 1), (0, 0xFFFFFFFF, 1))
 
 

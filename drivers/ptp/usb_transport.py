@@ -229,7 +229,7 @@ class UsbTransport:
             raise
         except CameraTimeoutError:
             return None
-        except CameraError:  # capturing can go on without events: object handles are compared too
+        except CameraError:  # not needed: object handles are compared too
             self._clear_halt(self._events)
             self._pause(min(wait_s, _EVENT_RETRY_S))
             return None

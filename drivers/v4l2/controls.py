@@ -72,7 +72,7 @@ class Automatic:
     name: str
 
 
-#: Turned off in this order.  The power-line filter is left alone: what it does to the shutter
+#: Turned off in this order.  The power-line filter is not changed: its effect on the shutter
 #: depends on the lamps, which the user knows and the driver does not.
 AUTOMATICS = (
     Automatic(ControlId.EXPOSURE_AUTO_PRIORITY, 0, "the dynamic frame rate"),
@@ -256,8 +256,8 @@ class ExposureControl:
         ]
         if missing or rate is None or blanking is None:
             raise self._not_manual(
-                f"sets its exposure in lines, but does not report {' and '.join(missing)}, by "
-                "which a line would be known in seconds"
+                f"sets its exposure in lines, but does not report {' and '.join(missing)}, from "
+                "which the time of a line follows"
             )
         unit = TimeUnit(ControlId.EXPOSURE, rate / (columns + blanking))
         self.notes.append(

@@ -1,4 +1,4 @@
-"""The system calls for a video node: the port, and the running Linux behind it."""
+"""The interface of the system calls for a video node, and the running Linux."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A video node: its lists, formats and controls, through ioctls on its file descriptor.
 
 The kernel grants format and stream of a node to one descriptor at a time.  A `Node` therefore sets
-nothing of them by itself: `drivers.v4l2.capture` does.
+neither by itself: `drivers.v4l2.capture` does.
 """
 
 from __future__ import annotations

@@ -142,7 +142,7 @@ class Bounds:
 
     @cached_property
     def _electrons_per_photon_s(self) -> float:
-        """Electrons for one photon a second, with those that effects repeat."""
+        """Electrons for one photon a second, including electrons that effects repeat."""
         repeated = sum(change.repeats for change in self.changes.values())
         return self.shot.electrons_per_photon_s * (1 + repeated)
 

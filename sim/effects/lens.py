@@ -178,8 +178,8 @@ def _lateral_change(shot: Shot) -> Change:
 def rounding_count(shot: Shot) -> float:
     """Return how many roundings in float32 the light of a sample goes through, one after another.
 
-    A sum of n terms >= 0 is wrong by at most n units of rounding.  Those of glare count by the
-    share of the light that is glare.
+    A sum of n terms >= 0 is wrong by at most n units of rounding.  Roundings of glare count by
+    the share of the light that is glare.
     """
     lens = shot.sensor.lens
     count = 0.0

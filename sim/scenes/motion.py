@@ -235,7 +235,7 @@ def _interpolated(padded: NDArray[np.float64], places: NDArray[np.float64]) -> N
 def _integral(
     padded: NDArray[np.float64], below: NDArray[np.float64], places: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the integral of each row up to `places`; `below` is that up to each pixel."""
+    """Return the integral of each row up to `places`; `below` is the integral up to each pixel."""
     cell = places.astype(np.intp)
     part = places - cell
     left, right = (np.take_along_axis(padded, cell + k, axis=1) for k in (0, 1))

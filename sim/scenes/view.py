@@ -67,7 +67,8 @@ class Statistics:
 
     Attributes:
         least, most: of all light, a moving target included
-        bend: largest second difference along rows plus that along columns, borders mirrored
+        bend: largest second difference along rows plus the largest along columns, borders
+            mirrored
         slopes: largest first difference from row to row, and from column to column
         drift: largest change of light if the target moves by one pixel; 0 without a target
         speed_px_s: of the target

@@ -35,7 +35,7 @@ class CameraResponse:
             ratios r of irradiances may be wrong by the same power, r^(1 + e)
         deviation: (M,) standard deviation of ln(E_k) of a measured curve, relative to ln(E) at half
             the brightness; infinite where the curve only continues what was measured; None: exact
-        scale_error: the same of E = 1
+        scale_error: standard deviation of ln(E) at E = 1, likewise
 
     Raises:
         DataError: the levels are not a non-empty, finite, ascending list of numbers >= 0

@@ -80,7 +80,7 @@ class PtpConfig(DeviceConfig):
             "recorded": as the facts of `body` have it
         absolute: Sony: the shutter time can be set, not only stepped
         body: name of a recorded body, see `sim.devices.ptp.body_facts`; its maker, its properties
-            and its manners replace the defaults
+            and its behaviour replace the defaults
         access: to the card: 0 read and write, 1 read-only, 2 read-only with deletion
         reuses_names: a new picture takes the lowest free number and handle
         unlisted: operations that the camera has and does not list

@@ -155,7 +155,7 @@ class NetworkCamera(PtpDevice):
             self.end_session(is_reset=False)
 
     def end_session(self, *, is_reset: bool) -> None:
-        """Close both connections and the session; a running exposure goes on."""
+        """Close both connections and the session; a running exposure continues."""
         self.drop_command()
         self.responder.close_session()
         connections, self._commands, self._events = (self._commands, self._events), None, None

@@ -33,7 +33,7 @@ from sim.devices.ptp.protocol import (
 from sim.devices.ptp.store import PICTURE_FOLDER, READ_ONLY, STORE, Card
 from sim.devices.still_body import Exposure, ImageFile, StillBody
 
-_LOG_LENGTH = 256  # operations in the log, and in the counter: a host may go on without end
+_LOG_LENGTH = 256  # operations in the log, and in the counter: a host may never stop
 
 
 class Responder(PictureSettings):

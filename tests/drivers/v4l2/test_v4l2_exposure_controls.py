@@ -107,4 +107,4 @@ class TestImageSensor:
     ) -> None:
         model = self.sensor(blanking=blanking, pixel_rate=pixel_rate)
         message = opening_error(CameraError, model)
-        assert f"sets its exposure in lines, but does not report {missing}, by which" in message
+        assert f"sets its exposure in lines, but does not report {missing}, from which" in message
