@@ -137,7 +137,6 @@ class Session:
 
     @uninterrupted
     def stop(self) -> None:
-        """Cancel all work and close the camera."""
         self._notifier.stopping()
         if self.model.settings != self._saved:
             self.worker.save(self.model.settings)
@@ -178,7 +177,6 @@ class Session:
         return min(max(self._next_tick_s - self._now(), 0.0), _LONGEST_WAIT_S)
 
     def press(self, key: Key) -> None:
-        """Take a key."""
         self._used_s = self._now()
         self._advance(key)
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from camctl.captures.metering import MeteringFrames, meter
 from camctl.errors import (
@@ -21,7 +21,8 @@ from camctl.errors import (
 )
 from camctl.exposure.goal import AUTO
 from camctl.interface.backends import list_cameras
-from camctl.interface.camera import Camera, PreviewingCamera
+from camctl.interface.camera import Camera, Frame, PreviewingCamera
+from camctl.interface.controls import ExposureSetting
 from camctl.messages.menu import error_text
 from camctl.records.request import CaptureRequest
 from camctl.system.memory import return_free_memory
@@ -38,7 +39,6 @@ from menu.data import (
     Settings,
     Summary,
 )
-from menu.remembered_previews import RememberedPreviews
 from menu.settings_file import load_settings, save_settings
 from menu.thumbnails import frame_histogram, frame_picture
 from menu.views import entry_of, needed_bytes, plan_view, progress_view, summary_view
@@ -87,17 +87,14 @@ class CameraJob:
         return Loaded(settings, remark, len(unfinished))
 
     def save(self, settings: Settings) -> None:
-        """Write the settings to the file."""
         save_settings(self._settings_path, settings)
 
     def find_cameras(self) -> tuple[CameraEntry, ...]:
-        """Return the cameras of all backends, and the camera of the command line."""
         found = tuple(entry_of(info) for info in list_cameras())
         known = {each.id for each in found}
         return found if not self._entry.id or self._entry.id in known else (self._entry, *found)
 
     def open(self, camera_id: str) -> CameraEntry:
-        """Close the camera before, and open one."""
         self.close()
         self._camera_id = camera_id
         self._camera, self._source = self._open_camera(camera_id)
@@ -153,7 +150,7 @@ class CameraJob:
         assert self._camera is not None  # it was opened
         camera = self._camera
         if isinstance(camera, PreviewingCamera):
-            camera = RememberedPreviews(camera)
+            camera = _RememberedPreviews(camera)
         for choice in choices:
             if cancelled():
                 return
@@ -238,7 +235,6 @@ class CameraJob:
         on_progress: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> Summary:
-        """Shoot the missing frames of a capture with the camera that is open."""
         from camctl.captures.sequencer import resume
 
         folder = self._parent / past.name
@@ -254,7 +250,6 @@ class CameraJob:
         return summary_view(self._with_camera(resume_with), folder)
 
     def captures(self) -> tuple[Past, ...]:
-        """Return the captures in the folder, the newest first."""
         try:
             return list_captures(self._parent)
         except OSError as error:
@@ -263,7 +258,6 @@ class CameraJob:
             ) from error
 
     def look(self, past: Past) -> Summary:
-        """Read the report and the picture of a capture."""
         from camctl.records.folder_store import read_report
 
         folder = self._parent / past.name
@@ -296,3 +290,29 @@ def _planned(camera: Camera, request: CaptureRequest, cancelled: Callable[[], bo
             raise InterruptedCaptureError("the menu went on")
 
     return plan_capture(camera, request, progress=stop_if_cancelled)
+
+
+class _RememberedPreviews:
+    """A `camctl.PreviewingCamera` that takes each preview of an open camera once.
+
+    So several plans come from the same light.  It does not close that camera.
+    """
+
+    def __init__(self, camera: PreviewingCamera) -> None:
+        self.info, self.controls, self.clock = camera.info, camera.controls, camera.clock
+        self.shoot, self._take = camera.shoot, camera.preview
+        self._frames: dict[ExposureSetting, Frame] = {}
+
+    def preview(self, setting: ExposureSetting) -> Frame:
+        if setting not in self._frames:
+            self._frames[setting] = self._take(setting)
+        return self._frames[setting]
+
+    def close(self) -> None:
+        self._frames.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

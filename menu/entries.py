@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from camctl.system.number_text import range_text
 from menu.data import Choice, Settings
 from menu.model import Action, Goal, Model, State
+from menu.tables import STATES
 
 
 @dataclass(frozen=True)
@@ -80,18 +81,20 @@ MAIN_MENU = tuple(
         ("Quit", Action.QUIT),
     )
 )
-CHANGEABLE = {"timer": TIMERS, "saver": SAVERS, "mains": MAINS}
-"""The fields of `Settings` that the settings screen changes, with their entries."""
-
-LISTS = {
-    State.RESPONSE: RESPONSES,
-    State.RANGE: RANGES,
-    State.CUSTOM: STOPS,
-    State.EXPOSURES: COUNTS,
-    State.BUDGET: BUDGETS,
-    State.ACCURACY: ACCURACIES,
-    State.MENU: MAIN_MENU,
+KEPT: dict[str, tuple[Entry, ...]] = {
+    "response": RESPONSES,
+    "range": RANGES,
+    "stops": STOPS,
+    "count": COUNTS,
+    "budget": BUDGETS,
+    "accuracy": ACCURACIES,
+    "timer": TIMERS,
+    "saver": SAVERS,
+    "mains": MAINS,
 }
+"""The fields of `Settings` that hold an index, with their entries."""
+CHANGEABLE = ("timer", "saver", "mains")
+"""Those that the settings screen changes."""
 
 
 def rows(model: Model) -> tuple[Entry, ...]:
@@ -110,10 +113,12 @@ def rows(model: Model) -> tuple[Entry, ...]:
             )
         case State.SETTINGS:
             return tuple(
-                Entry(entries[getattr(model.settings, name)].labels, name, Action.CHANGE)
-                for name, entries in CHANGEABLE.items()
+                Entry(KEPT[name][getattr(model.settings, name)].labels, name, Action.CHANGE)
+                for name in CHANGEABLE
             )
-    return LISTS.get(model.state, ())
+        case State.MENU:
+            return MAIN_MENU
+    return KEPT.get(STATES[model.state].cursor, ())
 
 
 def _capture_names(name: str) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from menu.data import CameraEntry, Cost, Loaded, Plan, Progress, Reading, Settings, Summary
-from menu.entries import CHANGEABLE, TIMERS, choice, rows, seconds
+from menu.entries import CHANGEABLE, KEPT, TIMERS, choice, rows, seconds
 from menu.model import Action, Goal, Model, State
 from menu.ports import Key
 from menu.tables import (
@@ -190,8 +190,8 @@ def selected(model: Model) -> int:
 
 
 def _with_changed_setting(model: Model) -> Model:
-    name, entries = list(CHANGEABLE.items())[selected(model)]
-    index = (getattr(model.settings, name) + 1) % len(entries)
+    name = CHANGEABLE[selected(model)]
+    index = (getattr(model.settings, name) + 1) % len(KEPT[name])
     return replace(model, settings=_with_index(model.settings, name, index))
 
 

@@ -12,34 +12,12 @@ from camctl.errors import CamctlError, DataError
 from camctl.system.files import make_folder, remove_leftovers, storage_error, write_bytes
 from camctl.system.input_files import read_own_file
 from menu.data import Settings
-from menu.entries import (
-    ACCURACIES,
-    BUDGETS,
-    COUNTS,
-    MAINS,
-    RANGES,
-    RESPONSES,
-    SAVERS,
-    STOPS,
-    TIMERS,
-    Entry,
-)
+from menu.entries import KEPT
 
 VERSION = 1
 """Version of the file's format; files of another version are not read."""
 
 _LARGEST = 4096
-_LISTS: dict[str, tuple[Entry, ...]] = {
-    "response": RESPONSES,
-    "range": RANGES,
-    "stops": STOPS,
-    "count": COUNTS,
-    "budget": BUDGETS,
-    "accuracy": ACCURACIES,
-    "timer": TIMERS,
-    "saver": SAVERS,
-    "mains": MAINS,
-}
 
 
 class _File(BaseModel):
@@ -77,7 +55,7 @@ def _parsed(data: bytes) -> Settings:
         if name == "camera":
             is_valid = isinstance(value, str) and value.isprintable()
         else:
-            entries = _LISTS.get(name, ())
+            entries = KEPT.get(name, ())
             is_valid = isinstance(value, int) and 0 <= value < len(entries)
         if not is_valid:
             raise DataError(f"their file has an invalid value of {name[:20]}")

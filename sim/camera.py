@@ -157,7 +157,6 @@ class SimulatedCamera(CameraBase):
 
     @property
     def mode(self) -> str:
-        """Pixel layout, bits, size and frame rate, such as mono8-640x480-30."""
         return _mode(self.controls, self.sensor)
 
     def preview(self, setting: ExposureSetting) -> Frame:
@@ -172,7 +171,6 @@ class SimulatedCamera(CameraBase):
         return self._frame(shot, setting, light=self._faults.light(-1, shot.applied.time_s))
 
     def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
-        """Return the frames after a change of exposure; see `StreamingCamera.step`."""
         self._check_ready()
         for setting in (before, after):
             self.controls.check(setting)

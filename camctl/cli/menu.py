@@ -72,7 +72,7 @@ def menu(
     accuracy. Each choice is shown with its exposure time, the time of the capture, and the
     effective levels that it gives with this camera.
     """
-    from menu.memory import use_little_memory
+    from camctl.system.memory import use_little_memory
 
     use_little_memory()
     from camctl.profiles import calibrated

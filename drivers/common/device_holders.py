@@ -18,7 +18,6 @@ class Holder:
 
     @property
     def is_us(self) -> bool:
-        """True if it is this process."""
         return self.process == os.getpid()
 
 

@@ -1,15 +1,28 @@
-"""What drivers of still cameras share: records in the profile."""
+"""What drivers of still cameras share: the format of their files, their times, their controls."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import deque
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from statistics import median
+from typing import Annotated, Literal
 
 from camctl.errors import DataError, StorageError
-from camctl.interface.camera import CameraInfo
-from camctl.interface.clock import CaptureTiming
+from camctl.interface.backends import LowerCase
+from camctl.interface.camera import CameraBase, CameraInfo
+from camctl.interface.clock import CaptureTiming, Clock
+from camctl.interface.controls import Choices, Control, ExposureControls, ResponseOrigin
+from camctl.model.response.camera import named_response
 from camctl.profiles.profile import Profile, StillRecord, TimingRecord, change_profile, load_profile
+from camctl.stills.decoding import Still
+from drivers.common.known_format import FormatChangedError, KnownFormat, WrongFormatError
+from drivers.common.response_option import ResponseOptions
+
+#: Shutter time of a picture that is taken to learn the file format, s: short, with little blur.
+TEST_PICTURE_S = 0.01
 
 #: Exposures and files whose median times are kept, and by which share of the whole these may
 #: change until the profile is written again.
@@ -93,3 +106,119 @@ def _are_near(a: TimingRecord, b: TimingRecord) -> bool:
     )
     whole = b.settling_s + b.readout_s + b.download_s
     return a.overlaps == b.overlaps and max(map(abs, differences)) <= _SAME_TIME * whole
+
+
+class StillOptions(ResponseOptions):
+    """Options of a still camera, besides `ResponseOptions`.
+
+    Attributes:
+        format: of the frames' files; "auto": the first of raw, tiff and jpeg that the camera saves
+        delete: True to delete files from the card once their frames were taken
+    """
+
+    format: Annotated[Literal["auto", "raw", "tiff", "jpeg"], LowerCase] = "auto"
+    delete: bool = False
+
+
+class StillCamera(CameraBase):
+    """A still camera whose frames are files of one format, known from its profile or a picture.
+
+    A driver calls `_forget` when it opens the camera, and implements `_find_format` and
+    `_dial_controls`.
+
+    Args:
+        name, clock: see `CameraBase`
+        options: see `StillOptions`
+    """
+
+    _times_taken: StillTimes
+
+    def __init__(self, name: str, clock: Clock, options: StillOptions) -> None:
+        super().__init__(name, clock)
+        self._format_name = None if options.format == "auto" else options.format
+        self._still_options = options
+        self._forget()
+
+    @abstractmethod
+    def _find_format(self) -> KnownFormat:
+        """Return the format of the frames; a picture may be taken for this purpose."""
+
+    @abstractmethod
+    def _dial_controls(self) -> tuple[Control, Control | None, Control | None]:
+        """Return times, gains and f-numbers; None: the camera does not have them."""
+
+    def _forget(self) -> None:
+        """Forget the format and the notes of the camera."""
+        self._known: KnownFormat | None = None
+        self._controls = None
+        self._notes: list[str] = []
+
+    @property
+    def controls(self) -> ExposureControls:
+        """The settings of the camera, and the format of its frames.
+
+        The format is read from the camera's profile, or from a picture that is on its card or taken
+        for this purpose, when this property is first used.
+
+        Raises:
+            CameraError: that was not possible, or the camera is not open
+        """
+        if self._controls is None:
+            self._check_open()
+            self._controls = self._make_controls()
+        return self._controls
+
+    def _make_controls(self) -> ExposureControls:
+        known = self._known_format()
+        record, response, origin = known.record, None, ResponseOrigin.STATED
+        if known.format != "raw":
+            options = self._still_options
+            response = named_response(options.response, record.bits, record.white - record.black)
+            origin = options.response_origin
+        times, gains, f_numbers = self._dial_controls()
+        return ExposureControls(
+            time_s=times,
+            gain=gains or Choices((1.0,)),
+            f_number=f_numbers,
+            shape=(record.rows, record.columns),
+            layout=record.layout,
+            bits=record.bits,
+            black=record.black,
+            white=record.white,
+            response=response,
+            response_origin=origin,
+            timing=self._times_taken.timing,
+            notes=tuple(self._notes),
+        )
+
+    def _known_format(self) -> KnownFormat:
+        if self._known is None:
+            self._known = self._find_format()
+            self._times_taken = StillTimes(self.info, self._known.format)
+        return self._known
+
+    def _learnt(self, file_format: str, still: Still) -> KnownFormat:
+        """Return the format of a file, which is saved in the profile."""
+        problem = save_record(self.info, file_format, still.record)
+        self._notes.extend((*still.notes, *((problem,) if problem else ())))
+        return KnownFormat(file_format, still.record)
+
+    def _save_times(self, *, overlaps: bool) -> None:
+        """Keep what the exposures and the files of a sequence took."""
+        self._times_taken.save(overlaps=overlaps)
+        self._controls = replace(self.controls, timing=self._times_taken.timing)
+
+    @contextmanager
+    def _following_format(self, known: KnownFormat) -> Iterator[None]:
+        """Let the next sequence have the format in which the camera saves its files now."""
+        try:
+            yield
+        except FormatChangedError as error:
+            save_record(self.info, known.format, error.record)
+            self._controls = self._known = None
+            raise
+        except WrongFormatError:
+            if self._format_name is None:
+                forget_record(self.info, known.format)
+                self._controls = self._known = None
+            raise

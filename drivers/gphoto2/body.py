@@ -58,7 +58,6 @@ class Dial:
 
     @property
     def control(self) -> Choices:
-        """The true values."""
         return Choices(tuple(self.labels))
 
     def value_of(self, label: str) -> float | None:

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Annotated, Literal
 
 from camctl.errors import CameraError, CameraProtocolError
 from camctl.interface.backends import LowerCase
-from camctl.interface.camera import CameraBase, CameraInfo, Frame, OriginalFile
+from camctl.interface.camera import CameraInfo, Frame, OriginalFile
 from camctl.interface.clock import Clock, RealClock
-from camctl.interface.controls import Choices, ExposureControls, ExposureSetting, ResponseOrigin
-from camctl.model.response.camera import named_response
+from camctl.interface.controls import Control, ExposureSetting
 from camctl.stills.decoding import read_still
 from drivers.common.known_format import (
     FORMATS,
-    FormatChangedError,
     KnownFormat,
     WrongFormatError,
     checked_exposure,
@@ -25,11 +23,7 @@ from drivers.common.known_format import (
     matched_pixels,
     saved_format,
 )
-from drivers.common.response_option import ResponseOptions
-from drivers.common.still_camera import (
-    StillTimes,
-    save_record,
-)
+from drivers.common.still_camera import TEST_PICTURE_S, StillCamera, StillOptions
 from drivers.gphoto2.body import Body
 from drivers.gphoto2.process import CameraProcess, FullError
 
@@ -41,23 +35,17 @@ _CAPTURE_S = 1030.0
 _BUSY_S = 30.0
 #: Quiet time after which a camera has reported all files of an exposure, ms.
 _QUIET_MS, _LAST_CHANCE_MS = 50, 2000
-#: Shutter time of a picture that is taken to learn the file format, s: short, with little blur.
-_TEST_PICTURE_S = 0.01
 
 
-class Gphoto2Options(ResponseOptions):
-    """Options of a camera through libgphoto2, besides `ResponseOptions`.
+class Gphoto2Options(StillOptions):
+    """Options of a camera through libgphoto2, besides `StillOptions`.
 
     Attributes:
-        format: of the frames' files; "auto": the best that the camera is set to save
         target: where the camera stores pictures until they are fetched: its memory (ram), which is
             faster and needs no card, or its card; "auto": its memory where it has that
-        delete: True to delete files from the card once their frames were taken
     """
 
-    format: Annotated[Literal["auto", "raw", "tiff", "jpeg"], LowerCase] = "auto"
     target: Annotated[Literal["auto", "ram", "card"], LowerCase] = "auto"
-    delete: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,7 +59,7 @@ class _Picture:
     ended_s: float
 
 
-class Gphoto2Camera(CameraBase):
+class Gphoto2Camera(StillCamera):
     """A still camera in a process of its own, through libgphoto2.
 
     Args:
@@ -90,21 +78,24 @@ class Gphoto2Camera(CameraBase):
     def __init__(
         self, port: str, options: Gphoto2Options | None = None, *, clock: Clock | None = None
     ) -> None:
-        super().__init__(f"{DRIVER}:{port}", clock or RealClock())
-        self._port = port
         self._options = options or Gphoto2Options()
-        self._format_name = None if self._options.format == "auto" else self._options.format
-        self._known: KnownFormat | None = None
+        super().__init__(f"{DRIVER}:{port}", clock or RealClock(), self._options)
+        self._port = port
 
     def _open(self) -> None:
-        self._controls = self._known = None
-        self._notes: list[str] = []
+        self._forget()
         self._fetched: list[_Picture] = []  # and not deleted
         with ExitStack() as undo:
             self._process = undo.enter_context(CameraProcess(self._name, self._clock))
             self._process.ask("open", port=self._port, busy_s=_BUSY_S)
             undo.callback(self._disconnect)
             self._body = body = Body(self._process, self._options.target)
+            self._notes += [
+                *body.notes,
+                "shutter times are the true values of the labels on the camera's dial: exact "
+                "stops of Canon and Fujifilm, else as labelled; compare the ratios measured in the "
+                "report",
+            ]
             self._info = CameraInfo(
                 self._name, body.make, body.model or "camera", body.serial, DRIVER
             )
@@ -118,34 +109,22 @@ class Gphoto2Camera(CameraBase):
     def _close(self) -> None:
         self._closing.close()
 
-    @property
-    def controls(self) -> ExposureControls:
-        """The settings of the camera, and the format of its frames.
-
-        The format is read from the camera's profile, or from a picture taken for this purpose when
-        this property is first used.
-        """
-        if self._controls is None:
-            self._check_open()
-            self._controls = self._make_controls()
-        return self._controls
-
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         known, times = self._known_format(), self._times_taken
         for index, setting in enumerate(settings):
             began_s = self._clock.now()
             applied = self._body.apply(setting)
             settled_s = self._clock.now()
-            picture = self._take(applied, known.format)
-            times.add_exposure(
-                settled_s - began_s, picture.ended_s - picture.released_s - applied.time_s
-            )
-            frame = self._fetch(picture, known, setting, applied)
+            with self._following_format(known):
+                picture = self._take(applied, known.format)
+                times.add_exposure(
+                    settled_s - began_s, picture.ended_s - picture.released_s - applied.time_s
+                )
+                frame = self._fetch(picture, known, setting, applied, index)
             times.add_download(self._clock.now() - picture.ended_s)
-            yield replace(frame, index=index)
+            yield frame
             self._check_open()
-        times.save(overlaps=False)
-        self._controls = replace(self.controls, timing=times.timing)
+        self._save_times(overlaps=False)
 
     # ---- pictures
 
@@ -199,17 +178,12 @@ class Gphoto2Camera(CameraBase):
         known: KnownFormat,
         requested: ExposureSetting,
         applied: ExposureSetting,
+        index: int,
     ) -> Frame:
         data = self._file(picture)
-        try:
-            has_gain = self._body.gain is not None
-            speed = checked_exposure(picture.name, data, applied, has_gain=has_gain)
-            still = read_still(data, picture.name)
-            pixels, changes = matched_pixels(still, known, picture.name)
-        except FormatChangedError as error:
-            save_record(self.info, known.format, error.record)
-            self._controls = self._known = None
-            raise
+        has_gain = self._body.gain is not None
+        speed = checked_exposure(picture.name, data, applied, has_gain=has_gain)
+        pixels, changes = matched_pixels(read_still(data, picture.name), known, picture.name)
         details = {
             "object": f"{picture.folder}/{picture.name}",
             "bytes": len(data),
@@ -223,7 +197,7 @@ class Gphoto2Camera(CameraBase):
             requested=requested,
             applied=applied,
             timestamp_s=picture.ended_s,
-            index=0,
+            index=index,
             black=known.record.black,
             white=known.record.white,
             original=OriginalFile(PurePath(picture.name).suffix.lower(), data),
@@ -254,50 +228,23 @@ class Gphoto2Camera(CameraBase):
 
     # ---- controls
 
-    def _make_controls(self) -> ExposureControls:
-        known, body = self._known_format(), self._body
-        record, word = known.record, self._options.response
-        response, origin = None, ResponseOrigin.STATED
-        notes = [
-            *body.notes,
-            *self._notes,
-            "shutter times are the true values of the labels on the camera's dial: exact stops of "
-            "Canon and Fujifilm, else as labelled; compare the ratios measured in the report",
-        ]
-        if known.format != "raw":
-            response = named_response(word, record.bits, record.white - record.black)
-            origin = self._options.response_origin
-        return ExposureControls(
-            time_s=body.time_s.control,
-            gain=body.gain.control if body.gain is not None else Choices((1.0,)),
-            f_number=body.f_number.control if body.f_number is not None else None,
-            shape=(record.rows, record.columns),
-            layout=record.layout,
-            bits=record.bits,
-            black=record.black,
-            white=record.white,
-            response=response,
-            response_origin=origin,
-            timing=self._times_taken.timing,
-            notes=tuple(notes),
+    def _dial_controls(self) -> tuple[Control, Control | None, Control | None]:
+        body = self._body
+        return (
+            body.time_s.control,
+            body.gain.control if body.gain is not None else None,
+            body.f_number.control if body.f_number is not None else None,
         )
 
-    def _known_format(self) -> KnownFormat:
+    def _find_format(self) -> KnownFormat:
         """Return the format from the profile, or from a test picture."""
-        if self._known is None:
-            self._known = saved_format(self.info, self._format_name) or self._format_of_picture()
-            self._times_taken = StillTimes(self.info, self._known.format)
-        return self._known
-
-    def _format_of_picture(self) -> KnownFormat:
-        body = self._body
+        known, body = saved_format(self.info, self._format_name), self._body
+        if known is not None:
+            return known
         self._notes.append("one picture was taken to learn the format of the files")
         gain = body.gain.control.nearest(1.0) if body.gain is not None else 1.0
-        setting = ExposureSetting(body.time_s.control.nearest(_TEST_PICTURE_S), gain)
+        setting = ExposureSetting(body.time_s.control.nearest(TEST_PICTURE_S), gain)
         picture = self._take(body.apply(setting), self._format_name)
         name = format_of_name(picture.name)
         assert name is not None  # `_chosen` takes no other file
-        still = read_still(self._file(picture), picture.name)
-        problem = save_record(self.info, name, still.record)
-        self._notes.extend((*still.notes, *((problem,) if problem else ())))
-        return KnownFormat(name, still.record)
+        return self._learnt(name, read_still(self._file(picture), picture.name))

@@ -150,7 +150,6 @@ class CameraProcess:
 
     @property
     def process_id(self) -> int:
-        """The number of the process."""
         return self._process.pid
 
     def close(self) -> None:

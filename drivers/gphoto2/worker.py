@@ -129,16 +129,13 @@ class Worker:
         return files
 
     def file(self, folder: str, name: str) -> bytes:
-        """Return a file."""
         file = self._camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
         return bytes(file.get_data_and_size())  # a view would outlive the file
 
     def delete(self, folder: str, name: str) -> None:
-        """Delete a file."""
         self._camera.file_delete(folder, name)
 
     def close(self) -> None:
-        """Disconnect from the camera."""
         camera, self._camera = self._camera, None
         if camera is not None:
             camera.exit()

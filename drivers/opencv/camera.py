@@ -168,13 +168,11 @@ class _Stream:
         return data
 
     def next_frame(self) -> FrameStamp:
-        """Wait for the next frame."""
         self._video.grab()
         self._number += 1
         return FrameStamp(self._number, self._clock.now())
 
     def read(self) -> Pixels | None:
-        """Return the frame that arrived last; None where it is damaged."""
         return self._video.retrieve()
 
     def upcoming(self, *, late: bool = False) -> int:
@@ -182,7 +180,6 @@ class _Stream:
         return self._number + 1
 
     def write(self, setting: ExposureSetting) -> Written:
-        """Set the exposure."""
         applied = self.exposure.write(setting)
         return Written(applied, self._number + 1, self._number + 1)
 
@@ -192,5 +189,4 @@ class _Stream:
         self._video = Video(self._address, self._clock, time_s)
 
     def close(self) -> None:
-        """Close the video."""
         self._video.close()

@@ -180,7 +180,6 @@ class AddressExposure:
         )
 
     def write(self, setting: ExposureSetting) -> ExposureSetting:
-        """Open the stream again with another time."""
         if setting.time_s != self._time_s:
             self._stream.reopen(setting.time_s)
             self._time_s = setting.time_s

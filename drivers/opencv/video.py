@@ -176,7 +176,6 @@ class Video:
         return self._pixels(data)
 
     def close(self) -> None:
-        """Close the video."""
         self._video.release()
 
     def _pixels(self, data: NDArray[Any]) -> Pixels:

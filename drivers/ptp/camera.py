@@ -9,74 +9,45 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Any
 
 from pydantic import Field
 
 from camctl.errors import CameraError, CameraProtocolError, UsageError
-from camctl.interface.backends import LowerCase
-from camctl.interface.camera import CameraBase, CameraInfo, Frame
+from camctl.interface.camera import CameraInfo, Frame
 from camctl.interface.clock import Clock, RealClock
-from camctl.interface.controls import (
-    Choices,
-    Control,
-    ExposureControls,
-    ExposureSetting,
-    ResponseOrigin,
-    Steps,
-)
-from camctl.model.response.camera import named_response
+from camctl.interface.controls import Choices, Control, ExposureSetting, Steps
 from camctl.stills.decoding import Still, read_still
 from camctl.stills.exif import stated_exposure
-from drivers.common.known_format import (
-    FormatChangedError,
-    KnownFormat,
-    WrongFormatError,
-    has_size,
-    saved_format,
-)
-from drivers.common.response_option import ResponseOptions
-from drivers.common.still_camera import StillTimes, forget_record, save_record
+from drivers.common.known_format import KnownFormat, has_size, saved_format
+from drivers.common.still_camera import TEST_PICTURE_S, StillCamera, StillOptions
 from drivers.common.usb import device_name, usb_identity
 from drivers.ptp.body import Body
 from drivers.ptp.dialects import STANDARD
 from drivers.ptp.sequence import Dials, ExposureSequence
 from drivers.ptp.session import Session
 from drivers.ptp.shooting import Shooter
-from drivers.ptp.still_formats import (
-    CardPicture,
-    format_of,
-    is_of_model,
-    key_of,
-    newest_pictures,
-)
+from drivers.ptp.still_formats import CardPicture, format_of, is_of_model, key_of, newest_pictures
 from drivers.ptp.transport import CAPTURE_S, NORMAL_S, Transport
 from drivers.ptp.usb_transport import UsbTransport
 
-# Shutter time of a picture that is taken to learn the file format, s: short, with little blur.
-_TEST_PICTURE_S = 0.01
 # Pictures of the card that are fetched to learn the format before a test picture is taken.
 _MAX_PICTURES_READ = 2
 # How long `close` waits for a cancelled exposure beyond its exposure time.
 _CLOSE_S = 5.0
 
 
-class PtpOptions(ResponseOptions):
-    """Options of a PTP camera, besides `ResponseOptions`.
+class PtpOptions(StillOptions):
+    """Options of a PTP camera, besides `StillOptions`.
 
     Attributes:
-        format: of the frames' files; "auto": the first of raw, tiff and jpeg that the camera saves
         bulb: longest bulb exposure, held by this computer, s; None: the camera's own times only
-        delete: True to delete files from the card once their frames were taken
     """
 
-    format: Annotated[Literal["auto", "raw", "tiff", "jpeg"], LowerCase] = "auto"
     bulb: float | None = Field(default=None, ge=1, le=3600, allow_inf_nan=False)
-    delete: bool = False
 
 
-class PtpCamera(CameraBase):
+class PtpCamera(StillCamera):
     """A still camera on USB; `open` connects to it.
 
     `open` raises `CameraNotFoundError` if the device is no still camera or may not be used,
@@ -100,22 +71,19 @@ class PtpCamera(CameraBase):
         silence_s: float = NORMAL_S,
         capture_s: float = CAPTURE_S,
     ) -> None:
+        self._options = options or PtpOptions()
         super().__init__(
-            f"the camera at {self._place(device)}", clock if clock is not None else RealClock()
+            f"the camera at {self._place(device)}", clock or RealClock(), self._options
         )
         self._device = device
-        self._options = options if options is not None else PtpOptions()
-        self._format_name = None if self._options.format == "auto" else self._options.format
         self._silence_s, self._capture_s = silence_s, capture_s
-        self._known: KnownFormat | None = None
 
     @classmethod
     def _place(cls, device: Any) -> str:
         return f"USB {device.bus:03d}:{device.address:03d}"
 
     def _open(self) -> None:
-        self._notes: list[str] = []
-        self._controls = self._known = None
+        self._forget()
         with ExitStack() as undo:
             transport = self._connect()
             undo.callback(transport.close)
@@ -149,19 +117,9 @@ class PtpCamera(CameraBase):
 
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         known = self._known_format()
-        try:
+        with self._following_format(known):
             yield from self._sequence.run(settings, known, self._times_taken)
-            self._times_taken.save(overlaps=self._sequence.overlaps)
-            self._controls = replace(self.controls, timing=self._times_taken.timing)
-        except FormatChangedError as error:
-            save_record(self.info, known.format, error.record)
-            self._controls = self._known = None
-            raise
-        except WrongFormatError:
-            if self._format_name is None:  # the next sequence takes what the camera saves now
-                forget_record(self.info, known.format)
-                self._controls = self._known = None
-            raise
+            self._save_times(overlaps=self._sequence.overlaps)
 
     def _identity(self) -> CameraInfo:
         descriptors = usb_identity(self._device, "ptp")
@@ -176,44 +134,12 @@ class PtpCamera(CameraBase):
 
     # ---- controls
 
-    @property
-    def controls(self) -> ExposureControls:
-        """The settings of the camera, and the format of its frames.
-
-        The format is read from the camera's profile, from the newest picture on its card, or from a
-        picture taken for this purpose, when this property is first used.
-
-        Raises:
-            CameraError: none of the three was possible, or the camera is not open
-        """
-        if self._controls is None:
-            self._check_open()
-            self._controls = self._make_controls()
-        return self._controls
-
-    def _make_controls(self) -> ExposureControls:
-        known = self._known_format()
-        record, word = known.record, self._options.response
-        notes = list(self._notes)
-        response, origin = None, ResponseOrigin.STATED
-        if known.format != "raw":
-            response = named_response(word, record.bits, record.white - record.black)
-            origin = self._options.response_origin
+    def _dial_controls(self) -> tuple[Control, Control | None, Control | None]:
         gain, f_number = self._dials.gain, self._dials.f_number
-        self._times_taken = StillTimes(self.info, known.format)
-        return ExposureControls(
-            time_s=self._times(),
-            shape=(record.rows, record.columns),
-            layout=record.layout,
-            bits=record.bits,
-            gain=gain.control if gain is not None else Choices((1.0,)),
-            f_number=f_number.control if f_number is not None else None,
-            black=record.black,
-            white=record.white,
-            response=response,
-            response_origin=origin,
-            timing=self._times_taken.timing,
-            notes=tuple(notes),
+        return (
+            self._times(),
+            gain.control if gain is not None else None,
+            f_number.control if f_number is not None else None,
         )
 
     def _times(self) -> Control:
@@ -268,13 +194,8 @@ class PtpCamera(CameraBase):
 
     # ---- the format of its files
 
-    def _known_format(self) -> KnownFormat:
-        """Return the format from the profile, the newest picture on the card, or a test picture."""
-        if self._known is None:
-            self._known = self._find_format()
-        return self._known
-
     def _find_format(self) -> KnownFormat:
+        """Return the format from the newest picture on the card, the profile, or a test picture."""
         size = self._body.image_size()
         for picture in newest_pictures(self._body, self._format_name)[:_MAX_PICTURES_READ]:
             known = saved_format(self.info, picture.format)
@@ -286,7 +207,7 @@ class PtpCamera(CameraBase):
         if known is not None and has_size(known, size):
             return known
         picture = self._take_test_picture()
-        return self._saved(picture, self._read(picture))
+        return self._learnt(picture.format, self._read(picture))
 
     def _format_in(self, picture: CardPicture) -> KnownFormat | None:
         """Return the format of a picture on the card.
@@ -297,7 +218,7 @@ class PtpCamera(CameraBase):
             still = self._read(picture, of_model=self.info.model)
         except CameraProtocolError:
             return None
-        return self._saved(picture, still)
+        return self._learnt(picture.format, still)
 
     def _read(self, picture: CardPicture, of_model: str = "") -> Still:
         data = self._body.session.object(picture.handle, picture.info.size)
@@ -307,14 +228,9 @@ class PtpCamera(CameraBase):
             )
         return read_still(data, picture.info.name)
 
-    def _saved(self, picture: CardPicture, still: Still) -> KnownFormat:
-        problem = save_record(self.info, picture.format, still.record)
-        self._notes.extend((*still.notes, *((problem,) if problem else ())))
-        return KnownFormat(picture.format, still.record)
-
     def _take_test_picture(self) -> CardPicture:
         self._notes.append("one picture was taken to learn the format of the files")
-        time_s = self._dials.time_s.control.nearest(_TEST_PICTURE_S)
+        time_s = self._dials.time_s.control.nearest(TEST_PICTURE_S)
         gain = self._dials.gain
         setting = ExposureSetting(time_s, gain.control.nearest(1.0) if gain is not None else 1.0)
         shot = self._sequence.take(setting, self._format_name)

@@ -42,7 +42,6 @@ class Reader:
 
     @property
     def left(self) -> int:
-        """Bytes not yet read."""
         return len(self._data) - self._position
 
     def invalid(self, reason: str) -> CameraProtocolError:
@@ -53,26 +52,21 @@ class Reader:
         )
 
     def take(self, count: int) -> bytes:
-        """Return the next `count` bytes."""
         if count > self.left:
             raise self.invalid(f"a field needs {count} bytes, {self.left} are left")
         self._position += count
         return self._data[self._position - count : self._position]
 
     def integer(self, size: int, *, signed: bool = False) -> int:
-        """Return an integer of `size` bytes."""
         return int.from_bytes(self.take(size), "little", signed=signed)
 
     def u8(self) -> int:
-        """Return one byte."""
         return self.integer(1)
 
     def u16(self) -> int:
-        """Return two bytes."""
         return self.integer(2)
 
     def u32(self) -> int:
-        """Return four bytes."""
         return self.integer(4)
 
     def peek_u16(self) -> int:
@@ -90,7 +84,6 @@ class Reader:
         return self.integers(self.u32(), size, signed=signed)
 
     def integers(self, count: int, size: int, *, signed: bool = False) -> tuple[int, ...]:
-        """Return `count` integers of `size` bytes each."""
         data = self.take(count * size)
         parts = (data[i : i + size] for i in range(0, len(data), size))
         return tuple(int.from_bytes(part, "little", signed=signed) for part in parts)

@@ -213,7 +213,6 @@ class Dial:
 
     @property
     def code(self) -> int:
-        """The property's code."""
         return self.scale.code
 
     def number(self, value: float) -> int:

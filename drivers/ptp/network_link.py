@@ -110,17 +110,14 @@ class SocketLink:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
 
     def send(self, data: bytes, timeout_s: float) -> None:
-        """Send all bytes."""
         self._socket.settimeout(timeout_s)
         self._socket.sendall(data)
 
     def receive(self, size: int, timeout_s: float) -> bytes:
-        """Return up to `size` bytes; b"" if the camera has closed the connection."""
         self._socket.settimeout(max(timeout_s, _SHORTEST_WAIT_S))
         return self._socket.recv(size)
 
     def close(self) -> None:
-        """Close the connection."""
         with suppress(OSError):
             self._socket.close()
 
@@ -183,7 +180,6 @@ class PacketLink:
         self._received = bytearray()
 
     def send(self, kind: Packet, body: bytes, timeout_s: float) -> None:
-        """Send a packet."""
         try:
             self._link.send(HEADER.pack(HEADER.size + len(body), kind) + body, timeout_s)
         except OSError as error:
@@ -227,5 +223,4 @@ class PacketLink:
             self.heard_s = self._clock.now()
 
     def close(self) -> None:
-        """Close the connection."""
         self._link.close()

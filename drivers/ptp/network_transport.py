@@ -162,7 +162,6 @@ class NetworkTransport:
         return body
 
     def close(self) -> None:
-        """Close both connections."""
         self._events.close()
         self._commands.close()
 
@@ -171,7 +170,6 @@ class NetworkTransport:
     def send(
         self, operation: int, transaction: int, parameters: Sequence[int], data: bytes | None
     ) -> None:
-        """Send the first phase of a transaction, and `data` if it is not None."""
         phase = _HAS_NO_DATA_OUT if data is None else _HAS_DATA_OUT
         body = struct.pack(f"<IHI{len(parameters)}I", phase, operation, transaction, *parameters)
         self._commands.send(Packet.COMMAND, body, self.silence_s)
@@ -188,7 +186,6 @@ class NetworkTransport:
     # ---- receiving
 
     def receive(self, transaction: int, *, limit: int) -> Container:
-        """Return the next container of a transaction; see `Transport.receive`."""
         for _ in range(MAX_STALE_CONTAINERS):
             container = self._container(limit)
             if container.transaction == transaction:
@@ -261,7 +258,6 @@ class NetworkTransport:
         self._events.send(Packet.PING, b"", self.silence_s)
 
     def event(self, wait_s: float) -> Container | None:
-        """Return the next event; None if none came within `wait_s`."""
         return self._queue.popleft() if self._queue else self._next_event(wait_s)
 
     def _next_event(self, wait_s: float) -> Container | None:

@@ -311,7 +311,6 @@ class Session:
         )
 
     def delete(self, handle: int) -> None:
-        """Delete an object."""
         self.call(Op.DELETE_OBJECT, handle, task="delete a file", repeatable=False)
 
     def stores(self) -> tuple[StorageInfo, ...]:
@@ -325,6 +324,5 @@ class Session:
         )
 
     def description(self, code: int) -> PropertyDescription:
-        """Return the description of a property."""
         answer = self.call(Op.GET_PROPERTY_DESCRIPTION, code, task=f"describe property {code:04X}")
         return PropertyDescription.parse(answer.data)

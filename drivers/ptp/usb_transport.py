@@ -116,7 +116,6 @@ class UsbTransport:
     def send(
         self, operation: int, transaction: int, parameters: Sequence[int], data: bytes | None
     ) -> None:
-        """Send the first phase of a transaction, and `data` if it is not None."""
         body = struct.pack(f"<{len(parameters)}I", *parameters)
         self._write(HEADER.pack(HEADER.size + len(body), _COMMAND, operation, transaction) + body)
         if data is not None:
@@ -316,7 +315,6 @@ class UsbTransport:
                 raise error
 
     def close(self) -> None:
-        """Release the interface; errors of a disconnected camera are ignored."""
         with suppress(usb.core.USBError, NotImplementedError):
             usb.util.release_interface(self._device, self._number)
         usb.util.dispose_resources(self._device)

@@ -51,13 +51,11 @@ class Linux:
         return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
 
     def ioctl(self, descriptor: int, request: Request, argument: ctypes.Structure) -> None:
-        """Call the node's driver."""
         import fcntl
 
         fcntl.ioctl(descriptor, int(request), argument, True)
 
     def map(self, descriptor: int, offset: int, length: int) -> Memory:
-        """Map the buffer's memory, to be read."""
         import mmap
 
         mapped = mmap.mmap(descriptor, length, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset)
@@ -72,5 +70,4 @@ class Linux:
         return bool(poll.poll(timeout_s * 1000))
 
     def close(self, descriptor: int) -> None:
-        """Close the descriptor."""
         os.close(descriptor)

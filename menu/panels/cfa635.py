@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from types import TracebackType
 from typing import Any, Self
 
 from camctl.errors import UsageError
@@ -101,12 +100,7 @@ class Cfa635Panel:
         return self
 
     @uninterrupted
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Clear the display, switch the lights off, and close the port."""
         if self._port is not None and kind is not PanelDisconnectedError:
             try:
@@ -131,7 +125,6 @@ class Cfa635Panel:
         return shown.last_offset
 
     def key(self, timeout_s: float) -> Key | None:
-        """Return the next key; None after `timeout_s`."""
         if not self._keys:
             self._receive(timeout_s)
         if self._clock.now() - self._last_answer_s > _ANYONE_HOME_S:

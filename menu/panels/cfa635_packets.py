@@ -30,7 +30,6 @@ class Packet:
     data: bytes = b""
 
     def encoded(self) -> bytes:
-        """Return its bytes, with the CRC."""
         body = bytes((self.command, len(self.data))) + self.data
         return body + crc(body).to_bytes(2, "little")
 

@@ -7,7 +7,6 @@ import mmap
 import os
 import struct
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -158,12 +157,7 @@ class FramebufferPanel:
             ) from error
 
     @uninterrupted
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Restore what the display showed, and close it."""
         memory, self._memory = self._memory, None
         if memory is not None:
@@ -194,7 +188,6 @@ class FramebufferPanel:
         return drawing.last_offset
 
     def key(self, timeout_s: float) -> Key | None:
-        """Return the next key; None after `timeout_s`."""
         before = self._keys.problem, self._keys.is_open
         key = self._keys.key(timeout_s, self._clock.now())
         if self._shown is not None and before != (self._keys.problem, self._keys.is_open):

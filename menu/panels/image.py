@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from camctl.errors import StorageError, UsageError
@@ -62,12 +61,7 @@ class ImagePanel:
             raise StorageError(f"{self.folder} is no folder", hint="choose another one")
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Do nothing: all pictures are written."""
 
     def show(self, screen: Screen) -> int:

@@ -60,7 +60,6 @@ class InputKeys:
         return bool(self._open)
 
     def close(self) -> None:
-        """Close all devices."""
         for descriptor in self._open.values():
             os.close(descriptor)
         self._open.clear()

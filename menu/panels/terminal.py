@@ -10,7 +10,6 @@ import shutil
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, Self
 
 from camctl.errors import CamctlError, UsageError
@@ -90,13 +89,7 @@ class TerminalPanel:
         return self
 
     @uninterrupted
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Restore the terminal."""
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def show(self, screen: Screen) -> int:

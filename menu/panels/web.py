@@ -19,7 +19,6 @@ from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 from urllib.parse import parse_qs, urlsplit
 
@@ -77,7 +76,6 @@ class WebPanel:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
         host = f"[{self._host}]" if ":" in self._host else self._host
         port = self._port if self._server is None else self._server.server_address[1]
         return f"http://{host}:{port}/"
@@ -102,12 +100,7 @@ class WebPanel:
         return self
 
     @uninterrupted
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the server."""
         server, self._server = self._server, None
         self.is_open = False
@@ -128,7 +121,6 @@ class WebPanel:
         return drawing.last_offset
 
     def key(self, timeout_s: float) -> Key | None:
-        """Return the next key; None after `timeout_s`."""
         try:
             return self.keys.get(timeout=timeout_s) if timeout_s else self.keys.get_nowait()
         except queue.Empty:

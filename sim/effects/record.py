@@ -137,7 +137,6 @@ class Shot:
 
     @property
     def rows(self) -> int:
-        """Rows of the picture."""
         return self.view.light.shape[0] if self.view.light.ndim > 1 else 1
 
     @property
@@ -179,7 +178,6 @@ class Shot:
 
     @property
     def statistics(self) -> Statistics:
-        """Statistics of the light that the sensor sees."""
         return self.view.statistics
 
 

@@ -79,12 +79,10 @@ class Scene:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
         return self.irradiance.shape[0], self.irradiance.shape[1]
 
     @property
     def is_coloured(self) -> bool:
-        """Whether it has three channels."""
         return self.irradiance.ndim == 3
 
 

@@ -258,12 +258,10 @@ class Sensor(FileModel):
 
     @property
     def times(self) -> Steps:
-        """Exposure times."""
         return Steps(self.time_minimum_s, self.time_maximum_s, self.line_s)
 
     @property
     def gains(self) -> Control:
-        """Linear gains."""
         most = self.gain_maximum
         return Steps(1.0, most, self.gain_step) if most > 1 else Choices((1.0,))
 

@@ -13,7 +13,6 @@ import select
 import threading
 import tty
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 COLUMNS, ROWS = 20, 4
@@ -96,12 +95,7 @@ class VirtualCfa635:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.unplug()
 
     def unplug(self) -> None:

@@ -152,7 +152,7 @@ def test_shadowed_package_is_named_with_what_shadows_it(
 
 @pytest.mark.parametrize(
     ("package", "arguments", "module"),
-    [("sim", ["simulate"], "sim.camera"), ("menu", ["menu"], "menu.memory")],
+    [("sim", ["simulate"], "sim.camera"), ("menu", ["menu"], "menu.app")],
 )
 def test_shadowed_package_is_named_by_commands_that_import_it(
     package: str, arguments: list[str], module: str, tmp_path: Path
