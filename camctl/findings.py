@@ -6,6 +6,7 @@ A finding is made where it is measured, and has no sentence: each front end word
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Final, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -30,6 +31,9 @@ CODES: Final[dict[str, str]] = {
     # Photographs already taken.
     # Calibrations and profiles.
     # Cameras.
+    "response_assumed": "nothing: the response of the camera is not known",
+    "delay_unknown": "nothing: the control delay was not measured",
+    "delay_varies": "the largest control delay, in frames",
 }
 """Each code, and what its `value` is; the codes are stable."""
 
@@ -69,6 +73,6 @@ class Finding(BaseModel):
     remedies: dict[str, Any] = Field(default_factory=dict)
 
 
-def note(text: str) -> Finding:
+def note(text: str, remedies: Mapping[str, Any] | None = None) -> Finding:
     """Return a sentence of a driver as a finding."""
-    return Finding(code="note", details={"text": text})
+    return Finding(code="note", details={"text": text}, remedies=dict(remedies or {}))

@@ -8,6 +8,7 @@ from dataclasses import replace
 from statistics import median
 
 from camctl.errors import CameraBusyError, CameraTimeoutError, UsageError
+from camctl.findings import note
 from camctl.interface.camera import CameraBase, CameraInfo, Frame, Pixels
 from camctl.interface.clock import Clock, VirtualClock
 from camctl.interface.controls import ExposureControls, ExposureSetting, ResponseOrigin
@@ -116,7 +117,7 @@ class SimulatedCamera(CameraBase):
                 self._delay.timing(0.0 if isinstance(self._clock, VirtualClock) else 0.5),
                 rests=self._delay.frames is not None,
             ),
-            notes=(*scene.notes, *self._delay.notes("sim")),
+            findings=(*map(note, scene.notes), *self._delay.findings("sim")),
         )
         self._renderer = Renderer(
             View.of(scene, sensor), sensor, seed=seed, tolerance_dn=tolerance_dn

@@ -17,7 +17,7 @@ import camctl
 
 PROMISED = {
     "open_camera",
-    "list_cameras",
+    "cameras",
     "capture",
     "resume",
     "plan_capture",

@@ -139,7 +139,8 @@ def find_macbeth(frames: Sequence[NDArray[Any]], layout: Layout) -> tuple[ChartP
         raise DataError(
             "no Macbeth chart was found in any frame",
             hint="let a chart of 24 patches, well exposed in a frame, fill half of the picture, or "
-            "give its patches with --patches",
+            "list its patches",
+            remedies={"patches": None},
         )
     _, corners, colours = min(found, key=lambda each: each[0])
     scale = np.array(frames[0].shape[1::-1])

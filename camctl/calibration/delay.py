@@ -201,8 +201,8 @@ class _Stepper:
             else:
                 raise CameraProtocolError(
                     f"a new exposure did not take effect within {frames} frames",
-                    hint="turn the camera's automatic exposure off, or try another format "
-                    "(-O format=...)",
+                    hint="turn the camera's automatic exposure off, or try another format",
+                    remedies={"option:format": None},
                 )
 
     def _prepare_repeat(self, step: InvalidStep) -> None:

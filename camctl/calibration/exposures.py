@@ -223,7 +223,8 @@ def _useful_times(camera: Camera, times: Sequence[float], scale: LightScale) -> 
     if len(useful) < 2:
         raise CaptureError(
             f"only {useful[0]:.4g} s of the camera's shutter times suits this light",
-            hint="change the light or the aperture, or allow longer times (--longest)",
+            hint="change the light or the aperture, or allow longer times",
+            remedies={"longest_s": None},
         )
     return useful
 
@@ -239,7 +240,8 @@ def _unsuitable_light(light: Mapping[float, FloatArray]) -> CaptureError:
         return CaptureError(
             f"the scene is too dark: it is nearly black even at {longest:.4g} s",
             hint="take the lens cap off, point the camera at something brighter, or allow longer "
-            "times (--longest)",
+            "times",
+            remedies={"longest_s": None},
         )
     return CaptureError(
         "no shutter time exposes a twentieth of the picture well",
@@ -269,7 +271,8 @@ def _pooled(
             f"frames with one setting differ by {scatter:.1%}: the light or the shutter is not "
             "steady",
             hint="use daylight or a lamp that does not flicker; a shutter that varies this much "
-            "cannot be calibrated, use --estimate-ratios when shooting",
+            "cannot be calibrated: have the exposures of each capture estimated",
+            remedies={"estimate_ratios": True},
         )
     if scatter > _UNEVEN:
         warn(f"frames with one setting differ by {scatter:.2%}: the light or the shutter varies")

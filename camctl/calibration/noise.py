@@ -104,7 +104,8 @@ def _settings(camera: Camera, count: int, longest_s: float) -> list[ExposureSett
         raise CaptureError(
             f"the scene is too dark: its brighter parts have {middle[seen[-1]]:.0%} of full scale "
             f"at {seen[-1]:.4g} s",
-            hint="take the lens cap off, light the scene, or allow longer times (--longest)",
+            hint="take the lens cap off, light the scene, or allow longer times",
+            remedies={"longest_s": None},
         )
     first = next(time_s for time_s in seen if middle[time_s] >= _FIRST)
     found = []

@@ -167,8 +167,8 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
     if curve.response.deviation is not None and misfit > _MOST_MISFIT:
         raise DataError(
             f"the noise does not follow the measured response (misfit {misfit:.0f})",
-            hint="measure the response again (camctl calibrate response), with more frames or a "
-            "scene with more shades",
+            hint="measure the response again, with more frames or a scene with more shades",
+            remedies={"calibrate_response": None},
         )
     # What the noise contradicts by more than its scatter is a response worse than stated.
     shifts = _shifts(curve, part, found)

@@ -179,7 +179,8 @@ def _usable_pairs(frames: NoiseFrames) -> list[FramePair]:
         raise DataError(
             "all frames are black",
             hint="take the lens cap off, light the scene, or expose longer; frames without light "
-            "are for --dark",
+            "show the dark signal",
+            remedies={"calibrate_dark": None},
         )
     for pair in pairs:
         if all(not each.variance.any() for each in pair.channels.values()) and max(bright) > 0:

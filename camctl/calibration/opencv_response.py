@@ -40,13 +40,15 @@ def opencv_response(
     if any(frame.dtype != np.uint8 for frame in frames) or layout.is_mosaic:
         raise UsageError(
             f"OpenCV's {method.capitalize()} takes 8-bit mono and RGB frames only",
-            hint="use --method camctl",
+            hint="use the method camctl",
+            remedies={"method": "camctl"},
         )
     curves = opencv_curves(frames, exposures, method)
     if not np.all(np.isfinite(curves)):
         raise DataError(
             f"OpenCV's {method.capitalize()} returned a curve with NaN or infinity",
-            hint="use --method camctl, or other frames",
+            hint="use the method camctl, or other frames",
+            remedies={"method": "camctl"},
         )
     names = ("Y",) if layout is Layout.MONO else ("R", "G", "B")
     channels = []
@@ -91,6 +93,8 @@ def opencv_curves(
         found = calibration.process(images, np.array(exposures, np.float32))
     except cv2.error as error:
         raise DataError(
-            f"OpenCV's {method.capitalize()} failed: {error.err}", hint="use --method camctl"
+            f"OpenCV's {method.capitalize()} failed: {error.err}",
+            hint="use the method camctl",
+            remedies={"method": "camctl"},
         ) from None
     return np.asarray(found, np.float64).reshape(256, -1)[:, :channels]

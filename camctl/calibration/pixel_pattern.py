@@ -133,7 +133,8 @@ def sensitivity_pattern(first: View, second: View, noise: NoiseRecord | None = N
         raise DataError(
             "both views show the same",
             hint="turn the camera by a few degrees between the views, before a scene with many "
-            "shades; before an evenly lit surface use camctl calibrate noise --flat",
+            "shades; or measure before an evenly lit surface",
+            remedies={"calibrate_flat": None},
         )
     side = math.isqrt(a.shape[1])
     # One half of the samples, as the fields of a chessboard, says how much the other half counts:

@@ -142,7 +142,8 @@ def guess_exposures(counts: NDArray[np.int64], edges: FloatArray) -> FloatArray:
             raise DataError(
                 "the exposures cannot be estimated: two frames have too few brightness levels in "
                 "common",
-                hint="add a frame between them, use a scene with many shades, or give --times",
+                hint="add a frame between them, use a scene with many shades, or give the times",
+                remedies={"times": None},
             )
         logs[bright] = logs[dark] + step
     return np.asarray(np.exp(logs))

@@ -110,7 +110,8 @@ def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:
     if first is None:
         raise CaptureError(
             f"the scene is too dark: it does not reach half of full scale at {times[-1]:.4g} s",
-            hint="take the lens cap off, light the scene, or allow longer times (--longest)",
+            hint="take the lens cap off, light the scene, or allow longer times",
+            remedies={"longest_s": None},
         )
     if last == times[0]:
         raise CaptureError(

@@ -111,7 +111,8 @@ def _plan(
     controls, real = camera.controls, camera.controls.levels
     if table is not None and request.given_range is None:
         request = replace(request, dynamic_range=RANGE_WITHOUT_LIGHT)
-    warnings = [*controls.response_warnings, *controls.notes, *real.notes]
+    warnings = [*real.notes]
+    known = (*controls.response_findings, *controls.findings)
     kind = objective_of(request, controls, has_table=table is not None)
     desired, ratios = request.desired, None
     if request.ratios is None and (desired is None or request.time_budget_s is not None):
@@ -184,7 +185,7 @@ def _plan(
     warnings += setting_warnings(controls, request, plan)
     possible = evaluate(real, desired, ratios, objective=objective, noise=noise).effective_levels
     warnings += _rounding_loss(plan, possible)
-    return replace(plan, findings=tuple(map(note, warnings))), metered
+    return replace(plan, findings=(*known, *map(note, warnings))), metered
 
 
 def _settings_by_xi(

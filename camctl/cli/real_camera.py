@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from camctl.cli.options import camera_settings, given, option_group, refuse_together
-from camctl.cli.output import print_warning
+from camctl.cli.output import print_finding
 from camctl.cli.parameter_types import CAMERA, SENSOR, ListOf, Number, Text, WholeNumber
 from camctl.errors import DataError, UsageError
 from camctl.system.input_files import exists, read_input_text
@@ -215,8 +215,8 @@ class NoiseOptions:
                 settings |= {"scene": "uniform", "size": "16x16", "profile": "none"}
         with open_camera(self.camera_id or "sim", settings) as camera:
             controls = camera.controls
-        for warning in controls.response_warnings:
-            print_warning(warning)
+        for finding in controls.response_findings:
+            print_finding(finding)
         return KnownCamera(controls.levels, controls.noise, controls.black)
 
     @property

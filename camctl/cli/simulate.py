@@ -20,6 +20,7 @@ from camctl.cli.output import (
     format_number,
     format_percent,
     format_table,
+    print_finding,
     print_json,
     print_text,
     print_warning,
@@ -233,8 +234,8 @@ def _take(
     from camctl.interface.controls import ExposureSetting
 
     controls = camera.controls
-    for note in controls.notes:
-        print_warning(note)
+    for finding in controls.findings:
+        print_finding(finding)
     nearest_gain = _nearest(controls.gain, gain, "gain")
     settings = [
         ExposureSetting(_nearest(controls.time_s, time_s, "shutter time"), nearest_gain)

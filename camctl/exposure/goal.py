@@ -185,7 +185,7 @@ class Goal:
         try:
             self.over(dynamic_range)
         except DataError as error:
-            raise UsageError(error.what, hint=error.hint) from error
+            raise UsageError(error.what, hint=error.hint, remedies=error.remedies) from error
 
     def _check_numbers(self) -> None:
         from camctl.model.effective import check_count

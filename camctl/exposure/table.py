@@ -21,7 +21,8 @@ from camctl.model.response.desired import DesiredResponse
 from camctl.system.files import storage_error, write_bytes
 from camctl.system.input_files import read_input, read_input_text
 
-_REBUILD = "build the table again with 'camctl table build'"
+_REBUILD = "build the table again"
+_BUILD = {"table_build": None}
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -141,14 +142,19 @@ class ExposureTable:
         Raises:
             DataError: the file is missing, damaged, or holds no row for that camera
         """
-        text = read_input_text(path, "exposure table", hint=_REBUILD)
-        table = cls.parse(text, f"exposure table {path}", _REBUILD)
+        try:
+            text = read_input_text(path, "exposure table", hint=_REBUILD)
+            table = cls.parse(text, f"exposure table {path}", _REBUILD)
+        except DataError as error:
+            error.remedies = _BUILD
+            raise
         if response is not None and all(e.camera != response.fingerprint for e in table.entries):
             others = sorted({entry.camera_name for entry in table.entries}) or ["no camera"]
             raise DataError(
                 f"exposure table {path} is for another camera ({', '.join(others[:3])}), "
                 f"not for {response.name}",
                 hint=_REBUILD,
+                remedies=_BUILD,
             )
         return table
 

@@ -29,7 +29,7 @@ class CameraInfo:
     """Identity of a camera.
 
     Attributes:
-        id: opens the camera: `camctl.open_camera`, ``--camera`` on the command line
+        id: opens the camera: see `camctl.open_camera`
         make: maker, "" where unknown
         model: model
         serial: serial number, "" where unknown

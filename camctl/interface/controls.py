@@ -16,10 +16,12 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, RefusedSettingError, UsageError
+from camctl.findings import Finding
 from camctl.interface.clock import CaptureTiming
 from camctl.interface.control_values import Choices as Choices
 from camctl.interface.control_values import Control as Control
 from camctl.interface.control_values import Steps as Steps
+from camctl.messages.plain import sentence
 from camctl.model.noise import FrameNoise, MeasuredNoise, NoiseModel
 from camctl.model.response.camera import CameraResponse, linear_response
 
@@ -137,7 +139,7 @@ class ExposureControls:
         tolerance: largest relative error of a setting that counts as exact
         true_exposures: the measured exposures of its settings; None: as stated
         hot_pixels: (row, column) of the pixels whose brightness does not show the light
-        notes: remarks about its pictures for people, one line each
+        findings: what a person must know of its pictures, such as `camctl.findings.note`
         profile: what a calibration of this camera has replaced above, one line; None: nothing
         pixel_format: of the stream where the layout does not say all, such as yuyv or mjpg
         exposures_exact: the true exposures are as stated, to `tolerance`; False: they may differ
@@ -164,7 +166,7 @@ class ExposureControls:
     sensitivity: float | None = None
     noise: NoiseModel | None = None
     tolerance: float = 1e-6
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     responses: tuple[CameraResponse, ...] = ()
     true_exposures: TrueExposures | None = None
     hot_pixels: tuple[tuple[int, int], ...] = ()
@@ -201,18 +203,29 @@ class ExposureControls:
         return self.response_origin is ResponseOrigin.ASSUMED
 
     @property
-    def response_warnings(self) -> tuple[str, ...]:
-        """One line for people where the response is only assumed; none where it is known."""
+    def notes(self) -> tuple[str, ...]:
+        """The plain sentences of `findings`."""
+        return tuple(map(sentence, self.findings))
+
+    @property
+    def response_findings(self) -> tuple[Finding, ...]:
+        """A finding where the response is only assumed; none where it is known."""
         if not self.has_assumed_response:
             return ()
         name = "linear" if self.response is None else self.response.name.partition(",")[0]
-        return (f"the response {name} is assumed until it is measured",)
+        return (
+            Finding(
+                code="response_assumed",
+                details={"response": name},
+                remedies={"calibrate_response": None},
+            ),
+        )
 
     def check_response(self, measured: str) -> None:
         """Check that the response is known, without which `measured` cannot be measured.
 
         Args:
-            measured: what is measured, as the command ``camctl calibrate`` names it
+            measured: what is measured: "exposure" or "noise"
 
         Raises:
             DataError: the response is only assumed
@@ -221,8 +234,8 @@ class ExposureControls:
             raise DataError(
                 "the response of the camera is only assumed, and without the true one its "
                 f"{measured} cannot be measured",
-                hint="measure it first with camctl calibrate response, or give it: camctl "
-                f"calibrate {measured} --response NAME",
+                hint="measure it first, or give it",
+                remedies={"calibrate_response": None, "response": "NAME"},
             )
 
     def exposure(self, setting: ExposureSetting) -> float:

@@ -24,6 +24,8 @@ OPTIONS: Final[dict[str, str]] = {
     "dynamic_range": "--range",
     "estimate_ratios": "--estimate-ratios",
     "gamma": "--gamma",
+    "is_flat": "--flat",
+    "keep": "--keep",
     "labels": "--labels",
     "levels_wanted": "--levels",
     "longest_s": "--longest",
@@ -31,6 +33,7 @@ OPTIONS: Final[dict[str, str]] = {
     "mask": "--mask",
     "method": "--method",
     "methods": "--methods",
+    "no_profile": "--no-profile",
     "objective": "--objective",
     "overwrite": "--force",
     "patches": "--patches",
@@ -47,14 +50,20 @@ OPTIONS: Final[dict[str, str]] = {
 
 COMMANDS: Final[dict[str, str]] = {
     "calibrate_all": "camctl calibrate all --camera {}",
+    "calibrate_dark": "camctl calibrate noise --dark",
     "calibrate_delay": "camctl calibrate delay --camera {}",
+    "calibrate_exposure": "camctl calibrate exposure --camera {}",
+    "calibrate_flat": "camctl calibrate noise --flat",
     "calibrate_noise": "camctl calibrate noise --camera {}",
     "calibrate_response": "camctl calibrate response --camera {}",
     "cameras": "camctl cameras",
+    "probe_ports": "camctl cameras --probe",
     "profile_remove": "camctl profile remove {}",
     "resume": "camctl resume {}",
     "shoot": "camctl shoot -o {}",
     "table_build": "camctl table build",
+    "udev_rules": "camctl cameras --udev-rules | sudo tee /etc/udev/rules.d/70-camctl.rules"
+    " && sudo udevadm control --reload",
 }
 """The command of each remedy that is one; {} stands for its value, and an option that has none is
 left out."""

@@ -12,6 +12,15 @@ from camctl.findings import Finding
 
 SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "note": lambda finding: str(finding.details["text"]),
+    # Cameras.
+    "response_assumed": lambda finding: (
+        f"the response {finding.details['response']} is assumed until it is measured"
+    ),
+    "delay_unknown": lambda _: "control delay not measured: the stream settles after each exposure",
+    "delay_varies": lambda finding: (
+        f"the control delay is not constant ({finding.details['smallest']} to {finding.value:g} "
+        "frames): the stream settles after each exposure"
+    ),
 }
 """The sentence of each code of `camctl.findings.CODES`."""
 

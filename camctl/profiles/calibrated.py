@@ -144,8 +144,8 @@ def _unfit(profile: Profile, measured: str, now: str) -> DataError:
     return DataError(
         f"the profile {profile.name} does not fit the camera: its response was measured with "
         f"{measured}, and the camera now has {now}",
-        hint="set the camera as it was, calibrate again with camctl calibrate all, or leave the "
-        "profile out with --no-profile",
+        hint="set the camera as it was, calibrate it again, or leave the profile out",
+        remedies={"calibrate_all": None, "no_profile": None},
     )
 
 

@@ -63,7 +63,7 @@ def import_profile(path: Path, *, replace: Callable[[Profile], bool]) -> Path:
         DataError: the file cannot be read, or holds no profile
         StorageError: the camera has a profile that is not to be replaced, or it cannot be saved
     """
-    profile = parse_profile(path, hint="", repair="export it again with camctl profile export")
+    profile = parse_profile(path, hint="", repair="export it again")
     present = profile_path(profile.name)
     with profile_storage_errors(present):
         make_folder(present.parent)
@@ -75,7 +75,9 @@ def import_profile(path: Path, *, replace: Callable[[Profile], bool]) -> Path:
             if earlier is None or replace(earlier):
                 return save_profile(profile)
     raise StorageError(
-        f"the camera has the profile {profile.name} already", hint="replace it with --force"
+        f"the camera has the profile {profile.name} already",
+        hint="replace it",
+        remedies={"overwrite": None},
     )
 
 
@@ -103,6 +105,7 @@ def _unknown(name: str, known: Mapping[str, Path]) -> UsageError:
     if not known:
         return UsageError(
             f"unknown profile '{name}': there are no profiles",
-            hint="make one with camctl calibrate",
+            hint="make one: calibrate a camera",
+            remedies={"calibrate_all": None},
         )
     return unknown_name("profile", name, known)

@@ -53,6 +53,7 @@ _LONGEST_S = 3600.0
 #: Characters of a profile's name before its hash; file names have 255 at most.
 _LONGEST_STEM = 80
 READ_HINT = "make it readable, or set $CAMCTL_PROFILES to another folder"
+_REPAIR = "remove the profile, and calibrate again"
 _STORAGE_HINT = "check the disk, or set $CAMCTL_PROFILES to another folder"
 
 
@@ -250,7 +251,11 @@ def _load(info: CameraInfo) -> Profile:
     if found is None:
         return empty
     if found.name != empty.name:
-        raise DataError(f"{path} is the profile of another camera", hint=_repair(path))
+        raise DataError(
+            f"{path} is the profile of another camera",
+            hint=_REPAIR,
+            remedies={"profile_remove": path.stem},
+        )
     return found
 
 
@@ -293,17 +298,14 @@ def profile_path(name: str) -> Path:
     return profile_directory() / f"{name}{SUFFIX}"
 
 
-def _repair(path: Path) -> str:
-    return f"remove it with camctl profile remove {path.stem}, and calibrate again"
-
-
 def read_profile(path: Path) -> Profile | None:
     """Return the profile in a file; None where there is no file."""
     try:
-        return parse_profile(path, hint=READ_HINT, repair=_repair(path))
+        return parse_profile(path, hint=READ_HINT, repair=_REPAIR)
     except DataError as error:
         if isinstance(error.__cause__, FileNotFoundError | NotADirectoryError):
             return None
+        error.remedies = {"profile_remove": path.stem}
         raise
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
 
+from camctl.findings import Finding
 from camctl.interface.clock import CaptureTiming
 from camctl.profiles.profile import DelayRecord
 
@@ -64,16 +65,14 @@ class ControlDelay:
             unsettled_frames=unsettled,
         )
 
-    def notes(self, camera_id: str) -> tuple[str, ...]:
-        """Return what a person should know of the delay, for `ExposureControls.notes`."""
+    def findings(self, camera_id: str) -> tuple[Finding, ...]:
+        """Return what a person should know of the delay, for `ExposureControls.findings`."""
         if self.origin is DelayOrigin.ASSUMED:
-            return (
-                "control delay not measured: the stream settles after each exposure; run camctl "
-                f"calibrate delay --camera {camera_id}",
-            )
+            return (Finding(code="delay_unknown", remedies={"calibrate_delay": camera_id}),)
         if self.frames is None:
             return (
-                f"the control delay is not constant ({self.smallest} to {self.largest} frames): "
-                "the stream settles after each exposure",
+                Finding(
+                    code="delay_varies", value=self.largest, details={"smallest": self.smallest}
+                ),
             )
         return ()

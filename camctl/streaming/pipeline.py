@@ -225,7 +225,8 @@ class ExposurePipeline(Generic[DataT]):
         raise CameraProtocolError(
             f"the brightness does not settle: no two consecutive frames of {_ATTEMPTS} with one "
             "exposure agree",
-            hint="keep scene and light steady, or measure the delay with camctl calibrate delay",
+            hint="keep scene and light steady, or measure the control delay",
+            remedies={"calibrate_delay": None},
         )
 
     def _consecutive(

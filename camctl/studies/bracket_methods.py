@@ -58,8 +58,8 @@ class Bracket:
             raise UsageError(
                 "the noise of this camera is not known, and these methods need it: accuracy, "
                 "quick, hasinoff",
-                hint="leave them out with --methods xi,paper,doubling,equal, or measure the noise "
-                "with camctl calibrate noise",
+                hint="leave them out, or measure the noise",
+                remedies={"methods": "xi,paper,doubling,equal", "calibrate_noise": None},
             )
         return self.controls.noise
 

@@ -199,7 +199,8 @@ def metered(run: CaptureRun) -> CaptureRun:
         if not isinstance(camera, PreviewingCamera):
             raise UsageError(
                 f"{run.camera} has no preview to meter with",
-                hint="give the shortest exposure with --base SECONDS",
+                hint="give the shortest exposure",
+                remedies={"base_s": None},
             )
         light = meter_light(camera, replace(run.request, base_s=None))
     return replace(run, base_s=light.limit_s, metered_s=light.last.time_s if light.last else None)

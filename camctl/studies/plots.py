@@ -55,7 +55,11 @@ def check_plots(paths: tuple[Path, ...], *, overwrite: bool) -> None:
                 f"unknown format of the plot {path}", hint=f"end its name in {', '.join(SUFFIXES)}"
             )
         if path.exists() and not overwrite:
-            raise StorageError(f"{path} exists", hint="choose another file, or add --force")
+            raise StorageError(
+                f"{path} exists",
+                hint="choose another file, or have it replaced",
+                remedies={"overwrite": None},
+            )
         if not path.parent.is_dir():
             raise StorageError(f"there is no folder {path.parent}", hint="make it first")
     if paths:

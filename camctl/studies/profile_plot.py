@@ -32,7 +32,8 @@ def draw_profile(profile: Profile, path: Path) -> None:
     if not modes:
         raise DataError(
             f"the profile {profile.name} has no response or noise to draw",
-            hint="measure them with camctl calibrate all",
+            hint="measure them",
+            remedies={"calibrate_all": None},
         )
     caption = (
         f"{profile.make} {profile.model}. Response: brightness of irradiance, both from black to "

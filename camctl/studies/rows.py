@@ -14,6 +14,9 @@ from camctl.system.input_files import read_input
 RunT = TypeVar("RunT")
 
 
+_WRITTEN = "give a file of the JSON that the same study has written"
+
+
 def read_runs(path: Path, kind: type[RunT]) -> tuple[RunT, ...]:
     """Return the runs in the rows of a JSON file that a study has written, each once.
 
@@ -27,13 +30,11 @@ def read_runs(path: Path, kind: type[RunT]) -> tuple[RunT, ...]:
         UsageError: a value that `kind` refuses
     """
     try:
-        rows = from_json(read_input(path, "", hint="give a file that --json has written"))
+        rows = from_json(read_input(path, "", hint=_WRITTEN))
     except ValueError as error:
-        raise DataError(
-            f"{path} is not JSON", hint="give a file that --json has written"
-        ) from error
+        raise DataError(f"{path} is not JSON", hint=_WRITTEN) from error
     if not isinstance(rows, list) or not rows:
-        raise DataError(f"{path} has no rows", hint="give a file that --json has written")
+        raise DataError(f"{path} has no rows", hint=_WRITTEN)
     adapter = TypeAdapter(kind)
     runs = []
     for place, row in enumerate(rows, 1):

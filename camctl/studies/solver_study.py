@@ -258,7 +258,8 @@ def require_scipy(runs: Iterable[SolverRun]) -> None:
     except ImportError as error:
         raise MissingOptimisersError(
             "differential evolution and dual annealing need scipy, which is not installed",
-            hint="install it with: pip install 'camctl[studies]', or use --methods camctl,grid",
+            hint="install it with: pip install 'camctl[studies]', or use other methods",
+            remedies={"methods": "camctl,grid"},
         ) from error
 
 

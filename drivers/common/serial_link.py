@@ -29,7 +29,7 @@ except ImportError:  # not a POSIX system: pyserial raises its own errors alone
 _READ_TIMEOUT_S = 0.02
 _WRITE_TIMEOUT_S = 5.0
 
-_FIND_PORT = "camctl cameras --probe asks every serial port"
+_FIND_PORT = "look for a camera at every serial port"
 _RELEASE_PORT = "close the other program (ModemManager, minicom, gphoto2), then try again"
 _PLUG_IN_AGAIN = "plug the cable in, switch the camera on, then try again"
 _GRANT_PERMISSION = "run: sudo usermod -aG dialout $USER, then log in again"
@@ -165,8 +165,10 @@ def _open_error(url: str, error: Exception) -> CameraError:
     number = _errno(error)
     if number in _OPEN_ERRORS:
         kind, what, hint = _OPEN_ERRORS[number]
-        return kind(f"cannot open {url}: {what}", hint=hint)
-    return CameraNotFoundError(f"cannot open {url}: {_one_line(error)}", hint=_FIND_PORT)
+    else:
+        kind, what, hint = CameraNotFoundError, _one_line(error), _FIND_PORT
+    remedies = {"probe_ports": None} if hint == _FIND_PORT else None
+    return kind(f"cannot open {url}: {what}", hint=hint, remedies=remedies)
 
 
 def _errno(error: Exception) -> int | None:

@@ -11,6 +11,7 @@ from statistics import median
 from typing import Annotated, Literal
 
 from camctl.errors import DataError, StorageError
+from camctl.findings import note
 from camctl.interface.backends import LowerCase
 from camctl.interface.camera import CameraBase, CameraInfo
 from camctl.interface.clock import CaptureTiming, Clock
@@ -188,7 +189,7 @@ class StillCamera(CameraBase):
             response=response,
             response_origin=origin,
             timing=self._times_taken.timing,
-            notes=tuple(self._notes),
+            findings=tuple(map(note, self._notes)),
         )
 
     def _known_format(self) -> KnownFormat:

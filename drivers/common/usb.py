@@ -35,10 +35,7 @@ SUBSYSTEM=="tty", SUBSYSTEMS=="usb", MODE="0660", GROUP="dialout", TAG+="uaccess
 LABEL="camctl_end"
 """
 
-_GRANT_PERMISSION = (
-    "run: camctl cameras --udev-rules | sudo tee /etc/udev/rules.d/70-camctl.rules"
-    " && sudo udevadm control --reload, then plug it in again"
-)
+_GRANT_PERMISSION = "install the udev rules, then plug it in again"
 _RELEASE_IT = (
     "desktops mount cameras by themselves: unmount it there, or end gvfs-gphoto2-volume-monitor, "
     "gvfsd-gphoto2, gphoto2 or darktable, and try again"
@@ -101,7 +98,8 @@ def usb_error(error: usb.core.USBError, name: str) -> CameraError:
     number = error.errno
     if number in _MEANINGS:
         kind, what, hint = _MEANINGS[number]
-        return kind(f"{name} {what}", hint=hint)
+        remedies = {"udev_rules": None} if hint == _GRANT_PERMISSION else None
+        return kind(f"{name} {what}", hint=hint, remedies=remedies)
     text = " ".join(str(error.strerror or error).split()) or f"error {number}"
     return CameraProtocolError(
         f"{name} failed a USB transfer: {text}", hint="plug it in again and try once more"
@@ -243,7 +241,9 @@ def claim_interface(device: Any, number: int, name: str) -> None:
         busy = usb_error(error, name)
         holders = _holders(device)
         raise CameraBusyError(
-            f"{busy.what}: {holders}" if holders else busy.what, hint=busy.hint
+            f"{busy.what}: {holders}" if holders else busy.what,
+            hint=busy.hint,
+            remedies=busy.remedies,
         ) from None
 
 

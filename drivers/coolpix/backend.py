@@ -25,7 +25,7 @@ _PORT_TIMEOUT_S = 0.6
 class CoolpixBackend:
     """Opens ``coolpix:PORT``, where PORT is any pyserial URL."""
 
-    about = "Nikon CoolPix 990 on a serial port, looked for with --probe; any pyserial URL opens"
+    about = "Nikon CoolPix 990 on a serial port, looked for on request; any pyserial URL opens"
     local_address = r"/dev/(tty|cu\.)[\w.-]+|/dev/serial/by-(id|path)/[\w.:+-]+|COM\d+"
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
@@ -43,7 +43,8 @@ class CoolpixBackend:
         if not address:
             raise CameraNotFoundError(
                 "a CoolPix needs its serial port",
-                hint="give it, such as coolpix:/dev/ttyUSB0; camctl cameras --probe looks for it",
+                hint="give it, such as coolpix:/dev/ttyUSB0, or look for it",
+                remedies={"probe_ports": None},
             )
         return CoolpixCamera(address, parsed).open()
 

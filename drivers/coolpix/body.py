@@ -268,4 +268,5 @@ class CoolpixBody:
             f"{error.what}, and a picture of {self._pending.requested.time_s:g} s that was not "
             "downloaded may be on its card",
             hint=error.hint,
+            remedies=error.remedies,
         )

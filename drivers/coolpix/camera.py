@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import field_validator
 
+from camctl.findings import note
 from camctl.interface.backends import LowerCase
 from camctl.interface.camera import CameraBase, CameraInfo, Frame, OriginalFile
 from camctl.interface.clock import CaptureTiming, Clock, RealClock
@@ -124,7 +125,7 @@ class CoolpixCamera(CameraBase):
             response_origin=self._options.response_origin,
             timing=self._times_taken.timing or self._line_timing(),
             tolerance=_TOLERANCE,
-            notes=self._notes(),
+            findings=tuple(map(note, self._notes())),
         )
 
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
@@ -181,7 +182,7 @@ class CoolpixCamera(CameraBase):
         notes = [self._files.transfer_note(self._body.sierra.link.speed)]
         if self._options.format == "jpeg":
             notes.append(
-                "JPEG loses levels; -O format=tiff keeps them, but a picture takes minutes"
+                "JPEG loses levels; the format tiff keeps them, but a picture takes minutes"
             )
         if self._body.dials.apertures:
             numbers = ", ".join(f"f/{number:g}" for number in self._body.dials.apertures)

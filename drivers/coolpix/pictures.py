@@ -182,7 +182,8 @@ def _file_of(sierra: Sierra, picture: CardPicture, progress: Progress | None) ->
 def _transfer_error(sierra: Sierra, what: str) -> CameraProtocolError:
     return CameraProtocolError(
         f"the camera at {sierra.link.url} {what}",
-        hint="try a lower speed, such as -O speed=19200",
+        hint="try a lower speed",
+        remedies={"option:speed": 19200},
     )
 
 

@@ -262,7 +262,8 @@ class CoolpixDials:
         if not accepts(self._sierra, Register.RESOLUTION, file_format.default):
             raise CameraError(
                 f"the camera at {self._sierra.link.url} cannot be set to {self._format}",
-                hint="choose the quality with its own menu (HI is tiff), or another -O format",
+                hint="choose the quality with its own menu (HI is tiff), or another format",
+                remedies={"option:format": None},
             )
 
     def _apply(self, register: Register, value: int, control: str, requested: float) -> None:

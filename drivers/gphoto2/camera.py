@@ -146,7 +146,8 @@ class Gphoto2Camera(StillCamera):
         if chosen is None:
             raise WrongFormatError(
                 f"{self._name} saved {', '.join(names)} and no {format_name or 'known'} file",
-                hint="set its image quality to that format, or give -O format=...",
+                hint="set its image quality to that format, or name the format that it saves",
+                remedies={"option:format": None},
             )
         others = tuple(name for name in names if name != chosen[1])
         return _Picture(chosen[0], chosen[1], others, released_s, ended_s)

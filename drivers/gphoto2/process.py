@@ -34,6 +34,7 @@ _END_S = 5.0
 _CHUNK = 1 << 20
 _TO_SHOOTING = "turn the mode dial to M, and leave playback, menus and movie mode on the camera"
 _AGAIN = "switch the camera off and on again, then resume"
+_LIST_CAMERAS = "list the cameras that are connected"
 _RELEASE_IT = (
     "desktops mount cameras by themselves: unmount it there, or end gvfs-gphoto2-volume-monitor, "
     "and try again"
@@ -86,7 +87,7 @@ _REASONS: Mapping[str, _Meaning] = {
 _BUSY = -110
 _MEANINGS: Mapping[int, _Meaning] = {
     -3: (FullError, "has no memory left for a picture", "delete pictures, or change its card"),
-    -5: (CameraNotFoundError, "has no such port", "camctl cameras lists what is connected"),
+    -5: (CameraNotFoundError, "has no such port", _LIST_CAMERAS),
     -7: (CameraDisconnectedError, "failed a transfer", "plug it in again and resume"),
     -10: (CameraTimeoutError, "does not answer", _AGAIN),
     -34: (CameraDisconnectedError, "failed a transfer", "plug it in again and resume"),
@@ -263,7 +264,9 @@ class CameraProcess:
         kind, what, hint = _MEANINGS.get(code) or next(reasons, general)
         users = self._users() if kind is CameraBusyError else ""
         by = f": {users}" if users else ""
-        return kind(f"{self.name} {what}{by} (libgphoto2: {text}, {error.code})", hint=hint)
+        remedies = {"cameras": None} if hint == _LIST_CAMERAS else None
+        what = f"{self.name} {what}{by} (libgphoto2: {text}, {error.code})"
+        return kind(what, hint=hint, remedies=remedies)
 
     def _users(self) -> str:
         """Return the other programs that have the camera's USB device open."""

@@ -18,7 +18,7 @@ _PROBED = range(4)
 class OpencvBackend:
     """Opens ``opencv:INDEX``, ``opencv:URL`` and ``opencv:PIPELINE``; see `OpencvOptions`."""
 
-    about = "webcams on any system (with --probe), network streams and GStreamer pipelines"
+    about = "webcams on any system (looked for on request), network streams and GStreamer pipelines"
     local_address = r"\d+"
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:

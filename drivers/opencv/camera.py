@@ -11,6 +11,7 @@ from typing import Annotated
 from pydantic import Field
 
 from camctl.errors import CameraProtocolError
+from camctl.findings import note
 from camctl.interface.backends import FrameShape
 from camctl.interface.camera import CameraInfo, Frame, Pixels
 from camctl.interface.clock import Clock, RealClock
@@ -115,7 +116,7 @@ class OpencvCamera(StreamCamera):
             response_origin=options.response_origin,
             frame_interval_s=stream.interval_s,
             timing=delay.timing(0.0),
-            notes=tuple(notes),
+            findings=tuple(map(note, notes)),
         )
 
     def _close(self) -> None:

@@ -142,9 +142,7 @@ class FixedExposure:
 
     def __init__(self, time_s: float, *, is_stated: bool) -> None:
         self.times: Control = Choices((time_s,))
-        origin = (
-            "as stated with -O time" if is_stated else "unknown and taken as the frame interval"
-        )
+        origin = "as stated" if is_stated else "unknown and taken as the frame interval"
         self.notes = (
             f"the exposure of this stream cannot be set; it is {origin}, and may change by itself",
         )
@@ -169,7 +167,8 @@ class AddressExposure:
         if shortest_s is None or longest_s is None or not shortest_s <= longest_s:
             raise UsageError(
                 "an address with a place for the exposure time needs its range",
-                hint="give -O shortest=SECONDS and -O longest=SECONDS",
+                hint="give its shortest and its longest time in seconds",
+                remedies={"option:shortest": None, "option:longest": None},
             )
         self._stream = stream
         self._time_s: float | None = None

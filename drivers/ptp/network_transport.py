@@ -153,7 +153,8 @@ class NetworkTransport:
                 f"{self.name} refuses this computer"
                 + (f" (GUID {self._caller.guid.hex()})" if known else f" (reason {reason})"),
                 hint="pair this computer in the camera's network menu, or give the GUID of one "
-                "that is paired: -O guid=32 hexadecimal digits",
+                "that is paired, 32 hexadecimal digits",
+                remedies={"option:guid": None},
             )
         if kind != expected:
             raise CameraProtocolError(

@@ -285,7 +285,8 @@ class Shooter:
         formats = sorted({format_of(info) or "?" for info in saved})
         return WrongFormatError(
             f"{self._name} saved {' and '.join(formats)} instead of {format_name}",
-            hint=f"set its image quality to {format_name}, or give -O format={formats[0]}",
+            hint=f"set its image quality to {format_name}, or say that it saves {formats[0]}",
+            remedies={"option:format": formats[0]},
         )
 
     def fetch(self, shot: Shot, *, busy_s: float) -> tuple[bytes, float]:

@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, StringConstraints
 
 from camctl.errors import CameraProtocolError
+from camctl.findings import note
 from camctl.interface.backends import BackendOptions, FrameShape, LowerCase
 from camctl.interface.camera import Frame, Pixels
 from camctl.interface.clock import Clock, RealClock
@@ -172,11 +173,11 @@ class V4l2Camera(StreamCamera):
                 readout_s=delay.readout_s or stream.arrival_s,
                 rests=delay.frames is not None,
             ),
-            notes=(
-                *scale.notes,
-                *exposure.notes,
-                *_rate_notes(announced_s, measured_s),
-                *delay.notes(info.id),
+            findings=(
+                *scale.findings,
+                *exposure.findings,
+                *map(note, _rate_notes(announced_s, measured_s)),
+                *delay.findings(info.id),
             ),
         )
 
@@ -220,7 +221,8 @@ class _Frames:
         if most >= 2**self._bits:
             raise CameraProtocolError(
                 f"{self._path} sent the sample {most}, which has more than {self._bits} bits",
-                hint="give the number of bits with -O bits=..., or choose another -O format=...",
+                hint="give the number of bits, or choose another format",
+                remedies={"option:bits": None, "option:format": None},
             )
         return pixels
 

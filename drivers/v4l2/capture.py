@@ -188,7 +188,8 @@ class Capture:
             raise CameraProtocolError(
                 f"{node.path} does not stream {self._mode.format.name} at "
                 f"{size_text(self._mode.shape)}",
-                hint="choose another size with -O size=WIDTHxHEIGHT, or another -O format=...",
+                hint="choose another size or another format",
+                remedies={"option:size": None, "option:format": None},
             )
         self.interval_s = node.set_interval(self._mode.interval_s) or self._mode.interval_s
         return int(found.bytesperline)
@@ -201,7 +202,8 @@ class Capture:
             raise CameraProtocolError(
                 f"{node.path} has {granted.count} buffers for frames, and {_FEWEST_BUFFERS} are "
                 "needed",
-                hint="choose a smaller size with -O size=WIDTHxHEIGHT",
+                hint="choose a smaller size",
+                remedies={"option:size": None},
             )
         for index in range(granted.count):
             buffer = node.query(abi.Request.QUERYBUF, _buffer(index), "stream from")

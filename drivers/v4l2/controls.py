@@ -14,6 +14,7 @@ from camctl.errors import (
     RefusedSettingError,
     UsageError,
 )
+from camctl.findings import Finding, note
 from camctl.interface.controls import Choices, ExposureSetting, Steps
 from drivers.v4l2.abi import MANUAL_EXPOSURE, ControlId
 from drivers.v4l2.node import ControlRange, Node
@@ -108,7 +109,7 @@ class ExposureControl:
         gain: what the steps of its gain add; None: the gain stays at its default
 
     Attributes:
-        notes: what could not be turned off, and what is known of the gain
+        findings: what could not be turned off, and what is known of the gain
 
     Raises:
         UsageError: `gain` is given, and the camera has none
@@ -118,7 +119,7 @@ class ExposureControl:
 
     def __init__(self, node: Node, columns: int, gain: GainUnit | None = None) -> None:
         self._node = node
-        self.notes: list[str] = []
+        self.findings: list[Finding] = []
         self._gain_control = next(
             (each for each in GAINS if node.control(each) is not None), ControlId.GAIN
         )
@@ -164,7 +165,8 @@ class ExposureControl:
             raise CameraError(
                 f"the shortest exposure of {self._node.path}, {first / per_s:g} s, is longer "
                 f"than a frame of {interval_s:g} s",
-                hint="choose a lower frame rate with -O fps=...",
+                hint="choose a lower frame rate",
+                remedies={"option:fps": None},
             )
         last = first + (longest - first) // step * step
         return Steps(first / per_s, last / per_s, step / per_s)
@@ -205,17 +207,20 @@ class ExposureControl:
             raise RefusedSettingError("gain", requested, nearest)
         return gain
 
+    def _note(self, text: str) -> None:
+        self.findings.append(note(text))
+
     def _use_gain(self, unit: GainUnit) -> None:
         control = self._node.control(self._gain_control)
         if control is None or control.is_read_only:
             raise UsageError(
-                f"{self._node.path} has no gain that can be set", hint="leave out -O gain"
+                f"{self._node.path} has no gain that can be set", hint="leave the option gain out"
             )
         self._gain_registers = _gain_registers(control, unit)
         self._write_gain(1.0)
-        self.notes.append(
-            f"the steps of the gain are as -O gain states, and its lowest, {control.minimum}, is "
-            "gain 1"
+        self._note(
+            f"the steps of the gain are as the option gain states, and its lowest, "
+            f"{control.minimum}, is gain 1"
         )
 
     def _hold_gain(self) -> None:
@@ -229,12 +234,15 @@ class ExposureControl:
             return
         default = control.nearest(control.default)
         if self._node.set(self._gain_control, default) != default:
-            self.notes.append("the gain cannot be held: frames with one exposure may differ")
+            self._note("the gain cannot be held: frames with one exposure may differ")
             return
         steps = (control.maximum - control.minimum) // control.step
-        self.notes.append(
-            f"the gain is held at its default, {default}, called gain 1: what its {steps} steps "
-            "add is not known; give it with -O gain"
+        self.findings.append(
+            note(
+                f"the gain is held at its default, {default}, called gain 1: what its {steps} "
+                "steps add is not known; give it",
+                {"option:gain": None},
+            )
         )
 
     def _time_unit(self, columns: int) -> TimeUnit:
@@ -260,7 +268,7 @@ class ExposureControl:
                 "which the time of a line follows"
             )
         unit = TimeUnit(ControlId.EXPOSURE, rate / (columns + blanking))
-        self.notes.append(
+        self._note(
             f"the exposure is set in lines of {1e6 / unit.per_s:.4g} us, by the pixel rate and "
             "the blanking that the sensor's driver reports"
         )
@@ -269,7 +277,7 @@ class ExposureControl:
     def _set_manual(self) -> None:
         auto = self._node.control(ControlId.EXPOSURE_AUTO)
         if auto is None:
-            self.notes.append(
+            self._note(
                 "the camera has no switch for automatic exposure: it is assumed to be manual"
             )
             return
@@ -281,8 +289,8 @@ class ExposureControl:
     def _not_manual(self, why: str) -> CameraError:
         return CameraError(
             f"{self._node.path} {why}, so that no exposure can be set",
-            hint="use a camera for which v4l2-ctl --list-ctrls shows exposure_time_absolute, or "
-            "exposure with pixel_rate and horizontal_blanking",
+            hint="use a camera that has the V4L2 control exposure_time_absolute, or exposure with "
+            "pixel_rate and horizontal_blanking",
         )
 
     def _turn_off(self, automatic: Automatic) -> None:
@@ -301,7 +309,7 @@ class ExposureControl:
         except CameraError:
             is_off = False
         if not is_off:
-            self.notes.append(
+            self._note(
                 f"{automatic.name} cannot be turned off: frames with one exposure may differ"
             )
 

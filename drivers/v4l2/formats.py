@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from camctl.errors import CameraError, UsageError, unknown_name
+from camctl.findings import Finding, note
 from camctl.interface.controls import Layout, ResponseOrigin
 from camctl.model.response.camera import CameraResponse, named_response
 from drivers.v4l2 import abi
@@ -138,7 +139,7 @@ class SampleScale:
         black, white: brightness without light and at saturation, DN
         response: as levels between black and white; None: linear
         response_origin: whether it is stated or only assumed
-        notes: what a person should know of it
+        findings: what a person should know of it
     """
 
     bits: int
@@ -146,7 +147,7 @@ class SampleScale:
     white: int
     response: CameraResponse | None
     response_origin: ResponseOrigin
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def sample_scale(
@@ -190,21 +191,30 @@ def sample_scale(
     dark = lowest if black is None else black
     if not 0 <= dark < white:
         raise UsageError(f"invalid black level {dark}", hint=f"give 0 to {white - 1} DN")
-    notes = []
+    findings = []
     if format_.is_raw and black is None:
-        notes.append(
-            "black is assumed to be 0, because V4L2 does not report it: cover the lens, measure "
-            "the mean brightness, and give it with -O black=..."
+        findings.append(
+            note(
+                "black is assumed to be 0, because V4L2 does not report it: cover the lens, "
+                "measure the mean brightness, and give it",
+                {"option:black": None},
+            )
         )
     if format_.is_lossy:
-        notes.append(
-            "JPEG frames lose levels: several exposures do not give the union of their levels; "
-            "choose -O format=yuyv or a raw format if the camera offers one"
+        findings.append(
+            note(
+                "JPEG frames lose levels: several exposures do not give the union of their levels; "
+                "choose yuyv or a raw format if the camera offers one",
+                {"option:format": "yuyv"},
+            )
         )
     if is_limited and luma_range == "auto":
-        notes.append(
-            f"luma is limited to {_LIMITED_BLACK}..{_LIMITED_WHITE} according to V4L2; "
-            "give -O range=full if black is 0"
+        findings.append(
+            note(
+                f"luma is limited to {_LIMITED_BLACK}..{_LIMITED_WHITE} according to V4L2; say "
+                "that its range is full if black is 0",
+                {"option:range": "full"},
+            )
         )
     is_assumed = response == "auto" and not format_.is_raw
     name = ("linear" if format_.is_raw else "srgb") if response == "auto" else response
@@ -214,7 +224,7 @@ def sample_scale(
         white,
         named_response(name, depth, white - dark),
         ResponseOrigin.ASSUMED if is_assumed else ResponseOrigin.STATED,
-        tuple(notes),
+        tuple(findings),
     )
 
 

@@ -142,7 +142,8 @@ class Node:
         if not identity.is_capture:
             raise CameraNotFoundError(
                 f"{self.path} ({identity.card or identity.driver}) does not capture video",
-                hint="camctl cameras lists the nodes that do",
+                hint="choose a node that does: list the cameras",
+                remedies={"cameras": None},
             )
         return identity
 

@@ -22,7 +22,8 @@ from drivers.common import device_holders
 DRIVER = "v4l2"
 PLUG_IN = "plug it in and open it again"
 
-_LIST_CAMERAS = "camctl cameras lists what is connected"
+_LIST_CAMERAS = "list the cameras that are connected"
+_SMALLER = "give the camera a USB port of its own, or choose a smaller size"
 _REPLUG = "unplug it, plug it in again and try again"
 #: Processes that are named at most in an error message of one line.
 _MOST_PROCESSES = 3
@@ -52,10 +53,13 @@ _MEANINGS: dict[int, tuple[type[CameraError], str, str]] = {
     errno.ENOSPC: (
         CameraProtocolError,
         "the USB bus has no bandwidth left",
-        "give the camera a USB port of its own, or choose a smaller size with -O size=WIDTHxHEIGHT",
+        _SMALLER,
     ),
     errno.ETIMEDOUT: (CameraTimeoutError, "the camera does not respond", _REPLUG),
 }
+
+#: Remedies of the hints that have some.
+_REMEDIES = {_LIST_CAMERAS: {"cameras": None}, _SMALLER: {"option:size": None}}
 
 
 def camera_error(error: OSError, path: str, action: str) -> CameraError:
@@ -77,7 +81,7 @@ def camera_error(error: OSError, path: str, action: str) -> CameraError:
             "try again; if that does not help, unplug the camera and plug it in again",
         ),
     )
-    return kind(f"cannot {action} {path}: {meaning}", hint=hint)
+    return kind(f"cannot {action} {path}: {meaning}", hint=hint, remedies=_REMEDIES.get(hint))
 
 
 def busy_error(path: str, processes: list[str]) -> CameraBusyError:

@@ -106,7 +106,7 @@ def test_show_draws_the_responses(run: Run, calibrated: str, tmp_path: Path) -> 
     assert "% at 50% of full light" in ran.out
     assert "delay in rgb-160x120-255, 10 frames/s" in ran.out
     again = run("profile", "show", calibrated, "--plot", str(plot))
-    assert again.error == f"{plot} exists; choose another file, or add --force"
+    assert again.error == f"{plot} exists; choose another file, or have it replaced (--force)"
 
 
 def test_nothing_measured_draws_nothing(run: Run, own: Path) -> None:

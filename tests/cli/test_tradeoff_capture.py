@@ -42,7 +42,7 @@ def test_the_table_and_the_plot(run: Run, tmp_path: Path) -> None:
     assert "knee of the front" in ran.out
     assert ">doubling<" in plot.read_text()
     assert run(*ROW, "--plot", str(plot)).error == (
-        f"{plot} exists; choose another file, or add --force"
+        f"{plot} exists; choose another file, or have it replaced (--force)"
     )
 
 

@@ -96,7 +96,7 @@ def test_delay_is_measured_stored_and_used() -> None:
         assert isinstance(camera, PreviewingCamera)
         assert isinstance(camera, StreamingCamera)
         assert camera.controls.delay_frames is None
-        assert "control delay not measured" in camera.controls.notes[0]
+        assert camera.controls.findings[0].code == "delay_unknown"
         record = measure_delay(camera)
     assert record.frames == DELAY
     change_profile(camera.info, lambda profile: profile.delays.update({camera.mode: record}))

@@ -267,21 +267,20 @@ def record(smallest: int, largest: int) -> DelayRecord:
 
 
 @pytest.mark.parametrize(
-    ("measured", "frames", "note"),
+    ("measured", "frames", "found"),
     [
-        (record(2, 2), 2, None),
-        (record(1, 3), None, "the control delay is not constant (1 to 3 frames)"),
-        (None, None, "control delay not measured: the stream settles after each exposure; run"),
+        (record(2, 2), 2, []),
+        (record(1, 3), None, [("delay_varies", 3.0, {})]),
+        (None, None, [("delay_unknown", None, {"calibrate_delay": "mine:1"})]),
     ],
 )
 def test_delay_of_a_profile(
-    measured: DelayRecord | None, frames: int | None, note: str | None
+    measured: DelayRecord | None, frames: int | None, found: list[object]
 ) -> None:
     delay = ControlDelay.from_record(measured)
     assert delay.frames == frames
-    notes = delay.notes("mine:1")
-    assert len(notes) == (note is not None)
-    assert all(note is not None and each.startswith(note) for each in notes)
+    findings = delay.findings("mine:1")
+    assert [(each.code, each.value, each.remedies) for each in findings] == found
 
 
 def test_brightness_is_needed_unless_the_delay_is_guaranteed() -> None:

@@ -37,8 +37,9 @@ def test_unusable_paths_are_refused_before_the_work(tmp_path: Path) -> None:
     existing.touch()
     with pytest.raises(UsageError, match=r"unknown format of the plot .*; end its name in \.svg"):
         plots.check_plots((tmp_path / "plot.gif",), overwrite=False)
-    with pytest.raises(StorageError, match="exists; choose another file, or add --force"):
+    with pytest.raises(StorageError, match="exists; choose another file") as caught:
         plots.check_plots((existing,), overwrite=False)
+    assert "overwrite" in caught.value.remedies
     with pytest.raises(StorageError, match="there is no folder"):
         plots.check_plots((tmp_path / "none" / "plot.svg",), overwrite=False)
     plots.check_plots((existing,), overwrite=True)

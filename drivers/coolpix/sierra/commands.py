@@ -211,5 +211,6 @@ class Commands:
         """Return the error of an invalid answer."""
         return CameraProtocolError(
             f"the camera at {self.link.url} sent an invalid answer: {what}",
-            hint="try a lower speed (-O speed=19200) or another cable",
+            hint="try a lower speed or another cable",
+            remedies={"option:speed": 19200},
         )

@@ -74,7 +74,11 @@ class TestUsbErrors:
     @pytest.mark.parametrize(
         ("number", "kind", "message"),
         [
-            (errno.EACCES, CameraNotFoundError, "the camera cannot be opened: no permission; run"),
+            (
+                errno.EACCES,
+                CameraNotFoundError,
+                "the camera cannot be opened: no permission; install",
+            ),
             (errno.EBUSY, CameraBusyError, "the camera is in use by another program; desktops"),
             (errno.ENODEV, CameraDisconnectedError, "the camera was disconnected; plug it in"),
             (errno.EPROTO, CameraDisconnectedError, "the camera lost its USB signal; plug it in"),
@@ -91,6 +95,7 @@ class TestUsbErrors:
         assert type(error) is kind
         assert str(error).startswith(message)
         assert error.hint
+        assert ("udev_rules" in error.remedies) == (number == errno.EACCES)
         assert "\n" not in str(error)
 
     def test_udev_rules_name_the_class_of_still_cameras(self) -> None:

@@ -155,8 +155,9 @@ class TestBadInput:
         assert "\n" not in str(caught.value)
 
     def test_place_for_the_exposure_without_its_range(self, server: NetworkCamera) -> None:
-        with pytest.raises(UsageError, match="give -O shortest=SECONDS and -O longest=SECONDS"):
+        with pytest.raises(UsageError, match="needs its range") as caught:
             OpencvCamera(server.url + "?us={us}").open()
+        assert caught.value.remedies.keys() == {"option:shortest", "option:longest"}
 
     def test_nothing_is_printed(self, capfd: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(CameraNotFoundError):

@@ -24,6 +24,7 @@ from camctl.errors import (
 )
 from camctl.interface.camera import PreviewingCamera, StreamingCamera
 from camctl.interface.controls import Choices, ExposureSetting, Steps
+from camctl.messages.plain import sentence
 from drivers.v4l2.abi import Caps, ControlFlag, ControlId, ControlType, Request
 from drivers.v4l2.camera import V4l2Camera
 from drivers.v4l2.system import camera_error, processes_using
@@ -71,11 +72,8 @@ class TestOpening:
         with open_model(model) as camera:
             assert {each: model.controls[each].value for each in MANUAL} == MANUAL
             assert not any("cannot be turned off" in note for note in camera.controls.notes)
-            note = (
-                "the gain is held at its default, 16, called gain 1: what its 255 steps add is not "
-                "known; give it with -O gain"
-            )
-            assert note in camera.controls.notes
+            (held,) = (each for each in camera.controls.findings if "option:gain" in each.remedies)
+            assert "held at its default, 16, called gain 1" in sentence(held)
             assert camera.controls.gain == Choices((1.0,))
 
     @pytest.mark.parametrize(

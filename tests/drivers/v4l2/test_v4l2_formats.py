@@ -145,7 +145,7 @@ class TestFormats:
             assert one_frame(camera).black == 60
             assert not any("black" in note for note in camera.controls.notes)
         with open_model(Model(formats=("Y12 ",))) as camera:
-            assert any("give it with -O black=..." in note for note in camera.controls.notes)
+            assert any("option:black" in each.remedies for each in camera.controls.findings)
 
     @pytest.mark.parametrize("code", ["YUYV", "GREY", "Y16 ", "RG10", "pRAA", "pBCC"])
     def test_padding_of_lines_is_left_out(self, code: str) -> None:
