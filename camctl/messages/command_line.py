@@ -33,7 +33,6 @@ OPTIONS: Final[dict[str, str]] = {
     "mask": "--mask",
     "method": "--method",
     "methods": "--methods",
-    "no_profile": "--no-profile",
     "objective": "--objective",
     "overwrite": "--force",
     "patches": "--patches",

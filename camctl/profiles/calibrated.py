@@ -145,7 +145,7 @@ def _unfit(profile: Profile, measured: str, now: str) -> DataError:
         f"the profile {profile.name} does not fit the camera: its response was measured with "
         f"{measured}, and the camera now has {now}",
         hint="set the camera as it was, calibrate it again, or leave the profile out",
-        remedies={"calibrate_all": None, "no_profile": None},
+        remedies={"calibrate_all": None, "option:profile": "none"},
     )
 
 

@@ -233,7 +233,7 @@ def test_a_profile_that_no_longer_fits_is_refused_by_name(
     assert profile.name in caught.value.what
     assert measured in caught.value.what
     assert f"now has {now}" in caught.value.what
-    assert "no_profile" in caught.value.remedies
+    assert "option:profile" in caught.value.remedies
 
 
 def test_each_channel_is_decoded_by_its_own_response() -> None:
