@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import chdir
 from pathlib import Path
 
@@ -125,11 +125,26 @@ def commands(group: click.Group, path: str = "") -> Iterator[tuple[str, click.Co
 
 COMMANDS = dict(commands(cli))
 CASES = [
-    pytest.param(name, option, id=f"{name} {option.opts[-1]}")
+    (name, option)
     for name, command in COMMANDS.items()
     for option in command.params
     if not LEFT_OUT & set(option.opts)
 ]
+
+RUN_BY_DEFAULT = {
+    "calibrate response files",
+    "evaluate --noise",
+    "merge --times",
+    "merge files",
+    "profile import file",
+    "shoot --ratios",
+    "simulate --times",
+    "solve --range",
+    "solve --settings",
+    "table show --table",
+}
+"""Options whose values are tried with the whole command; the others are only parsed by default, and
+run in slow tests."""
 
 
 @pytest.fixture
@@ -198,6 +213,7 @@ def problem(run: Run, *arguments: str) -> str:
 
 def test_every_command_is_tried() -> None:
     assert set(BASES) == set(COMMANDS)
+    assert {f"{name} {option.opts[-1]}" for name, option in CASES} >= RUN_BY_DEFAULT
 
 
 @pytest.mark.parametrize("name", sorted(set(BASES) - REFUSED))
@@ -207,10 +223,10 @@ def test_the_command_lines_without_hostile_values_work(run: Run, name: str) -> N
         assert ran.status == 0, ran.err
 
 
-@pytest.mark.parametrize(("name", "option"), CASES)
-def test_hostile_values_are_refused_in_one_line(
-    run: Run, tmp_path: Path, places: tuple[str, ...], name: str, option: click.Parameter
-) -> None:
+def lines_with(
+    name: str, option: click.Parameter, places: tuple[str, ...], folder: Path
+) -> Iterator[list[str]]:
+    """Yield command lines of a command that give this option each hostile value."""
     is_numeric = isinstance(option.type, NUMERIC)
     values: tuple[str | None, ...] = NUMBERS if is_numeric else (*TEXTS, *places)
     if isinstance(option.type, Settings):
@@ -218,21 +234,55 @@ def test_hostile_values_are_refused_in_one_line(
     if isinstance(option, click.Option) and option.is_flag:
         values = (None,)
     elif OUTPUTS & set(option.opts):
-        own = (path for path in places if path.startswith(str(tmp_path)) and "endless" not in path)
+        own = (path for path in places if path.startswith(str(folder)) and "endless" not in path)
         values = ("", ".", "x" * 300, "a/" * 3000 + "b", *own)
     flag = ["--json"] if any("--json" in each.opts for each in COMMANDS[name].params) else []
     bases = BASES[name]
     # Each value with one of the command lines in turn; a flag with all of them.
-    count = max(len(bases), len(values))
-    pairs = [(bases[k % len(bases)], values[k % len(values)]) for k in range(count)]
-    problems = []
-    for base, value in pairs:
+    for k in range(max(len(bases), len(values))):
+        value = values[k % len(values)]
         added = [] if value is None else [value]
         added = [option.opts[-1], *added] if isinstance(option, click.Option) else added
-        line = [*name.split(), *base.split(), *flag, *added]
-        if found := problem(run, *line):
-            problems.append(f"{' '.join(line)[:300]}: {found[:300]}")
-    assert problems == []
+        yield [*name.split(), *bases[k % len(bases)].split(), *flag, *added]
+
+
+def problems(run: Run, lines: Iterable[list[str]]) -> list[str]:
+    """Run command lines; return what is wrong, with the beginning of the line."""
+    found = ((line, problem(run, *line)) for line in lines)
+    return [f"{' '.join(line)[:300]}: {wrong[:300]}" for line, wrong in found if wrong]
+
+
+def test_hostile_values_are_parsed_or_refused_in_one_line(
+    run: Run, tmp_path: Path, places: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for command in COMMANDS.values():
+        monkeypatch.setattr(command, "callback", lambda **_: print("null"))
+    # An option that several commands share is parsed with one of them.
+    different = {
+        (option.opts[-1], option.nargs, type(option.type), str(vars(option.type))): (name, option)
+        for name, option in CASES
+    }
+    assert len(different) > 60
+    for name, option in different.values():
+        assert problems(run, lines_with(name, option, places, tmp_path)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "option"),
+    [
+        pytest.param(
+            name,
+            option,
+            id=(case := f"{name} {option.opts[-1]}"),
+            marks=() if case in RUN_BY_DEFAULT else pytest.mark.slow,
+        )
+        for name, option in CASES
+    ],
+)
+def test_hostile_values_are_refused_in_one_line(
+    run: Run, tmp_path: Path, places: tuple[str, ...], name: str, option: click.Parameter
+) -> None:
+    assert problems(run, lines_with(name, option, places, tmp_path)) == []
 
 
 EDGES = ("0", "1", "1e-12", "1e12", "1e7", "1e15", "0.01", "100", "1.0000000000000002", "16", "2.5")
