@@ -18,15 +18,6 @@ from tests.menu.test_machine import FULL
 SIZES = [(16, 2), (20, 4), (24, 8), (40, 12), (60, 16)]
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("state", list(State))
-def test_every_screen_fills_its_panel_and_fits(state: State, size: tuple[int, int]) -> None:
-    shown = grid(screen(replace(FULL, state=state)), *size)
-    assert [len(line) for line in shown.lines] == [size[0]] * size[1]
-    if state is not State.SAVER:
-        assert shown.lines[0].strip()
-
-
 def texts_cut(model: Model, columns: int) -> list[str]:
     """Return the lines that are longer than a row, in their shortest form."""
     shown = screen(model)
@@ -35,20 +26,15 @@ def texts_cut(model: Model, columns: int) -> list[str]:
     return [line.texts[-1] for line in lines if len(line.texts[-1]) > room]
 
 
-@pytest.mark.parametrize("state", list(State))
-def test_no_text_is_cut_on_the_smallest_panel(state: State) -> None:
-    cut = texts_cut(replace(FULL, state=state), 16)
-    if state is State.CAMERAS:  # names of makers may be longer
-        return
-    assert cut == []
-
-
 @pytest.mark.parametrize("state", [s for s in State if s is not State.SAVER])
-def test_selected_entry_and_button_are_shown(state: State) -> None:
-    model = replace(FULL, state=state)
-    shown = screen(model)
+def test_every_screen_fits_its_panel_with_the_selected_entry_and_button(state: State) -> None:
+    shown = screen(replace(FULL, state=state))
+    if state is not State.CAMERAS:  # names of makers may be longer
+        assert texts_cut(replace(FULL, state=state), 16) == []
     for size in SIZES:
         result = grid(shown, *size)
+        assert [len(line) for line in result.lines] == [size[0]] * size[1]
+        assert result.lines[0].strip()
         if shown.selected is not None:
             assert result.highlight is not None
             assert result.lines[result.highlight.row].startswith(">")
