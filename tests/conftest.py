@@ -60,10 +60,12 @@ def quick_disk() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep solved exposures and camera profiles of the tests in folders of their own."""
+    """Keep profiles and solved exposures in folders of the tests; all workers share the latter."""
+    base = tmp_path_factory.getbasetemp()
+    of_run = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CAMCTL_PROFILES", str(tmp_path_factory.mktemp("profiles")))
-        patch.setenv("CAMCTL_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("CAMCTL_CACHE", str(of_run / "solved-exposures"))
         yield
 
 

@@ -47,7 +47,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def python(packages: Path, tmp_path: Path) -> Python:
     """Run Python in an empty folder, with the example installed."""
     path = os.pathsep.join([str(packages), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    environment = {**os.environ, "PYTHONPATH": path, "CAMCTL_CACHE": str(tmp_path / "cache")}
+    environment = {**os.environ, "PYTHONPATH": path}
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

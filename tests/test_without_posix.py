@@ -24,11 +24,7 @@ def run(code: str, folder: Path) -> str:
     done = subprocess.run(
         [sys.executable, "-c", BLOCKER + textwrap.dedent(code)],
         cwd=folder,
-        env={
-            **os.environ,
-            "CAMCTL_PROFILES": str(folder / "profiles"),
-            "CAMCTL_CACHE": str(folder / "cache"),
-        },
+        env={**os.environ, "CAMCTL_PROFILES": str(folder / "profiles")},
         capture_output=True,
         text=True,
         check=False,

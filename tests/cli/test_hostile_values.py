@@ -172,20 +172,13 @@ def places(tmp_path: Path) -> Iterator[tuple[str, ...]]:
         )
 
 
-@pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A cache for all tests here: solving what the lines of `BASES` ask for takes a second."""
-    return str(tmp_path_factory.mktemp("solved"))
-
-
 @pytest.fixture(autouse=True)
-def photographs(run: Run, solved: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def photographs(run: Run) -> None:
     """Write the photographs of `BASES` into the empty folder of `run`."""
     import cv2
     import numpy as np
 
     assert run is not None
-    monkeypatch.setenv("CAMCTL_CACHE", solved)
     light = np.geomspace(0.01, 1, 32 * 24).reshape(24, 32)
     for k in range(3):
         brightness = np.minimum((light * 4.0 ** (k - 1)) ** 0.45 * 255, 255)

@@ -285,7 +285,10 @@ def test_report_cannot_hold_every_name_of_a_scene(run: Run) -> None:
     assert not Path("out").exists()
 
 
-def test_damaged_cached_exposures_are_set_aside_with_a_warning(run: Run, tmp_path: Path) -> None:
+def test_damaged_cached_exposures_are_set_aside_with_a_warning(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path / "cache"))
     line = ("shoot", *UNKNOWN, "-O", "size=24x16", "--base", "0.01", "-o")
     assert run(*line, "first").err == ""
     (path,) = (tmp_path / "cache").rglob("*.json")

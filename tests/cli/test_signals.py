@@ -66,8 +66,11 @@ def surviving() -> Iterator[None]:
 
 
 @pytest.fixture
-def at_call(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, signal.Signals], None]:
+def at_call(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str, signal.Signals], None]:
     """Send a signal to this process when "module:function" is called for the first time."""
+    monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path / "cache"))  # nothing is solved before
 
     def install(point: str, number: signal.Signals) -> None:
         module, _, path = point.partition(":")

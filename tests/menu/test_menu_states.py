@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Self
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -280,4 +281,11 @@ class MenuMachine(RuleBasedStateMachine):
 
 
 TestMenu = MenuMachine.TestCase
-TestMenu.settings = settings(stateful_step_count=60)
+TestMenu.settings = settings(stateful_step_count=60, max_examples=settings().max_examples // 3)
+
+
+@pytest.mark.slow
+class TestMenuLonger(MenuMachine.TestCase):
+    """The same with all examples of the profile."""
+
+    settings = settings(stateful_step_count=60)
