@@ -20,6 +20,7 @@ class PtpConformance(CameraConformance):
     sensor = "ideal-8"
     pair: Bench
     saved: ClassVar[tuple[str, int, Layout]] = ("jpeg", 8, Layout.MONO)
+    run_length = 30  # the plain JPEG camera and the raw one of Nikon take a hundred
 
     def open_camera(self) -> Camera:
         self.pair = bench(self.sensor, **self.config)
@@ -49,7 +50,7 @@ class PtpConformance(CameraConformance):
 
 
 class TestPlainJpeg(PtpConformance):
-    pass
+    run_length = 100
 
 
 class TestPlainTiff(PtpConformance):
@@ -68,6 +69,7 @@ class TestTimesAsRange(PtpConformance):
 
 
 class TestNikonRaw(PtpConformance):
+    run_length = 100
     config: ClassVar[dict[str, Any]] = {"vendor": "nikon", "files": "dng"}
     saved = ("dng", 8, Layout.MONO)
 
