@@ -284,8 +284,9 @@ TestMenu = MenuMachine.TestCase
 TestMenu.settings = settings(stateful_step_count=60, max_examples=settings().max_examples // 3)
 
 
-@pytest.mark.slow
-class TestMenuLonger(MenuMachine.TestCase):
+class AllExamples(MenuMachine):
     """The same with all examples of the profile."""
 
-    settings = settings(stateful_step_count=60)
+
+TestMenuLonger = pytest.mark.slow(AllExamples.TestCase)
+TestMenuLonger.settings = settings(stateful_step_count=60)
