@@ -1,9 +1,9 @@
-"""Write the reference pages of findings and of the report from the code that defines them.
+"""Write the reference pages of findings, report and options from the code that defines them.
 
     python docs/write_reference.py
 
 Writes docs/reference/findings.md from `camctl.findings.CODES` and the sentences of
-`camctl.messages`, and docs/reference/report.md from the models of `camctl.records`.
+`camctl.messages`, report.md from the models of `camctl.records`, and options.md from the commands.
 """
 
 from __future__ import annotations
@@ -18,12 +18,18 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+import click
 from pydantic import BaseModel
 
+from camctl.cli import cli
+from camctl.cli.old_options import OLD_CAMERA_OPTIONS, OLD_COMMANDS, OLD_OPTIONS, OLD_SETTINGS
 from camctl.findings import CODES, Finding
+from camctl.messages.command_line import OPTIONS as FIELD_OPTIONS
 from camctl.messages.command_line import with_remedies
 from camctl.messages.plain import sentence
+from camctl.photographs.photograph_set import PhotographOptions
 from camctl.records.report import CaptureReport
+from camctl.records.request import CaptureRequest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
@@ -59,6 +65,23 @@ REPORT = """\
 
 | field | type | meaning |
 |---|---|---|"""
+OPTIONS = """\
+# Options
+
+The options of the commands that make pictures, with the field of `camctl.CaptureRequest` (of
+`camctl.PhotographOptions` for `merge`) that has the same meaning in Python.
+`camctl COMMAND --help` has the options of every command.
+
+| option | field | commands | meaning |
+|---|---|---|---|"""
+OLD = """
+## Options of earlier versions
+
+They still work in this version, and say once what they are now.
+
+| option | now |
+|---|---|"""
+PICTURE_COMMANDS = ("shoot", "series", "preview", "resume", "merge")
 
 
 def findings_page() -> str:
@@ -87,6 +110,41 @@ def report_page() -> str:
     for path, kind, meaning in _fields(CaptureReport, "", described):
         lines.append(f"| `{path}` | {kind} | {_json_words(meaning)} |")
     return "\n".join([*lines, "", "`python docs/write_reference.py` writes this page.", ""])
+
+
+def options_page() -> str:
+    """Return the page of the options of the commands that make pictures."""
+    known = _annotations(CaptureRequest) | _annotations(PhotographOptions)
+    fields = {option: field for field, option in FIELD_OPTIONS.items() if field in known}
+    found: dict[tuple[str, str], list[str]] = {}
+    context = click.Context(cli, info_name="camctl")
+    for name in PICTURE_COMMANDS:
+        command = cli.get_command(context, name)
+        assert command is not None
+        for each in command.params:
+            if isinstance(each, click.Option) and not each.hidden:
+                option = ", ".join(f"`{opt}`" for opt in each.opts)
+                if not each.is_flag:
+                    option += f" {_cell(each.make_metavar(context))}"
+                found.setdefault((option, _cell(each.help or "")), []).append(name)
+    lines = [OPTIONS]
+    for (option, meaning), commands in found.items():
+        names = [fields[opt] for opt in re.findall(r"`(.*?)`", option) if opt in fields]
+        field = f"`{names[0]}`" if names else ""
+        lines.append(f"| {option} | {field} | {', '.join(commands)} | {meaning} |")
+    lines.append(OLD)
+    for old, now in {**OLD_CAMERA_OPTIONS, **OLD_OPTIONS, **OLD_SETTINGS, **OLD_COMMANDS}.items():
+        if now == "shoot":
+            continue
+        text = f"camctl {now}" if old in OLD_COMMANDS else now
+        value = " VALUE" if "{}" in now else ""
+        lines.append(f"| `{old}{value}` | `{text.format('VALUE')}` |")
+    return "\n".join([*lines, "", "`python docs/write_reference.py` writes this page.", ""])
+
+
+def _cell(text: str) -> str:
+    """Return a text of a help page as a cell of a table."""
+    return " ".join(text.replace("|", "\\|").split())
 
 
 def _fields(model: type, prefix: str, described: dict[type, str]) -> Iterator[tuple[str, str, str]]:
@@ -189,8 +247,12 @@ def _models(annotation: Any) -> list[type]:
 
 def main() -> None:
     """Write the pages."""
-    (FOLDER / "findings.md").write_text(findings_page(), encoding="utf-8")
-    (FOLDER / "report.md").write_text(report_page(), encoding="utf-8")
+    for name, page in (
+        ("findings", findings_page()),
+        ("report", report_page()),
+        ("options", options_page()),
+    ):
+        (FOLDER / f"{name}.md").write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -74,7 +74,7 @@ class CaptureStore(Pictures, Protocol):
         ...
 
     def after_failure(self, done: int, count: int) -> AfterFailure:
-        """Return what an error adds: how many frames are kept, and how to go on."""
+        """Return what an error adds: how many frames are kept, and how to continue."""
         ...
 
 

@@ -175,7 +175,7 @@ def read_report_file(directory: Path) -> CaptureReport | UnfinishedCapture:
 def check_camera(
     camera: Camera, directory: Path, report: CaptureReport | UnfinishedCapture
 ) -> None:
-    """Raise `DataError` unless `camera` can go on with the capture in `directory`."""
+    """Raise `DataError` unless `camera` can continue the capture in `directory`."""
     begun, present, controls = report.camera, camera.info, camera.controls
     if (begun.make, begun.model, begun.serial) != (present.make, present.model, present.serial):
         raise DataError(
