@@ -1,4 +1,4 @@
-"""Draw camctl/glyphs.npz, the characters of drawn screens and sheets; needs Pillow, matplotlib.
+"""Draw camctl/system/glyphs.npz, the characters of drawn screens and sheets; needs Pillow, matplotlib.
 
 The typeface is DejaVu Sans Mono, whose licence allows it (https://dejavu-fonts.github.io).
 
@@ -11,7 +11,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-GLYPHS = Path(__file__).parents[1] / "camctl" / "glyphs.npz"
+GLYPHS = Path(__file__).parents[1] / "camctl/system/glyphs.npz"
 TYPEFACE = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSansMono.ttf"
 CHARACTERS = "".join(map(chr, range(32, 127)))
 HEIGHTS = (12, 14, 16, 20, 28, 40)

@@ -129,8 +129,8 @@ def options_page() -> str:
                 found.setdefault((option, _cell(each.help or "")), []).append(name)
     lines = [OPTIONS]
     for (option, meaning), commands in found.items():
-        names = [fields[opt] for opt in re.findall(r"`(.*?)`", option) if opt in fields]
-        field = f"`{names[0]}`" if names else ""
+        own = re.findall(r"`(.*?)`", option)
+        field = ", ".join(f"`{name}`" for opt, name in fields.items() if opt.split()[0] in own)
         lines.append(f"| {option} | {field} | {', '.join(commands)} | {meaning} |")
     lines.append(OLD)
     for old, now in {**OLD_CAMERA_OPTIONS, **OLD_OPTIONS, **OLD_SETTINGS, **OLD_COMMANDS}.items():
