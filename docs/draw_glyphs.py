@@ -1,4 +1,4 @@
-"""Draw camctl/system/glyphs.npz, the characters of drawn screens and sheets; needs Pillow, matplotlib.
+"""Draw camctl/system/glyphs.npz, the characters of screens and sheets; needs Pillow, matplotlib.
 
 The typeface is DejaVu Sans Mono, whose licence allows it (https://dejavu-fonts.github.io).
 
