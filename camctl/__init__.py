@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from camctl.exposure.exposure_choices import AccuracyProblem as AccuracyProblem
     from camctl.exposure.exposure_choices import AvailableExposures as AvailableExposures
     from camctl.exposure.exposure_choices import TimeCosts as TimeCosts
+    from camctl.exposure.goal import CaptureRequest as CaptureRequest
+    from camctl.exposure.light import Metering as Metering
     from camctl.exposure.objective import Objective as Objective
     from camctl.exposure.solver import SearchOptions as SearchOptions
     from camctl.exposure.solver import Solution as Solution
@@ -85,13 +87,11 @@ if TYPE_CHECKING:
     from camctl.photographs.photograph_set import PhotographOptions as PhotographOptions
     from camctl.profiles.calibrated import open_camera as open_camera
     from camctl.records.capture_plan import CapturePlan as CapturePlan
-    from camctl.records.capture_plan import Metering as Metering
     from camctl.records.folder_store import read_report as read_report
     from camctl.records.frame import FrameRecord as FrameRecord
     from camctl.records.report import Achieved as Achieved
     from camctl.records.report import CaptureReport as CaptureReport
     from camctl.records.report import Irradiance as Irradiance
-    from camctl.records.request import CaptureRequest as CaptureRequest
 
 #: Where each public name is defined: the names of one module of camctl in a line.
 _NAMES = {
@@ -107,8 +107,9 @@ _NAMES = {
     "records.frame": "FrameRecord",
     "evidence.ratio_check": "RatioCheck",
     "records.report": "Achieved CaptureReport Irradiance",
-    "records.capture_plan": "CapturePlan Metering",
-    "records.request": "CaptureRequest",
+    "records.capture_plan": "CapturePlan",
+    "exposure.goal": "CaptureRequest",
+    "exposure.light": "Metering",
     "captures.sequence": "Progress",
     "captures.sequencer": "capture resume",
     "interface.clock": "CaptureTiming Clock RealClock VirtualClock",

@@ -26,8 +26,20 @@ class Place(BaseModel):
 CODES: Final[dict[str, str]] = {
     "note": "nothing: its sentence is the detail `text`",
     # Exposures: what the frames say of the exposures that the camera states.
+    "setting_differs": "what the camera sets instead of the requested value; `field` names it",
+    "flicker": "shutter time that is not a whole number of the lamps' flicker periods, s",
+    "steps_cost_levels": "effective levels that the camera's steps allow",
+    "time_differs": "time until the last frame arrived, s",
     # Light and range: what of the scene's light the picture holds.
+    "highlights_cut": "share of the samples that are saturated even at the shortest exposure",
+    "light_above_range": "share of the samples that are brighter than the range of the picture",
+    "light_below_range": "share of the samples that are darker than the range of the picture",
+    "light_changed": "share of the samples that are saturated, though metering showed less light",
+    "picture_black": "nothing: the picture is black in every exposure",
+    "picture_white": "share of the samples that are saturated in every exposure",
     # The picture: movement, light that spread, noise.
+    "light_spread": "share of the samples that are too bright by light that spread, or that moved",
+    "noise_differs": "effective levels that the pixels show; the known noise predicts others",
     # Photographs already taken.
     # Calibrations and profiles.
     # Cameras.

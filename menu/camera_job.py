@@ -19,12 +19,11 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
-from camctl.exposure.goal import AUTO
+from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.interface.backends import list_cameras
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureSetting
 from camctl.messages.menu import error_text
-from camctl.records.request import CaptureRequest
 from camctl.system.memory import return_free_memory
 from menu.capture_list import list_captures, next_folder
 from menu.data import (

@@ -14,9 +14,9 @@ from menu.thumbnails import preview_picture
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
     from camctl.captures.sequence import Progress as CaptureProgress
+    from camctl.exposure.goal import CaptureRequest
     from camctl.records.capture_plan import CapturePlan
     from camctl.records.report import CaptureReport
-    from camctl.records.request import CaptureRequest
 
 #: Bytes of the pictures of a capture for each sample of a frame: sum, image and radiance.
 _PICTURE_BYTES = 40

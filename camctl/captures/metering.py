@@ -1,4 +1,4 @@
-"""Metering: find the shortest exposure, which puts the highlights just below saturation."""
+"""Metering: the shortest exposure, with the highlights just below saturation, and the light."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from camctl.errors import CaptureError, UsageError
 from camctl.evidence.light_ratio import NeighbourCheck
+from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.light import Light, Metering
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureSetting
 from camctl.model.response.camera import FloatArray
-from camctl.records.capture_plan import Metering
-from camctl.records.scene_light import SceneLight
 from camctl.system.number_text import time_text
 
 #: Share of a channel's samples above the highlights: reflections of lamps, and hot pixels.
@@ -92,7 +92,8 @@ class MeteringFrames:
         if not (isinstance(camera, PreviewingCamera) or spend_shutter):
             raise UsageError(
                 f"{camera.info.id} has no preview, and metering would cost shutter actuations",
-                hint="allow them with --meter, or give the shortest exposure with --base SECONDS",
+                hint="allow them, or give the shortest exposure",
+                remedies={"spend_shutter": True, "base_s": None},
             )
         self.camera = camera
         self.count = 0
@@ -154,14 +155,35 @@ class MeteringFrames:
         shown = [time_text(time_s) for time_s in (before.time_s, after.time_s, stays_s)]
         end = "no longer" if after.exposure > before.exposure else "no shorter"
         has_delay, name = self.camera.controls.delay_frames is not None, self.camera.info.id
-        again = f"measure its control delay again (camctl calibrate delay --camera {name}), or "
+        again = "measure its control delay again, or " if has_delay else ""
         return CaptureError(
             f"the camera does not follow its exposure: {shown[0]} and {shown[1]} give nearly the "
             f"same brightness, as if it were {end} than {shown[2]}",
-            hint=f"{again if has_delay else ''}"
-            "turn its automatic exposure off; if it has none, give exposures that it can make, "
-            "with --base and --ratios",
+            hint=f"{again}turn its automatic exposure off; if it has none, give exposures that it "
+            "can make",
+            remedies={
+                **({"calibrate_delay": name} if has_delay else {}),
+                "base_s": None,
+                "ratios": None,
+            },
         )
+
+
+def meter_light(camera: Camera, request: CaptureRequest) -> Light | None:
+    """Return the light, in units of what the request allows; None: it has the base exposure.
+
+    Raises:
+        UsageError: the camera has no preview, and the request allows no actuations of its shutter
+        CaptureError: the light cannot be metered
+    """
+    if request.base_s is not None:
+        return None
+    source = MeteringFrames(camera, spend_shutter=request.spend_shutter)
+    metering = meter(source, small_aperture=request.use_aperture)
+    # Actuations of a shutter are spent only where the light decides more than the base exposure.
+    is_free = isinstance(camera, PreviewingCamera) or request.desired is None
+    light = light_histogram(source, metering, lower_end=0.0 if is_free else 1.0)
+    return replace(light, has_shadows=is_free).limited(request, camera.controls)
 
 
 def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
@@ -208,7 +230,8 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
     if best is None:
         raise CaptureError(
             f"the light changes too fast: it was not metered in {_MOST_FRAMES} frames",
-            hint="give the shortest exposure with --base SECONDS",
+            hint="give the shortest exposure",
+            remedies={"base_s": None},
         )
     setting, bright, clipped = best
     if bright <= BLACK_SHARE * levels.size and setting.time_s >= longest:
@@ -231,9 +254,7 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
     )
 
 
-def light_histogram(
-    source: MeteringFrames, metering: Metering, *, lower_end: float = 0.0
-) -> SceneLight:
+def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: float = 0.0) -> Light:
     """Return the histogram of the light, E = 1 at `limit_s`.
 
     A frame at the metered setting gives the highlights; each longer one gives the samples that had
@@ -283,7 +304,13 @@ def light_histogram(
         unread, setting = darker, longer
     E, number = np.concatenate(light), np.concatenate(counts)
     order = np.argsort(E, kind="stable")
-    return SceneLight(E[order], number[order] / number.sum(), float(main[0] * scale))
+    return Light(
+        replace(metering, frames=source.count),
+        E[order],
+        number[order] / number.sum(),
+        float(main[0] * scale),
+        last=source.last,
+    )
 
 
 def _longer(camera: Camera, setting: ExposureSetting, factor: float) -> ExposureSetting:

@@ -1,38 +1,86 @@
-"""The last step of a capture: from the sum of its frames to its pictures and its report."""
+"""The last step of a capture: from the sum of its frames to its pictures and its report.
+
+The stages pass values: the true exposures -> the effective camera and its tables -> the light
+outside the range -> what the frames say of each other -> pictures -> report.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.captures.advice import range_findings, spread_findings
 from camctl.captures.frame_checks import FrameChecks
 from camctl.captures.metering import BLACK_SHARE, OUTLIER_SHARE
-from camctl.captures.range_advice import outside_warnings
-from camctl.captures.spread_advice import spread_warnings
 from camctl.captures.true_exposures import relative
-from camctl.evidence.movement import find_movement
+from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.noise import measure_noise
-from camctl.exposure.evaluation import evaluate
+from camctl.exposure.evaluation import Evaluation, evaluate
 from camctl.exposure.objective import Objective
-from camctl.findings import note
+from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
-from camctl.model.noise import MeasuredNoise
+from camctl.model.noise import FrameNoise, MeasuredNoise
+from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.details import PictureDetails, ShownFrame
-from camctl.pictures.light_shares import light_shares
+from camctl.pictures.light_shares import LightShares, light_shares
 from camctl.pictures.render import Rendering, Tables
-from camctl.records.frame import FrameRecord, StoredFrame
+from camctl.records.frame import ExposureRatio, FrameRecord, StoredFrame
 from camctl.records.frame_store import CaptureStore
 from camctl.records.report import Achieved, CaptureReport, Irradiance, UnfinishedCapture
 from camctl.records.simulation_summary import simulation_summary, without_plan
 from camctl.system.memory import return_free_memory
 
-#: A picture with more than this share of its samples saturated gets a warning.
+#: A picture with more than this share of its samples saturated gets a finding.
 _MOST_SATURATED = 0.99
+
+
+@dataclass(frozen=True, eq=False)
+class _Shot:
+    """The frames that were shot, and the effective camera of their true exposures.
+
+    Attributes:
+        frames: in the order of the plan
+        ratios: what is known of the exposure of each, relative to the smallest
+        exposures: relative exposures, which the pictures are computed with
+        noise: of each frame
+        posteriors: the effective camera of each colour whose response is known, or the one
+        full_scale_exposure: irradiance in the pictures times this is E, 1 at full scale
+        unit: of the irradiance in the pictures
+    """
+
+    frames: list[StoredFrame]
+    ratios: list[ExposureRatio]
+    exposures: tuple[float, ...]
+    desired: DesiredResponse
+    noise: tuple[FrameNoise, ...]
+    posteriors: list[Posterior]
+    full_scale_exposure: float
+    unit: str
+
+    @property
+    def tables(self) -> tuple[Tables, ...]:
+        """Irradiance, code and mask for each value of the sum."""
+        return tuple(Tables.of(each, self.full_scale_exposure) for each in self.posteriors)
+
+    @property
+    def posterior(self) -> Posterior:
+        """The effective camera of green, which stands for all colours."""
+        return self.posteriors[len(self.posteriors) // 2]
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What the frames say of each other: things that moved, and the noise in their pixels."""
+
+    movement: Movement | None
+    noise: MeasuredNoise | None
 
 
 def complete(
@@ -43,8 +91,6 @@ def complete(
     store: CaptureStore,
 ) -> CaptureReport:
     """Render the pictures into `store`, save the report there, and return it.
-
-    The effective camera is that of the true exposures, not of the planned ones.
 
     Args:
         unfinished: a capture that has all its frames
@@ -57,67 +103,39 @@ def complete(
         StorageError: a file could not be written
     """
     began = time.perf_counter()
-    plan = unfinished.plan
-    frames = [frame for frame in unfinished.frames if frame is not None]
-    applied = [frame.applied for frame in frames]
-    chosen = checks.judge()
-    ratios = relative(chosen)
-    exposures = tuple(ratio.exposure for ratio in ratios)
-    desired = plan.desired
-    full_scale_exposure = min(ratio.exposure for ratio in chosen)
-    if controls.sensitivity is not None:
-        full_scale_exposure *= controls.sensitivity
-    taken_at = min(_taken(frames), default=unfinished.taken_at)
-    noise = controls.frame_noise(applied)
-    unit = "full scales per second" if controls.sensitivity is None else "as the scene"
-    posteriors = [
-        Posterior(EffectiveCamera.of(each, exposures), desired, noise)
-        for each in controls.responses or (controls.levels,)
-    ]
-    posterior = posteriors[len(posteriors) // 2]  # that of green stands for all colours
-    tables = tuple(Tables.of(each, full_scale_exposure) for each in posteriors)
-    outside = light_shares(controls.layout, total, tables, desired)
-    quality = evaluate(controls.levels, desired, exposures, objective=Objective(plan.levels_wanted))
-    effective_levels = (
-        posterior.inverse.effective_levels if controls.noise else quality.effective_levels
-    )
-    gains = [setting.gain for setting in applied]
-    no_light = _no_light(total, unfinished.black_total, controls.levels.M, outside.saturated)
-    pairs = checks.pairs(exposures, noise if controls.noise else None)
-    movement = find_movement(store.frame, pairs, checks.bands.__getitem__)
-    measured = measure_noise(controls.levels, desired, checks.samples, exposures, noise, gains)
-    if (
-        measured is not None
-        and controls.noise
-        and movement is not None
-        and movement.found.is_local
-        and measured.contradicts(effective_levels)
-    ):
-        measured = None  # it may be that of the things that moved alone
+    shot = _effective_camera(unfinished, checks.judge(), controls)
+    tables = shot.tables
+    outside = light_shares(controls.layout, total, tables, shot.desired)
+    achieved = _achieved(unfinished, shot, controls, outside)
+    evidence = _evidence(shot, checks, controls, store, achieved.effective_levels)
+    achieved = achieved.model_copy(update={"measured": evidence.noise})
     return_free_memory()
     rendering = Rendering(
-        controls.layout, tables, desired, full_scale_exposure, controls.hot_pixels, movement
+        controls.layout,
+        tables,
+        shot.desired,
+        shot.full_scale_exposure,
+        controls.hot_pixels,
+        evidence.movement,
     )
-    details = PictureDetails(
-        camera=unfinished.camera,
-        taken_at=taken_at,
-        software=f"camctl {unfinished.versions.get('camctl', '')}".strip(),
-        desired=desired.name,
-        lowest=desired.e_min / full_scale_exposure,
-        highest=1 / full_scale_exposure,
-        unit=unit,
-        frames=_shown(frames, exposures, checks, controls, full_scale_exposure),
-        saturated=outside.saturated,
-        dark=outside.dark,
-        moved=None if movement is None else movement.found.share,
-        spread=0.0 if movement is None else movement.found.spread,
-    )
+    details = _details(unfinished, shot, checks, controls, outside, evidence.movement)
     files = store.keep_pictures(total, rendering, details)
-    simulation = simulation_summary(frames)
-    shared = type(unfinished).model_fields.keys() & CaptureReport.model_fields.keys()
-    begun = {name: getattr(unfinished, name) for name in shared}
+    simulation = simulation_summary(shot.frames)
+    begun = unfinished.model_copy(
+        update={
+            "findings": [
+                *unfinished.plan.findings,
+                *unfinished.findings,
+                *_light_findings(unfinished, total, controls, achieved),
+                *_evidence_findings(unfinished, evidence, achieved, repeatable=controls.repeatable),
+            ],
+            "taken_at": details.taken_at,
+            "timing": {**unfinished.timing, "writing_s": time.perf_counter() - began},
+        }
+    )
+    shared = UnfinishedCapture.model_fields.keys() & CaptureReport.model_fields.keys()
     report = CaptureReport.model_validate(
-        begun
+        {name: getattr(begun, name) for name in shared}
         | {
             "status": "complete",
             "frames": [
@@ -125,79 +143,136 @@ def complete(
                     (without_plan(frame) if simulation else dict(frame))
                     | {"exposure": ratio.exposure, "exposure_ratio": ratio}
                 )
-                for frame, ratio in zip(frames, ratios, strict=True)
+                for frame, ratio in zip(shot.frames, shot.ratios, strict=True)
             ],
-            "achieved": Achieved(
-                xi=quality.xi,
-                effective_levels=effective_levels,
-                effective_levels_noise_free=quality.effective_levels_noise_free,
-                noise=controls.noise,
-                measured=measured,
-                levels=quality.levels,
-                levels_distinct=quality.levels_distinct,
-                saturated_fraction=outside.saturated,
-                dark_fraction=outside.dark,
-                light_shares=outside.histogram,
-            ),
-            "taken_at": taken_at,
+            "achieved": achieved,
             "simulation": simulation,
-            "movement": None if movement is None else movement.found,
-            "irradiance": Irradiance(
-                unit=unit,
-                full_scale_exposure=full_scale_exposure,
-            ),
+            "movement": None if evidence.movement is None else evidence.movement.found,
+            "irradiance": Irradiance(unit=shot.unit, full_scale_exposure=shot.full_scale_exposure),
             "files": files,
             "profile": controls.profile,
-            "findings": [
-                *plan.findings,
-                *unfinished.findings,
-                *map(
-                    note,
-                    no_light
-                    or outside_warnings(
-                        unfinished.request,
-                        plan,
-                        saturated=outside.saturated,
-                        # What a mask leaves out of photographs is dark in the sum alone.
-                        dark=outside.dark
-                        if controls.repeatable or plan.light is None
-                        else plan.light.dark,
-                        repeatable=controls.repeatable,
-                    ),
-                ),
-                *map(
-                    note,
-                    spread_warnings(
-                        unfinished.request,
-                        plan,
-                        movement.found.spread,
-                        repeatable=controls.repeatable,
-                    )
-                    if movement is not None
-                    else [],
-                ),
-                *map(note, _wrong_noise(measured, effective_levels) if controls.noise else []),
-            ],
-            "timing": {**unfinished.timing, "writing_s": time.perf_counter() - began},
         }
     )
     store.save_report(report)
     return report.with_pictures(store)
 
 
-def _taken(frames: list[StoredFrame]) -> list[datetime]:
+def _effective_camera(
+    unfinished: UnfinishedCapture, chosen: list[ExposureRatio], controls: ExposureControls
+) -> _Shot:
+    """Return the effective camera of the true exposures `chosen`, not of the planned ones."""
+    frames = [frame for frame in unfinished.frames if frame is not None]
+    ratios = relative(chosen)
+    exposures = tuple(ratio.exposure for ratio in ratios)
+    full_scale_exposure = min(ratio.exposure for ratio in chosen)
+    if controls.sensitivity is not None:
+        full_scale_exposure *= controls.sensitivity
+    desired = unfinished.plan.desired
+    noise = controls.frame_noise([frame.applied for frame in frames])
+    return _Shot(
+        frames,
+        ratios,
+        exposures,
+        desired,
+        noise,
+        [
+            Posterior(EffectiveCamera.of(each, exposures), desired, noise)
+            for each in controls.responses or (controls.levels,)
+        ],
+        full_scale_exposure,
+        "full scales per second" if controls.sensitivity is None else "as the scene",
+    )
+
+
+def _achieved(
+    unfinished: UnfinishedCapture,
+    shot: _Shot,
+    controls: ExposureControls,
+    outside: LightShares,
+) -> Achieved:
+    """Return the quality of the effective camera, and the shares of the light outside its range."""
+    quality: Evaluation = evaluate(
+        controls.levels,
+        shot.desired,
+        shot.exposures,
+        objective=Objective(unfinished.plan.levels_wanted),
+    )
+    has_noise = bool(controls.noise)
+    return Achieved(
+        xi=quality.xi,
+        effective_levels=(
+            shot.posterior.inverse.effective_levels if has_noise else quality.effective_levels
+        ),
+        effective_levels_noise_free=quality.effective_levels_noise_free,
+        noise=controls.noise,
+        measured=None,
+        levels=quality.levels,
+        levels_distinct=quality.levels_distinct,
+        saturated_fraction=outside.saturated,
+        dark_fraction=outside.dark,
+        light_shares=outside.histogram,
+    )
+
+
+def _evidence(
+    shot: _Shot,
+    checks: FrameChecks,
+    controls: ExposureControls,
+    store: CaptureStore,
+    effective_levels: float,
+) -> _Evidence:
+    """Return what moved, and the noise that the pixels show.
+
+    Noise that contradicts the known one is left out where things moved: it may be theirs.
+    """
+    pairs = checks.pairs(shot.exposures, shot.noise if controls.noise else None)
+    movement = find_movement(store.frame, pairs, checks.bands.__getitem__)
+    gains = [frame.applied.gain for frame in shot.frames]
+    measured = measure_noise(
+        controls.levels, shot.desired, checks.samples, shot.exposures, shot.noise, gains
+    )
+    is_of_movement = (
+        measured is not None
+        and bool(controls.noise)
+        and movement is not None
+        and movement.found.is_local
+        and measured.contradicts(effective_levels)
+    )
+    return _Evidence(movement, None if is_of_movement else measured)
+
+
+def _details(
+    unfinished: UnfinishedCapture,
+    shot: _Shot,
+    checks: FrameChecks,
+    controls: ExposureControls,
+    outside: LightShares,
+    movement: Movement | None,
+) -> PictureDetails:
+    """Return what the files of the pictures, and the contact sheet, say of them."""
+    return PictureDetails(
+        camera=unfinished.camera,
+        taken_at=min(_taken(shot.frames), default=unfinished.taken_at),
+        software=f"camctl {unfinished.versions.get('camctl', '')}".strip(),
+        desired=shot.desired.name,
+        lowest=shot.desired.e_min / shot.full_scale_exposure,
+        highest=1 / shot.full_scale_exposure,
+        unit=shot.unit,
+        frames=_shown(shot, checks, controls),
+        saturated=outside.saturated,
+        dark=outside.dark,
+        moved=None if movement is None else movement.found.share,
+        spread=0.0 if movement is None else movement.found.spread,
+    )
+
+
+def _taken(frames: Sequence[StoredFrame]) -> list[datetime]:
     """Return when frames were taken that state it."""
     stated = (frame.details.get("taken_at") for frame in frames)
     return [datetime.fromisoformat(each) for each in stated if each is not None]
 
 
-def _shown(
-    frames: list[StoredFrame],
-    exposures: tuple[float, ...],
-    checks: FrameChecks,
-    controls: ExposureControls,
-    full_scale_exposure: float,
-) -> tuple[ShownFrame, ...]:
+def _shown(shot: _Shot, checks: FrameChecks, controls: ExposureControls) -> tuple[ShownFrame, ...]:
     """Return what contact.png shows of the frames, in ascending exposure."""
     first, last = controls.levels.levels[[0, -1]].tolist()
     shown = [
@@ -205,43 +280,64 @@ def _shown(
             checks.thumbnails[place],
             frame.applied,
             frame.saturated_fraction,
-            first / exposure / full_scale_exposure,
-            last / exposure / full_scale_exposure,
+            first / exposure / shot.full_scale_exposure,
+            last / exposure / shot.full_scale_exposure,
             frame.details.get("iso"),
         )
-        for place, (frame, exposure) in enumerate(zip(frames, exposures, strict=True))
+        for place, (frame, exposure) in enumerate(zip(shot.frames, shot.exposures, strict=True))
     ]
     return tuple(sorted(shown, key=lambda frame: -frame.highest))
 
 
-def _wrong_noise(measured: MeasuredNoise | None, predicted: float) -> list[str]:
-    """Return a warning where the pixels contradict the noise that is known of the camera."""
-    if measured is None or not measured.contradicts(predicted):
-        return []
-    return [
-        f"the frames show {measured.effective_levels:.4g} effective levels instead of the "
-        f"{predicted:.4g} predicted: the noise known of this camera is not that of its frames"
-    ]
-
-
-def _no_light(
-    total: NDArray[np.unsignedinteger], black_total: int, levels: int, saturated: float
-) -> list[str]:
-    """Return a warning for a picture without light, or with nearly all of it saturated.
+def _light_findings(
+    unfinished: UnfinishedCapture,
+    total: NDArray[np.unsignedinteger],
+    controls: ExposureControls,
+    achieved: Achieved,
+) -> list[Finding]:
+    """Return what of the light the pictures do not hold.
 
     Read noise around a black level lifts half of the samples above it: only those count as lit that
     are above it by `BLACK_SHARE` of one frame's levels.
     """
+    saturated, plan = achieved.saturated_fraction, unfinished.plan
     # A comparison of integers: with a fraction, a copy in float64 would be made.
-    lit = np.count_nonzero(total > int(black_total + BLACK_SHARE * levels)) / total.size
-    if lit <= OUTLIER_SHARE:
-        return [
-            "the picture is black in every exposure; take the lens cap off, or expose longer "
-            "(--base)"
-        ]
+    least = int(unfinished.black_total + BLACK_SHARE * controls.levels.M)
+    if np.count_nonzero(total > least) / total.size <= OUTLIER_SHARE:
+        return [Finding(code="picture_black", remedies={"base_s": None})]
     if saturated > _MOST_SATURATED:
-        return [
-            f"{saturated:.2%} of the picture is white in every exposure; expose shorter (--base), "
-            f"close the aperture, or put a filter before the lens"
-        ]
-    return []
+        return [Finding(code="picture_white", value=saturated, remedies={"base_s": None})]
+    return range_findings(
+        unfinished.request,
+        plan,
+        controls,
+        saturated=saturated,
+        # What a mask leaves out of photographs is dark in the sum alone.
+        dark=(
+            achieved.dark_fraction if controls.repeatable or plan.light is None else plan.light.dark
+        ),
+    )
+
+
+def _evidence_findings(
+    unfinished: UnfinishedCapture, evidence: _Evidence, achieved: Achieved, *, repeatable: bool
+) -> list[Finding]:
+    """Return what the frames say of light that spread, and of the noise known of the camera."""
+    found = []
+    if evidence.movement is not None:
+        found += spread_findings(
+            unfinished.request,
+            unfinished.plan,
+            evidence.movement.found.spread,
+            repeatable=repeatable,
+        )
+    measured, predicted = evidence.noise, achieved.effective_levels
+    if achieved.noise and measured is not None and measured.contradicts(predicted):
+        found.append(
+            Finding(
+                code="noise_differs",
+                value=measured.effective_levels,
+                details={"predicted": predicted},
+            )
+        )
+    return found

@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.captures.accumulator import Accumulator
-from camctl.captures.plan import meter_light, plan_capture
+from camctl.captures.metering import meter_light
+from camctl.captures.plan import plan_capture
 from camctl.captures.response_sheet import PANEL_WIDTH, Panel, response_sheet
 from camctl.errors import CaptureError, UsageError
-from camctl.exposure.goal import AUTO
+from camctl.exposure.goal import AUTO, CaptureRequest
+from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
@@ -30,8 +32,7 @@ from camctl.model.response.names import RESPONSES
 from camctl.pictures.preview import tone_map
 from camctl.pictures.preview_light import ALL, Light, LightReducer
 from camctl.pictures.render import DARK, GOOD, SATURATED, Rendering, Tables
-from camctl.records.capture_plan import CapturePlan, relative_exposures
-from camctl.records.request import CaptureRequest
+from camctl.records.capture_plan import CapturePlan
 
 LONGEST_S = 4.0
 """Longest exposure of a preview frame, s: the user waits for it, as for those of metering."""
@@ -89,15 +90,16 @@ def preview_responses(camera: Camera, request: CaptureRequest) -> ResponsePrevie
     if not (isinstance(camera, PreviewingCamera) or request.spend_shutter):
         raise UsageError(
             f"{camera.info.id} has no preview, and a frame would cost a shutter actuation",
-            hint="allow them with --meter",
+            hint="allow them",
+            remedies={"spend_shutter": True},
         )
-    metered = meter_light(camera, request)
-    plan = plan_capture(camera, request, metered=metered)
+    scene = meter_light(camera, request)
+    plan = plan_capture(camera, request, light=scene)
     plans: dict[str, CapturePlan | str] = {}
     for name in RESPONSES:
         try:
             other = _in_response(request, name, plan)
-            plans[name] = plan if other == request else plan_capture(camera, other, metered=metered)
+            plans[name] = plan if other == request else plan_capture(camera, other, light=scene)
         except (UsageError, CaptureError) as error:
             plans[name] = error.what
     possible = [each for each in plans.values() if isinstance(each, CapturePlan)]

@@ -23,9 +23,8 @@ import numpy as np
 from camctl.captures.accumulator import Accumulator
 from camctl.captures.frame_checks import FrameChecks
 from camctl.captures.outputs import complete
-from camctl.captures.wall_time import predicted_wall_s, wall_time_warnings
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
-from camctl.findings import note
+from camctl.exposure.search.wall_time import predicted_wall_s, wall_time_findings
 from camctl.interface.camera import Camera, Frame, Pixels
 from camctl.interface.controls import Layout
 from camctl.records.capture_plan import CapturePlan
@@ -143,17 +142,14 @@ class Sequence:
         return predicted_wall_s(self._controls, [plan.settings[place] for place in positions])
 
     def _compare_times(self, positions: list[int]) -> None:
-        """Warn where the settings at `positions` took another time than planned."""
+        """Record where the settings at `positions` took another time than planned."""
         plan, timing = self._capture.plan, self._capture.timing
         if plan.is_wall_known and positions:
-            self._capture.findings += map(
-                note,
-                wall_time_warnings(
-                    self._controls,
-                    [plan.settings[place] for place in positions],
-                    planned_s=timing["planned_wall_s"],
-                    actual_s=timing["actual_wall_s"],
-                ),
+            self._capture.findings += wall_time_findings(
+                self._controls,
+                [plan.settings[place] for place in positions],
+                planned_s=timing["planned_wall_s"],
+                actual_s=timing["actual_wall_s"],
             )
 
     def _shoot(self, positions: list[int]) -> float:

@@ -18,6 +18,7 @@ from camctl.captures.accumulator import sum_dtype
 from camctl.captures.plan import plan_capture
 from camctl.captures.sequence import Cancelled, OnProgress, Progress, Sequence
 from camctl.errors import DataError, UsageError
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Camera
 from camctl.interface.clock import VirtualClock
 from camctl.records.capture_plan import CapturePlan
@@ -25,7 +26,6 @@ from camctl.records.folder_store import FolderStore
 from camctl.records.frame_store import CaptureStore, MemoryStore
 from camctl.records.report import CaptureReport, UnfinishedCapture
 from camctl.records.report_file import check_camera
-from camctl.records.request import CaptureRequest
 from camctl.system.number_text import range_text
 
 

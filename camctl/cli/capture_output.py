@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     from camctl.captures.sequence import Progress
     from camctl.evidence.movement import FoundMovement
     from camctl.model.noise import MeasuredNoise
-    from camctl.records.capture_plan import CapturePlan
+    from camctl.records.capture_plan import CapturePlan, PlannedLight
     from camctl.records.report import CaptureReport
-    from camctl.records.scene_light import PlannedLight
 
 Complete: TypeAlias = "Callable[[CaptureReport], CaptureReport]"
 """Takes the report of a complete capture, and returns it."""
@@ -166,7 +165,7 @@ def light_text(light: PlannedLight) -> str:
     def spans(ratio: float, *, more: bool) -> str:
         return ("more than " if more else "") + range_text(float(f"{ratio:.2g}"))
 
-    from camctl.records.scene_light import NOTABLE_SHARE  # loads numpy
+    from camctl.exposure.light import NOTABLE_SHARE  # loads numpy
 
     text = f"the scene spans {spans(light.span, more=light.is_open or light.is_cut)}"
     if light.clips >= NOTABLE_SHARE:

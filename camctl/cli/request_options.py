@@ -32,8 +32,8 @@ from camctl.messages.command_line import OPTIONS
 from camctl.model.response.names import RANGES, RESPONSES
 
 if TYPE_CHECKING:
+    from camctl.exposure.goal import CaptureRequest
     from camctl.model.response.desired import DesiredResponse
-    from camctl.records.request import CaptureRequest
 
 MOST_FOR_TOLERANCE = 6
 """Exposures that a tolerance may take where their number is not given."""
@@ -243,7 +243,7 @@ class RequestOptions(dict[str, Any]):
 
     def request(self) -> CaptureRequest:
         """Return the request; raise as `fields` does, or `UsageError` for its values."""
-        from camctl.records.request import CaptureRequest
+        from camctl.exposure.goal import CaptureRequest
 
         return CaptureRequest(**self.fields())
 

@@ -20,6 +20,7 @@ OPTIONS: Final[dict[str, str]] = {
     "compensation_stops": "--compensation",
     "count": "-n",
     "curve": "--curve",
+    "desired_curve": "--desired",
     "directory": "-o",
     "dynamic_range": "--range",
     "estimate_ratios": "--estimate-ratios",

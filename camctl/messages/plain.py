@@ -6,11 +6,167 @@ They name no option of a command line and no key of a panel.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
-from camctl.findings import Finding
+from camctl.findings import Detail, Finding
+from camctl.system.number_text import range_text, time_text
+
+# ---- settings
+
+
+def _setting_differs(finding: Finding) -> str:
+    details, value = finding.details, finding.value or 0.0
+    requested = _number(details["requested"])
+    if details["field"] == "base_s":
+        return f"the shortest exposure is {value:.6g} s: the camera cannot set {requested:.6g} s"
+    if details["field"] == "ratios":
+        return f"ratio {requested:.6g} becomes {value:.6g} on this camera"
+    return (
+        f"a compensation of {details['stops']:g} stops asks for {requested:.4g} s, but the camera "
+        f"has {details['least_s']:.4g} to {details['most_s']:.4g} s: the shortest exposure is "
+        f"{value:.4g} s, {details['possible_stops']:+.1f} stops"
+    )
+
+
+def _time_differs(finding: Finding) -> str:
+    planned_s, actual_s = _number(finding.details["planned_s"]), finding.value or 0.0
+    cause = "the computer was busy, or frames were lost"
+    if actual_s < planned_s:
+        cause = "the camera was faster than its stated figures"
+    return (
+        f"the last frame arrived after {actual_s:.3g} s instead of the {planned_s:.3g} s planned: "
+        f"{cause}"
+    )
+
+
+# ---- light and range
+
+
+def _light_above_range(finding: Finding) -> str:
+    helps = _changes(finding)
+    if not helps:
+        helps = "close the aperture, or put a filter before the lens"
+        if finding.details["photographs"]:
+            helps = "a photograph with a shorter exposure would show it"
+    return f"{finding.value:.1%} of the picture is brighter than its range: {helps}"
+
+
+def _light_below_range(finding: Finding) -> str:
+    details, helps = finding.details, _changes(finding)
+    dynamic_range = _number(details["dynamic_range"])
+    if details.get("unseen"):
+        seen = "metering shows no light there; if there is some, "
+        if details.get("longest_s") is not None:
+            longest_s = time_text(_number(details["longest_s"]))
+            seen = f"metering shows no light there, and {longest_s} is the longest exposure; "
+        helps = seen + (helps or "open the aperture, or light the scene")
+    elif not helps and details["photographs"]:
+        helps = "photographs with longer exposures would show it"
+    return (
+        f"{finding.value:.1%} of the picture is darker than its range of "
+        f"{range_text(dynamic_range)}: {helps or 'open the aperture, or light the scene'}"
+    )
+
+
+def _light_changed(finding: Finding) -> str:
+    return (
+        f"{finding.value:.1%} of the picture is brighter than its range, and in the metering "
+        f"frames {finding.details['metered']:.1%} was: the light changed, as the light of lamps "
+        "that flicker does; expose shorter"
+    )
+
+
+def _light_spread(finding: Finding) -> str:
+    helps = (
+        "a shorter longest exposure spreads less, and leaves more of the picture dark; better keep "
+        "the light that saturates out of the picture"
+    )
+    if finding.details["photographs"]:
+        helps = "leave out the photographs with the longest exposures"
+    return (
+        "light that spread from saturated samples, or a thing beside them that moved: "
+        f"{finding.value:.1%} of the picture is too bright (mask bit 4, marked in the contact "
+        f"sheet): {helps}"
+    )
+
+
+def _noise_differs(finding: Finding) -> str:
+    return (
+        f"the frames show {finding.value:.4g} effective levels instead of the "
+        f"{finding.details['predicted']:.4g} predicted: the noise known of this camera is not the "
+        "noise of its frames"
+    )
+
+
+_CHANGES: Final[dict[str, Callable[[Any], str]]] = {
+    "accuracy": lambda levels: (
+        "ask for no accuracy" if levels is None else f"ask for {levels:g} effective levels"
+    ),
+    "base_s": lambda _: "let the shortest exposure be metered",
+    "clip_percent": lambda percent: (
+        "let only lamps and reflections clip"
+        if percent is None
+        else f"let the brightest {percent:g} % clip"
+    ),
+    "compensation_stops": lambda stops: (
+        f"shift the exposure by {stops:g} stops" if stops else "do not shift the exposure"
+    ),
+    "count": lambda count: f"take {count} exposures",
+    "desired_curve": lambda _: "give a desired curve of a larger range",
+    "dynamic_range": lambda value: (
+        "let the light decide the range"
+        if value == "auto"
+        else f"ask for a range of {range_text(value)}"
+    ),
+    "ratios": lambda _: "let the exposures be chosen",
+    "response": lambda _: "take constant contrast, which has more levels for the dark",
+    "time_budget_s": lambda _: "allow more time",
+}
+"""What a changed field of a request is called."""
+
+
+def _changes(finding: Finding) -> str:
+    """Return what the remedies of a finding are, and what they leave; empty: there are none."""
+    text = ", and ".join(_CHANGES[name](value) for name, value in finding.remedies.items())
+    if (wall_s := finding.details.get("wall_s")) is not None:
+        text += f" (the picture then takes {time_text(_number(wall_s))})"
+    if (left := finding.details.get("left")) is not None:
+        text += f", after which {left:.0%} still is by the metered light"
+    return text
+
+
+def _number(value: Detail) -> float:
+    """Return a detail that is a number."""
+    assert isinstance(value, float | int)  # as where the finding was made
+    return float(value)
+
 
 SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
+    "flicker": lambda finding: (
+        f"{finding.value:.4g} s is not a whole number of the lamps' flicker periods of "
+        f"{finding.details['period_s']:.4g} s"
+    ),
+    "highlights_cut": lambda finding: (
+        f"{finding.value:.2%} of the samples are clipped even at the shortest exposure"
+    ),
+    "light_above_range": _light_above_range,
+    "light_below_range": _light_below_range,
+    "light_changed": _light_changed,
+    "light_spread": _light_spread,
+    "noise_differs": _noise_differs,
+    "picture_black": lambda _: (
+        "the picture is black in every exposure; take the lens cap off, or expose longer"
+    ),
+    "picture_white": lambda finding: (
+        f"{finding.value:.2%} of the picture is white in every exposure; expose shorter, close the "
+        "aperture, or put a filter before the lens"
+    ),
+    "setting_differs": _setting_differs,
+    "steps_cost_levels": lambda finding: (
+        f"the camera's steps allow {finding.value:.0f} effective levels; the requested ratios "
+        f"would give {finding.details['possible']:.0f}"
+    ),
+    "time_differs": _time_differs,
     "note": lambda finding: str(finding.details["text"]),
     # Cameras.
     "response_assumed": lambda finding: (

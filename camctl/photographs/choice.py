@@ -11,18 +11,18 @@ from itertools import pairwise
 import numpy as np
 
 from camctl.captures.plan import plan_capture
-from camctl.captures.setting_selection import search_choices
 from camctl.errors import CaptureError, UsageError
 from camctl.evidence.patches import LightScale, Patches
 from camctl.exposure.evaluation import evaluate
+from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.objective import Objective
+from camctl.exposure.search.settings import relative_exposures, search_choices
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.photographs.camera import PhotographCamera
 from camctl.pictures.render import DARK, sum_mask
-from camctl.records.capture_plan import CapturePlan, relative_exposures
-from camctl.records.request import CaptureRequest
+from camctl.records.capture_plan import CapturePlan
 
 #: Another photograph is used if it adds more than this share of effective levels.
 _WORTH = 0.05

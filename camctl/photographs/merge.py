@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from camctl.captures.sequencer import capture
-from camctl.exposure.goal import AUTO
+from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.photographs.choice import (
     darkest_light,
     plan_photographs,
@@ -24,7 +24,6 @@ from camctl.photographs.photograph_set import (
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import FolderStore
 from camctl.records.report import CaptureReport
-from camctl.records.request import CaptureRequest
 
 #: Stands for the range in a request until the light of the photographs gives it.
 _ANY_RANGE = 1000.0

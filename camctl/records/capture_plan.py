@@ -2,42 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from camctl.exposure.goal import XI, build_desired
+from camctl.exposure.light import Metering
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureSetting
 from camctl.messages.plain import sentence
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
-from camctl.records.scene_light import PlannedLight
 
+MUCH = 0.05
+"""Share of the samples outside the range from which a capture has a finding."""
 
-def relative_exposures(settings: Sequence[ExposureSetting]) -> tuple[float, ...]:
-    """Return the stated exposures of settings relative to the smallest, in their order."""
-    smallest = min(setting.exposure for setting in settings)
-    return tuple(setting.exposure / smallest for setting in settings)
+NEARLY_MUCH = 0.03
+"""Metered share from which so many samples may be brighter than the range in the picture."""
 
 
 @dataclass(frozen=True)
-class Metering:
-    """How much light there is.
+class PlannedLight:
+    """The metered light of a scene, and how much of it the picture will hold.
 
     Attributes:
-        limit_s: shutter time at which the highlights that may not clip would be just below
-            saturation, s
-        setting: the setting of the last metering frame, the nearest to `limit_s`
-        highlight: brightness of the highlights in it, as a share of white minus black
-        clipped: share of its samples that are saturated
-        frames: number of metering frames (previews, or exposures of the shutter)
+        span: ratio of the highlights to the light that the darkest hundredth is below
+        is_open: whether the shadows are darker than metering could tell: then the scene spans more
+        clips: share of the samples that will be saturated in every frame
+        clips_stops: how far the brightest of them are above the range, stops
+        dark: share of the samples that will be darker than the range, or than the frames can show,
+            where the unseen ones are just too dark for the metering; at most `unseen` more are
+        needed: the range that would hold the light; larger than the planned one where the camera
+            does not hold it at the accuracy asked for
+        needed_levels: effective levels that `needed` would have; None where it is planned, or
+            where they are not known
+        unseen: share of the samples that metering could not tell from black
+        is_cut: whether the brightest light saturates the camera's shortest exposure: then, too, the
+            scene spans more
     """
 
-    limit_s: float
-    setting: ExposureSetting
-    highlight: float
-    clipped: float
-    frames: int
+    span: float
+    is_open: bool
+    clips: float
+    clips_stops: float
+    dark: float
+    needed: float
+    needed_levels: float | None = None
+    unseen: float = 0.0
+    is_cut: bool = False
+
+    @property
+    def needs_advice(self) -> bool:
+        """Whether so much is outside the range that a change of the request may be advised."""
+        return self.dark > MUCH or self.unseen > MUCH or self.clips > NEARLY_MUCH
 
 
 @dataclass(frozen=True)
@@ -71,6 +89,8 @@ class CapturePlan:
             earlier versions
         noise: the noise of the camera; None where it is unknown
         light: how much of the scene's light the picture will hold; None where it was not metered
+        scene: the light itself, where much of it is outside the range, so that advice can be asked
+            for; it is not part of a report
     """
 
     response: str
@@ -93,6 +113,7 @@ class CapturePlan:
     noise: NoiseModel | None = None
     objective: str = XI
     light: PlannedLight | None = None
+    scene: Annotated[Any, Field(exclude=True)] = field(default=None, compare=False, repr=False)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -17,11 +17,11 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from camctl.errors import CamctlError, DataError, StorageError, UsageError, unknown_name
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import CameraInfo
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.report import CaptureReport
 from camctl.records.report_file import LOCK, REPORT, is_unused
-from camctl.records.request import CaptureRequest
 from camctl.system.files import storage_error, write_bytes
 from camctl.system.input_files import read_own_file
 

@@ -18,6 +18,7 @@ from pydantic import (
 from camctl.errors import DataError, UsageError
 from camctl.evidence.movement import FoundMovement
 from camctl.evidence.ratio_check import ReportModel
+from camctl.exposure.goal import CaptureRequest
 from camctl.findings import Finding
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.controls import Layout, ResponseOrigin
@@ -25,7 +26,6 @@ from camctl.messages.plain import sentence
 from camctl.model.noise import MeasuredNoise, NoiseModel
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.frame import FrameRecord, StoredFrame
-from camctl.records.request import CaptureRequest
 from camctl.records.simulation_summary import SimulationSummary
 
 FORMAT_VERSION = 2

@@ -17,12 +17,12 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from camctl.errors import CamctlError, DataError
 from camctl.exposure.objective import MAX_LEVELS_WANTED
+from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import check_count
 from camctl.pictures.files import CONTACT, IMAGE, PREVIEW, RADIANCE, SUM
 from camctl.records import REPORT as REPORT
-from camctl.records.capture_plan import relative_exposures
 from camctl.records.frame import StoredFrame
 from camctl.records.report import FORMAT_VERSION, CaptureReport, UnfinishedCapture
 from camctl.system.files import leftovers

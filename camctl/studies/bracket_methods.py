@@ -9,15 +9,14 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from camctl.captures.accurate_settings import accurate_settings, gain_choices
-from camctl.captures.wall_time import predicted_wall_s
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.build import look_up
-from camctl.exposure.goal import ACCURACY
+from camctl.exposure.goal import ACCURACY, CaptureRequest
+from camctl.exposure.search.accurate import accurate_settings, gain_choices
+from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
-from camctl.records.request import CaptureRequest
 from camctl.studies.noise_optimal import NoiseOptimalProblem, noise_optimal
 from camctl.studies.paper_table import PRINTED_TABLE
 

@@ -18,11 +18,14 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.plan import meter_light
+from camctl.captures.metering import meter_light
 from camctl.captures.sequencer import capture
-from camctl.captures.wall_time import predicted_wall_s
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.evaluation import evaluate
+from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.search.best import longest_base_s
+from camctl.exposure.search.settings import relative_exposures
+from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.camera import Camera, PreviewingCamera
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
@@ -30,8 +33,7 @@ from camctl.model.inverse import Posterior
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
 from camctl.profiles.calibrated import open_camera, with_profile
-from camctl.records.capture_plan import CapturePlan, relative_exposures
-from camctl.records.request import CaptureRequest
+from camctl.records.capture_plan import CapturePlan
 from camctl.studies.bracket_methods import Bracket, bracket_settings
 from camctl.studies.scene_errors import (
     BINS,
@@ -202,8 +204,11 @@ def metered(run: CaptureRun) -> CaptureRun:
                 hint="give the shortest exposure",
                 remedies={"base_s": None},
             )
-        light = meter_light(camera, replace(run.request, base_s=None))
-    return replace(run, base_s=light.limit_s, metered_s=light.last.time_s if light.last else None)
+        request = replace(run.request, base_s=None)
+        light = meter_light(camera, request)
+    assert light is not None  # no base exposure is given
+    base_s = longest_base_s(request, light)
+    return replace(run, base_s=base_s, metered_s=light.last.time_s if light.last else None)
 
 
 @lru_cache(maxsize=4)

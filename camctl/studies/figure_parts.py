@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.captures.sequencer import capture
+from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.solver import Solution, solve
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response
@@ -19,7 +20,6 @@ from camctl.profiles.calibrated import RESPONSE, CalibratedCamera, open_camera
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.profile import Profile
 from camctl.profiles.response import ResponseRecord
-from camctl.records.request import CaptureRequest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.solver import solve
 from camctl.model.response.desired import desired_response
-from camctl.records.request import CaptureRequest
 from camctl.studies.figure_parts import (
     BASELINE,
     PaperFigure,

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.captures.sequencer import capture
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import CameraBase, CameraInfo, Frame
 from camctl.interface.clock import RealClock, VirtualClock
 from camctl.interface.controls import (
@@ -32,7 +33,6 @@ from camctl.interface.controls import (
     ResponseOrigin,
     Steps,
 )
-from camctl.records.request import CaptureRequest
 from camctl.system.memory import share_free_memory
 
 RATIOS = (1.0, 3.98, 16.0, 64.2, 305.4, 1130.0)

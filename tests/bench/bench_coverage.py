@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
 from accuracy import NEAR_SATURATION, NOMINAL, radiance_errors
 
-from camctl.records.request import CaptureRequest
+from camctl.exposure.goal import CaptureRequest
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
 

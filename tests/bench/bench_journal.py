@@ -22,12 +22,12 @@ from unittest import mock
 import numpy as np
 
 from camctl.captures.sequencer import capture
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureSetting
 from camctl.records.folder_store import FolderStore
 from camctl.records.frame import StoredFrame
 from camctl.records.report import UnfinishedCapture
-from camctl.records.request import CaptureRequest
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor

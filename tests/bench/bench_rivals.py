@@ -34,13 +34,13 @@ from scipy.optimize import isotonic_regression
 
 from camctl.captures.accumulator import Accumulator
 from camctl.captures.sequencer import capture
+from camctl.exposure.goal import CaptureRequest
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import desired_response
 from camctl.pictures.render import Tables
 from camctl.profiles.calibrated import open_camera
-from camctl.records.request import CaptureRequest
 from sim.scenes.scene import load_scene
 from sim.scenes.view import View
 from sim.sensors.sensor import Sensor, load_sensor

@@ -15,11 +15,11 @@ from camctl.calibration.single_steps import StepOptions, StepResult, dark_step, 
 from camctl.calibration.steps import calibrate
 from camctl.captures.sequencer import capture
 from camctl.errors import CameraDisconnectedError
+from camctl.exposure.goal import CaptureRequest
 from camctl.model.response.camera import srgb_to_linear
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.profile import Profile, change_profile, load_profile
-from camctl.records.request import CaptureRequest
 from camctl.studies.scene_errors import measured_levels, native_samples, scene_truth
 from sim.camera import Faults, SimulatedCamera
 from sim.render import Renderer

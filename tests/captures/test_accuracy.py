@@ -7,7 +7,7 @@ import pytest
 from accuracy import NEAR_SATURATION, NOMINAL, radiance_errors, sensor_without_lens, shoot_ramp
 from numpy.typing import NDArray
 
-from camctl.records.request import CaptureRequest
+from camctl.exposure.goal import CaptureRequest
 from sim.scenes.scene import Scene, load_scene
 from sim.sensors.sensor import load_sensor
 

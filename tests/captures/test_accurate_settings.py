@@ -9,7 +9,6 @@ import pytest
 from small_cameras import small_camera
 
 import camctl
-from camctl.captures.accurate_settings import accurate_settings, gain_choices, objective_of
 from camctl.captures.plan import plan_capture
 from camctl.errors import UsageError
 from camctl.exposure.accuracy import solve_accuracy
@@ -20,12 +19,13 @@ from camctl.exposure.accuracy_lookup import (
     without_idle_limits,
 )
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
+from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.search.accurate import accurate_settings, gain_choices, objective_of
 from camctl.exposure.table import accuracy_rows, default_table
 from camctl.interface.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
 from camctl.model.noise import NoiseModel
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
-from camctl.records.request import CaptureRequest
 
 NOISE = NoiseModel(39.0, ((1.0, 3.0),))
 

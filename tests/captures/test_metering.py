@@ -14,6 +14,7 @@ from small_cameras import WrappedCamera, small_camera
 from camctl.calibration.delay import measure_delay
 from camctl.captures.metering import OUTLIER_SHARE, MeteringFrames, light_histogram, meter
 from camctl.errors import CaptureError, UsageError
+from camctl.exposure.light import LAMP_SHARE, Light, Metering
 from camctl.interface.camera import FrameStream, StreamingCamera
 from camctl.interface.controls import (
     Choices,
@@ -27,7 +28,6 @@ from camctl.photographs.camera import PhotographCamera
 from camctl.photographs.photograph import Photograph
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.profile import change_profile
-from camctl.records.scene_light import LAMP_SHARE, SceneLight
 from sim.camera import Faults
 
 
@@ -103,8 +103,9 @@ class Mechanical(WrappedCamera):
 def test_shutter_of_a_camera_without_preview_is_actuated_on_request_only() -> None:
     with small_camera() as simulated:
         camera = Mechanical(simulated)
-        with pytest.raises(UsageError, match=r"no preview, and metering would cost .* --meter"):
+        with pytest.raises(UsageError, match="no preview, and metering would cost") as refused:
             meter(MeteringFrames(camera))
+        assert refused.value.remedies == {"spend_shutter": True, "base_s": None}
         assert camera.shots == 0
         metering = meter(MeteringFrames(camera, spend_shutter=True))
     assert metering.frames == camera.shots > 0
@@ -142,10 +143,10 @@ def test_a_stale_control_delay_is_said_to_be_the_possible_cause(
         change_profile(camera.info, lambda profile: profile.delays.update({mode: stale}))
     with open_camera("sim", options) as camera, pytest.raises(CaptureError) as found:
         histogram(MeteringFrames(camera))
-    assert "camctl calibrate delay --camera sim" in found.value.hint
+    assert found.value.remedies["calibrate_delay"] == "sim"
 
 
-def histogram(source: MeteringFrames) -> SceneLight:
+def histogram(source: MeteringFrames) -> Light:
     return light_histogram(source, meter(source))
 
 
@@ -225,7 +226,8 @@ def test_lamps_clip_alone_where_they_are_apart(
     E = np.concatenate([rest, np.geomspace(1.0, 1000.0, between + 2)[1:]])
     shares = np.full(E.size, 1.0)
     shares[rest.size :] = 4 / (E.size - rest.size)
-    light = SceneLight(E, shares / shares.sum(), darkest, float(E[-1]))
+    metering = Metering(1.0, ExposureSetting(1.0), 0.9, 0.0, 1)
+    light = Light(metering, E, shares / shares.sum(), darkest, float(E[-1]))
     cut = light.highlights(LAMP_SHARE)
     assert 0.9 < cut < 1.0
     assert light.upper_end(None, None) == (1.0 if is_apart else cut)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,9 @@ import pytest
 from scene_maps import MAPS, write_map
 
 import camctl
-from camctl.captures.advice_search import MUCH
 from camctl.cli.capture_output import light_text
-from camctl.records.scene_light import PlannedLight
+from camctl.findings import Finding
+from camctl.records.capture_plan import MUCH, PlannedLight
 from sim.scenes.scene import scene_names
 
 MOST_OUTSIDE = 0.02
@@ -21,17 +20,8 @@ EXCEPTIONS = {
     "stars": "the sky gives 1 electron in the longest exposure, 60 s, and a level has 39",
 }
 SIZE = "320x240"
-#: Options of the advice, and the field of a request that each changes.
-FIELDS = {
-    "-n": "count",
-    "--range": "dynamic_range",
-    "--base": "base_s",
-    "--compensation": "compensation_stops",
-    "--clip": "clip_percent",
-    "--accuracy": "accuracy",
-    "--time-budget": "time_budget_s",
-    "--response": "response",
-}
+LIGHT = {"light_above_range", "light_below_range", "light_changed"}
+"""Codes of findings that more than a share of the picture is outside its range."""
 
 
 def shot(scene: str, folder: Path, **fields: Any) -> camctl.CaptureReport:
@@ -57,7 +47,7 @@ def test_at_most_2_percent_lie_outside_the_range(tmp_path: Path) -> None:
     assert len(outside) == 18
     assert beyond == EXCEPTIONS.keys(), outside
     for scene in beyond:
-        assert any("the camera's longest exposure" in each for each in reports[scene].warnings)
+        assert any("longest_s" in each.details for each in reports[scene].findings)
     light = reports["night-street"].plan.light
     assert light is not None
     assert 0.001 < light.clips <= 0.005
@@ -75,49 +65,32 @@ def test_lamps_that_flicker_are_the_second_exception_and_the_advice_mends_it(sen
 
     report = taken(0.0)
     assert report.achieved.saturated_fraction > MOST_OUTSIDE
-    advised = re.findall(r"light changed.*?--compensation (-[0-9.]+)", " ".join(report.warnings))
-    assert len(advised) == 1
-    achieved = taken(float(advised[0])).achieved
+    (advised,) = [each.remedies for each in report.findings if each.code == "light_changed"]
+    achieved = taken(advised["compensation_stops"]).achieved
     assert achieved.saturated_fraction + achieved.dark_fraction < MOST_OUTSIDE
-
-
-def options_in(warning: str) -> list[tuple[str, str | None]]:
-    """Return the options that a warning advises, each with its value; None: to leave it out."""
-    return [
-        (option, value or None)
-        for option, value in re.findall(r"\((--?[a-z-]+)(?: ([0-9.a-z]+))?\)", warning)
-    ]
 
 
 Followed = list[tuple[float, float]]
 
 
-def follow(scene: str, fields: dict[str, Any], folder: Path, most: int = 4) -> tuple[Followed, str]:
-    """Take pictures as advised; return the shares outside of each, and the last warning."""
-    defaults: dict[str, Any] = {"compensation_stops": 0.0, "dynamic_range": "auto"}
+def follow(
+    scene: str, fields: dict[str, Any], folder: Path, most: int = 4
+) -> tuple[Followed, list[Finding]]:
+    """Take pictures as advised; return the shares outside of each, and the last findings."""
     shares: Followed = []
-    advised: list[tuple[str, str | None]] = []
+    advised: list[tuple[str, Any]] = []
     while True:
         report = shot(scene, folder, **fields)
         achieved = report.achieved
         shares.append((achieved.saturated_fraction, achieved.dark_fraction))
-        warnings = [each for each in report.warnings if "of the picture is" in each]
-        assert bool(warnings) == (max(shares[-1]) > MUCH)
-        found = [pair for warning in warnings for pair in options_in(warning)]
-        assert not set(found) & set(advised), "the same advice again"
-        advised += found
-        if not found or len(shares) == most:
-            return shares, " ".join(warnings)
-        for option, value in found:
-            field = FIELDS[option]
-            fields = {name: each for name, each in fields.items() if name != field}
-            if value is not None:
-                is_text = field == "response" or value == "auto"
-                fields[field] = value if is_text else float(value)
-                if field == "count":
-                    fields[field] = int(value)
-            elif field in defaults:
-                fields[field] = defaults[field]
+        found = [each for each in report.findings if each.code in LIGHT]
+        assert bool(found) == (max(shares[-1]) > MUCH)
+        changes = {name: value for each in found for name, value in each.remedies.items()}
+        assert not set(changes.items()) & set(advised), "the same advice again"
+        advised += changes.items()
+        if not changes or len(shares) == most:
+            return shares, found
+        fields = fields | changes
 
 
 @pytest.mark.parametrize(
@@ -146,44 +119,44 @@ def follow(scene: str, fields: dict[str, Any], folder: Path, most: int = 4) -> t
 def test_following_the_advice_ends_without_a_warning(
     scene: str, fields: dict[str, Any], tmp_path: Path
 ) -> None:
-    shares, warning = follow(scene, fields, tmp_path)
+    shares, findings = follow(scene, fields, tmp_path)
     assert len(shares) > 1
-    assert not warning
+    assert not findings
 
 
 def test_what_is_too_bright_for_two_reasons_gets_one_advice(tmp_path: Path) -> None:
     fields = {"compensation_stops": 2.0, "clip_percent": 20.0}
-    shares, warning = follow("cloth", fields, tmp_path)
+    shares, findings = follow("cloth", fields, tmp_path)
     assert shares[0][0] > MUCH
     assert len(shares) == 2
-    assert not warning
+    assert not findings
 
 
 @pytest.mark.parametrize("response", ["log", pytest.param("linear", marks=pytest.mark.slow)])
 def test_what_is_too_dark_for_two_reasons_gets_one_advice(response: str, tmp_path: Path) -> None:
     fields = {"clip_percent": 0.0, "dynamic_range": 1000.0, "response": response}
-    shares, warning = follow("night-street", fields, tmp_path)
+    shares, findings = follow("night-street", fields, tmp_path)
     assert shares[0][1] > MUCH
     assert len(shares) == 2
-    assert not warning
+    assert not findings
 
 
 @pytest.mark.slow
 def test_a_large_lamp_may_clip_where_nothing_else_shows_the_room(tmp_path: Path) -> None:
     fields: dict[str, Any] = {"sensor": "phone", "objective": "xi"}
     report = shot("lamp-in-room.exr", tmp_path, **fields)
-    assert options_in(" ".join(report.warnings)) == [("--clip", "2")]
-    shares, warning = follow("lamp-in-room.exr", fields, tmp_path)
-    assert not warning
+    assert [each.remedies for each in report.findings] == [{"clip_percent": 2.0}]
+    shares, findings = follow("lamp-in-room.exr", fields, tmp_path)
+    assert not findings
     assert len(shares) == 2
     assert 0.015 < shares[-1][0] < 0.025
 
 
 @pytest.mark.parametrize("fields", [{}, {"dynamic_range": 1000.0}])
 def test_stars_get_no_advice_that_does_not_help(fields: dict[str, Any], tmp_path: Path) -> None:
-    shares, warning = follow("stars", fields, tmp_path)
+    shares, findings = follow("stars", fields, tmp_path)
     assert len(shares) == 1
-    assert "metering shows no light there" in warning
+    assert [each.details["unseen"] for each in findings] == [True]
 
 
 @pytest.mark.slow
@@ -234,4 +207,4 @@ def test_light_that_clips_is_said_once(tmp_path: Path) -> None:
     assert light is not None
     assert metering is not None
     assert light.clips >= metering.clipped > 0
-    assert report.warnings == []
+    assert report.findings == []

@@ -16,10 +16,16 @@ from small_cameras import WrappedCamera, small_camera
 
 from camctl.captures.plan import plan_capture
 from camctl.captures.sequencer import capture
-from camctl.captures.setting_selection import BASE_SLACK_STOPS, SettingChooser, reach_shadows
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.build import look_up
+from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.objective import xi
+from camctl.exposure.search.settings import (
+    BASE_SLACK_STOPS,
+    SettingChooser,
+    reach_shadows,
+    relative_exposures,
+)
 from camctl.exposure.table import ExposureTable
 from camctl.interface.controls import (
     Choices,
@@ -33,9 +39,7 @@ from camctl.interface.controls import (
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
-from camctl.records.capture_plan import relative_exposures
 from camctl.records.folder_store import read_capture
-from camctl.records.request import CaptureRequest
 
 THIRDS = Choices(tuple(2.0 ** (k / 3) for k in range(-36, 16)))
 HUNDRED_US = Steps(1e-4, 10.0, 1e-4)
@@ -126,11 +130,8 @@ def test_exposure_beyond_the_controls_names_the_nearest_and_what_to_do() -> None
     chooser, _ = chooser_of(controls_of(Steps(1e-4, 1.0, 1e-4)), (1.0, 2.0, 500.0))
     with pytest.raises(CaptureError) as failure:
         chooser.best(0.01, 400)
-    assert str(failure.value) == (
-        "exposure 500 x 0.01 s is beyond the camera's controls; the nearest possible is 100 x; "
-        "choose a smaller range or fewer exposures, or shorten the base with --compensation "
-        f"{math.log2(100 / 500):.1f}"
-    )
+    assert "the nearest possible is 100 x" in failure.value.hint
+    assert failure.value.remedies == {"compensation_stops": round(math.log2(100 / 500), 1)}
 
 
 def test_whole_flicker_periods_are_preferred_and_others_cause_a_warning() -> None:
@@ -138,10 +139,8 @@ def test_whole_flicker_periods_are_preferred_and_others_cause_a_warning() -> Non
     with small_camera() as camera:
         plan = plan_capture(camera, request)
     assert [s.time_s for s in plan.settings] == pytest.approx([0.004, 0.02, 0.06])
-    flicker = [warning for warning in plan.warnings if "flicker" in warning]
-    assert flicker == [
-        "0.004 s is not a whole number of the lamps' flicker periods of 0.01 s",
-    ]
+    (flicker,) = [each for each in plan.findings if each.code == "flicker"]
+    assert (flicker.value, flicker.details) == (0.004, {"period_s": 0.01})
 
 
 def test_given_ratios_are_sorted_and_kept() -> None:
@@ -161,33 +160,39 @@ def test_base_between_the_cameras_steps_causes_a_warning() -> None:
     request = CaptureRequest(ratios=(1.0,), base_s=0.0025)
     with small_camera(line_s=1e-3, time_minimum_s=1e-3) as camera:
         plan = plan_capture(camera, request)
-    assert "the base exposure is 0.003 s: the camera cannot set 0.0025 s" in plan.warnings
+    (differs,) = [each for each in plan.findings if each.code == "setting_differs"]
+    assert differs.value == 0.003
+    assert differs.details == {"field": "base_s", "requested": 0.0025}
 
 
 def test_coarse_steps_cause_a_warning_with_the_levels_they_cost() -> None:
     with small_camera(line_s=1e-3, time_minimum_s=1e-3) as camera:
         request = CaptureRequest("linear", 256.0, 3, base_s=0.003, objective="xi")
         plan = plan_capture(camera, request)
-    assert any("the requested ratios would give" in warning for warning in plan.warnings)
+    (costs,) = [each for each in plan.findings if each.code == "steps_cost_levels"]
+    possible = costs.details["possible"]
+    assert isinstance(possible, float)
+    assert costs.value == plan.effective_levels < 0.9 * possible
 
 
-@pytest.mark.parametrize(
-    ("stops", "cut"),
-    [(-20.0, "the shortest exposure is 1e-05 s, -"), (-64.0, "-64 stops asks for")],
-)
-def test_compensation_beyond_the_camera_is_a_warning_with_numbers(stops: float, cut: str) -> None:
+@pytest.mark.parametrize("stops", [-20.0, -64.0])
+def test_compensation_beyond_the_camera_is_a_finding_with_numbers(stops: float) -> None:
     with small_camera() as camera:
         plan = plan_capture(camera, CaptureRequest(ratios=(1.0, 2.0), compensation_stops=stops))
         assert plan.base_s == camera.controls.time_s.minimum
-    (warning,) = (text for text in plan.warnings if "compensation" in text)
-    assert cut in warning
-    assert "but the camera has 1e-05 to 60 s" in warning
+    (differs,) = [each for each in plan.findings if each.code == "setting_differs"]
+    details, possible = differs.details, differs.details["possible_stops"]
+    assert (details["field"], details["stops"]) == ("compensation_stops", stops)
+    assert (differs.value, details["least_s"], details["most_s"]) == (1e-5, 1e-5, 60.0)
+    assert isinstance(possible, float)
+    assert stops < possible < 0
+    assert differs.remedies == {"compensation_stops": round(possible, 1)}
 
 
 def test_compensation_within_the_camera_is_no_warning() -> None:
     with small_camera() as camera:
         plan = plan_capture(camera, CaptureRequest(ratios=(1.0, 2.0), compensation_stops=-1.0))
-    assert not [text for text in plan.warnings if "compensation" in text]
+    assert not [each for each in plan.findings if each.code == "setting_differs"]
 
 
 def test_compensation_shifts_the_shortest_exposure() -> None:

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 import camctl
-from camctl.captures import plan as planning
-from camctl.captures.accurate_settings import accurate_settings
-from camctl.captures.range_choice import STOPS
+from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.search import best
+from camctl.exposure.search.accurate import accurate_settings
+from camctl.exposure.search.ranges import STOPS
 from camctl.interface.controls import ExposureControls
 from camctl.model.response.desired import DesiredResponse
 from camctl.records.capture_plan import CapturePlan
-from camctl.records.request import CaptureRequest
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
@@ -80,7 +80,7 @@ def test_exposures_are_solved_for_one_range_alone(monkeypatch: pytest.MonkeyPatc
         solved.append(desired.dynamic_range)
         return accurate_settings(controls, request, desired, *more, **named)
 
-    monkeypatch.setattr(planning, "accurate_settings", counted)
+    monkeypatch.setattr(best, "accurate_settings", counted)
     plan = planned(CaptureRequest(dynamic_range="auto", time_budget_s=0.5))
     assert solved == [plan.dynamic_range]
 

@@ -18,8 +18,8 @@ from camctl.errors import (
     DataError,
     InterruptedCaptureError,
 )
+from camctl.exposure.goal import CaptureRequest
 from camctl.records.folder_store import read_capture, read_report
-from camctl.records.request import CaptureRequest
 from sim.camera import Faults
 
 GIVEN = CaptureRequest("log", 1000.0, ratios=(1.0, 4.0, 16.0))

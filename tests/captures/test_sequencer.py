@@ -23,6 +23,7 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
+from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.objective import xi
 from camctl.interface.camera import Frame, FrameStream
@@ -34,7 +35,6 @@ from camctl.profiles.calibrated import open_camera
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import read_capture
 from camctl.records.frame_store import KeptFiles, MemoryStore
-from camctl.records.request import CaptureRequest
 from sim.camera import Faults, SimulatedCamera
 from sim.effects import effect_names
 

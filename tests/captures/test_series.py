@@ -27,12 +27,12 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
+from camctl.exposure.goal import CaptureRequest
 from camctl.records.journal import (
     SeriesJournal,
     SetRecord,
     read_series,
 )
-from camctl.records.request import CaptureRequest
 from camctl.system.picture_operations import opencv
 from sim.camera import Faults
 

@@ -17,10 +17,10 @@ from still_fakes import THIRDS, StillCamera, ramp
 from camctl.captures.plan import plan_capture
 from camctl.captures.sequencer import capture, resume
 from camctl.errors import CameraDisconnectedError, CaptureError, UsageError
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
 from camctl.interface.controls import Choices, ExposureSetting
 from camctl.records.capture_plan import CapturePlan
-from camctl.records.request import CaptureRequest
 from camctl.testing.conformance import CameraConformance
 
 METERED = CaptureRequest(spend_shutter=True)
@@ -42,7 +42,7 @@ class TestStillCamera(CameraConformance):
 
 def test_metering_actuates_the_shutter_only_on_request() -> None:
     with StillCamera(ramp()) as camera:
-        with pytest.raises(UsageError, match=r"no preview.*--meter.*--base SECONDS"):
+        with pytest.raises(UsageError, match="no preview"):
             plan_capture(camera, CaptureRequest())
         assert camera.actuations == 0
         assert plan_capture(camera, CaptureRequest(base_s=1 / 60)).metering is None
@@ -111,11 +111,9 @@ def test_gain_extends_the_longest_shutter_time() -> None:
 
 def test_base_that_leaves_too_few_exposures_is_refused_with_a_compensation_that_works() -> None:
     with StillCamera(ramp(1e-2)) as camera:
-        with pytest.raises(
-            CaptureError, match=r"leaves fewer than 4 exposures.*--compensation -"
-        ) as error:
+        with pytest.raises(CaptureError, match="leaves fewer than 4 exposures") as error:
             plan_capture(camera, replace(METERED, count=4))
-        stops = float(error.value.hint.split()[-1])
+        stops = error.value.remedies["compensation_stops"]
         plan = plan_capture(camera, replace(METERED, count=4, compensation_stops=stops))
         assert plan.settings[-1].time_s == THIRDS.maximum
 

@@ -7,10 +7,11 @@ from dataclasses import replace
 import pytest
 
 import camctl
-from camctl.captures.accurate_settings import estimated_levels
-from camctl.captures.time_budget import within_budget
-from camctl.captures.wall_time import predicted_wall_s, time_costs
 from camctl.errors import CaptureError, UsageError
+from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.search.accurate import estimated_levels
+from camctl.exposure.search.best import within_budget
+from camctl.exposure.search.wall_time import predicted_wall_s, time_costs
 from camctl.interface.clock import CaptureTiming
 from camctl.interface.controls import (
     ExposureControls,
@@ -20,7 +21,6 @@ from camctl.interface.controls import (
     Steps,
 )
 from camctl.model.noise import NoiseModel
-from camctl.records.request import CaptureRequest
 
 STREAM = ExposureControls(
     Steps(1e-4, 10.0, 1e-4),

@@ -9,11 +9,11 @@ from small_cameras import small_camera
 
 from camctl.calibration.exposures import measure_exposures
 from camctl.captures.sequencer import capture
+from camctl.exposure.goal import CaptureRequest
 from camctl.profiles.calibrated import with_profile
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.profile import Profile, change_profile
 from camctl.records.report import CaptureReport
-from camctl.records.request import CaptureRequest
 from sim.camera import Faults
 
 RATIOS = (1.0, 2.0, 4.0)

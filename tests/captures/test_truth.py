@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.captures.sequencer import capture
+from camctl.exposure.goal import CaptureRequest
 from camctl.model.effective import EffectiveCamera
-from camctl.records.request import CaptureRequest
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import Scene, load_scene
 from sim.sensors.sensor import Sensor, load_sensor

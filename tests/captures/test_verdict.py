@@ -13,8 +13,8 @@ import camctl
 from camctl.captures.sequencer import capture
 from camctl.captures.verdict import suspects
 from camctl.evidence.ratio_check import RatioCheck
+from camctl.exposure.goal import CaptureRequest
 from camctl.records.report import CaptureReport
-from camctl.records.request import CaptureRequest
 from sim.camera import Faults
 
 MAINS = CaptureRequest("log", 1000.0, ratios=(1.0, 2.0, 4.0), mains_hz=50)

@@ -11,9 +11,9 @@ import camctl
 from camctl.captures.sequencer import capture
 from camctl.evidence.delay import DelayError, ShotLog
 from camctl.evidence.ratio_check import RatioCheck
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.controls import ExposureSetting
 from camctl.records.report import CaptureReport
-from camctl.records.request import CaptureRequest
 from sim.camera import Faults
 from sim.sensors.sensor import load_sensor
 

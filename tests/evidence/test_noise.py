@@ -15,6 +15,7 @@ from camctl.captures import outputs
 from camctl.captures.sequencer import capture
 from camctl.evidence.noise import measure_noise
 from camctl.evidence.patches import Patches
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.controls import ExposureControls
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
@@ -22,7 +23,6 @@ from camctl.model.noise import FrameNoise, MeasuredNoise, NoiseModel
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
 from camctl.records.report import CaptureReport
-from camctl.records.request import CaptureRequest
 
 REQUEST = CaptureRequest("log", 1000.0, 3, ratios=(1, 9, 80))
 RESPONSE, LOG = linear_response(8), desired_response("log", 1000.0)
@@ -60,7 +60,7 @@ def test_pixels_show_the_predicted_accuracy(sensor: str) -> None:
     difference = abs(measured.effective_levels - predicted)
     assert difference < max(0.02 * predicted, 3 * measured.uncertainty) < 0.05 * predicted
     assert measured.electrons_per_level == pytest.approx(camera.sensor.electrons_per_dn, rel=0.05)
-    assert not any("frames show" in warning for warning in report.warnings)
+    assert not any(each.code == "noise_differs" for each in report.findings)
 
 
 def test_a_wrong_noise_model_is_reported() -> None:
@@ -69,13 +69,10 @@ def test_a_wrong_noise_model_is_reported() -> None:
     measured = measured_in(wrong)
     assert wrong.achieved.effective_levels > 1.3 * right.achieved.effective_levels
     assert measured.effective_levels == pytest.approx(right.achieved.effective_levels, rel=0.02)
-    assert not any("frames show" in warning for warning in right.warnings)
-    warnings = [warning for warning in wrong.warnings if "frames show" in warning]
-    assert warnings == [
-        f"the frames show {measured.effective_levels:.4g} effective levels instead of the "
-        f"{wrong.achieved.effective_levels:.4g} predicted: the noise known of this camera is not "
-        "that of its frames"
-    ]
+    assert not any(each.code == "noise_differs" for each in right.findings)
+    (differs,) = [each for each in wrong.findings if each.code == "noise_differs"]
+    assert differs.value == measured.effective_levels
+    assert differs.details == {"predicted": wrong.achieved.effective_levels}
 
 
 def test_unknown_noise_is_measured() -> None:
@@ -89,7 +86,7 @@ def test_unknown_noise_is_measured() -> None:
     assert measured_in(report).effective_levels == pytest.approx(
         known.achieved.effective_levels, rel=0.02
     )
-    assert not any("frames show" in warning for warning in report.warnings)
+    assert not any(each.code == "noise_differs" for each in report.findings)
 
 
 def patches(

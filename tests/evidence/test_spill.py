@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import camctl
-from camctl.captures.spread_advice import MUCH_SPREAD, spread_warnings
+from camctl.captures.advice import MUCH_SPREAD, spread_findings
 from sim.sensors.sensor import load_sensor
 
 SIZE = "320x240"
@@ -74,19 +73,17 @@ def test_light_of_lamps_that_flicker_has_not_spread(sensor: str, stops: float) -
     assert report.frames[-1].saturated_fraction > 0.5
     assert report.movement is not None
     assert report.movement.spread < MUCH_SPREAD
-    assert not [each for each in report.warnings if "spread" in each]
+    assert not [each for each in report.findings if each.code == "light_spread"]
 
 
 @pytest.mark.parametrize("scene", ["room", "night-street", "ball"])
 def test_the_advice_against_light_that_spreads_helps(scene: str) -> None:
     report = shot("ccd", scene, camctl.CaptureRequest(dynamic_range="auto"))
     assert report.movement is not None
-    (warning,) = [each for each in report.warnings if "spread" in each]
-    assert f"{report.movement.spread:.1%} of the picture is too bright" in warning
-    advised = re.search(r"--range (\S+) --compensation (\S+)\)", warning)
-    assert advised is not None
-    dynamic_range, stops = map(float, advised.groups())
-    request = camctl.CaptureRequest(dynamic_range=dynamic_range, compensation_stops=stops)
+    (found,) = [each for each in report.findings if each.code == "light_spread"]
+    assert found.value == report.movement.spread
+    assert found.remedies.keys() == {"dynamic_range", "compensation_stops"}
+    request = camctl.CaptureRequest(**found.remedies)
     after = shot("ccd", scene, request).movement
     assert after is not None
     assert after.spread < 0.8 * report.movement.spread
@@ -97,14 +94,14 @@ def test_sensors_without_much_blooming_have_no_warning(sensor: str) -> None:
     report = shot(sensor, "room", camctl.CaptureRequest(dynamic_range="auto"))
     assert report.movement is not None
     assert report.movement.spread < MUCH_SPREAD / 10
-    assert not [each for each in report.warnings if "spread" in each]
+    assert not [each for each in report.findings if each.code == "light_spread"]
 
 
 def test_advice_fits_what_was_asked_for() -> None:
     request = camctl.CaptureRequest(base_s=0.01, ratios=(1.0, 16.0))
     report = shot("standard", "room", request)
-    assert spread_warnings(request, report.plan, 0.9 * MUCH_SPREAD) == []
-    (fixed,) = spread_warnings(request, report.plan, MUCH_SPREAD)
-    assert "(--base 0.0025)" in fixed
-    (taken,) = spread_warnings(request, report.plan, MUCH_SPREAD, repeatable=False)
-    assert "photographs" in taken
+    assert spread_findings(request, report.plan, 0.9 * MUCH_SPREAD) == []
+    (fixed,) = spread_findings(request, report.plan, MUCH_SPREAD)
+    assert (fixed.code, fixed.remedies) == ("light_spread", {"base_s": 0.0025})
+    (taken,) = spread_findings(request, report.plan, MUCH_SPREAD, repeatable=False)
+    assert (taken.remedies, taken.details) == ({}, {"photographs": True})

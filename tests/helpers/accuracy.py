@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.captures.sequencer import capture
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.controls import Layout
 from camctl.model.response.desired import desired_response
 from camctl.pictures.render import FULL_CODE, HOT, SATURATED, colour_of
 from camctl.profiles.calibrated import with_profile
 from camctl.records.report import CaptureReport
-from camctl.records.request import CaptureRequest
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import Scene
 from sim.sensors.parts import Lens

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from camctl.captures.series import Series
 from camctl.captures.series_tools import SeriesProgress, SeriesTools
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import VirtualClock
 from camctl.records.journal import (
@@ -18,7 +19,6 @@ from camctl.records.journal import (
     SetRecord,
 )
 from camctl.records.report import CaptureReport
-from camctl.records.request import CaptureRequest
 
 INFO = CameraInfo("sim", "camctl", "simulated", "1", "sim")
 

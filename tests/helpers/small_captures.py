@@ -16,7 +16,7 @@ from camctl.captures.sequencer import capture, resume
 from camctl.errors import (
     CameraDisconnectedError,
 )
-from camctl.records.request import CaptureRequest
+from camctl.exposure.goal import CaptureRequest
 from sim.camera import Faults
 
 REQUEST = CaptureRequest(ratios=(1.0, 4.0), base_s=0.01)

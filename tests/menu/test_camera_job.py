@@ -14,9 +14,9 @@ from panel_fakes import TO_REVIEW, Script, ScriptedPanel, quit_from
 
 from camctl import read_report
 from camctl.errors import CaptureError, DataError, StorageError, UsageError
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureSetting
-from camctl.records.request import CaptureRequest
 from menu.app import run
 from menu.camera_job import CameraJob
 from menu.capture_list import list_captures, next_folder

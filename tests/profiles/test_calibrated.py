@@ -11,6 +11,7 @@ import pytest
 
 from camctl.captures.sequencer import capture
 from camctl.errors import DataError, UsageError
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Camera, PreviewingCamera, StreamingCamera
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.pictures.render import HOT
@@ -19,7 +20,6 @@ from camctl.profiles.exposures import Correction, ExposureRecord, exposure_mode
 from camctl.profiles.noise import DarkRecord, Figure, GainNoise, HotPixel, NoiseRecord
 from camctl.profiles.profile import DelayRecord, Profile, change_profile
 from camctl.profiles.response import ChannelResponse, ResponseRecord
-from camctl.records.request import CaptureRequest
 from sim.camera import SimulatedCamera
 
 DATE = "2026-11-22T05:15:15+00:00"

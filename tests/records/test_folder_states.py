@@ -25,9 +25,9 @@ from small_cameras import gradient, small_camera, sum_of_frames
 
 from camctl.captures.sequencer import capture, resume
 from camctl.errors import CamctlError, DataError, StorageError
+from camctl.exposure.goal import CaptureRequest
 from camctl.records.folder_store import read_capture
 from camctl.records.report import UnfinishedCapture
-from camctl.records.request import CaptureRequest
 from camctl.system.files import file_lock
 
 REQUEST = CaptureRequest(ratios=(1.0, 4.0), base_s=0.01)

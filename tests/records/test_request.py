@@ -14,11 +14,10 @@ from small_cameras import small_camera
 from camctl.captures.plan import plan_capture
 from camctl.captures.sequencer import capture, resume
 from camctl.errors import CameraDisconnectedError, DataError, UsageError
-from camctl.exposure.goal import RANGE_WITHOUT_LIGHT
+from camctl.exposure.goal import RANGE_WITHOUT_LIGHT, CaptureRequest
 from camctl.model.response.desired import GammaDesired, LinearDesired
 from camctl.model.response.names import RANGES
 from camctl.records.folder_store import read_capture
-from camctl.records.request import CaptureRequest
 from sim.camera import Faults
 
 CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))

@@ -10,9 +10,9 @@ import pytest
 
 from camctl.captures.sequencer import capture
 from camctl.errors import UsageError
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureSetting, resting_setting
-from camctl.records.request import CaptureRequest
 from sim.backend import SimulatedOptions
 from sim.camera import SimulatedCamera
 from sim.faults import FAULT_FORMS, Faults

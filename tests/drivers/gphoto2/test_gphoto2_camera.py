@@ -28,11 +28,11 @@ from camctl.errors import (
     RefusedSettingError,
     UsageError,
 )
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.backends import is_local, list_cameras
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import VirtualClock
 from camctl.interface.controls import Choices, ExposureSetting, ResponseOrigin
-from camctl.records.request import CaptureRequest
 from drivers.gphoto2 import process
 from drivers.gphoto2.backend import Gphoto2Backend, Listed
 from drivers.gphoto2.body import Body

@@ -21,11 +21,11 @@ from camctl.errors import (
     RefusedSettingError,
     UsageError,
 )
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.backends import is_local
 from camctl.interface.camera import Camera
 from camctl.interface.clock import RealClock
 from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin, Steps
-from camctl.records.request import CaptureRequest
 from camctl.testing.conformance import CameraConformance
 from drivers.opencv import video
 from drivers.opencv.backend import OpencvBackend

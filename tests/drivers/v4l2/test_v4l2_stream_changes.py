@@ -19,7 +19,7 @@ from camctl.errors import (
     CameraTimeoutError,
     RefusedSettingError,
 )
-from camctl.records.request import CaptureRequest
+from camctl.exposure.goal import CaptureRequest
 from drivers.v4l2.abi import ControlId
 
 pytestmark = pytest.mark.usefixtures("own_profiles")

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 
 from camctl.exposure.exposure_choices import TimeCosts
+from camctl.findings import Finding
 from camctl.interface.clock import CaptureTiming
 from camctl.interface.controls import ExposureControls, ExposureSetting
 
@@ -102,14 +103,14 @@ def _lead_frames(controls: ExposureControls, first_s: float) -> float:
     return math.ceil(frames) if first_s > controls.frame_interval_s else frames
 
 
-def wall_time_warnings(
+def wall_time_findings(
     controls: ExposureControls,
     settings: Sequence[ExposureSetting],
     *,
     planned_s: float,
     actual_s: float,
-) -> list[str]:
-    """Return a warning where a capture took another time than planned, more or less.
+) -> list[Finding]:
+    """Return a finding where a capture took another time than planned, more or less.
 
     A difference is one of more than `NOTABLE` of the planned time and of the time that no plan can
     know: a request comes at any time within a frame, and where the control delay varies, frames
@@ -125,10 +126,4 @@ def wall_time_warnings(
         unknown_s += abs(planned_s - predicted_wall_s(controls, settings))
     if abs(actual_s - planned_s) <= NOTABLE * planned_s + unknown_s:
         return []
-    cause = "the computer was busy, or frames were lost"
-    if actual_s < planned_s:
-        cause = "the camera was faster than its stated figures"
-    return [
-        f"the last frame arrived after {actual_s:.3g} s instead of the {planned_s:.3g} s planned: "
-        f"{cause}"
-    ]
+    return [Finding(code="time_differs", value=actual_s, details={"planned_s": planned_s})]

@@ -7,18 +7,17 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from camctl.captures.setting_selection import BASE_SLACK_STOPS, at_most, given_base
-from camctl.captures.wall_time import predicted_wall_s, time_costs
 from camctl.errors import UsageError
 from camctl.exposure.accuracy import COUNTS, estimate_levels
 from camctl.exposure.accuracy_lookup import look_up_accurate, without_idle_limits
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
-from camctl.exposure.goal import ACCURACY, DEFAULT_COUNT, XI
+from camctl.exposure.goal import ACCURACY, DEFAULT_COUNT, XI, CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
+from camctl.exposure.search.settings import BASE_SLACK_STOPS, at_most, given_base
+from camctl.exposure.search.wall_time import predicted_wall_s, time_costs
 from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.desired import DesiredResponse
-from camctl.records.request import CaptureRequest
 
 #: Whole flicker periods that are tried as shutter times, at most.
 _PERIODS = 200
@@ -43,12 +42,14 @@ def objective_of(request: CaptureRequest, controls: ExposureControls, *, has_tab
     if requested == ACCURACY and controls.noise is None:
         raise UsageError(
             "the noise of this camera is unknown, so that exposures cannot be chosen by accuracy",
-            hint="choose them by xi (--objective xi), without --accuracy",
+            hint="choose them by xi, without an accuracy",
+            remedies={"objective": XI, "accuracy": None},
         )
     if requested == ACCURACY and has_table:
         raise UsageError(
-            "a table (--table) has exposures chosen by xi, not by accuracy",
+            "a table has exposures chosen by xi, not by accuracy",
             hint="leave one of them out",
+            remedies={"table": None, "accuracy": None},
         )
     if requested is not None:
         return requested

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from camctl.errors import CaptureError, UsageError
+from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import Objective
 from camctl.exposure.settings_grid import SettingsGrid
 from camctl.interface.controls import Control, ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
-from camctl.records.capture_plan import CapturePlan
-from camctl.records.request import CaptureRequest
 
 #: The shortest exposure may be this far below its limit to fit the camera's steps, in stops.
 BASE_SLACK_STOPS = 1 / 6
@@ -47,6 +46,12 @@ _SHADOW_LEVELS = 2.0
 _OVERLAP = 1 / 8
 
 Score: TypeAlias = Callable[[Sequence[ExposureSetting]], float]
+
+
+def relative_exposures(settings: Sequence[ExposureSetting]) -> tuple[float, ...]:
+    """Return the stated exposures of settings relative to the smallest, in their order."""
+    smallest = min(setting.exposure for setting in settings)
+    return tuple(setting.exposure / smallest for setting in settings)
 
 
 @dataclass(frozen=True)
@@ -152,7 +157,8 @@ class SettingChooser:
         raise CaptureError(
             f"exposure {ratio:.6g} x {base.time_s:.6g} s is beyond the camera's controls",
             hint=f"the nearest possible is {largest:.6g} x; choose a smaller range or fewer "
-            f"exposures, or shorten the base with --compensation {math.log2(largest / ratio):.1f}",
+            "exposures, or shorten the shortest exposure",
+            remedies={"compensation_stops": round(math.log2(largest / ratio), 1)},
         )
 
     def _whole_periods(self, times: tuple[float, ...]) -> tuple[float, ...]:
@@ -209,52 +215,6 @@ def reach_shadows(
 
     chooser = SettingChooser(controls, request, ratios, deviation)
     return chooser.best(shortest.time_s, _MOST_ROUNDED), ratios
-
-
-def setting_warnings(
-    controls: ExposureControls, request: CaptureRequest, plan: CapturePlan
-) -> list[str]:
-    """Return where the chosen settings differ from the request, one line each."""
-    found = _compensation_warning(controls, request, plan)
-    if request.base_s is not None:
-        requested = request.base_s * 2.0**request.compensation_stops
-        if abs(plan.base_s / requested - 1) > _WARNING_DIFFERENCE:
-            found.append(
-                f"the base exposure is {plan.base_s:.6g} s: the camera cannot set {requested:.6g} s"
-            )
-    if request.ratios is not None:
-        for requested, applied in zip(plan.ratios, plan.exposures, strict=True):
-            if abs(applied / requested - 1) > _WARNING_DIFFERENCE:
-                found.append(f"ratio {requested:.6g} becomes {applied:.6g} on this camera")
-    if request.mains_hz is not None:
-        period_s = 0.5 / request.mains_hz
-        for setting in plan.settings:
-            count = setting.time_s / period_s
-            difference = abs(count - round(count))
-            if difference > _WARNING_DIFFERENCE * max(1.0, count) or count < 0.5:
-                found.append(
-                    f"{setting.time_s:.4g} s is not a whole number of the lamps' flicker "
-                    f"periods of {period_s:.4g} s"
-                )
-    return found
-
-
-def _compensation_warning(
-    controls: ExposureControls, request: CaptureRequest, plan: CapturePlan
-) -> list[str]:
-    """Return a warning where a compensation goes beyond the camera's shutter times."""
-    if plan.metering is None:
-        return []
-    time, stops = controls.time_s, request.compensation_stops
-    requested_s = plan.metering.limit_s * 2.0**stops
-    if time.minimum * 0.99 <= requested_s <= time.maximum * 1.01:
-        return []
-    possible = math.log2(plan.base_s / plan.metering.limit_s)
-    return [
-        f"a compensation of {stops:g} stops asks for {requested_s:.4g} s, but the camera has "
-        f"{time.minimum:.4g} to {time.maximum:.4g} s: the shortest exposure is "
-        f"{plan.base_s:.4g} s, {possible:+.1f} stops"
-    ]
 
 
 def _nearest_first(settings: list[ExposureSetting], exposure: float) -> list[ExposureSetting]:
@@ -317,7 +277,8 @@ def search_choices(
         raise CaptureError(
             f"a shortest exposure of {base_s:.4g} s leaves fewer than {count} exposures up to "
             f"{exposures[-1]:.4g} s, the longest on this camera",
-            hint=f"take fewer exposures, or shorten it with --compensation {stops:.1f}",
+            hint=f"take fewer exposures, or shorten it by {-stops:.1f} stops",
+            remedies={"count": None, "compensation_stops": stops},
         )
     total_s = math.inf if request.time_budget_s is None else request.time_budget_s
     shortest_s = sum([each for each in exposures if each >= least_s * (1 - _SAME)][:count])

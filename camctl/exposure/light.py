@@ -1,6 +1,6 @@
-"""Which light of a scene a picture holds: what may clip at its upper end, and how far it goes down.
+"""The metered light of a scene: what may clip at its upper end, and how far it goes down.
 
-The scene's light comes as a histogram of the metering frames.  Nothing clips unless light that
+The light is a histogram of the metering frames.  Nothing clips unless light that
 covers little of the picture is far brighter than the rest, as lamps and reflections are, or the
 user says how much may clip.
 """
@@ -8,11 +8,15 @@ user says how much may clip.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from camctl.exposure.goal import AUTO, Goal
+from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.model.response.auto import auto_response
 from camctl.model.response.camera import FloatArray
+from camctl.model.response.desired import DesiredResponse
 
 DARK_SHARE = 0.01
 """Share of the samples, the darkest, that may be below the range that the scene decides."""
@@ -41,25 +45,73 @@ _LEAST_UNSEEN_STOPS, _MOST_UNSEEN_STOPS = 1.0, 4.0
 _MARGIN = 1.05
 
 
-@dataclass(frozen=True, eq=False)
-class SceneLight:
-    """Histogram of the light of a scene.
+@dataclass(frozen=True)
+class Metering:
+    """How much light there is.
 
     Attributes:
-        irradiance: (K,) ascending; E = 1 saturates an exposure of `Metering.limit_s`
+        limit_s: shutter time at which the highlights that may not clip would be just below
+            saturation, s
+        setting: the setting of the last metering frame, the nearest to `limit_s`
+        highlight: brightness of the highlights in it, as a share of white minus black
+        clipped: share of its samples that are saturated
+        frames: number of metering frames (previews, or exposures of the shutter)
+    """
+
+    limit_s: float
+    setting: ExposureSetting
+    highlight: float
+    clipped: float
+    frames: int
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """The light of a scene, as a histogram of the metering frames.
+
+    Attributes:
+        metering: how it was metered
+        irradiance: (K,) ascending; E = 1 saturates an exposure of `metering.limit_s`
         shares: (K,) of the samples, sum 1
         darkest: less light is the same as none in the metering frames
         brightest: the highlights, without hot pixels
+        last: the setting of the last metering frame
+        has_shadows: whether light below the metered highlights was looked for: without a preview it
+            costs actuations of the shutter, which are spent only where that light decides
     """
 
+    metering: Metering
     irradiance: FloatArray
     shares: FloatArray
     darkest: float
     brightest: float = 1.0
+    last: ExposureSetting | None = None
+    has_shadows: bool = True
 
-    def relative_to(self, E: float) -> SceneLight:
-        """Return the same histogram in units of E."""
-        return SceneLight(self.irradiance / E, self.shares, self.darkest / E, self.brightest / E)
+    def limited(self, goal: Goal, controls: ExposureControls) -> Light:
+        """Return the same light in units of the longest shortest exposure that a goal allows."""
+        whole_s = self.metering.limit_s
+        end = self.upper_end(goal.clip, goal.given_range)
+        limit_s = min(whole_s / end, controls.time_s.maximum)
+        unit = whole_s / limit_s
+        return replace(
+            self,
+            metering=replace(self.metering, limit_s=limit_s),
+            irradiance=self.irradiance / unit,
+            darkest=self.darkest / unit,
+            brightest=self.brightest / unit,
+        )
+
+    def desired(self, goal: Goal, dynamic_range: float) -> DesiredResponse:
+        """Return the desired response of a goal over a range."""
+        if goal.response != AUTO:
+            return goal.over(dynamic_range)
+        return auto_response(self.irradiance, dynamic_range, weights=self.shares)
+
+    def saturating(self, exposure: float) -> float:
+        """Return the light that just saturates an exposure."""
+        setting = self.metering.setting
+        return setting.exposure * self.metering.limit_s / setting.time_s / exposure
 
     def share_above(self, E: float) -> float:
         """Return the share of the samples with more light than E."""
@@ -143,38 +195,3 @@ class SceneLight:
     def needed_range(self, upper_end: float) -> float:
         """Return the range from `upper_end` down to the shadows, with a margin for noise."""
         return _MARGIN * upper_end / self.shadows
-
-
-@dataclass(frozen=True)
-class PlannedLight:
-    """The metered light of a scene, and how much of it the picture will hold.
-
-    Attributes:
-        span: ratio of the highlights to the light that the darkest hundredth is below
-        is_open: whether the shadows are darker than metering could tell: then the scene spans more
-        clips: share of the samples that will be saturated in every frame
-        clips_stops: how far the brightest of them are above the range, stops
-        dark: share of the samples that will be darker than the range, or than the frames can show,
-            where the unseen ones are just too dark for the metering; at most `unseen` more are
-        needed: the range that would hold the light; larger than the planned one where the camera
-            does not hold it at the accuracy asked for
-        needed_levels: effective levels that `needed` would have; None where it is planned, or
-            where they are not known
-        unseen: share of the samples that metering could not tell from black
-        is_cut: whether the brightest light saturates the camera's shortest exposure: then, too, the
-            scene spans more
-        advice: what to do where light is darker than the range; None where none is known
-        bright_advice: the same where light is brighter
-    """
-
-    span: float
-    is_open: bool
-    clips: float
-    clips_stops: float
-    dark: float
-    needed: float
-    needed_levels: float | None = None
-    unseen: float = 0.0
-    is_cut: bool = False
-    advice: str | None = None
-    bright_advice: str | None = None

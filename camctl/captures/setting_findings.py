@@ -1,0 +1,101 @@
+"""Where the settings of a plan differ from what was asked for."""
+
+from __future__ import annotations
+
+import math
+
+from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.light import NOTABLE_SHARE, Light
+from camctl.findings import Detail, Finding
+from camctl.interface.controls import ExposureControls
+from camctl.records.capture_plan import CapturePlan
+
+#: Relative difference between requested and applied exposure from which there is a finding.
+_DIFFERENCE = 0.01
+#: A plan below this share of the effective levels of the requested ratios has a finding.
+_GOOD_SHARE = 0.9
+
+
+def setting_findings(
+    controls: ExposureControls,
+    request: CaptureRequest,
+    plan: CapturePlan,
+    light: Light | None,
+    possible: float,
+) -> list[Finding]:
+    """Return where the chosen settings differ from the request.
+
+    Args:
+        controls: of the camera
+        request: what the user asks for
+        plan: of it
+        light: the metered light; None where the base exposure is given
+        possible: effective levels that the requested ratios would give
+    """
+    found = []
+    if light is not None:
+        metering = light.metering
+        if metering.highlight >= 1.0 and (
+            NOTABLE_SHARE <= metering.clipped > light.share_above(1.0)
+        ):
+            found.append(Finding(code="highlights_cut", value=metering.clipped))
+        found += _compensation_finding(controls, request, plan)
+    if request.base_s is not None:
+        requested_s = request.base_s * 2.0**request.compensation_stops
+        if abs(plan.base_s / requested_s - 1) > _DIFFERENCE:
+            found.append(_differs("base_s", requested_s, plan.base_s))
+    if request.ratios is not None:
+        found += [
+            _differs("ratios", requested, applied)
+            for requested, applied in zip(plan.ratios, plan.exposures, strict=True)
+            if abs(applied / requested - 1) > _DIFFERENCE
+        ]
+    if request.mains_hz is not None:
+        period_s = 0.5 / request.mains_hz
+        for setting in plan.settings:
+            count = setting.time_s / period_s
+            if abs(count - round(count)) > _DIFFERENCE * max(1.0, count) or count < 0.5:
+                found.append(
+                    Finding(code="flicker", value=setting.time_s, details={"period_s": period_s})
+                )
+    if plan.effective_levels < _GOOD_SHARE * possible:
+        found.append(
+            Finding(
+                code="steps_cost_levels",
+                value=plan.effective_levels,
+                details={"possible": possible},
+            )
+        )
+    return found
+
+
+def _differs(field: str, requested: float, applied: float) -> Finding:
+    details: dict[str, Detail] = {"field": field, "requested": requested}
+    return Finding(code="setting_differs", value=applied, details=details)
+
+
+def _compensation_finding(
+    controls: ExposureControls, request: CaptureRequest, plan: CapturePlan
+) -> list[Finding]:
+    """Return a finding where a compensation goes beyond the camera's shutter times."""
+    assert plan.metering is not None  # as the caller has checked
+    time, stops = controls.time_s, request.compensation_stops
+    requested_s = plan.metering.limit_s * 2.0**stops
+    if time.minimum * 0.99 <= requested_s <= time.maximum * 1.01:
+        return []
+    possible = math.log2(plan.base_s / plan.metering.limit_s)
+    return [
+        Finding(
+            code="setting_differs",
+            value=plan.base_s,
+            details={
+                "field": "compensation_stops",
+                "requested": requested_s,
+                "stops": stops,
+                "possible_stops": possible,
+                "least_s": time.minimum,
+                "most_s": time.maximum,
+            },
+            remedies={"compensation_stops": round(possible, 1)},
+        )
+    ]
