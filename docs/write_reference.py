@@ -23,13 +23,13 @@ from pydantic import BaseModel
 
 from camctl.cli import cli
 from camctl.cli.old_options import OLD_CAMERA_OPTIONS, OLD_COMMANDS, OLD_OPTIONS, OLD_SETTINGS
+from camctl.exposure.goal import CaptureRequest
 from camctl.findings import CODES, Finding
 from camctl.messages.command_line import OPTIONS as FIELD_OPTIONS
 from camctl.messages.command_line import with_remedies
 from camctl.messages.plain import sentence
 from camctl.photographs.photograph_set import PhotographOptions
 from camctl.records.report import CaptureReport
-from camctl.records.request import CaptureRequest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 

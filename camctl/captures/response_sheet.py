@@ -1,4 +1,4 @@
-"""The picture of `camctl shoot --preview-only`: the desired responses beside each other."""
+"""The picture of `camctl preview`: the desired responses beside each other."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def response_sheet(
         )
     if is_range_given and any(panel.dark > _MUCH_DARK for panel in panels):
         notes.append(
-            "a range that the light decides (--range auto) has exposures that show the dark in "
+            "a range that the light decides has exposures that show the dark in "
             "each response, as far as the camera can"
         )
     for line, text in enumerate(notes):

@@ -20,7 +20,7 @@ OPTIONS: Final[dict[str, str]] = {
     "compensation_stops": "--compensation",
     "count": "-n",
     "curve": "--curve",
-    "desired_curve": "--desired",
+    "desired_curve": "--response",
     "directory": "-o",
     "dynamic_range": "--range",
     "estimate_ratios": "--estimate-ratios",
