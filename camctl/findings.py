@@ -40,7 +40,25 @@ CODES: Final[dict[str, str]] = {
     # The picture: movement, light that spread, noise.
     "light_spread": "share of the samples that are too bright by light that spread, or that moved",
     "noise_differs": "effective levels that the pixels show; the known noise predicts others",
-    # Photographs already taken.
+    # Photographs already taken; `frames` are positions of the files as they were given.
+    "blurred": "contrast over the contrast in the other photographs",
+    "copy": "nothing: the second of its frames is the same photograph",
+    "damaged": "nothing: the detail `what` says what is wrong with the file",
+    "empty": "nothing: it has one colour everywhere",
+    "exposure_corrected": "largest factor by which an exposure was corrected from the pixels",
+    "label_unchecked": "nothing: nothing shows whether its exposure is right",
+    "label_unit": "nothing: the times are taken for labels of a dial",
+    "label_wrong": "exposure in the pixels over the stated one",
+    "labels_contradict": "ratio of the light of two photographs over the ratio of their exposures",
+    "light_differs": "light over the light of the others; nothing where the flash fired",
+    "masked": "share of the pixels in `place` that a mask leaves out; `place` is what is used",
+    "other_view": "share of the picture that agrees with the others",
+    "other_white_balance": "red or blue against green, over the ratio in the others",
+    "part_differs": "share of the picture in which it contradicts the others",
+    "profile_unclear": "nothing: several profiles fit the photographs",
+    "response_unknown": "nothing: the response is assumed",
+    "shifted": "displacement of what is displaced most, pixels",
+    "tags_differ": "value that is assumed where a file states none; else nothing",
     # Calibrations and profiles.
     # Cameras.
     "response_assumed": "nothing: the response of the camera is not known",

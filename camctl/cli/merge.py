@@ -22,7 +22,6 @@ from camctl.cli.output import (
     format_table,
     print_json,
     print_text,
-    print_warning,
 )
 from camctl.cli.parameter_types import FILE, PATH, Name, Ratios, Text
 from camctl.cli.real_camera import STANDARDS
@@ -144,8 +143,6 @@ def merge(
     FolderStore.check_free(folder, overwrite=force)
     known = asdict(source)
     found = plan_merge(known.pop("files"), request.request(), PhotographOptions(**known))
-    for note in found.notes:
-        print_warning(note)
     show_capture(
         lambda complete: complete(found.capture(folder, overwrite=force)),
         folder,
@@ -156,9 +153,11 @@ def merge(
 
 def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json: bool) -> None:
     """Print which photographs are used, which are not and why, and the summary of the capture."""
+    from camctl.messages.command_line import finding_line
+
     print_findings(report, lambda text: _with_names(text, report))
     if as_json:
-        print_json(report.model_dump(mode="json") | found.facts)
+        print_json(report.model_dump(mode="json") | found.source)
         return
     photographs = sorted(
         found.photographs,
@@ -181,7 +180,8 @@ def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json:
     ]
     titles = ("photograph", "time", *(title for title, _, _ in more), "")
     parts = [format_table(titles, rows, right_aligned=tuple(range(1, 2 + len(more)))), ""]
-    parts += [f"response: {found.opened.response}", *found.opened.facts, ""]
+    facts = map(finding_line, found.facts)
+    parts += [f"response: {found.opened.response}", *facts, ""]
     print_text("\n".join([*parts, capture_text(report, directory)]))
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from camctl.findings import Detail, Finding
+from camctl.messages import photographs
 from camctl.system.number_text import range_text, time_text
 
 # ---- settings
@@ -177,6 +178,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
         f"the control delay is not constant ({finding.details['smallest']} to {finding.value:g} "
         "frames): the stream settles after each exposure"
     ),
+    **photographs.SENTENCES,
 }
 """The sentence of each code of `camctl.findings.CODES`."""
 

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.alignment import displacement
-from camctl.photographs.checks import Sight
+from camctl.findings import Detail, Finding
+from camctl.interface.camera import Pixels
+from camctl.photographs.camera import Photograph
+from camctl.system.picture_operations import reduced_by_area, required_opencv
 
+#: Longest side of the grey copies in which alignment is measured, pixels.
+_SIDE = 1024
 #: A displacement counts from so many pixels of the photographs, and of their grey copies.
 _DISPLACED, _DISPLACED_IN_COPY = 1.3, 0.15
 #: Fine structure that is in the same place is displaced by less than this, pixels.
@@ -22,11 +29,43 @@ _ALIGNABLE = 0.1
 _Place = NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What is kept of one photograph for the checks.
+
+    Attributes:
+        photograph: its name and exposure
+        digest: SHA-256 of its pixels
+        grey: grey copy, float32, up to `_SIDE` pixels a side, 0 to 1
+        scale: pixels of the photograph in one of the copy
+        is_even: all samples are equal, as where everything is saturated
+    """
+
+    photograph: Photograph
+    digest: bytes
+    grey: NDArray[np.float32]
+    scale: float
+    is_even: bool = False
+
+    @classmethod
+    def of(cls, photograph: Photograph, pixels: Pixels, white: int) -> Sight:
+        """Return that of a photograph's pixels; raises `UsageError` without OpenCV."""
+        required_opencv("merging photographs")
+        digest = hashlib.sha256(np.ascontiguousarray(pixels).data).digest()
+        grey = pixels[..., 1] if pixels.ndim == 3 else pixels
+        scale = max(1.0, max(grey.shape) / _SIDE)
+        size = (max(1, round(grey.shape[1] / scale)), max(1, round(grey.shape[0] / scale)))
+        small = reduced_by_area(grey, size)
+        copy = np.float32(1 / white) * np.asarray(small, np.float32)
+        is_even = bool((pixels == pixels.flat[0]).all())
+        return cls(photograph, digest, copy, scale, is_even)
+
+
 def misaligned(
     sights: Sequence[Sight],
     alike: Collection[frozenset[int]] = (),
     other_views: Collection[int] = (),
-) -> dict[int, str]:
+) -> dict[int, Finding]:
     """Return by position how each photograph lies that does not lie where most of the others do.
 
     Args:
@@ -65,45 +104,44 @@ def _extent(place: _Place, sight: Sight) -> float:
 
 def _misplaced(
     sights: Sequence[Sight], chain: Sequence[tuple[int, _Place]], other_views: Collection[int]
-) -> list[tuple[int, str]]:
+) -> list[tuple[int, Finding]]:
     """Return the position of each photograph that is not in the place of most, and how it lies."""
     first = sights[chain[0][0]]
-    shape, scale = first.grey.shape, first.scale
-    limit = max(_DISPLACED / scale, _DISPLACED_IN_COPY)
-
-    def is_alike(one: _Place, other: _Place) -> bool:
-        return _extent(other - one, first) < limit
+    limit = max(_DISPLACED / first.scale, _DISPLACED_IN_COPY)
 
     def alike(place: _Place) -> list[int]:
-        return [k for k, other in chain if is_alike(place, other)]
+        return [k for k, other in chain if _extent(other - place, first) < limit]
 
     usual = max((place for _, place in chain), key=lambda place: len(alike(place)))
     others = alike(usual)
     found = []
     for k, place in chain:
-        is_chance = k in other_views and _extent(place - usual, first) > _ALIGNABLE * max(shape)
+        extent = _extent(place - usual, first)
+        is_chance = k in other_views and extent > _ALIGNABLE * max(first.grey.shape)
         if k in others or is_chance:
             continue
         exposure = sights[k].photograph.exposure
         near = min(others, key=lambda o: abs(math.log(sights[o].photograph.exposure / exposure)))
-        how = _described(place - usual, shape, scale, limit)
-        how[0] = how[0].replace(" by ", f" against {sights[near].photograph.name} by ", 1)
-        found.append((k, f"{sights[k].photograph.name} is {' and '.join(how)}"))
+        details: dict[str, Detail] = {
+            "file": sights[k].photograph.name,
+            "other": sights[near].photograph.name,
+        }
+        details |= _described(place - usual, first, limit)
+        value = extent * first.scale
+        found.append((k, Finding(code="shifted", frames=(k,), value=value, details=details)))
     return found
 
 
-def _described(place: _Place, shape: tuple[int, ...], scale: float, limit: float) -> list[str]:
-    """Return in words how a photograph is displaced."""
-    columns, rows = (np.rint(place[:2] * scale) + 0.0).tolist()  # no -0
-    turn, growth = place[2:]
-    half = max(shape) / 2
-    how = []
+def _described(place: _Place, first: Sight, limit: float) -> dict[str, float]:
+    """Return turn, clockwise, enlargement and shift of a photograph, those that are notable."""
+    columns, rows = (np.rint(place[:2] * first.scale) + 0.0).tolist()  # no -0
+    turn, growth = place[2:].tolist()
+    half = max(first.grey.shape) / 2
+    how: dict[str, float] = {}
     if abs(turn) * half > limit / 2:
-        sense = "clockwise" if turn > 0 else "anticlockwise"
-        how.append(f"turned by about {abs(math.degrees(turn)):.1f} degrees {sense}")
+        how["degrees"] = math.degrees(turn)
     if abs(growth) * half > limit / 2:
-        size = "enlarged" if growth > 0 else "reduced"
-        how.append(f"{size} by about {100 * abs(growth):.1f} %")
+        how["percent"] = 100 * growth
     if not how or math.hypot(*place[:2]) >= limit:
-        how.insert(0, f"shifted by about {columns:+.0f} columns and {rows:+.0f} rows")
+        how |= {"columns": columns, "rows": rows}
     return how

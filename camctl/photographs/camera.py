@@ -1,23 +1,168 @@
-"""Photographs already taken, as a camera that has only their settings.
+"""What photographs state of their exposures, and the camera whose frames they are.
 
-The plan of a capture then chooses among the photographs as it chooses among the settings of any
-camera, and the frames are summed, checked and rendered by the same code.
+The plan of a capture chooses among the photographs as it chooses among the settings of any camera,
+and the frames are summed, checked and rendered by the same code.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any
 
+from camctl.findings import Detail, Finding
 from camctl.interface.camera import CameraBase, CameraInfo, Frame, Pixels
 from camctl.interface.clock import RealClock
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
-from camctl.photographs.photograph import Photograph
 
 #: Id and driver of this camera.
 _ID = "photographs"
 #: Photographs of the same exposure are distinguished by this relative difference.
 _APART = 1e-7
+#: Stated times that are labels of a dial agree with one of these to this relative difference.
+_SAME_LABEL = 0.015
+#: Labels of dials in thirds and halves of a stop, s and 1/s.
+_LABELS = (
+    *(1, 1.3, 1.5, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 8, 10, 13, 15, 20, 25, 30, 40, 45, 50, 60, 80, 90),
+    *(100, 125, 160, 180, 200, 250, 320, 350, 400, 500, 640, 750, 800, 1000, 1250, 1500, 1600),
+    *(2000, 2500, 3000, 3200, 4000, 5000, 6000, 6400, 8000, 10000, 12800, 16000, 32000),
+)
+_TENTHS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+_LONGEST_LABEL_S = 60.0
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """One photograph, as its file or its user states it.
+
+    Attributes:
+        name: of its file
+        time_s: shutter time, s
+        gain: linear gain, 1 for ISO 100
+        f_number: f-number; None where it is not stated
+        taken_at: when it was taken; None where that is not stated
+        iso: ISO speed as stated; None where it is not
+        flash_fired: whether the flash did; None where it is not stated
+    """
+
+    name: str
+    time_s: float
+    gain: float = 1.0
+    f_number: float | None = None
+    taken_at: datetime | None = None
+    iso: float | None = None
+    flash_fired: bool | None = None
+
+    @property
+    def setting(self) -> ExposureSetting:
+        """Time, gain and f-number."""
+        return ExposureSetting(self.time_s, self.gain, self.f_number)
+
+    @property
+    def exposure(self) -> float:
+        """Exposure, which is time x gain / f-number^2, in arbitrary but constant units."""
+        return self.setting.exposure
+
+
+def is_dial_label(time_s: float) -> bool:
+    """Return whether a stated time is a label of a dial, such as 1/60, 1/15 or 30.
+
+    >>> is_dial_label(1 / 60), is_dial_label(1 / 47)
+    (True, False)
+    """
+    if not 0 < time_s <= _LONGEST_LABEL_S:
+        return False
+    labels = (*_LABELS, *_TENTHS) if time_s >= 0.3 else _LABELS
+    value = time_s if time_s >= 0.3 else 1 / time_s
+    return any(math.isclose(value, label, rel_tol=_SAME_LABEL) for label in labels)
+
+
+def true_time_s(label_s: float) -> float:
+    """Return the true time of a dial's label: a power of two in thirds or halves of a stop.
+
+    Debevec and Malik (1997), section 2.1, measured it so.
+
+    >>> 1 / true_time_s(1 / 60), true_time_s(30), round(true_time_s(1 / 90) * 90.5, 3)
+    (64.0, 32.0, 1.0)
+    """
+    stops = math.log2(label_s)
+    thirds, halves = round(3 * stops) / 3, round(2 * stops) / 2
+    return math.exp2(halves if abs(stops - halves) < abs(stops - thirds) / 3 else thirds)
+
+
+def true_f_number(label: float) -> float:
+    """Return the true f-number of a label: a power of two in sixths.
+
+    >>> round(true_f_number(5.6), 3), round(true_f_number(11), 3), true_f_number(8)
+    (5.657, 11.314, 8.0)
+    """
+    return math.exp2(round(6 * math.log2(label)) / 6)
+
+
+def with_true_exposures(photographs: Sequence[Photograph]) -> list[Photograph] | None:
+    """Return photographs with the true times and f-numbers of their labels.
+
+    None: not all times are labels, so that they are taken as they are.
+    """
+    if not all(is_dial_label(each.time_s) for each in photographs):
+        return None
+    return [
+        replace(
+            each,
+            time_s=true_time_s(each.time_s),
+            f_number=None if each.f_number is None else true_f_number(each.f_number),
+        )
+        for each in photographs
+    ]
+
+
+def with_all_stated(
+    photographs: Sequence[Photograph],
+) -> tuple[list[Photograph], list[Finding]]:
+    """Return photographs with what some do not state of their exposures, and others do.
+
+    It is the value of the others where that is the same in all, else ISO 100 and f/1.  The second
+    result has a finding for each, about the photographs that state nothing.
+    """
+    found, notes = list(photographs), []
+    for what, field, default in (("ISO", "iso", 100.0), ("f-number", "f_number", 1.0)):
+        values = [getattr(each, field) for each in found]
+        silent = tuple(k for k, value in enumerate(values) if not value)
+        stated = set(filter(None, values))
+        if not silent or not stated:
+            continue
+        value = stated.pop() if len(stated) == 1 else default
+        changes: dict[str, Any] = {field: value}
+        if field == "iso":
+            changes["gain"] = value / 100
+        for k in silent:
+            found[k] = replace(found[k], **changes)
+        details: dict[str, Detail] = {"what": what, "file": found[silent[0]].name}
+        notes.append(Finding(code="tags_differ", frames=silent, value=value, details=details))
+    return found, notes
+
+
+def flashes(photographs: Sequence[Photograph]) -> list[Finding]:
+    """Return a finding where the flash fired in some photographs, and not in others."""
+    fired, dark = (
+        [k for k, each in enumerate(photographs) if each.flash_fired is is_fired]
+        for is_fired in (True, False)
+    )
+    if not fired or not dark:
+        return []
+    odd = fired if len(fired) <= len(dark) else dark
+    details: dict[str, Detail] = {
+        "files": file_names(photographs, odd),
+        "flash_fired": odd is fired,
+    }
+    return [Finding(code="light_differs", frames=tuple(odd), details=details)]
+
+
+def file_names(photographs: Sequence[Photograph], positions: Iterable[int]) -> str:
+    """Return the names of photographs as a finding has them."""
+    return ", ".join(photographs[k].name for k in positions)
 
 
 class PhotographCamera(CameraBase):

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patches import LightScale, Patches, patch_places
-from camctl.photographs.photograph import Photograph
+from camctl.findings import Detail, Finding, Place
+from camctl.photographs.camera import Photograph
 from camctl.system.picture_operations import AREA, HEIGHT, LEFT, TOP, WIDTH, connected_parts
 
 #: A patch is compared below this share of full scale, where no sample of it is saturated.
@@ -36,8 +37,8 @@ def contradictions(
     patches: Sequence[Patches],
     scale: LightScale,
     planes: Sequence[tuple[int, ...]],
-) -> list[str]:
-    """Return a line for each photograph that contradicts the others in a place, largest first.
+) -> list[Finding]:
+    """Return a finding for each photograph that contradicts the others in a place, largest first.
 
     Args:
         photographs: with the exposures that fit their pixels
@@ -48,23 +49,26 @@ def contradictions(
     odd = _odd_ones(photographs, patches, scale, len(planes))
     rows, columns, side = patch_places(planes[0], len(planes))
     found = []
-    for photograph, marks in zip(photographs, odd, strict=True):
+    for k, marks in enumerate(odd):
         grid = marks.reshape(len(planes), rows.size, columns.size).any(axis=0)
         _, boxes = connected_parts(grid)
         boxes = boxes[1:][boxes[1:, AREA] >= _LEAST_PATCHES]
         if not len(boxes) or grid.mean() > _MOST:
             continue
         box = boxes[int(np.argmax(boxes[:, AREA]))].tolist()
-        last_column = columns[box[LEFT] + box[WIDTH] - 1] + side - 1
-        last_row = rows[box[TOP] + box[HEIGHT] - 1] + side - 1
-        more = " and elsewhere" if len(boxes) > 1 else ""
-        line = (
-            f"{photograph.name} contradicts the other photographs in about columns "
-            f"{columns[box[LEFT]]}-{last_column}, rows {rows[box[TOP]]}-{last_row}{more}: "
-            "something moved there, or it is damaged"
+        place = Place(
+            top=int(rows[box[TOP]]),
+            left=int(columns[box[LEFT]]),
+            bottom=int(rows[box[TOP] + box[HEIGHT] - 1]) + side,
+            right=int(columns[box[LEFT] + box[WIDTH] - 1]) + side,
         )
-        found.append((box[AREA], line))
-    return [line for _, line in sorted(found, reverse=True)]
+        details: dict[str, Detail] = {"file": photographs[k].name, "elsewhere": len(boxes) > 1}
+        share = float(grid.mean())
+        finding = Finding(
+            code="part_differs", frames=(k,), value=share, place=place, details=details
+        )
+        found.append((box[AREA], finding))
+    return [each for _, each in sorted(found, key=lambda pair: pair[0], reverse=True)]
 
 
 def _odd_ones(

@@ -6,16 +6,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from camctl.errors import CameraProtocolError, DataError, UsageError
-
-if TYPE_CHECKING:
-    from camctl.interface.camera import Pixels
-    from camctl.interface.controls import Layout
-    from camctl.photographs.photograph import Photograph
-    from camctl.stills.decoding import Still
-    from camctl.stills.exif import StatedExposure
+from camctl.findings import Detail, Finding
+from camctl.interface.camera import Pixels
+from camctl.interface.controls import Layout
+from camctl.photographs.camera import Photograph
+from camctl.stills.decoding import Still, read_still
+from camctl.stills.exif import StatedExposure, stated_exposure
+from camctl.stills.radiance_map import read_map
+from camctl.system.input_files import check_regular, read_input
+from camctl.system.library_output import exr_source, quiet_libraries
 
 #: Largest file of a camera that is read.
 _MOST_BYTES = 1 << 30
@@ -30,7 +34,9 @@ def check_times(files: Sequence[Path], times: tuple[float, ...] | None) -> None:
     """Raise `UsageError` unless there is one time for each file, or none at all."""
     if times is not None and len(times) != len(files):
         raise UsageError(
-            f"--times has {len(times)} values for {len(files)} files", hint="give one for each file"
+            f"{len(times)} exposure times were given for {len(files)} files",
+            hint="give one for each file",
+            remedies={"times": None},
         )
 
 
@@ -40,10 +46,6 @@ def read_photograph(path: Path) -> tuple[Still, StatedExposure]:
     Raises:
         DataError: it cannot be read
     """
-    from camctl.stills.decoding import read_still
-    from camctl.stills.exif import stated_exposure
-    from camctl.system.input_files import read_input
-
     data = read_input(path, "", most_bytes=_MOST_BYTES)
     try:
         return read_still(data, str(path)), stated_exposure(data)
@@ -58,14 +60,14 @@ def read_photograph(path: Path) -> tuple[Still, StatedExposure]:
 def unknown_time(path: Path) -> UsageError:
     """Return the error of a file that does not say its exposure time."""
     return UsageError(
-        f"{path} does not say its exposure time", hint="give --times, one for each file"
+        f"{path} does not say its exposure time",
+        hint="give the exposure time of each file",
+        remedies={"times": None},
     )
 
 
 def _exposure(path: Path, stated: StatedExposure, time_s: float | None) -> Photograph:
     """Return the exposure of a file; a given time replaces the stated one."""
-    from camctl.photographs.photograph import Photograph
-
     time_s = stated.time_s if time_s is None else time_s
     if time_s is None:
         raise unknown_time(path)
@@ -106,7 +108,7 @@ class PhotographFiles:
         format: of all of them
         taken_by: make, model and serial number of the camera, as the files state them; empty where
             they do not
-        notes: what the user should know, one line each
+        notes: findings
 
     Raises:
         DataError: a file cannot be read, or differs in size or format
@@ -120,7 +122,7 @@ class PhotographFiles:
         self._full = _largest_of_exr(self._paths)
         self.photographs: list[Photograph] = []
         found: Format | None = None
-        self.notes: list[str] = []
+        self.notes: list[Finding] = []
         self._quarter_turns: int | None = None
         self.taken_by = ("", "", "")
         cameras: dict[str, str] = {}
@@ -139,10 +141,8 @@ class PhotographFiles:
         self.format = found
         if len(cameras) > 1:
             whose = " and ".join(f"{name} by {model}" for model, name in cameras.items())
-            self.notes.append(
-                f"the photographs were taken by different cameras ({whose}), whose responses may "
-                "differ: give those of one camera"
-            )
+            details: dict[str, Detail] = {"what": "camera", "whose": whose}
+            self.notes.append(Finding(code="tags_differ", details=details))
         self._name_apart()
 
     def pixels(self, position: int) -> Pixels:
@@ -163,14 +163,14 @@ class PhotographFiles:
             linear, photograph = _read_exr(path, time_s, self._full)
             this = Format(linear.shape, _layout_of(linear), 16, 0, _FULL_EXR, True)
             return linear, this, photograph, ("",) * 3
-        import numpy as np
-
         still, stated = read_photograph(path)
         photograph = _exposure(path, stated, time_s)
         is_raw = still.layout.is_mosaic or still.black > 0
-        if not is_raw:
-            self._note(path, still)
-        turns = self._turns(path, 0 if is_raw else stated.quarter_turns)
+        turns = self._turns(position, 0 if is_raw else stated.quarter_turns)
+        known = [each.details.get("what") for each in self.notes]
+        for what in () if is_raw else still.notes:
+            if what not in known:
+                self._note("damaged", position, what=what)
         pixels: Pixels = still.pixels
         if turns:
             turned: Any = np.rot90(pixels, turns)
@@ -179,15 +179,14 @@ class PhotographFiles:
         this = Format(pixels.shape, *levels, is_raw, turns)
         return pixels, this, photograph, (stated.make, stated.model, stated.serial)
 
-    def _note(self, path: Path, still: Still) -> None:
-        """Add what a file's notes say that is not known of the files before it."""
-        self.notes += [
-            f"{path.name}: {each}"
-            for each in still.notes
-            if not any(note.endswith(f": {each}") for note in self.notes)
-        ]
+    def _note(self, code: str, position: int, **details: str) -> None:
+        """Add a finding about a file; it may be read again."""
+        details["file"] = self._paths[position].name
+        finding = Finding(code=code, frames=(position,), details=dict(details))
+        if finding not in self.notes:
+            self.notes.append(finding)
 
-    def _turns(self, path: Path, stated: int) -> int:
+    def _turns(self, position: int, stated: int) -> int:
         """Return by how much to turn all photographs: as the first one says.
 
         Of a camera on a tripod all lie alike, but one that looks down may state any orientation.
@@ -195,12 +194,8 @@ class PhotographFiles:
         if self._quarter_turns is None:
             self._quarter_turns = stated
         if stated != self._quarter_turns:
-            note = (
-                f"{path.name} states another orientation than {self._paths[0].name}: it is taken "
-                "to lie as that one does"
-            )
-            if note not in self.notes:
-                self.notes.append(note)
+            first = self._paths[0].name
+            self._note("tags_differ", position, what="orientation", other=first)
         return self._quarter_turns
 
     def _name_apart(self) -> None:
@@ -231,15 +226,11 @@ def _check_alike(path: Path, this: Format, first: Path, other: Format) -> None:
 
 
 def _layout_of(pixels: Pixels) -> Layout:
-    from camctl.interface.controls import Layout
-
     return Layout.MONO if pixels.ndim == 2 else Layout.RGB
 
 
 def _largest_of_exr(paths: Sequence[Path]) -> float:
     """Return the full scale of the OpenEXR files: 1, or the largest value in any of them."""
-    import numpy as np
-
     largest = 1.0
     for path in paths:
         if path.suffix.lower() == _EXR:
@@ -249,11 +240,6 @@ def _largest_of_exr(paths: Sequence[Path]) -> float:
 
 
 def _exr_values(path: Path) -> Any:
-    import numpy as np
-
-    from camctl.stills.radiance_map import read_map
-    from camctl.system.input_files import check_regular
-
     check_regular(path, "")
     values = np.asarray(read_map(path)[0], np.float32)
     return values[..., :3] if values.ndim == 3 and values.shape[2] >= 3 else values.squeeze()
@@ -261,8 +247,6 @@ def _exr_values(path: Path) -> Any:
 
 def _read_exr(path: Path, time_s: float | None, full: float) -> tuple[Pixels, Photograph]:
     """Return the linear values of an OpenEXR file in 16 bits, and its exposure."""
-    import numpy as np
-
     values = _exr_values(path)
     scaled = np.nan_to_num(values, nan=0.0, posinf=full, neginf=0.0) / full * _FULL_EXR
     pixels: Pixels = np.rint(np.clip(scaled, 0, _FULL_EXR)).astype(np.uint16)
@@ -272,9 +256,6 @@ def _read_exr(path: Path, time_s: float | None, full: float) -> tuple[Pixels, Ph
 def _exr_exposure(path: Path, time_s: float | None) -> Photograph:
     """Return the exposure in the standard attributes of a file; a given time replaces its own."""
     import OpenEXR
-
-    from camctl.photographs.photograph import Photograph
-    from camctl.system.library_output import exr_source, quiet_libraries
 
     with quiet_libraries(), exr_source(path) as source:
         header = OpenEXR.File(source, header_only=True).header()

@@ -2,8 +2,7 @@
 
 Most of the photographs of a set state the right exposure.  Before the response is known, pixels say
 exposures up to an exponent, and three photographs that agree are needed to tell which one does not;
-with a response two are.  Neighbours in brightness are compared, and only what differs by more than
-shutters and responses do counts: small errors do not add up over a long series.
+with a response two are.
 """
 
 from __future__ import annotations
@@ -20,23 +19,26 @@ from camctl.calibration.response_labels import label_errors
 from camctl.calibration.response_series import Series
 from camctl.errors import DataError
 from camctl.evidence.patches import LightScale, Patches
+from camctl.findings import Detail, Finding
+from camctl.messages.plain import sentence
 from camctl.model.response.camera import FloatArray
-from camctl.photographs.checks import SAME_EXPOSURE, swapped_error
-from camctl.photographs.photograph import MOST_CORRECTED, Photograph
-from camctl.photographs.ratios import pair_ratio
-from camctl.system.number_text import time_text
+from camctl.photographs.camera import Photograph, file_names
+from camctl.photographs.ratios import MOST_CORRECTED, STEADY, exposure_runs, steady_errors
 
 #: Factor by which a label is wrong if exposures are not corrected from the pixels, and errors of an
 #: estimated response are none of theirs.
 _WRONG_EXACT = 1.1
 #: Factor of a first guess from which the exposures are estimated.
 _SUSPECT = 1.15
-STEADY = 0.6
-"""Of the logarithm of the factor that counts, the share by which neighbours may differ."""
 #: Photographs that must agree: without a response, and with one.
 _AGREE_WITHOUT, _AGREE_WITH = 3, 2
 #: Labels are swapped, and several photographs differ alike, up to this error of a logarithm.
 _ALIKE = 0.15
+#: A longer exposure is contradicted where patches are darker by this share of full scale, so many
+#: times more of them than are brighter by it, and this share of all: a thing that moved is less.
+_DARKER, _TIMES_MORE, _DARKER_SHARE = 0.02, 3, 0.03
+SAME_EXPOSURE = 1.05
+"""Exposures that differ by less than this factor have no order."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +47,68 @@ class LabelErrors:
 
     Attributes:
         factors: by position, what the pixels say over what is stated, where it is wrong
-        notes: one line each
-        facts: what cannot be checked, one line each
+        notes: findings of what is wrong
+        facts: findings of what cannot be checked
     """
 
     factors: dict[int, float] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    facts: list[str] = field(default_factory=list)
+    notes: list[Finding] = field(default_factory=list)
+    facts: list[Finding] = field(default_factory=list)
+
+
+def _refused(what: str) -> DataError:
+    return DataError(
+        what,
+        hint="correct the exposure times, one for each file, or leave a damaged file out",
+        remedies={"times": None},
+    )
+
+
+def _swapped(one: str, other: str) -> DataError:
+    """Return the error of two photographs, given by their names, with each other's exposure."""
+    return _refused(
+        f"the exposures of {one} and {other} are swapped: the photograph of the shorter exposure "
+        "is the brighter one"
+    )
+
+
+def check_order(photographs: Sequence[Photograph], patches: Sequence[Patches], white: int) -> None:
+    """Check that a longer exposure is brighter.
+
+    Raises:
+        DataError: it is not; names the photographs whose labels were swapped or do not fit
+    """
+    means = [each.mean(axis=1) / white for each in patches]
+
+    def is_reversed(short: int, long: int) -> bool:
+        change = means[long] - means[short]
+        darker, brighter = (float(np.mean(sign * change > _DARKER)) for sign in (-1, 1))
+        return darker > max(_DARKER_SHARE, _TIMES_MORE * brighter)
+
+    by_label = sorted(range(len(photographs)), key=lambda k: photographs[k].exposure)
+    wrong = [
+        (short, long)
+        for short, long in combinations(by_label, 2)
+        if photographs[long].exposure >= SAME_EXPOSURE * photographs[short].exposure
+        and is_reversed(short, long)
+    ]
+    if not wrong:
+        return
+    by_light = sorted(by_label, key=lambda k: float(means[k].mean()))
+    names = [photographs[k].name for k in sorted({k for pair in wrong for k in pair})]
+    for one, other in wrong:
+        swapped = [other if k == one else one if k == other else k for k in by_label]
+        if not any(is_reversed(short, long) for short, long in pairwise(swapped)):
+            raise _swapped(photographs[one].name, photographs[other].name)
+    if by_light == by_label[::-1]:
+        raise _refused(
+            "the exposures of the photographs are in the reverse order: the longer they are, the "
+            "darker is the picture"
+        )
+    raise _refused(
+        f"the exposures do not fit the brightness of {', '.join(names[:4])}"
+        + (" and others" if len(names) > 4 else "")
+    )
 
 
 def doubted_labels(series: Series) -> dict[int, float]:
@@ -112,11 +169,9 @@ def check_doubted(
         if not reverse:
             continue
         if len(reverse) == 1 and _agree_when_swapped(series, k, reverse[0]):
-            raise swapped_error(photographs[k].name, photographs[reverse[0]].name)
-        raise DataError(
-            _wrong_label(photographs, k, factor, len(photographs) - len(doubted)),
-            hint="correct it with --times, one for each file, or leave the file out",
-        )
+            raise _swapped(photographs[k].name, photographs[reverse[0]].name)
+        agree = len(photographs) - len(doubted)
+        raise _refused(sentence(_wrong_label(photographs, k, factor, agree)))
 
 
 def _agree_when_swapped(series: Series, one: int, other: int) -> bool:
@@ -152,132 +207,88 @@ def wrong_labels(
     limit = math.log(_WRONG_EXACT if is_exact and is_known else MOST_CORRECTED)
     least_agree = _AGREE_WITH if is_known else _AGREE_WITHOUT
     found = LabelErrors()
-    for run in _runs(photographs, patches, scale):
+    for run in exposure_runs(photographs, patches, scale):
         if len(run.members) == 1:
-            found.facts.append(
-                f"the exposure of {photographs[run.members[0]].name} is not checked: no part of it "
-                "is well exposed in the photograph of the next brightness, too"
-            )
+            details: dict[str, Detail] = {"file": photographs[run.members[0]].name}
+            alone = tuple(run.members)
+            found.facts.append(Finding(code="label_unchecked", frames=alone, details=details))
         errors = steady_errors(run.jumps, [max(STEADY * limit, each) for each in run.tolerances])
         wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
         agree = len(run.members) - len(wrong)
-        members = [photographs[k] for k in run.members]
         if not wrong:
             continue
         if is_assumed:
             found.notes.append(
-                f"the exposures of {', '.join(each.name for each in members)} contradict their "
-                "pixels if the response is srgb, as is assumed: give --curve, or correct them"
+                Finding(
+                    code="labels_contradict",
+                    frames=tuple(run.members),
+                    details={"files": file_names(photographs, run.members)},
+                    remedies={"curve": None, "times": None},
+                )
             )
             continue
-        names, stated = [each.name for each in members], [each.exposure for each in members]
+        members = [photographs[k] for k in run.members]
         if is_known or agree >= least_agree:
+            names, stated = [each.name for each in members], [each.exposure for each in members]
             _check_swapped(names, np.log(stated), errors, wrong)
         if agree < least_agree or agree <= len(wrong):
             why = _why_unknown(len(members), len(photographs), is_known=is_known)
-            found.notes.extend(_unknown(members, run.jumps, limit, why))
-            continue
-        found.factors.update({run.members[k]: math.exp(errors[k]) for k in wrong})
-        found.notes.extend(_named(members, errors, wrong, is_exact=is_exact))
+            contradicting = _contradicting(members, run.jumps, limit, why)
+        else:
+            found.factors.update({run.members[k]: math.exp(errors[k]) for k in wrong})
+            contradicting = _named(members, errors, wrong, is_exact=is_exact)
+        found.notes.extend(
+            each.model_copy(update={"frames": tuple(run.members[k] for k in each.frames)})
+            for each in contradicting
+        )
     return found
-
-
-def neighbours_differ(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
-) -> float:
-    """Return by how much neighbours in brightness differ from their exposures, in all.
-
-    It is the sum of the magnitudes of logarithms.  Arguments are those of `wrong_labels`.
-    """
-    jumps = [jump for run in _runs(photographs, patches, scale) for jump in run.jumps]
-    return float(np.abs(jumps).sum())
-
-
-@dataclass(frozen=True)
-class Run:
-    """Photographs of ascending brightness of which neighbours can be compared.
-
-    Attributes:
-        members: their positions
-        jumps: logarithm of the ratio of light over that of exposures of each one and the one before
-        tolerances: largest errors of these from rounding and black level
-    """
-
-    members: list[int]
-    jumps: list[float] = field(default_factory=list)
-    tolerances: list[float] = field(default_factory=list)
-
-
-def _runs(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
-) -> list[Run]:
-    order = sorted(range(len(photographs)), key=lambda k: float(np.mean(patches[k])))
-    runs = [Run(order[:1])]
-    for dark, bright in pairwise(order):
-        ratio = pair_ratio(patches[dark], patches[bright], scale)
-        if ratio is None:
-            runs.append(Run([bright]))
-            continue
-        stated = math.log(photographs[bright].exposure / photographs[dark].exposure)
-        runs[-1].members.append(bright)
-        runs[-1].jumps.append(ratio.log - stated)
-        runs[-1].tolerances.append(ratio.error)
-    return runs
 
 
 def _named(
     photographs: Sequence[Photograph], errors: FloatArray, wrong: Sequence[int], *, is_exact: bool
-) -> list[str]:
-    """Return a line for each photograph that is wrong, or one where several differ alike."""
-    if group := _changed_light(photographs, errors, wrong):
-        return [f"{group}: {'they are left out' if is_exact else 'that is used'}"]
-    agree = len(photographs) - len(wrong)
-    what = "it is left out" if is_exact else "that is used"
+) -> list[Finding]:
+    """Return a finding for each photograph that is wrong, or one where several differ alike."""
+    count, values = len(photographs), errors[list(wrong)]
+    is_end = set(wrong) in (set(range(len(wrong))), set(range(count - len(wrong), count)))
+    if len(wrong) > 1 and is_end and float(np.ptp(values)) <= _ALIKE:
+        return [
+            Finding(
+                code="light_differs",
+                frames=tuple(wrong),
+                value=math.exp(float(np.median(values))),
+                details={"files": file_names(photographs, wrong), "left_out": is_exact},
+            )
+        ]
+    found = [_wrong_label(photographs, k, math.exp(errors[k]), count - len(wrong)) for k in wrong]
     return [
-        f"{_wrong_label(photographs, k, math.exp(errors[k]), agree)}: {what}; correct it with "
-        "--times (or the light was different in it)"
-        for k in wrong
+        each.model_copy(update={"details": each.details | {"left_out": is_exact}}) for each in found
     ]
-
-
-def steady_errors(jumps: Sequence[float] | FloatArray, least: Sequence[float]) -> FloatArray:
-    """Return the errors of neighbours whose differences are given.
-
-    What differs from an earlier error by no more than `least` is equal to it: so small differences
-    do not add up.  Where most labels are right, their unit gives the least sum of the errors'
-    square roots.
-    """
-    errors = [0.0]
-    for jump, step in zip(jumps, least, strict=True):
-        error = errors[-1] + jump
-        near = min((errors[-1], *errors), key=lambda each: abs(each - error))
-        errors.append(near if abs(near - error) <= step else error)
-    unit = min(errors, key=lambda each: float(np.sqrt(np.abs(np.subtract(errors, each))).sum()))
-    return np.asarray(errors) - unit
 
 
 def _wrong_label(
     photographs: Sequence[Photograph], position: int, factor: float, agree: int
-) -> str:
+) -> Finding:
+    """Return the finding of one exposure, beside so many that agree."""
     photograph = photographs[position]
-    says = time_text(photograph.time_s * factor)
-    much = f"{factor:.3g} times as long" if factor > 1 else f"{1 / factor:.3g} times as short"
-    return (
-        f"the exposure of {photograph.name} is wrong: it says {time_text(photograph.time_s)}, and "
-        f"beside the {agree} photographs that agree its pixels say {says}, {much}"
-        f"{_odd_iso(photographs, position, factor)}"
-    )
-
-
-def _odd_iso(photographs: Sequence[Photograph], position: int, factor: float) -> str:
-    """Return what to say where the ISO speed of all others would make an exposure right."""
-    photograph = photographs[position]
+    details: dict[str, Detail] = {
+        "file": photograph.name,
+        "stated_s": photograph.time_s,
+        "pixels_s": photograph.time_s * factor,
+        "agree": agree,
+    }
     others = {each.iso for k, each in enumerate(photographs) if k != position}
-    if photograph.iso is None or len(others) != 1 or (iso := others.pop()) is None:
-        return ""
-    if iso == photograph.iso or abs(math.log(photograph.iso * factor / iso)) > _ALIKE:
-        return ""
-    return f", as with ISO {iso:g}, which the others state, in place of its ISO {photograph.iso:g}"
+    iso = others.pop() if len(others) == 1 else None
+    # The ISO speed of all others would make the exposure right.
+    off = math.log(photograph.iso * factor / iso) if iso and photograph.iso else math.inf
+    if iso and photograph.iso and iso != photograph.iso and abs(off) <= _ALIKE:
+        details |= {"iso": photograph.iso, "iso_of_others": iso}
+    return Finding(
+        code="label_wrong",
+        frames=(position,),
+        value=factor,
+        details=details,
+        remedies={"times": None},
+    )
 
 
 def _check_swapped(
@@ -289,47 +300,33 @@ def _check_swapped(
             continue
         off = max(abs(float(errors[one]) - apart), abs(float(errors[other]) + apart))
         if off < _ALIKE * max(1.0, abs(apart)):
-            raise swapped_error(names[one], names[other])
-
-
-def _changed_light(
-    photographs: Sequence[Photograph], errors: FloatArray, wrong: Sequence[int]
-) -> str:
-    """Return what to say where several photographs at one end differ alike; empty: they do not."""
-    count = len(photographs)
-    is_end = set(wrong) in (set(range(len(wrong))), set(range(count - len(wrong), count)))
-    values = errors[list(wrong)]
-    if len(wrong) < 2 or not is_end or float(np.ptp(values)) > _ALIKE:
-        return ""
-    names = ", ".join(photographs[k].name for k in wrong)
-    return (
-        f"{names} are all about {math.exp(float(np.median(values))):.3g} times as bright as their "
-        "exposures say beside the others: the light or the aperture changed, or their exposures "
-        "are wrong"
-    )
+            raise _swapped(names[one], names[other])
 
 
 def _why_unknown(members: int, photographs: int, *, is_known: bool) -> str:
     """Return why so many members of a run do not show which of their exposures is wrong."""
     if members == 2:
-        others = "" if photographs == 2 else "they share no well exposed part with others, and "
-        return f"{others}two photographs do not show which"
-    if members <= _AGREE_WITHOUT and not is_known:
-        return (
-            "three photographs do not show which while the response is estimated from them: add "
-            "some, or give --curve"
-        )
-    return "the set does not show which: as many say the one as the other"
+        return "two" if photographs == 2 else "apart"
+    return "response" if members <= _AGREE_WITHOUT and not is_known else "tie"
 
 
-def _unknown(
+def _contradicting(
     photographs: Sequence[Photograph], jumps: Sequence[float], limit: float, why: str
-) -> list[str]:
-    """Return a line for each pair of neighbours that differs."""
+) -> list[Finding]:
+    """Return a finding for each pair of neighbours that differs."""
     return [
-        f"{bright.name} is {ratio * math.exp(jump):.3g} times as bright as {dark.name}, and its "
-        f"exposure is {ratio:.3g} times as long: one of the two exposures is wrong, or the light "
-        f"has changed ({why})"
-        for (dark, bright), jump in zip(pairwise(photographs), jumps, strict=True)
-        if abs(jump) > limit and (ratio := bright.exposure / dark.exposure)
+        Finding(
+            code="labels_contradict",
+            frames=(k, k + 1),
+            value=math.exp(jump),
+            details={
+                "file": bright.name,
+                "other": dark.name,
+                "exposure": bright.exposure / dark.exposure,
+                "why": why,
+            },
+            remedies={"curve": None} if why == "response" else {"times": None},
+        )
+        for k, ((dark, bright), jump) in enumerate(zip(pairwise(photographs), jumps, strict=True))
+        if abs(jump) > limit
     ]

@@ -10,6 +10,8 @@ from typing import Any
 
 from camctl.captures.sequencer import capture
 from camctl.exposure.goal import AUTO, CaptureRequest
+from camctl.findings import Finding
+from camctl.messages.plain import sentence
 from camctl.photographs.choice import (
     darkest_light,
     plan_photographs,
@@ -21,6 +23,7 @@ from camctl.photographs.photograph_set import (
     PhotographOptions,
     open_photographs,
 )
+from camctl.photographs.selection import detailed
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import FolderStore
 from camctl.records.report import CaptureReport
@@ -61,37 +64,38 @@ class MergePlan:
         ]
 
     @property
-    def notes(self) -> list[str]:
-        """What the user should know of the photographs, one line each."""
+    def notes(self) -> list[Finding]:
+        """Findings that are warnings; frames are positions of the files as they were given."""
         used = [k for k, each in enumerate(self.photographs) if each["used"]]
-        is_sum = len(used) > 1
         return [
             *self.opened.notes,
             *(
-                f"{how}, and the picture will be blurred: align the photographs first"
-                if is_sum and k in used
-                else f"{how}; the picture is not blurred by it, since "
-                f"{'it is the only one' if k in used else 'it is not'} used"
-                for k, how in self.opened.displaced.items()
+                detailed(each, summed=k in used and len(used) > 1, used=k in used)
+                for k, each in self.opened.displaced.items()
             ),
         ]
 
     @property
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> tuple[Finding, ...]:
+        """Findings that are no warnings; frames likewise."""
+        return self.opened.facts
+
+    @property
+    def source(self) -> dict[str, Any]:
         """What the report says of the photographs, as `CaptureReport.source`."""
         return {
             "photographs": self.photographs,
             "response_from": self.opened.response,
-            "facts": list(self.opened.facts),
-            "notes": self.notes,
+            "facts": [
+                {"text": sentence(each), **each.model_dump(mode="json")} for each in self.facts
+            ],
         }
 
     def capture(self, path: str | os.PathLike[str] | None, *, overwrite: bool) -> CaptureReport:
         """Sum the photographs that are used, and write the pictures; see `merge`."""
-        camera = self.opened.camera
-        return capture(
-            camera, self.request, path, plan=self.plan, source=self.facts, overwrite=overwrite
-        )
+        plan = replace(self.plan, findings=(*self.notes, *self.plan.findings))
+        camera, source = self.opened.camera, self.source
+        return capture(camera, self.request, path, plan=plan, source=source, overwrite=overwrite)
 
 
 def plan_merge(
@@ -130,7 +134,7 @@ def merge(
 
     Returns:
         the report; `source["photographs"]` says which photographs are used, and why not the
-        others, and `source["notes"]` what was found wrong with them
+        others, `findings` what was found wrong with them, and `source["facts"]` what was done
 
     Raises:
         UsageError: the request or an option cannot be met, or an exposure is missing

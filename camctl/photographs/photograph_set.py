@@ -5,27 +5,38 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from camctl.calibration.response_series import Series
 from camctl.errors import UsageError
+from camctl.evidence.patches import LightScale, Patches
+from camctl.findings import Detail, Finding, note
+from camctl.interface.controls import ExposureControls
+from camctl.photographs.alignment import Sight
+from camctl.photographs.camera import (
+    Photograph,
+    PhotographCamera,
+    flashes,
+    with_all_stated,
+    with_true_exposures,
+)
+from camctl.photographs.contradictions import contradictions
 from camctl.photographs.files import PhotographFiles
+from camctl.photographs.labels import check_doubted, check_order, doubted_labels, wrong_labels
+from camctl.photographs.ratios import corrected_exposures, neighbours_differ
 from camctl.photographs.response import (
     ASSUMED,
     FROM_PHOTOGRAPHS,
     OF_THEIR_EXPOSURES,
     known_controls,
 )
+from camctl.photographs.selection import Selection, distinct, of_one_colour, of_one_view
+from camctl.photographs.valid_area import ValidArea
 from camctl.system.number_text import time_text
 
-if TYPE_CHECKING:
-    from camctl.evidence.patches import Patches
-    from camctl.interface.controls import ExposureControls
-    from camctl.photographs.camera import PhotographCamera
-    from camctl.photographs.photograph import Photograph
-    from camctl.photographs.selection import Selection
-    from camctl.photographs.valid_area import ValidArea
+#: Pairs of a label and its true time that are shown.
+_MOST_SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -63,18 +74,18 @@ class OpenedPhotographs:
         camera: of which they are the frames
         patches: samples of each of them, see `sample_patches`
         response: where the response is from
-        facts: what the user may want to know
-        notes: what the user should know, one line each
-        displaced: by position in `camera`, how photographs lie that are used and do not lie where
-            others do
+        facts: findings that are no warnings
+        notes: findings that are; in both, frames are positions of the files as they were given
+        displaced: findings, by position in `camera`, of photographs that are not left out, and do
+            not lie where others do
     """
 
     camera: PhotographCamera
     patches: tuple[Patches, ...]
     response: str
-    facts: tuple[str, ...]
-    notes: tuple[str, ...]
-    displaced: dict[int, str]
+    facts: tuple[Finding, ...]
+    notes: tuple[Finding, ...]
+    displaced: dict[int, Finding]
 
 
 def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> OpenedPhotographs:
@@ -88,20 +99,6 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         DataError: a file cannot be read or does not fit the others
         UsageError: an exposure is missing, or an option does not fit the files
     """
-    from camctl.evidence.patches import LightScale
-    from camctl.photographs.camera import PhotographCamera
-    from camctl.photographs.checks import Sight, check_order, flashes, with_all_stated
-    from camctl.photographs.contradictions import contradictions
-    from camctl.photographs.labels import (
-        check_doubted,
-        doubted_labels,
-        neighbours_differ,
-        wrong_labels,
-    )
-    from camctl.photographs.photograph import corrected_exposures
-    from camctl.photographs.selection import distinct, of_one_view
-    from camctl.photographs.valid_area import ValidArea
-
     files = PhotographFiles(paths, source.times)
     photographs, unstated = with_all_stated(files.photographs)
     photographs, facts = _with_labels(photographs, source.labels)
@@ -124,24 +121,59 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     for k, factor in doubted.items():  # a wrong label must not bend the response
         series.exposures[k] *= factor
     series.find_limits()
-    facts += series.notes
+    facts += map(note, series.notes)
     series.notes.clear()
     selection, controls, response = _with_response(files, source, selection, notes, facts)
-    photographs = selection.photographs
     patches = [np.minimum(each, controls.white) for each in selection.series.patches]
     scale = LightScale(controls.levels, controls.black)
-    if source.labels != "exact" and response != ASSUMED:
+    photographs, right = _with_exposures(selection, patches, scale, source, response, notes, facts)
+    positions, patches = [selection.positions[k] for k in right], [patches[k] for k in right]
+    first = area.seen(files.pixels(positions[0]))
+    planes = [each.shape for each in files.format.layout.planes(first)]
+    facts += [
+        each.model_copy(update={"frames": tuple(positions[k] for k in each.frames)})
+        for each in contradictions(photographs, patches, scale, planes)
+    ]
+    camera = PhotographCamera(
+        photographs,
+        lambda k: area.shown(files.pixels(positions[k]), controls.black),
+        controls,
+        files.taken_by,
+        metered=lambda k: area.seen(files.pixels(positions[k])),
+    )
+    return OpenedPhotographs(
+        camera,
+        tuple(patches),
+        response,
+        tuple(facts),
+        tuple(notes),
+        {place: displaced[k] for place, k in enumerate(right) if k in displaced},
+    )
+
+
+def _with_exposures(
+    selection: Selection,
+    patches: Sequence[Patches],
+    scale: LightScale,
+    source: PhotographOptions,
+    response: str,
+    notes: list[Finding],
+    facts: list[Finding],
+) -> tuple[list[Photograph], list[int]]:
+    """Return photographs with the exposures that are used, and their places in the selection.
+
+    Findings are added to `notes` and `facts`.
+    """
+    photographs, is_exact = selection.photographs, source.labels == "exact"
+    if not is_exact and response != ASSUMED:
         corrected, changed = corrected_exposures(photographs, patches, scale)
         # An estimated response has errors that the estimate of exposures takes for theirs.
         stated_differ = neighbours_differ(photographs, patches, scale)
         if neighbours_differ(corrected, patches, scale) < stated_differ:
-            photographs, facts = corrected, [*facts, *changed]
-    is_exact = source.labels == "exact"
+            photographs = corrected
+            facts += [selection.finding(each) for each in changed]
     if len(photographs) <= 3 and response in OF_THEIR_EXPOSURES:
-        facts.append(
-            "three photographs or fewer do not always show that an exposure is wrong while the "
-            "response is not known: give --curve"
-        )
+        facts.append(Finding(code="label_unchecked", remedies={"curve": None}))
     wrong = wrong_labels(
         photographs,
         patches,
@@ -150,37 +182,17 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         is_known=source.curve is not None or response not in FROM_PHOTOGRAPHS,
         is_assumed=response == ASSUMED,
     )
-    notes += wrong.notes
-    facts += wrong.facts
-    positions = selection.positions
+    notes += [selection.finding(each) for each in wrong.notes]
+    facts += [selection.finding(each) for each in wrong.facts]
+    places = list(range(len(photographs)))
     if is_exact:  # what is named must not falsify the picture
-        right = [k for k in range(len(photographs)) if k not in wrong.factors]
-        positions, patches = [positions[k] for k in right], [patches[k] for k in right]
-        photographs = [photographs[k] for k in right]
-        displaced = {place: displaced[k] for place, k in enumerate(right) if k in displaced}
-    else:
-        photographs = [
-            replace(each, time_s=each.time_s * wrong.factors.get(k, 1.0))
-            for k, each in enumerate(photographs)
-        ]
-    camera = PhotographCamera(
-        photographs,
-        lambda k: area.shown(files.pixels(positions[k]), controls.black),
-        controls,
-        files.taken_by,
-        metered=lambda k: area.seen(files.pixels(positions[k])),
-    )
-    first = area.seen(files.pixels(positions[0]))
-    planes = [each.shape for each in files.format.layout.planes(first)]
-    facts += contradictions(photographs, patches, scale, planes)
-    return OpenedPhotographs(
-        camera,
-        tuple(patches),
-        response,
-        tuple(facts),
-        tuple(notes),
-        displaced,
-    )
+        places = [k for k in places if k not in wrong.factors]
+        return [photographs[k] for k in places], places
+    factors = wrong.factors
+    return [
+        replace(each, time_s=each.time_s * factors.get(k, 1.0))
+        for k, each in enumerate(photographs)
+    ], places
 
 
 def _levels(files: PhotographFiles, source: PhotographOptions) -> tuple[int, int]:
@@ -203,9 +215,6 @@ def _selection(
     source: PhotographOptions,
 ) -> Selection:
     """Return the photographs at some positions, with their histograms and patches."""
-    from camctl.calibration.response_series import Series
-    from camctl.photographs.selection import Selection
-
     black, white = _levels(files, source)
     series = Series(
         files.format.layout,
@@ -226,16 +235,14 @@ def _with_response(
     files: PhotographFiles,
     source: PhotographOptions,
     selection: Selection,
-    notes: list[str],
-    facts: list[str],
+    notes: list[Finding],
+    facts: list[Finding],
 ) -> tuple[Selection, ExposureControls, str]:
     """Return the photographs of one colour, what is known of them, and where the response is from.
 
-    Warnings are added to `notes`, and what the user may want to know to `facts`.
+    Findings are added to `notes` and `facts`.
     """
-    from camctl.photographs.selection import of_one_colour
-
-    found: tuple[list[str], list[str]] = ([], [])
+    found: tuple[list[Finding], list[Finding]] = ([], [])
     controls, response = known_controls(files, source.curve, selection.series, *found)
     used = selection if response == ASSUMED else of_one_colour(selection, controls, notes)
     if used is not selection:  # other colours must not bend the response
@@ -246,27 +253,28 @@ def _with_response(
     return used, controls, response
 
 
-def _with_labels(photographs: list[Photograph], labels: str) -> tuple[list[Photograph], list[str]]:
+def _with_labels(
+    photographs: list[Photograph], labels: str
+) -> tuple[list[Photograph], list[Finding]]:
     """Return photographs with true exposures, and what was changed."""
-    from camctl.photographs.photograph import with_true_exposures
-
     changed = None if labels == "exact" else with_true_exposures(photographs)
     if changed is None:
         if labels == "dial":
             raise UsageError(
-                "the times are not the labels of a dial", hint="leave --labels dial out"
+                "the times are not the labels of a dial",
+                hint="take them for exact",
+                remedies={"labels": "exact"},
             )
         return photographs, []
-    pairs = [
-        f"{time_text(before.time_s)} is {time_text(after.time_s)}"
-        for before, after in zip(photographs, changed, strict=True)
-        if abs(after.time_s / before.time_s - 1) > 1e-3
-    ]
+    pairs = list(
+        dict.fromkeys(  # ISO or aperture brackets have one time
+            f"{time_text(before.time_s)} is {time_text(after.time_s)}"
+            for before, after in zip(photographs, changed, strict=True)
+            if abs(after.time_s / before.time_s - 1) > 1e-3
+        )
+    )
     if not pairs:
         return changed, []
-    pairs = list(dict.fromkeys(pairs))  # ISO or aperture brackets have one time
-    more = "" if len(pairs) <= 3 else " and so on"
-    return changed, [
-        f"the times are taken for labels of a dial: {', '.join(pairs[:3])}{more} (else give "
-        "--labels exact)"
-    ]
+    more = "" if len(pairs) <= _MOST_SHOWN else " and so on"
+    details: dict[str, Detail] = {"times": ", ".join(pairs[:_MOST_SHOWN]) + more}
+    return changed, [Finding(code="label_unit", details=details, remedies={"labels": "exact"})]

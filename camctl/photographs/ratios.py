@@ -1,17 +1,28 @@
-"""How many times as bright one photograph is as another one, whatever exposures they state.
+"""Ratios of the light in photographs, and what they say of exposures and of colours.
 
-The brightest patches that neither of the two saturates say it: in dark ones rounding and the
-lowest levels of a response make errors.
+The brightest patches that neither of two photographs saturates say how many times as bright one is
+as the other: in dark ones rounding and the lowest levels of a response make errors.  Neighbours in
+brightness are compared, and only what differs by more than shutters and responses do counts, so
+that small errors do not add up over a long series.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.errors import DataError
 from camctl.evidence.patches import LightScale, Patches
+from camctl.evidence.ratios import comparable_frames, estimate_ratios
+from camctl.findings import Detail, Finding
+from camctl.model.response.camera import FloatArray
+from camctl.photographs.camera import Photograph
 
 #: Patches are compared up to this share of full scale.
 _HIGHEST = 0.95
@@ -22,6 +33,19 @@ _BRIGHT, _SHARES, _LEAST = (1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 100), (0.1, 0.03,
 _ERROR = 0.5
 #: Patches agree within this logarithm of a ratio and their error; of those compared so many do.
 _ALIKE, _MAJORITY = 0.15, 0.6
+#: Exposures are corrected by up to this factor, and a correction above the second number is named.
+MOST_CORRECTED, _NOTABLE = 1.3, 0.03
+STEADY = 0.6
+"""Of the logarithm of the factor that counts, the share by which neighbours may differ."""
+#: Factor of one colour against green from which it is another white balance.
+_OTHER_COLOUR = 1.05
+#: Largest error of a ratio of colours, logarithm: darker ones do not count, and with more than the
+#: first one only a difference that is larger than the error does.
+_SURE, _MOST_UNSURE = 0.08, 0.2
+#: Planes of the colours that are compared with green, and its plane.
+_COLOURS, _GREEN = {"red": 0, "blue": 2}, 1
+#: Photographs whose colours must agree for each one whose do not.
+_AGREE = 2
 
 
 class PairRatio(NamedTuple):
@@ -65,3 +89,195 @@ def pair_ratio(first: Patches, second: Patches, scale: LightScale) -> PairRatio 
     log, error = float(np.median(logs[use])), float(np.median(errors[use]))
     is_one = np.mean(np.abs(logs[use] - log) < _ALIKE + error) >= _MAJORITY
     return PairRatio(log, error) if is_one else None
+
+
+@dataclass(frozen=True)
+class Run:
+    """Photographs of ascending brightness of which neighbours can be compared.
+
+    Attributes:
+        members: their positions
+        jumps: by how much the logarithm of the ratio of each one and the one before differs from
+            the expected one
+        tolerances: largest errors of these from rounding and black level
+    """
+
+    members: list[int]
+    jumps: list[float] = field(default_factory=list)
+    tolerances: list[float] = field(default_factory=list)
+
+
+_Jump = tuple[float, float] | None
+
+
+def _runs(patches: Sequence[Patches], jump: Callable[[int, int], _Jump]) -> list[Run]:
+    """Return the runs of photographs; `jump` returns jump and tolerance of a darker and a brighter.
+
+    It returns None where the two cannot be compared.
+    """
+    order = sorted(range(len(patches)), key=lambda k: float(np.mean(patches[k])))
+    runs = [Run(order[:1])]
+    for dark, bright in pairwise(order):
+        found = jump(dark, bright)
+        if found is None:
+            runs.append(Run([bright]))
+            continue
+        runs[-1].members.append(bright)
+        runs[-1].jumps.append(found[0])
+        runs[-1].tolerances.append(found[1])
+    return runs
+
+
+def exposure_runs(
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
+) -> list[Run]:
+    """Return the runs of photographs, whose light is expected to grow as their exposures.
+
+    Args:
+        photographs: with their exposures
+        patches: samples of each, see `sample_patches`
+        scale: irradiance of each brightness
+    """
+
+    def jump(dark: int, bright: int) -> _Jump:
+        ratio = pair_ratio(patches[dark], patches[bright], scale)
+        stated = math.log(photographs[bright].exposure / photographs[dark].exposure)
+        return None if ratio is None else (ratio.log - stated, ratio.error)
+
+    return _runs(patches, jump)
+
+
+def neighbours_differ(
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
+) -> float:
+    """Return by how much neighbours in brightness differ from their exposures, in all.
+
+    It is the sum of the magnitudes of logarithms.  Arguments are those of `exposure_runs`.
+    """
+    jumps = [jump for run in exposure_runs(photographs, patches, scale) for jump in run.jumps]
+    return float(np.abs(jumps).sum())
+
+
+def steady_errors(jumps: Sequence[float] | FloatArray, least: Sequence[float]) -> FloatArray:
+    """Return the errors of neighbours whose differences are given.
+
+    What differs from an earlier error by no more than `least` is equal to it: so small differences
+    do not add up.  Where most are right, their unit gives the least sum of the errors' square
+    roots.
+    """
+    errors = [0.0]
+    for jump, step in zip(jumps, least, strict=True):
+        error = errors[-1] + jump
+        near = min((errors[-1], *errors), key=lambda each: abs(each - error))
+        errors.append(near if abs(near - error) <= step else error)
+    unit = min(errors, key=lambda each: float(np.sqrt(np.abs(np.subtract(errors, each))).sum()))
+    return np.asarray(errors) - unit
+
+
+def corrected_exposures(
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
+) -> tuple[list[Photograph], list[Finding]]:
+    """Return photographs with exposures estimated from their pixels, and what was changed.
+
+    Shutters are not exact, and film is less sensitive in long exposures.  An exposure is changed
+    where the stated one lies outside the 95 % interval of the estimate, by `MOST_CORRECTED` at
+    most: what differs by more has a wrong label.  Arguments are those of `exposure_runs`.
+    """
+    result, factors = list(photographs), dict[int, float]()
+    shown = sorted(comparable_frames(patches, scale))
+    stated = [photographs[k].exposure for k in shown]
+    try:
+        found = estimate_ratios([patches[k] for k in shown], stated, scale)
+    except DataError:
+        return result, []
+    # The unit is that of one with as many above as below: two that contradict are not averaged.
+    changes = np.array(found.exposures) / stated
+    unit = float(np.sort(changes)[(changes.size - 1) // 2])
+    for k, position in enumerate(shown):
+        photograph, factor = photographs[position], float(changes[k]) / unit
+        is_stated = found.low[k] <= stated[k] * unit <= found.high[k]
+        if is_stated or abs(math.log(factor)) > math.log(MOST_CORRECTED):
+            continue
+        result[position] = replace(photograph, time_s=photograph.time_s * factor)
+        if abs(factor - 1) > _NOTABLE:
+            factors[position] = factor
+    if not factors:
+        return result, []
+    names = ", ".join(f"{photographs[k].name} {factor:.2f}" for k, factor in factors.items())
+    largest = max(factors.values(), key=lambda factor: abs(math.log(factor)))
+    return result, [
+        Finding(
+            code="exposure_corrected",
+            frames=tuple(factors),
+            value=largest,
+            details={"factors": names},
+        )
+    ]
+
+
+def odd_colours(
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scales: Sequence[LightScale]
+) -> tuple[set[int], list[Finding]]:
+    """Return the positions of photographs whose colours are not those of most others; findings.
+
+    The ratio of light between neighbours is that of their exposures, in each colour.  Where it is
+    larger in one colour than in green, one of the two has more of that colour: another white
+    balance, or the light had another colour.  Where the set does not show which are right, there
+    is a finding alone.
+
+    Args:
+        photographs: in any order
+        patches: of each of them, of red, green and blue
+        scales: irradiance of each brightness of these
+    """
+    limit = math.log(_OTHER_COLOUR)
+    odd: dict[int, dict[str, float]] = {}
+    notes = []
+    for colour, plane in _COLOURS.items():
+        for run in _colour_runs(patches, plane, scales):
+            least = [max(STEADY * limit, each) for each in run.tolerances]
+            errors = steady_errors(run.jumps, least)
+            wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
+            remaining = np.abs(run.jumps - np.diff(errors))
+            if not wrong or np.any(remaining > STEADY * limit):
+                continue  # colours of a response that is not quite right differ everywhere
+            if len(run.members) - len(wrong) >= _AGREE * len(wrong):
+                for k in wrong:
+                    odd.setdefault(run.members[k], {})[colour] = math.exp(float(errors[k]))
+                continue
+            ends = run.members[0], run.members[-1]
+            names = {"file": photographs[ends[0]].name, "other": photographs[ends[1]].name}
+            most = math.exp(float(np.ptp(errors)))
+            notes.append(_other_white_balance(ends, {colour: most}, names))
+    named = [
+        _other_white_balance((k,), factors, {"file": photographs[k].name})
+        for k, factors in odd.items()
+    ]
+    return set(odd), named + notes
+
+
+def _other_white_balance(
+    frames: tuple[int, ...], factors: dict[str, float], names: dict[str, str]
+) -> Finding:
+    largest = max(factors.values(), key=lambda factor: abs(math.log(factor)))
+    details: dict[str, Detail] = {**names, **factors}
+    return Finding(code="other_white_balance", frames=frames, value=largest, details=details)
+
+
+def _colour_runs(patches: Sequence[Patches], plane: int, scales: Sequence[LightScale]) -> list[Run]:
+    """Return the runs of photographs, of which one colour is expected to grow as green does."""
+
+    def jump(dark: int, bright: int) -> _Jump:
+        both = [np.array_split(patches[k], len(scales)) for k in (dark, bright)]
+        of_colour, of_green = (
+            pair_ratio(both[0][each], both[1][each], scales[each]) for each in (plane, _GREEN)
+        )
+        if of_colour is None or of_green is None:
+            return None
+        error = of_colour.error + of_green.error
+        if error > _MOST_UNSURE:
+            return None
+        difference = of_colour.log - of_green.log
+        return difference if error <= _SURE or abs(difference) > error else 0.0, error
+
+    return _runs(patches, jump)

@@ -12,6 +12,7 @@ from camctl.calibration.response import estimate_response
 from camctl.calibration.response_colours import AS_WELL, disagreement
 from camctl.errors import DataError
 from camctl.evidence.patches import LightScale
+from camctl.findings import Detail, Finding, note
 from camctl.interface.controls import Choices, ExposureControls, ResponseOrigin
 from camctl.model.response.camera import named_response, standard_response
 from camctl.model.response.measured import read_curve
@@ -41,8 +42,8 @@ def known_controls(
     files: PhotographFiles,
     curve: str | None,
     series: Series,
-    notes: list[str],
-    facts: list[str],
+    notes: list[Finding],
+    facts: list[Finding],
 ) -> tuple[ExposureControls, str]:
     """Return what is known of the frames, and where the response is from.
 
@@ -50,8 +51,8 @@ def known_controls(
         files: the photographs
         curve: see `PhotographOptions`
         series: histograms and patches of them, with black and white level
-        notes: warnings, to which this adds
-        facts: what the user may want to know, to which this adds
+        notes: findings that are warnings, to which this adds
+        facts: findings that are none, to which this adds
     """
     rows, columns = series.shape[:2]
     controls = ExposureControls(
@@ -86,10 +87,9 @@ def known_controls(
         ), f"measured, from the profile {found.name}"
     if fitting:
         names = " and ".join(each.name for each in fitting)
-        notes.append(
-            f"the profiles {names} fit the photographs equally, and none is used: remove one "
-            "(camctl profile remove), or give --curve"
-        )
+        details: dict[str, Detail] = {"profiles": names}
+        unclear = Finding(code="profile_unclear", details=details, remedies={"curve": None})
+        notes.append(unclear)
     response = standard_response("srgb", series.bits, phase=series.phase, levels=levels)
     standard = replace(controls, response=response, response_origin=ResponseOrigin.ASSUMED)
     fitting_standard = replace(standard, response_origin=ResponseOrigin.MEASURED)
@@ -98,14 +98,20 @@ def known_controls(
     except DataError as error:
         if _fit_error(series, standard) <= _FITS:
             return fitting_standard, _FITTING
-        notes.append(f"the response is taken for srgb, since it cannot be estimated: {error.what}")
+        notes.append(
+            Finding(
+                code="response_unknown",
+                details={"why": error.what},
+                remedies={"curve": None},
+            )
+        )
         return standard, ASSUMED
     estimated = _measured(controls, estimate.record)
     # An estimate has errors of its own: where the standard explains the frames as well, it is it.
     errors = [_fit_error(series, each) for each in (standard, estimated)]
     if errors[0] <= _FITS or errors[0] <= AS_WELL * errors[1] < math.inf:
         return fitting_standard, _FITTING
-    (notes if estimate.is_doubtful else facts).extend(estimate.notes)
+    (notes if estimate.is_doubtful else facts).extend(map(note, estimate.notes))
     is_common = len(series.channels) > 1 and not estimated.responses
     return estimated, _ESTIMATED_COMMON if is_common else _ESTIMATED
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from camctl.calibration.response_series import Series
-from camctl.errors import UsageError
+from camctl.errors import DataError, UsageError
 from camctl.evidence.patches import LightScale
+from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls, Layout
-from camctl.photographs.alignment import misaligned
-from camctl.photographs.checks import Sight, duplicates
-from camctl.photographs.colours import odd_colours
-from camctl.photographs.photograph import Photograph
+from camctl.photographs.alignment import Sight, misaligned
+from camctl.photographs.camera import Photograph
+from camctl.photographs.labels import SAME_EXPOSURE
+from camctl.photographs.ratios import odd_colours
 from camctl.photographs.views import likenesses, unlike_each_other, unlike_others
 
 
@@ -39,41 +41,67 @@ class Selection:
             self.series.part(kept),
         )
 
+    def finding(self, finding: Finding, **details: Detail) -> Finding:
+        """Return a finding about places of the selection with positions among those given."""
+        frames = tuple(self.positions[k] for k in finding.frames)
+        return detailed(finding, **details).model_copy(update={"frames": frames})
 
-def distinct(sights: Sequence[Sight], notes: list[str]) -> list[int]:
+
+def detailed(finding: Finding, **details: Detail) -> Finding:
+    """Return a finding with more details."""
+    changes: dict[str, Any] = {"details": finding.details | details}
+    return finding.model_copy(update=changes)
+
+
+def distinct(sights: Sequence[Sight], notes: list[Finding]) -> list[int]:
     """Return the positions of photographs that are no copies, and show something.
 
     Args:
         sights: of all photographs
-        notes: what the user should know, to which this adds a line for each of the others
+        notes: findings, to which this adds one for each of the others
 
     Raises:
         DataError: two copies state different exposures
         UsageError: fewer than two photographs remain
     """
-    same = duplicates(sights)
     names = [each.photograph.name for each in sights]
-    notes += [
-        f"{names[k]} is the same photograph as {names[earlier]}, and left out"
-        for k, earlier in same.items()
-    ]
-    empty = [k for k, each in enumerate(sights) if each.is_even]
-    notes += [f"{names[k]} is one colour everywhere, and left out" for k in empty]
-    kept = [k for k in range(len(sights)) if k not in same and k not in empty]
+    first: dict[bytes, int] = {}
+    kept = []
+    empty = []
+    for k, sight in enumerate(sights):
+        earlier = first.setdefault(sight.digest, k)
+        if sight.is_even:
+            empty.append(Finding(code="empty", frames=(k,), details={"file": names[k]}))
+        elif earlier == k:
+            kept.append(k)
+        else:
+            _check_copy(sights[earlier].photograph, sight.photograph)
+            details: dict[str, Detail] = {"file": names[k], "other": names[earlier]}
+            notes.append(Finding(code="copy", frames=(k, earlier), details=details))
+    notes += empty
     if len(kept) < 2:
         raise UsageError("one photograph makes no merge", hint="give two or more exposures")
     return kept
 
 
+def _check_copy(one: Photograph, other: Photograph) -> None:
+    if not 1 / SAME_EXPOSURE < one.exposure / other.exposure < SAME_EXPOSURE:
+        raise DataError(
+            f"{one.name} and {other.name} are the same photograph, but their exposures differ",
+            hint="leave one of them out, or correct its exposure time",
+            remedies={"times": None},
+        )
+
+
 def of_one_view(
-    selection: Selection, sights: Sequence[Sight], notes: list[str]
-) -> tuple[Selection, dict[int, str]]:
+    selection: Selection, sights: Sequence[Sight], notes: list[Finding]
+) -> tuple[Selection, dict[int, Finding]]:
     """Return the photographs that show what most do in the same place, equally sharp.
 
     Args:
         selection: the photographs
         sights: of them
-        notes: what the user should know, to which this adds a line for each of the others
+        notes: findings, to which this adds one for each of the others
 
     Returns:
         those photographs, and by place among them how they lie where no place is that of most
@@ -85,33 +113,29 @@ def of_one_view(
     displaced = misaligned(sights, alike, unlike)
     names = [each.name for each in selection.photographs]
     if not displaced and (pair := unlike_each_other(found, count)) is not None:
-        notes.append(
-            f"{names[pair[0]]} and {names[pair[1]]} do not show the same view or scene, and the "
-            "photographs do not show which is right"
-        )
+        finding = Finding(code="other_view", frames=pair, value=found[pair].agreeing)
+        notes.append(selection.finding(finding, file=names[pair[0]], other=names[pair[1]]))
     odd = unlike | displaced
     if len(odd) >= count / 2:
-        return selection, displaced
-    for k, how in odd.items():
-        advice = ": align it with the others to use it" if k in displaced else ""
-        line = how if k in displaced else f"{names[k]} {how}"
-        notes.append(f"{line}, and is left out{advice}")
+        return selection, {k: selection.finding(each) for k, each in displaced.items()}
+    notes += [selection.finding(each, file=names[k], left_out=True) for k, each in odd.items()]
     return selection.without(odd), {}
 
 
-def of_one_colour(selection: Selection, controls: ExposureControls, notes: list[str]) -> Selection:
+def of_one_colour(
+    selection: Selection, controls: ExposureControls, notes: list[Finding]
+) -> Selection:
     """Return the photographs whose colours are those of most.
 
     Args:
         selection: the photographs
         controls: with the response
-        notes: what the user should know, to which this adds a line for each of the others
+        notes: findings, to which this adds one for each of the others
     """
     if controls.layout is not Layout.RGB:
         return selection
     scales = [LightScale(each, controls.black) for each in controls.plane_levels]
     patches = [each.clip(max=controls.white) for each in selection.series.patches]
-    odd, unsure = odd_colours(selection.photographs, patches, scales)
-    names = [each.name for each in selection.photographs]
-    notes += [f"{names[k]} {how}, and is left out" for k, how in odd.items()] + unsure
+    odd, found = odd_colours(selection.photographs, patches, scales)
+    notes += [selection.finding(each) for each in found]
     return selection.without(odd) if odd else selection

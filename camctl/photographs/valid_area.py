@@ -10,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, DataError
+from camctl.findings import Finding, Place
 from camctl.interface.camera import Pixels
-from camctl.photographs.checks import invalid_border, largest_rectangle
 from camctl.photographs.files import PhotographFiles
 from camctl.stills.decoding import read_still
 from camctl.system.input_files import read_input
-from camctl.system.number_text import percent_text
 
+#: Largest file of a mask that is read.
 _MOST_BYTES = 1 << 28
+#: Pixels of one pure colour along a border, as share of its length, that make it an invalid one.
+_BORDER_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +31,14 @@ class ValidArea:
         columns: likewise
         invalid: which pixels of these are not valid; None: all are
         nearest: row and column of the valid pixel of the same colour next to each invalid one
-        facts: what is left out
+        facts: finding of what is left out, if something is
     """
 
     rows: slice
     columns: slice
     invalid: NDArray[np.bool_] | None
     nearest: tuple[NDArray[np.intp], NDArray[np.intp]] | None
-    facts: tuple[str, ...]
+    facts: tuple[Finding, ...]
 
     @classmethod
     def of(cls, files: PhotographFiles, mask: str | None) -> ValidArea:
@@ -60,22 +62,18 @@ class ValidArea:
         if not invalid.any():
             return cls(slice(None), slice(None), None, None, ())
         rows, columns = (_from_even(each, step) for each in largest_rectangle(~invalid))
-        fact = f"cut to {_place(rows, columns)}: the border around has one pure colour"
+        fact = _masked(invalid, rows, columns, by="border")
         return cls(rows, columns, None, None, (fact,))
 
     @classmethod
     def _of_mask(cls, invalid: NDArray[np.bool_], step: int) -> ValidArea:
         used = [np.flatnonzero(~invalid.all(axis=axis)) for axis in (1, 0)]
         rows, columns = (_from_even(slice(each[0], each[-1] + 1), -step) for each in used)
-        facts = []
         inner = invalid[rows, columns]
-        if inner.size < invalid.size:
-            facts.append(f"cut to {_place(rows, columns)}: the mask is black around")
+        facts = (_masked(invalid, rows, columns, by="mask"),) if invalid.any() else ()
         if not inner.any():
-            return cls(rows, columns, None, None, tuple(facts))
-        share = percent_text(float(np.mean(inner)))
-        facts.append(f"{share} of the pixels are masked, and too dark in the result")
-        return cls(rows, columns, inner, _nearest(inner, step), tuple(facts))
+            return cls(rows, columns, None, None, facts)
+        return cls(rows, columns, inner, _nearest(inner, step), facts)
 
     def seen(self, pixels: Pixels) -> Pixels:
         """Return the valid part, invalid pixels with the samples of the nearest valid ones.
@@ -107,11 +105,13 @@ def _from_even(lines: slice, step: int) -> slice:
     return slice(start, lines.stop)
 
 
-def _place(rows: slice, columns: slice) -> str:
-    return (
-        f"{columns.stop - columns.start} x {rows.stop - rows.start} pixels from column "
-        f"{columns.start}, row {rows.start}"
-    )
+def _masked(invalid: NDArray[np.bool_], rows: slice, columns: slice, by: str) -> Finding:
+    """Return which part is used, and which share of its pixels is left out."""
+    part = invalid[rows, columns]
+    place = None
+    if part.size < invalid.size:
+        place = Place(top=rows.start, left=columns.start, bottom=rows.stop, right=columns.stop)
+    return Finding(code="masked", value=float(part.mean()), place=place, details={"by": by})
 
 
 def _nearest(invalid: NDArray[np.bool_], step: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -126,7 +126,11 @@ def _nearest(invalid: NDArray[np.bool_], step: int) -> tuple[NDArray[np.intp], N
     padded[: invalid.shape[0], : invalid.shape[1]] = invalid
     blocks = padded.reshape(rows, step, columns, step).any(axis=(1, 3))
     if blocks.all():
-        raise DataError("the mask leaves no whole block of the colour pattern", hint="check --mask")
+        raise DataError(
+            "the mask leaves no whole block of the colour pattern",
+            hint="give another mask",
+            remedies={"mask": None},
+        )
     zeros = np.asarray(blocks, np.uint8)
     _, labels = cv2.distanceTransformWithLabels(
         zeros, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
@@ -137,6 +141,59 @@ def _nearest(invalid: NDArray[np.bool_], step: int) -> tuple[NDArray[np.intp], N
     row, column = np.nonzero(invalid)
     near = places[labels[row // step, column // step]] * step
     return near[:, 0] + row % step, near[:, 1] + column % step
+
+
+def invalid_border(pixels: Pixels) -> NDArray[np.bool_]:
+    """Return which pixels lie in a border of one pure colour, as programs that align leave it.
+
+    A pure colour has samples of 0 and of the largest code only, and is not black or white.
+    """
+    import cv2
+
+    shape = pixels.shape[:2]
+    if pixels.ndim == 2:
+        return np.zeros(shape, np.bool_)
+    edges = (pixels[:1], pixels[-1:], pixels[:, :1], pixels[:, -1:])
+    if max(float(np.mean(_is_pure(edge))) for edge in edges) < _BORDER_SHARE:
+        return np.zeros(shape, np.bool_)
+    pure = _is_pure(pixels)
+    _, labels = cv2.connectedComponents(pure.astype(np.uint8), connectivity=8)
+    touching = np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
+    return np.isin(labels, touching[touching > 0])
+
+
+def _is_pure(pixels: Pixels) -> NDArray[np.bool_]:
+    """Return which pixels, (rows, columns, 3), have a pure colour."""
+    is_top, is_zero = pixels == np.iinfo(pixels.dtype).max, pixels == 0
+    return np.asarray((is_top | is_zero).all(axis=2) & is_top.any(axis=2) & is_zero.any(axis=2))
+
+
+def largest_rectangle(valid: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return (rows, columns) of the largest rectangle in which all is valid.
+
+    Raises:
+        DataError: nothing is valid
+    """
+    heights = np.zeros(valid.shape[1], np.intp)
+    best, found = 0, (slice(0, 0), slice(0, 0))
+    for row in range(valid.shape[0]):
+        heights = np.where(valid[row], heights + 1, 0)
+        stack: list[tuple[int, int]] = []  # start column and height, ascending
+        for column, height in enumerate((*heights.tolist(), 0)):
+            start = column
+            while stack and stack[-1][1] >= height:
+                start, high = stack.pop()
+                if high * (column - start) > best:
+                    best = high * (column - start)
+                    found = (slice(row + 1 - high, row + 1), slice(start, column))
+            stack.append((start, height))
+    if not best:
+        raise DataError(
+            "no pixel is valid in all photographs",
+            hint="give a mask of what is valid",
+            remedies={"mask": None},
+        )
+    return found
 
 
 def _read_mask(path: str, shape: Sequence[int]) -> NDArray[np.bool_]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from camctl.evidence.moved_parts import deviating_patches
 from camctl.evidence.patches import Patches
+from camctl.findings import Finding
 
 #: Brightness from which on a sample may be saturated, and up to which it may be black, as shares
 #: of full scale.
@@ -113,7 +114,7 @@ def likenesses(patches: Sequence[Patches], colours: int, black: int, white: int)
     }
 
 
-def unlike_others(found: Likenesses, count: int) -> dict[int, str]:
+def unlike_others(found: Likenesses, count: int) -> dict[int, Finding]:
     """Return by position how photographs differ that do not show what most of `count` show.
 
     None does where it cannot be told which ones are right: more than half must be alike.
@@ -128,9 +129,13 @@ def unlike_others(found: Likenesses, count: int) -> dict[int, str]:
             continue
         agreeing = float(np.mean([each.agreeing for each in against.values()]))
         if agreeing < _AGREEING and all(each.is_other for each in against.values()):
-            result[k] = "does not show what the others show (another view or scene)"
+            result[k] = Finding(code="other_view", frames=(k,), value=agreeing)
         elif _is_less_sharp(k, against):
-            result[k] = "is less sharp than the others (out of focus, or shaken)"
+            contrasts = (
+                each.contrast[1] if pair[0] == k else 1 / max(each.contrast[1], 1e-9)
+                for pair, each in against.items()
+            )
+            result[k] = Finding(code="blurred", frames=(k,), value=float(np.mean([*contrasts])))
     return result
 
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from camctl.evidence.alignment import displacement
 from camctl.model.response.camera import standard_response
-from camctl.photographs.checks import Sight
-from camctl.photographs.photograph import Photograph
+from camctl.photographs.alignment import Sight
+from camctl.photographs.camera import Photograph
 from sim.scenes import charts, drawings, night
 
 SCENES = {

@@ -24,8 +24,7 @@ from camctl.interface.controls import (
     ResponseOrigin,
 )
 from camctl.model.response.camera import standard_response
-from camctl.photographs.camera import PhotographCamera
-from camctl.photographs.photograph import Photograph
+from camctl.photographs.camera import Photograph, PhotographCamera
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.profile import change_profile
 from sim.camera import Faults

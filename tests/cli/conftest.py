@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-from bracketed_photographs import TIMES, Series, photograph, save
+from bracketed_photographs import TIMES, Series, write_series
 from command_line import Ran, Run
-from numpy.typing import NDArray
 
 from camctl.cli import main
 
@@ -38,14 +37,10 @@ def series(run: Run) -> Series:
     def write(
         times: Sequence[float] = TIMES,
         suffix: str = ".png",
-        change: Callable[[int, NDArray[Any]], NDArray[Any]] = lambda _, pixels: pixels,
         labels: Sequence[float] | None = None,
         **more: Any,
     ) -> list[str]:
-        names = []
-        for k, time_s in enumerate(times):
-            pixels = change(k, photograph(time_s, **more))
-            names.append(str(save(Path(f"p{k:02d}{suffix}"), pixels)))
+        names = write_series(times, suffix, **more)
         return [*names, "--times", ",".join(f"{each:.9g}" for each in labels or times)]
 
     assert run is not None  # it has changed to an empty folder

@@ -73,8 +73,14 @@ def test_colours_of_jpeg_photographs_are_those_of_the_scene(run: Run) -> None:
     ("line", "message"),
     [
         ("p00.png --times 1", "one photograph makes no merge"),
-        ("p00.png p01.png --times 1", "--times has 1 values for 2 files"),
-        ("p00.png p01.png", "p00.png does not say its exposure time"),
+        (
+            "p00.png p01.png --times 1",
+            "1 exposure times were given for 2 files; give one for",
+        ),
+        (
+            "p00.png p01.png",
+            "p00.png does not say its exposure time; give the exposure",
+        ),
         ("missing.png p01.png --times 1,2", "cannot read missing.png"),
         ("p00.png p01.png --times 1,2 --white 10 --black 20", "invalid levels: black 20"),
         ("p00.png p01.png --times 1.234,2 --labels dial", "the times are not the labels"),
@@ -126,7 +132,8 @@ def test_the_memorial_photographs_come_out_without_warnings(run: Run, real_data:
     files, times = [str(folder / row[0]) for row in rows], [float(row[1]) for row in rows]
     ran = run("merge", *files, "--times", ",".join(map(str, times)), "-o", "hall", "--json")
     assert (ran.status, ran.err) == (0, "")
-    assert "cut to 501 x 716 pixels from column 4, row 32" in " ".join(ran.json["facts"])
+    (cut,) = [each for each in ran.json["facts"] if each["code"] == "masked"]
+    assert cut["place"] == {"top": 32, "left": 4, "bottom": 32 + 716, "right": 4 + 501}
     part = (slice(32, 32 + 716), slice(4, 4 + 501))
     truth = np.asarray(read_map(folder / "memorial.hdr")[0], np.float64)[part]
     pictures = [read for each in files if (read := cv2.imread(each)) is not None]
@@ -174,7 +181,7 @@ def test_a_failed_merge_says_how_to_go_on(
         patched.setattr(tifffile, "imwrite", fail)
         ran = run(*line)
     assert ran.status == 1
-    assert "the photographs are as they were; merge them again, with --force" in ran.error
+    assert "the photographs are as they were; merge them again (--force)" in ran.error
     resumed = run("resume", "out")
     assert "was begun by camctl merge; merge the photographs again, with --force" in resumed.error
     again = run(*line, "--force")

@@ -18,6 +18,7 @@ from bracketed_photographs import (
 from command_line import Run
 
 from camctl import Layout, read_report
+from camctl.photographs.camera import flashes
 from camctl.photographs.files import PhotographFiles
 from sim.devices.still_files import RawImage, encode
 
@@ -61,27 +62,27 @@ def test_exposures_come_from_exif_data(run: Run) -> None:
     assert [each["f_number"] for each in found["photographs"]] == [8, 8, 8, 8]
     times = [each["time_s"] for each in found["photographs"]]
     assert times == pytest.approx([1 / 64, 1 / 16, 1 / 16, 1 / 4], rel=0.03)
-    assert "labels of a dial" in found["facts"][0]
+    unit = found["facts"][0]
+    assert (unit["code"], unit["remedies"]) == ("label_unit", {"labels": "exact"})
     assert found["camera"]["model"] == "X-T0"
     assert error_of("hall") < 0.03
     exact = run("merge", *names, "--labels", "exact", "-o", "exact", "--json").json
     assert exact["photographs"][0]["time_s"] == pytest.approx(1 / 60)
 
 
-def test_photographs_of_different_cameras_are_named(run: Run) -> None:
+@pytest.mark.usefixtures("run")
+def test_photographs_of_different_cameras_are_named() -> None:
     names = []
     for k, model in enumerate(("X-T0", "X-T0", "Phone", "X-T0")):
         pixels = photograph(2.0 ** (2 * k - 6), SCENE / 4)
         tags = [(271, 2, 0, "Maker", True), (272, 2, 0, model, True)]
         tifffile.imwrite(f"p{k}.tif", pixels, photometric="rgb", extratags=tags)
         names.append(f"p{k}.tif")
-    times = ("--times", "1/64,1/16,1/4,1", "-o", "hall")
-    assert run("merge", *names, *times).err.splitlines()[0] == (
-        "camctl: warning: the photographs were taken by different cameras (p0.tif by Maker X-T0 "
-        "and p2.tif by Maker Phone), whose responses may differ: give those of one camera"
-    )
-    alike = [names[k] for k in (0, 1, 3)]
-    assert "different cameras" not in run("merge", *alike, "--times", "1/64,1/16,1", "-o", "b").err
+    files = list(map(Path, names))
+    (note,) = PhotographFiles(files, (1 / 64, 1 / 16, 1 / 4, 1)).notes
+    assert (note.code, note.details["what"]) == ("tags_differ", "camera")
+    assert note.details["whose"] == "p0.tif by Maker X-T0 and p2.tif by Maker Phone"
+    assert PhotographFiles(files[:2], (1 / 64, 1 / 16)).notes == []
 
 
 def test_a_profile_of_the_camera_in_the_exif_data_is_used(run: Run) -> None:
@@ -125,9 +126,10 @@ def test_a_profile_of_the_camera_in_the_exif_data_is_used(run: Run) -> None:
     assert "from the profile ptp-maker-" in found["response_from"]
     assert error_of("hall") < 0.02
     change_profile(CameraInfo("ptp", "Maker", "X-T0", "2", "ptp"), keep)
-    ran = run("merge", *names, "-o", "two")
-    assert "fit the photographs equally, and none is used: remove one" in ran.err
-    assert ran.err.count("ptp-maker-x-t0-") == 2
+    run("merge", *names, "-o", "two")
+    (unclear,) = [each for each in read_report("two").findings if each.code == "profile_unclear"]
+    assert str(unclear.details["profiles"]).count("ptp-maker-x-t0-") == 2
+    assert unclear.remedies == {"curve": None}
 
 
 def test_a_profile_with_another_serial_number_is_not_that_of_the_photographs() -> None:
@@ -218,16 +220,19 @@ def test_a_damaged_photograph_is_named_with_the_place(run: Run, series: Series) 
     Path("p03.jpg").write_bytes(data[:-2] + bytes(range(1, 90)) + data[-2:])
     paths = [Path(f"p{k:02d}.jpg") for k in (2, 3)]
     (note,) = PhotographFiles(paths, (1.0, 2.0)).notes
-    assert re.match(r"p03.jpg: \d+ bytes remain after the last row: ", note)
+    assert (note.code, note.frames, note.details["file"]) == ("damaged", (1,), "p03.jpg")
+    assert re.match(r"\d+ bytes remain after the last row: ", str(note.details["what"]))
 
 
-def test_a_flash_in_one_photograph_is_named(run: Run) -> None:
+@pytest.mark.usefixtures("run")
+def test_a_flash_in_one_photograph_is_named() -> None:
     names = []
     for k, (time_s, flash) in enumerate(((1, 16), (8, 16), (64, 9))):
         tags = [(33434, 5, 1, (time_s, 512), True), (37385, 3, 1, flash, True)]
         names.append(f"p{k}.tif")
         tifffile.imwrite(names[-1], photograph(time_s / 512), photometric="rgb", extratags=tags)
-    ran = run("merge", *names, "--curve", "srgb", "-o", "hall")
-    assert "the flash fired in p2.tif only, where the light is another: leave it out" in ran.err
-    ran = run("merge", *names[:2], "--curve", "srgb", "-o", "dark")
-    assert "flash" not in ran.err
+    photographs = PhotographFiles(list(map(Path, names)), None).photographs
+    (note,) = flashes(photographs)
+    assert (note.code, note.frames) == ("light_differs", (2,))
+    assert note.details["flash_fired"] is True
+    assert flashes(photographs[:2]) == []

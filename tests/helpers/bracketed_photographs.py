@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,26 @@ def save(path: Path, pixels: NDArray[Any]) -> Path:
         swapped = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
         assert cv2.imwrite(str(path), swapped, [cv2.IMWRITE_JPEG_QUALITY, 97])
     return path
+
+
+def film(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Return photographs as a film would show them: the response is to be estimated."""
+    x = np.arange(256) / 255
+    table = np.rint(255 * (0.4 * x + 0.6 * x**2 * (3 - 2 * x))).astype(np.uint8)
+    return np.asarray(table[pixels])
+
+
+def write_series(
+    times: Sequence[float] = TIMES,
+    suffix: str = ".png",
+    change: Callable[[int, NDArray[Any]], NDArray[Any]] = lambda _, pixels: pixels,
+    **more: Any,
+) -> list[str]:
+    """Write photographs, each changed before it is written, and return their names."""
+    return [
+        str(save(Path(f"p{k:02d}{suffix}"), change(k, photograph(time_s, **more))))
+        for k, time_s in enumerate(times)
+    ]
 
 
 Series = Callable[..., list[str]]

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from camctl.findings import Finding
+from camctl.findings import Finding, Place
 
 _FINDINGS = (
     Finding(code="note", details={"text": "the sentence of a note is its text"}),
@@ -46,5 +46,89 @@ _FINDINGS = (
     ),
     Finding(code="noise_differs", value=41.2, details={"predicted": 63.5}),
 )
-EXAMPLES: Final = {finding.code: finding for finding in _FINDINGS}
+_PHOTOGRAPHS = (
+    Finding(code="blurred", frames=(2,), value=0.6, details={"file": "c.jpg", "left_out": True}),
+    Finding(code="copy", frames=(4, 2), details={"file": "e.jpg", "other": "c.jpg"}),
+    Finding(
+        code="damaged",
+        frames=(1,),
+        details={"file": "b.jpg", "what": "812 bytes remain after the last row"},
+    ),
+    Finding(code="empty", frames=(3,), details={"file": "d.jpg"}),
+    Finding(code="exposure_corrected", frames=(1,), value=0.89, details={"factors": "b.jpg 0.89"}),
+    Finding(code="label_unchecked", frames=(0,), details={"file": "a.jpg"}),
+    Finding(
+        code="label_unit",
+        details={"times": "1/60 s is 1/64 s, 1/15 s is 1/16 s"},
+        remedies={"labels": "exact"},
+    ),
+    Finding(
+        code="label_wrong",
+        frames=(2,),
+        value=0.2,
+        details={
+            "file": "c.jpg",
+            "stated_s": 4.0,
+            "pixels_s": 0.8,
+            "agree": 5,
+            "left_out": False,
+        },
+        remedies={"times": None},
+    ),
+    Finding(
+        code="labels_contradict",
+        frames=(0, 1),
+        value=0.5,
+        details={"file": "b.jpg", "other": "a.jpg", "exposure": 4.0, "why": "tie"},
+        remedies={"times": None},
+    ),
+    Finding(
+        code="light_differs",
+        frames=(4, 5),
+        value=0.4,
+        details={"files": "e.jpg, f.jpg", "left_out": False},
+    ),
+    Finding(
+        code="masked",
+        value=0.02,
+        place=Place(top=32, left=4, bottom=748, right=505),
+        details={"by": "mask"},
+    ),
+    Finding(code="other_view", frames=(2,), value=0.1, details={"file": "c.jpg", "left_out": True}),
+    Finding(
+        code="other_white_balance",
+        frames=(1,),
+        value=1.15,
+        details={"file": "b.jpg", "red": 1.15, "blue": 0.9},
+    ),
+    Finding(
+        code="part_differs",
+        frames=(12,),
+        value=0.035,
+        place=Place(top=689, left=0, bottom=716, right=374),
+        details={"file": "m.jpg", "elsewhere": True},
+    ),
+    Finding(
+        code="profile_unclear",
+        details={"profiles": "ptp-maker-x-1 and ptp-maker-x-2"},
+        remedies={"curve": None},
+    ),
+    Finding(
+        code="response_unknown",
+        details={"why": "the frames have too little in common"},
+        remedies={"curve": None},
+    ),
+    Finding(
+        code="shifted",
+        frames=(4,),
+        value=9.0,
+        details={"file": "e.jpg", "other": "d.jpg", "columns": -7, "rows": 5, "left_out": True},
+    ),
+    Finding(
+        code="tags_differ",
+        frames=(2,),
+        details={"what": "orientation", "file": "c.jpg", "other": "a.jpg"},
+    ),
+)
+EXAMPLES: Final = {finding.code: finding for finding in (*_FINDINGS, *_PHOTOGRAPHS)}
 """One finding of each code of `camctl.findings.CODES`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 
 import numpy as np
@@ -11,9 +10,9 @@ from numpy.typing import NDArray
 
 from camctl.errors import DataError
 from camctl.model.response.camera import standard_response
-from camctl.photographs.alignment import misaligned
-from camctl.photographs.checks import Sight, check_order, with_all_stated
-from camctl.photographs.photograph import Photograph
+from camctl.photographs.alignment import Sight, misaligned
+from camctl.photographs.camera import Photograph, with_all_stated
+from camctl.photographs.labels import check_order
 
 Light = NDArray[np.float32]
 
@@ -33,8 +32,10 @@ def test_a_shift_is_that_of_the_whole_picture_where_tiles_have_lines_of_one_dire
         light = np.roll(scene, shift, (0, 1)) * photograph.time_s
         noisy = np.clip(np.rint(light + rng.normal(0, 2, scene.shape)), 0, 255)
         sights.append(Sight.of(photograph, noisy.astype(np.uint8), 255))
-    (line,) = misaligned(sights).values()
-    assert line.startswith("b is shifted against a by about +9 columns and +5 rows")
+    (found,) = misaligned(sights).values()
+    assert found.frames == (1,)
+    assert found.details == {"file": "b", "other": "a", "columns": 9, "rows": 5}
+    assert found.value == pytest.approx(np.hypot(9, 5), abs=0.2)
 
 
 def test_what_only_some_photographs_state_is_assumed_and_named() -> None:
@@ -42,23 +43,21 @@ def test_what_only_some_photographs_state_is_assumed_and_named() -> None:
     assert with_all_stated(alike) == (alike, [])
     silent = [Photograph("a", 1.0), Photograph("b", 2.0)]
     assert with_all_stated(silent) == (silent, [])
-    found, lines = with_all_stated(
+    found, notes = with_all_stated(
         [*alike, Photograph("c", 4.0), Photograph("d", 8.0, 2.0, iso=200.0)]
     )
-    assert lines == [
-        "c states no ISO speed, and others do: ISO 200 is assumed",
-        "c (and 1 more) states no f-number, and others do: f/8 is assumed",
+    assert {each.code for each in notes} == {"tags_differ"}
+    assert [(each.details["what"], each.frames, each.value) for each in notes] == [
+        ("ISO", (2,), 200),
+        ("f-number", (2, 3), 8),
     ]
     assert [(each.gain, each.f_number, each.iso) for each in found] == [(2.0, 8.0, 200.0)] * 4
 
 
 def test_what_others_state_differently_is_not_taken_from_them() -> None:
     others = [Photograph("a", 1.0, 1.0, 8.0, iso=100.0), Photograph("b", 1.0, 4.0, 4.0, iso=400.0)]
-    found, lines = with_all_stated([*others, Photograph("c", 1.0)])
-    assert lines == [
-        "c states no ISO speed, and others do: ISO 100 is assumed",
-        "c states no f-number, and others do: f/1 is assumed",
-    ]
+    found, notes = with_all_stated([*others, Photograph("c", 1.0)])
+    assert [(each.details["what"], each.value) for each in notes] == [("ISO", 100), ("f-number", 1)]
     assert (found[2].gain, found[2].f_number) == (1.0, 1.0)
 
 
@@ -77,9 +76,9 @@ def bracket(shifted: int | None, columns: int = 9) -> list[Sight]:
 @pytest.mark.parametrize("shifted", [0, 1, 2, 3])
 def test_the_photograph_that_is_not_where_the_others_are_is_named(shifted: int) -> None:
     pytest.importorskip("cv2", reason="OpenCV is blocked")
-    (line,) = misaligned(bracket(shifted)).values()
-    assert line.startswith(f"p{shifted} is shifted against p")
-    assert "by about +9 columns" in line
+    (found,) = misaligned(bracket(shifted)).values()
+    assert found.code == "shifted"
+    assert (found.frames, found.details["columns"]) == ((shifted,), 9)
 
 
 def test_noise_is_no_shift() -> None:
@@ -113,23 +112,25 @@ def test_a_shift_of_a_smooth_photograph_is_named(shifted: int, columns: int, row
     def shift(k: int, scene: Light) -> Light:
         return np.roll(scene, (rows, columns), (0, 1)) if k == shifted else scene
 
-    (line,) = misaligned(smooth_bracket(shift)).values()
-    found = re.match(r"p(\d) is shifted against p\d by about (\S+) columns and (\S+) rows$", line)
-    assert found is not None, line
-    assert int(found[1]) == shifted
-    assert (int(found[2]), int(found[3])) == pytest.approx((columns, rows), abs=1)
+    (found,) = misaligned(smooth_bracket(shift)).values()
+    assert (found.code, found.frames) == ("shifted", (shifted,))
+    assert found.details.keys() == {"file", "other", "columns", "rows"}
+    place = found.details["columns"], found.details["rows"]
+    assert place == pytest.approx((columns, rows), abs=1)
 
 
 @pytest.mark.parametrize(
-    ("degrees", "zoom", "words"),
+    ("degrees", "zoom", "what", "value"),
     [
-        (0.5, 1.0, "p2 is turned against p1 by about 0.5 degrees clockwise"),
-        (-1.0, 1.0, "p2 is turned against p1 by about 1.0 degrees anticlockwise"),
-        (0.0, 1.01, "p2 is enlarged against p1 by about 1.0 %"),
-        (0.0, 0.98, "p2 is reduced against p1 by about 2.0 %"),
+        (0.5, 1.0, "degrees", 0.5),
+        (-1.0, 1.0, "degrees", -1.0),
+        (0.0, 1.01, "percent", 1.0),
+        (0.0, 0.98, "percent", -2.0),
     ],
 )
-def test_a_turned_or_enlarged_photograph_is_named(degrees: float, zoom: float, words: str) -> None:
+def test_a_turned_or_enlarged_photograph_is_named(
+    degrees: float, zoom: float, what: str, value: float
+) -> None:
     cv2 = pytest.importorskip("cv2", reason="OpenCV is blocked")
 
     def change(k: int, scene: Light) -> Light:
@@ -139,8 +140,10 @@ def test_a_turned_or_enlarged_photograph_is_named(degrees: float, zoom: float, w
         matrix = cv2.getRotationMatrix2D(middle, -degrees, zoom)  # positive is anticlockwise there
         return np.asarray(cv2.warpAffine(scene, matrix, scene.shape[::-1]))
 
-    (line,) = misaligned(smooth_bracket(change)).values()
-    assert line.startswith(words)
+    (found,) = misaligned(smooth_bracket(change)).values()
+    assert (found.frames, found.details["other"]) == ((2,), "p1")
+    assert found.details[what] == pytest.approx(value, abs=0.05)
+    assert found.details.keys().isdisjoint({"degrees", "percent"} - {what})
 
 
 def test_a_thing_that_moves_is_no_shift() -> None:

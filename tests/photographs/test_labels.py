@@ -8,8 +8,8 @@ import pytest
 from camctl.calibration.response_series import Series
 from camctl.errors import DataError
 from camctl.interface.controls import Layout
+from camctl.photographs.camera import Photograph
 from camctl.photographs.labels import check_doubted
-from camctl.photographs.photograph import Photograph
 
 TRUE_S = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
 

@@ -1,0 +1,253 @@
+"""What is found wrong with photographs of one scene, from labels to white balance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bracketed_photographs import SCENE, TIMES, film, photograph, save
+from numpy.typing import NDArray
+
+from camctl import DataError, PhotographOptions
+from camctl.findings import Finding
+from camctl.messages.plain import sentence
+from camctl.photographs.photograph_set import open_photographs
+
+from .conftest import Opened
+
+
+def codes(findings: tuple[Finding, ...]) -> list[str]:
+    return [each.code for each in findings]
+
+
+def test_shutters_that_are_not_exact_are_corrected_from_the_pixels(opened: Opened) -> None:
+    found = opened(TIMES, labels=[each * (1.12 if k == 5 else 1) for k, each in enumerate(TIMES)])
+    assert found.camera.photographs[5].time_s == pytest.approx(TIMES[5], rel=0.01)
+    (corrected,) = [each for each in found.facts if each.code == "exposure_corrected"]
+    assert corrected.frames == (5,)
+    assert corrected.value == pytest.approx(1 / 1.12, rel=0.01)
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize("pair", [(3, 4), (1, 5), (0, 6)])
+def test_swapped_labels_are_named(opened: Opened, pair: tuple[int, int]) -> None:
+    labels = list(times := TIMES[1:8])
+    one, other = pair
+    labels[one], labels[other] = labels[other], labels[one]
+    with pytest.raises(DataError, match=" are swapped") as raised:
+        opened(times, labels=labels, curve=None)
+    named = raised.value.what.split(" are swapped")[0]
+    assert all(f"p{k:02d}.png" in named for k in pair)
+    assert raised.value.remedies == {"times": None}
+
+
+def test_reversed_labels_are_named(opened: Opened) -> None:
+    with pytest.raises(DataError, match="are in the reverse order"):
+        opened(TIMES, labels=TIMES[::-1])
+
+
+@pytest.mark.parametrize("place", [0, 4, 5])
+def test_one_wrong_label_is_named(opened: Opened, place: int) -> None:
+    times = TIMES[1:7]
+    labels = [each * (1.7 if k == place else 1) for k, each in enumerate(times)]
+    found = opened(times, labels=labels)
+    (wrong,) = found.notes
+    assert (wrong.code, wrong.frames) == ("label_wrong", (place,))
+    assert wrong.value == pytest.approx(1 / 1.7, rel=0.05)
+    assert wrong.details["stated_s"] == pytest.approx(labels[place])
+    assert wrong.details["left_out"] is False
+    assert wrong.remedies == {"times": None}
+    assert found.camera.photographs[place].time_s == pytest.approx(times[place], rel=0.05)
+
+
+def test_an_exact_label_that_is_wrong_is_left_out(opened: Opened) -> None:
+    labels = [each * (1.7 if k == 2 else 1) for k, each in enumerate(TIMES[2:8])]
+    found = opened(TIMES[2:8], labels=labels, options={"labels": "exact"})
+    (wrong,) = found.notes
+    assert (wrong.code, wrong.frames, wrong.details["left_out"]) == ("label_wrong", (2,), True)
+    assert "p02.png" not in [each.name for each in found.camera.photographs]
+    assert len(found.camera.photographs) == 5
+
+
+@pytest.mark.parametrize(("place", "factor"), [(0, 1.6), (3, 0.6), (5, 1.6)])
+def test_one_wrong_label_does_not_bend_the_response(
+    opened: Opened, place: int, factor: float
+) -> None:
+    times = TIMES[1:7]
+    labels = [each * (factor if k == place else 1) for k, each in enumerate(times)]
+    found = opened(times, labels=labels, curve=None, change=lambda _, pixels: film(pixels))
+    assert found.response.startswith("estimated from the photographs")
+    (wrong,) = found.notes
+    assert (wrong.code, wrong.frames) == ("label_wrong", (place,))
+    assert wrong.details["pixels_s"] == pytest.approx(times[place], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("place", "factor", "curve"), [(0, 2.0, None), (2, 0.5, None), (0, 0.5, "srgb"), (5, 2, "srgb")]
+)
+def test_a_wrong_label_is_named_where_photographs_are_nearly_black(
+    opened: Opened, place: int, factor: float, curve: str | None
+) -> None:
+    times = tuple(2.0 ** (2 * k - 14) for k in range(6))
+    labels = [each * (factor if k == place else 1) for k, each in enumerate(times)]
+    change = lambda _, pixels: pixels if curve else film(pixels)  # noqa: E731
+    found = opened(times, labels=labels, curve=curve, change=change)
+    (wrong,) = found.notes
+    assert (wrong.code, wrong.frames) == ("label_wrong", (place,))
+    assert found.camera.photographs[place].time_s == pytest.approx(times[place], rel=0.1)
+
+
+def test_a_label_that_turns_the_order_is_named(opened: Opened) -> None:
+    labels = list(TIMES[1:7])
+    labels[1] *= 5
+    with pytest.raises(DataError, match=r"^the exposure of p01.png is wrong: it says "):
+        opened(TIMES[1:7], labels=labels, curve=None, change=lambda _, pixels: film(pixels))
+
+
+def test_three_photographs_without_a_response_do_not_show_which_label_is_wrong(
+    opened: Opened,
+) -> None:
+    labels = [TIMES[2], TIMES[3] * 1.8, TIMES[4]]
+    found = opened(TIMES[2:5], labels=labels, curve=None, change=lambda _, each: film(each))
+    assert set(codes(found.notes)) == {"labels_contradict"}
+    assert {each.details["why"] for each in found.notes} == {"response"}
+    assert all(each.remedies == {"curve": None} for each in found.notes)
+
+
+def test_a_response_that_is_assumed_makes_no_exposure_wrong(opened: Opened) -> None:
+    times = (TIMES[0], TIMES[2], TIMES[4])
+
+    def flat(_: int, pixels: NDArray[Any]) -> NDArray[Any]:  # up to half of full scale
+        return np.asarray(120 * np.sqrt(pixels / 255), np.uint8)
+
+    found = opened(times, curve=None, change=flat, options={"white": 255, "black": 0})
+    unknown, contradicting = found.notes
+    assert (unknown.code, unknown.remedies) == ("response_unknown", {"curve": None})
+    assert (contradicting.code, contradicting.value) == ("labels_contradict", None)
+    assert "curve" in contradicting.remedies
+    used = [each.time_s for each in found.camera.photographs]
+    assert used == pytest.approx(times, rel=0.01)
+
+
+def test_a_few_photographs_without_a_response_are_taken_for_srgb(opened: Opened) -> None:
+    assert "response_unknown" in codes(opened((TIMES[0], TIMES[-1]), curve=None).notes)
+
+
+def test_light_that_changed_is_no_wrong_label(opened: Opened) -> None:
+    labels = [each * (2.5 if k > 3 else 1) for k, each in enumerate(TIMES[1:7])]
+    (differs,) = opened(TIMES[1:7], labels=labels).notes
+    assert (differs.code, differs.frames) == ("light_differs", (4, 5))
+    assert differs.value == pytest.approx(0.4, rel=0.05)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_shifted_photograph_is_left_out(opened: Opened, suffix: str) -> None:
+    def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
+        return np.roll(pixels, (5, -7), axis=(0, 1)) if k == 4 else pixels
+
+    found = opened(TIMES[1:8], suffix=suffix, change=shift)
+    (shifted,) = found.notes
+    assert (shifted.code, shifted.frames) == ("shifted", (4,))
+    assert (shifted.details["columns"], shifted.details["rows"]) == (-7, 5)
+    assert shifted.details["left_out"] is True
+    assert f"p04{suffix}" not in [each.name for each in found.camera.photographs]
+
+
+def test_photographs_of_which_each_is_shifted_are_all_used(opened: Opened) -> None:
+    def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
+        return np.roll(pixels, (3 * k, 2 * k), axis=(0, 1))
+
+    found = opened(TIMES[2:6], change=shift)
+    assert found.notes == ()
+    assert list(found.displaced) == [1, 2, 3]
+    assert {each.details["other"] for each in found.displaced.values()} == {"p00.png"}
+    assert len(found.camera.photographs) == 4
+
+
+def test_two_photographs_of_different_things_are_named(opened: Opened) -> None:
+    found = opened(TIMES[4:6], change=lambda k, pixels: pixels[:, ::-1] if k else pixels)
+    other = found.notes[0]
+    assert (other.code, other.frames) == ("other_view", (0, 1))
+    assert "left_out" not in other.details
+
+
+Colours = list[tuple[float, float]]
+
+
+def with_colours(times: tuple[float, ...], colours: Colours, curve: str | None) -> Any:
+    """Open photographs whose red and blue are these times those of the scene."""
+    files = [
+        save(Path(f"p{k}.png"), photograph(time_s, SCENE * np.array([red, 1.0, blue])))
+        for k, (time_s, (red, blue)) in enumerate(zip(times, colours, strict=True))
+    ]
+    return open_photographs(files, PhotographOptions(times=times, curve=curve))
+
+
+@pytest.mark.usefixtures("opened")
+class TestWhiteBalance:
+    @pytest.mark.parametrize("place", [1, 3])
+    @pytest.mark.parametrize("curve", ["srgb", None])
+    def test_another_one_is_left_out(self, place: int, curve: str | None) -> None:
+        colours = [(1.15, 0.9) if k == place else (1.0, 1.0) for k in range(5)]
+        found = with_colours(TIMES[1:6], colours, curve)
+        (other,) = found.notes
+        assert (other.code, other.frames) == ("other_white_balance", (place,))
+        assert other.details["red"] == pytest.approx(1.15, abs=0.005)
+        assert other.details["blue"] == pytest.approx(0.9, abs=0.005)
+        assert len(found.camera.photographs) == 4
+
+    def test_another_one_of_the_darkest_photograph_is_named(self) -> None:
+        """Rounding hides small differences in it, and not this one."""
+        times = tuple(each / 16 for each in TIMES[:8:2])
+        (other,) = with_colours(times, [(1.4, 1), (1, 1), (1, 1), (1, 1)], "srgb").notes
+        assert (other.code, other.frames) == ("other_white_balance", (0,))
+        assert other.details.keys() == {"file", "red"}
+
+    def test_one_that_changes_halfway_is_named(self) -> None:
+        found = with_colours(TIMES[2:6], [(1, 1), (1, 1), (1.2, 1), (1.2, 1)], "srgb")
+        (other,) = found.notes
+        assert (other.code, other.frames) == ("other_white_balance", (0, 3))
+        assert other.value == pytest.approx(1.2, abs=0.005)
+        assert other.details["other"] == "p3.png"
+        assert len(found.camera.photographs) == 4
+
+
+def test_copies_are_left_out_or_refused(opened: Opened) -> None:
+    opened(times := TIMES[2:6])
+    Path("copy.png").write_bytes(Path("p02.png").read_bytes())
+    files = [*(Path(f"p{k:02d}.png") for k in range(4)), Path("copy.png")]
+    known = PhotographOptions(times=(*times, times[2]), curve="srgb")
+    found = open_photographs(files, known)
+    assert [(each.code, each.frames) for each in found.notes] == [("copy", (4, 2))]
+    assert len(found.camera.photographs) == 4
+    with pytest.raises(DataError, match=r"^p02.png and copy.png are the same photograph, but"):
+        open_photographs(files, PhotographOptions(times=(*times, 2.0), curve="srgb"))
+
+
+def test_photographs_of_one_colour_are_left_out(opened: Opened) -> None:
+    def white(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
+        return np.full_like(pixels, 255) if k >= 5 else pixels
+
+    found = opened(TIMES[2:9], change=white)
+    assert [(each.code, each.frames) for each in found.notes] == [("empty", (5,)), ("empty", (6,))]
+    assert len(found.camera.photographs) == 5
+
+
+def test_different_sizes_and_formats_are_named(opened: Opened) -> None:
+    opened(TIMES[:3])
+    files = [Path(f"p{k:02d}.png") for k in range(3)]
+    save(files[1], photograph(TIMES[1])[:-10])
+    with pytest.raises(DataError, match=r"^p01.png has 320 x 230 pixels and p00.png has 320"):
+        open_photographs(files, PhotographOptions(times=TIMES[:3]))
+    save(files[1], photograph(TIMES[1])[..., 1])
+    with pytest.raises(DataError, match=r"p01.png is mono, 8 bits"):
+        open_photographs(files, PhotographOptions(times=TIMES[:3]))
+
+
+def test_every_sentence_names_no_option(opened: Opened) -> None:
+    labels = [TIMES[2], TIMES[3] * 1.8, TIMES[4]]
+    found = opened(TIMES[2:5], labels=labels, curve=None, change=lambda _, each: film(each))
+    for each in (*found.notes, *found.facts):
+        assert "--" not in sentence(each)
