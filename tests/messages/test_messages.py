@@ -1,0 +1,118 @@
+"""The words of findings and errors: one snapshot for each front end.
+
+    python tests/messages/test_messages.py
+
+writes the snapshot, words.txt, again.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+
+from finding_examples import EXAMPLES
+
+from camctl.errors import CamctlError
+from camctl.findings import CODES, Finding
+from camctl.messages import menu
+from camctl.messages.command_line import COMMANDS, OPTIONS, error_hint, finding_line, with_remedies
+from camctl.messages.plain import SENTENCES, sentence
+
+SNAPSHOT = Path(__file__).with_name("words.txt")
+
+_COMMAND_LINE = re.compile(r"(?<!\w)-{1,2}[a-zA-Z][\w-]*\b|\bcamctl [a-z]+")
+
+
+def words() -> str:
+    """Return the words of an example of each code, in the order of the codes."""
+    parts = []
+    for code in CODES:
+        finding = EXAMPLES[code]
+        parts.append(
+            f"{code}\n"
+            f"  plain:        {sentence(finding)}\n"
+            f"  command line: {finding_line(finding)}\n"
+            f"  menu:         {menu.finding_text(finding)}\n"
+        )
+    return "\n".join(parts)
+
+
+def test_every_code_has_a_sentence_and_an_example() -> None:
+    assert set(SENTENCES) == set(CODES)
+    assert set(EXAMPLES) == set(CODES)
+
+
+def test_the_words_of_each_front_end_are_those_of_the_snapshot() -> None:
+    assert words() == SNAPSHOT.read_text("utf-8")
+
+
+@pytest.mark.parametrize("finding", EXAMPLES.values(), ids=lambda each: each.code)
+def test_python_and_the_menu_name_no_option_and_no_command(finding: Finding) -> None:
+    for text in (sentence(finding), menu.finding_text(finding)):
+        assert not _COMMAND_LINE.search(text)
+        assert "\n" not in text
+        assert not text.endswith(".")
+
+
+def test_every_remedy_is_named_on_the_command_line() -> None:
+    for finding in EXAMPLES.values():
+        finding_line(finding)
+    for name in (*OPTIONS, *COMMANDS, *menu.ENTRIES):
+        assert with_remedies("do it", {name: None}).startswith("do it (")
+
+
+@pytest.mark.parametrize(
+    ("remedies", "options"),
+    [
+        ({}, ""),
+        ({"base_s": None}, "--base"),
+        ({"base_s": 0.004, "count": 4}, "--base 0.004, -n 4"),
+        ({"dynamic_range": "auto"}, "--range auto"),
+        ({"ratios": (1, 2.5)}, "--ratios 1,2.5"),
+        ({"estimate_ratios": True}, "--estimate-ratios"),
+        ({"mains_hz": 50}, "--set mains=50"),
+        ({"option:format": None, "option:size": "640x480"}, "-O format=..., -O size=640x480"),
+        ({"calibrate_delay": None}, "camctl calibrate delay"),
+        ({"calibrate_delay": "ptp:1"}, "camctl calibrate delay --camera ptp:1"),
+        ({"resume": Path("red hall")}, "camctl resume 'red hall'"),
+    ],
+)
+def test_remedies_are_what_is_typed(remedies: dict[str, object], options: str) -> None:
+    error = CamctlError("it failed", hint="help it", remedies=remedies)
+    assert error_hint(error) == (f"help it ({options})" if options else "help it")
+
+
+@pytest.mark.parametrize(
+    ("remedies", "text"),
+    [
+        ({}, "it failed; help it"),
+        ({"base_s": None, "option:format": "raw", "calibrate_delay": None}, "it failed; help it"),
+        ({"dynamic_range": "auto"}, "it failed; help it (menu: Dynamic range, Auto)"),
+        ({"dynamic_range": 256.0}, "it failed; help it (menu: Dynamic range)"),
+        ({"resume": "hall"}, "it failed; help it (menu: Captures)"),
+        ({"count": 4, "cameras": None}, "it failed; help it (menu: Exposures; Camera)"),
+    ],
+)
+def test_the_menu_names_its_entries(remedies: dict[str, object], text: str) -> None:
+    assert menu.error_text(CamctlError("it failed", hint="help it", remedies=remedies)) == text
+
+
+def test_the_entries_are_those_of_the_menu() -> None:
+    from menu import entries
+    from menu.tables import STATES
+
+    labels = {label for each in entries.MAIN_MENU for label in each.labels}
+    titles = {title for spec in STATES.values() for title in spec.title}
+    assert {entry.partition(",")[0] for entry in menu.ENTRIES.values()} <= labels | titles
+    lists = {"response": entries.RESPONSES, "dynamic_range": entries.RANGES}
+    for (name, _), label in menu.VALUES.items():
+        assert label in {text for each in lists[name] for text in each.labels}
+
+
+if __name__ == "__main__":
+    SNAPSHOT.write_text(words(), "utf-8")
