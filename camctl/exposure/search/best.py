@@ -97,7 +97,7 @@ class Search:
                     remedies={"table": None},
                 )
         elif desired is not None and self.objective == XI:
-            self._ratios = lookup_ratios(controls.levels, desired, request, table, progress)
+            self._ratios = self._look_up(controls.levels, desired)
 
     def best(self, controls: ExposureControls, light: Light | None) -> Chosen:
         """Return the best settings, for light in units of what the request allows.
@@ -143,20 +143,91 @@ class Search:
                 return accurate_settings(
                     controls, allowed, desired, limit_s, self._progress, before=before
                 )
-            ratios = self._ratios or _ratios_by_xi(
-                controls, allowed, desired, limit_s, self._progress
-            )
+            ratios = self._ratios or self._solve(controls, allowed, desired, limit_s)
             return _settings_by_xi(controls, allowed, desired, ratios, limit_s), ratios
 
         allowed = request
         if self.objective == XI:
-            allowed = shutter_budget(controls, request, limit_s, before)
+            allowed = _shutter_budget(controls, request, limit_s, before)
         wall_s = partial(predicted_wall_s, controls, before=before)
         chosen = Chosen(desired, *within_budget(request, allowed, within, wall_s))
         if request.given_range is not None or request.ratios is not None:
             return chosen
         longer = reach_shadows(controls, request, desired, chosen.settings)
         return chosen if longer is None else Chosen(desired, *longer)
+
+    def _look_up(self, real: CameraResponse, desired: DesiredResponse) -> tuple[float, ...]:
+        """Return ratios given or looked up, ascending and relative to the smallest.
+
+        Raises:
+            UsageError: no number of exposures meets the request's tolerance
+            DataError: the table has no row for this camera and request
+        """
+        request, most = self.request, self.request.most_exposures
+        if request.ratios is not None:
+            smallest = min(request.ratios)
+            return tuple(ratio / smallest for ratio in sorted(request.ratios))
+        if request.tolerance is None:
+            return self._row(real, desired, most)[0]
+        missing = math.inf
+        for count in range(1, most + 1):
+            ratios, missing = self._row(real, desired, count)
+            if missing <= request.tolerance:
+                return ratios
+        raise UsageError(
+            f"{most} exposures leave {missing:.4g} of {request.levels_wanted:g} levels missing, "
+            f"more than {request.tolerance:g}",
+            hint="allow more exposures, or a larger tolerance",
+            remedies={"count": None, "tolerance": None},
+        )
+
+    def _row(
+        self, real: CameraResponse, desired: DesiredResponse, count: int
+    ) -> tuple[tuple[float, ...], float]:
+        """Return the ratios for `count` exposures, and their xi."""
+        wanted = self.request.levels_wanted
+        if self._table is None:
+            found = look_up(real, desired, count, levels_wanted=wanted, progress=self._progress)
+            return tuple(found.exposures), found.xi
+        row = self._table.find(real, desired, count, wanted)
+        if row is None:
+            raise DataError(
+                f"the given table has no row for {real.name}, {desired.name}, "
+                f"{range_text(desired.dynamic_range)}, n = {count}",
+                hint="add it to the table, or leave the table out",
+                remedies={"table_build": None, "table": None},
+            )
+        return tuple(row.exposures), row.xi
+
+    def _solve(
+        self,
+        controls: ExposureControls,
+        allowed: CaptureRequest,
+        desired: DesiredResponse,
+        limit_s: float,
+    ) -> tuple[float, ...]:
+        """Return ratios where the light or a time budget decides them.
+
+        The sum of those that are solved is limited by the longest exposure that shutter time and
+        gain give together, and by the time that is `allowed`.
+        """
+        is_in_table = allowed.response != AUTO and allowed.time_budget_s is None
+        if allowed.ratios is not None or is_in_table:
+            return self._look_up(controls.levels, desired)
+        longest_s = controls.time_s.maximum * controls.gain.maximum / controls.gain.nearest(1.0)
+        count = allowed.most_exposures
+        total = max(longest_s / limit_s * _BUDGET_SHARE, float(count))
+        if allowed.time_budget_s is not None:
+            total = max(min(total, allowed.time_budget_s / limit_s * _BUDGET_SHARE), float(count))
+        return solve(
+            controls.levels,
+            desired,
+            count,
+            objective=Objective(allowed.levels_wanted),
+            total_limit=total,
+            search=SearchOptions(effort=_QUICK_EFFORT if allowed.response == AUTO else 1.0),
+            progress=self._progress,
+        ).exposures
 
 
 def longest_base_s(request: CaptureRequest, light: Light | None) -> float:
@@ -195,123 +266,16 @@ def _settings_by_xi(
     return chooser.best(limit_s, max(_LEAST_SETS, min(_MOST_SETS, evaluations)))
 
 
-def lookup_ratios(
-    real: CameraResponse,
-    desired: DesiredResponse,
-    request: CaptureRequest,
-    table: ExposureTable | None,
-    progress: Progress,
-) -> tuple[float, ...]:
-    """Return the ratios given, or those of `table`, or of the shipped table or the user's cache.
-
-    They are in ascending order and relative to the smallest.
-
-    Raises:
-        UsageError: no number of exposures meets the request's tolerance
-        DataError: `table` has no row for this camera and request
-    """
-    if request.ratios is not None:
-        smallest = min(request.ratios)
-        return tuple(ratio / smallest for ratio in sorted(request.ratios))
-    if request.tolerance is None:
-        return _lookup_row(real, desired, request.most_exposures, request, table, progress)[0]
-    missing = math.inf
-    for count in range(1, request.most_exposures + 1):
-        ratios, missing = _lookup_row(real, desired, count, request, table, progress)
-        if missing <= request.tolerance:
-            return ratios
-    raise UsageError(
-        f"{request.most_exposures} exposures leave {missing:.4g} of {request.levels_wanted:g} "
-        f"levels missing, more than {request.tolerance:g}",
-        hint="allow more exposures, or a larger tolerance",
-        remedies={"count": None, "tolerance": None},
-    )
-
-
-def _lookup_row(
-    real: CameraResponse,
-    desired: DesiredResponse,
-    count: int,
-    request: CaptureRequest,
-    table: ExposureTable | None,
-    progress: Progress,
-) -> tuple[tuple[float, ...], float]:
-    """Return the ratios for `count` exposures, and their xi."""
-    if table is None:
-        entry = look_up(
-            real, desired, count, levels_wanted=request.levels_wanted, progress=progress
-        )
-        return tuple(entry.exposures), entry.xi
-    found = table.find(real, desired, count, request.levels_wanted)
-    if found is None:
-        raise DataError(
-            f"the given table has no row for {real.name}, {desired.name}, "
-            f"{range_text(desired.dynamic_range)}, n = {count}",
-            hint="add it to the table, or leave the table out",
-            remedies={"table_build": None, "table": None},
-        )
-    return tuple(found.exposures), found.xi
-
-
-def _ratios_by_xi(
-    controls: ExposureControls,
-    request: CaptureRequest,
-    desired: DesiredResponse,
-    limit_s: float,
-    progress: Progress,
-) -> tuple[float, ...]:
-    """Return ratios given or looked up; solved where the light or a time budget decides them."""
-    is_in_table = request.response != AUTO and request.time_budget_s is None
-    if request.ratios is not None or is_in_table:
-        return lookup_ratios(controls.levels, desired, request, None, progress)
-    return _solve_ratios(controls.levels, desired, request, limit_s, controls, progress)
-
-
-def _solve_ratios(
-    real: CameraResponse,
-    desired: DesiredResponse,
-    request: CaptureRequest,
-    limit_s: float,
-    controls: ExposureControls,
-    progress: Progress,
-) -> tuple[float, ...]:
-    """Return ratios solved now, for a shortest exposure of `limit_s`.
-
-    Their sum is limited by the longest exposure that shutter time and gain give together, and by
-    the request's time budget.
-    """
-    longest_s = controls.time_s.maximum * controls.gain.maximum / controls.gain.nearest(1.0)
-    count = request.most_exposures
-    total = max(longest_s / limit_s * _BUDGET_SHARE, float(count))
-    if request.time_budget_s is not None:
-        total = max(min(total, request.time_budget_s / limit_s * _BUDGET_SHARE), float(count))
-    found = solve(
-        real,
-        desired,
-        count,
-        objective=Objective(request.levels_wanted),
-        total_limit=total,
-        search=SearchOptions(effort=_QUICK_EFFORT if request.response == AUTO else 1.0),
-        progress=progress,
-    )
-    return found.exposures
-
-
 def within_budget(
     request: CaptureRequest,
     allowed: CaptureRequest,
     choose: Callable[[CaptureRequest], Found],
     wall_s: Callable[[Sequence[ExposureSetting]], float],
 ) -> Found:
-    """Return settings whose predicted time is within the budget of `request`, and their ratios.
+    """Return settings whose predicted time `wall_s` is within the budget of `request`.
 
-    `choose` does not count all that takes time: it is asked for less until its settings fit.
-
-    Args:
-        request: what the user asks for
-        allowed: the request to `choose` first
-        choose: returns settings and ratios
-        wall_s: returns the predicted time of settings, s
+    `choose`, which returns settings and ratios, does not count all that takes time: it is asked for
+    less than `allowed` until its settings fit.
 
     Raises:
         UsageError: as `choose` does for `allowed`
@@ -338,19 +302,13 @@ def within_budget(
     )
 
 
-def shutter_budget(
+def _shutter_budget(
     controls: ExposureControls,
     request: CaptureRequest,
     limit_s: float,
     before: ExposureSetting | None,
 ) -> CaptureRequest:
     """Return the request with its time budget reduced to what remains for shutter times.
-
-    Args:
-        controls: of the camera
-        request: what the user asks for
-        limit_s: the longest shutter time of the shortest exposure, s
-        before: the setting of the frame before
 
     Raises:
         UsageError: the budget is too short for the number of exposures
