@@ -20,7 +20,7 @@ from camctl.captures.metering import BLACK_SHARE, OUTLIER_SHARE
 from camctl.captures.true_exposures import relative
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.noise import measure_noise
-from camctl.exposure.evaluation import Evaluation, evaluate
+from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import Objective
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls
@@ -75,14 +75,6 @@ class _Shot:
         return self.posteriors[len(self.posteriors) // 2]
 
 
-@dataclass(frozen=True, eq=False)
-class _Evidence:
-    """What the frames say of each other: things that moved, and the noise in their pixels."""
-
-    movement: Movement | None
-    noise: MeasuredNoise | None
-
-
 def complete(
     unfinished: UnfinishedCapture,
     total: NDArray[np.unsignedinteger],
@@ -107,8 +99,8 @@ def complete(
     tables = shot.tables
     outside = light_shares(controls.layout, total, tables, shot.desired)
     achieved = _achieved(unfinished, shot, controls, outside)
-    evidence = _evidence(shot, checks, controls, store, achieved.effective_levels)
-    achieved = achieved.model_copy(update={"measured": evidence.noise})
+    movement, measured = _evidence(shot, checks, controls, store, achieved.effective_levels)
+    achieved = achieved.model_copy(update={"measured": measured})
     return_free_memory()
     rendering = Rendering(
         controls.layout,
@@ -116,10 +108,11 @@ def complete(
         shot.desired,
         shot.full_scale_exposure,
         controls.hot_pixels,
-        evidence.movement,
+        movement,
     )
-    details = _details(unfinished, shot, checks, controls, outside, evidence.movement)
+    details = _details(unfinished, shot, checks, controls, outside, movement)
     files = store.keep_pictures(total, rendering, details)
+    writing_s = time.perf_counter() - began
     simulation = simulation_summary(shot.frames)
     begun = unfinished.model_copy(
         update={
@@ -127,10 +120,12 @@ def complete(
                 *unfinished.plan.findings,
                 *unfinished.findings,
                 *_light_findings(unfinished, total, controls, achieved),
-                *_evidence_findings(unfinished, evidence, achieved, repeatable=controls.repeatable),
+                *_evidence_findings(
+                    unfinished, details.spread, achieved, repeatable=controls.repeatable
+                ),
             ],
             "taken_at": details.taken_at,
-            "timing": {**unfinished.timing, "writing_s": time.perf_counter() - began},
+            "timing": {**unfinished.timing, "writing_s": writing_s},
         }
     )
     shared = UnfinishedCapture.model_fields.keys() & CaptureReport.model_fields.keys()
@@ -147,7 +142,7 @@ def complete(
             ],
             "achieved": achieved,
             "simulation": simulation,
-            "movement": None if evidence.movement is None else evidence.movement.found,
+            "movement": None if movement is None else movement.found,
             "irradiance": Irradiance(unit=shot.unit, full_scale_exposure=shot.full_scale_exposure),
             "files": files,
             "profile": controls.profile,
@@ -191,7 +186,7 @@ def _achieved(
     outside: LightShares,
 ) -> Achieved:
     """Return the quality of the effective camera, and the shares of the light outside its range."""
-    quality: Evaluation = evaluate(
+    quality = evaluate(
         controls.levels,
         shot.desired,
         shot.exposures,
@@ -220,7 +215,7 @@ def _evidence(
     controls: ExposureControls,
     store: CaptureStore,
     effective_levels: float,
-) -> _Evidence:
+) -> tuple[Movement | None, MeasuredNoise | None]:
     """Return what moved, and the noise that the pixels show.
 
     Noise that contradicts the known one is left out where things moved: it may be theirs.
@@ -238,7 +233,7 @@ def _evidence(
         and movement.found.is_local
         and measured.contradicts(effective_levels)
     )
-    return _Evidence(movement, None if is_of_movement else measured)
+    return movement, None if is_of_movement else measured
 
 
 def _details(
@@ -320,24 +315,12 @@ def _light_findings(
 
 
 def _evidence_findings(
-    unfinished: UnfinishedCapture, evidence: _Evidence, achieved: Achieved, *, repeatable: bool
+    unfinished: UnfinishedCapture, spread: float, achieved: Achieved, *, repeatable: bool
 ) -> list[Finding]:
     """Return what the frames say of light that spread, and of the noise known of the camera."""
-    found = []
-    if evidence.movement is not None:
-        found += spread_findings(
-            unfinished.request,
-            unfinished.plan,
-            evidence.movement.found.spread,
-            repeatable=repeatable,
-        )
-    measured, predicted = evidence.noise, achieved.effective_levels
+    found = spread_findings(unfinished.request, unfinished.plan, spread, repeatable=repeatable)
+    measured, predicted = achieved.measured, achieved.effective_levels
     if achieved.noise and measured is not None and measured.contradicts(predicted):
-        found.append(
-            Finding(
-                code="noise_differs",
-                value=measured.effective_levels,
-                details={"predicted": predicted},
-            )
-        )
+        value = measured.effective_levels
+        found.append(Finding(code="noise_differs", value=value, details={"predicted": predicted}))
     return found

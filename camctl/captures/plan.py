@@ -120,7 +120,7 @@ def planned_light(light: Light, chosen: Chosen, controls: ExposureControls) -> P
         clips=light.share_above(end),
         clips_stops=max(0.0, math.log2(light.brightest / end)),
         dark=_dark_share(light, end, chosen, controls),
-        needed=light.needed_range(end),
+        needed=light.needed_from(chosen.settings[0]),
         needed_levels=chosen.needed_levels,
         is_cut=metering.highlight >= 1.0 and metering.clipped > 0,
     )

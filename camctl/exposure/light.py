@@ -192,6 +192,10 @@ class Light:
             return end
         return min(self.brightest, max(end, self.shadows * dynamic_range))
 
+    def needed_from(self, shortest: ExposureSetting) -> float:
+        """Return the range that holds the light, where `shortest` is the shortest exposure."""
+        return self.needed_range(self.saturating(shortest.exposure))
+
     def needed_range(self, upper_end: float) -> float:
         """Return the range from `upper_end` down to the shadows, with a margin for noise."""
         return _MARGIN * upper_end / self.shadows

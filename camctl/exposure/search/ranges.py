@@ -80,12 +80,7 @@ def choose_range(
         UsageError, CaptureError: as `choose` does for the range in which most is possible
     """
     ladder = TABLE if estimate is None else STOPS
-
-    def needed_from(setting: ExposureSetting) -> float:
-        """Return the range that holds the light, where `setting` is the shortest exposure."""
-        return light.needed_range(light.saturating(setting.exposure))
-
-    needed = needed_from(replace(light.metering.setting, time_s=limit_s))
+    needed = light.needed_from(replace(light.metering.setting, time_s=limit_s))
     top = min(bisect_left(ladder, needed * (1 - _SAME)), len(ladder) - 1)
 
     def desired(place: int) -> DesiredResponse:
@@ -123,7 +118,7 @@ def choose_range(
             if place < top:
                 return replace(chosen, needed_levels=possible(top))
             # The shortest exposure that the camera can set may be shorter than the limit.
-            is_short = needed_from(chosen.settings[0]) > ladder[top] * _MARGIN
+            is_short = light.needed_from(chosen.settings[0]) > ladder[top] * _MARGIN
             if is_short and top + 1 < len(ladder) and possible(top + 1) >= least:
                 longer, more = solved(top + 1)
                 return chosen if longer is None or more < (request.accuracy or 0.0) else longer
