@@ -41,7 +41,9 @@ def smooth_light(rows: int, columns: int) -> NDArray[np.float32]:
     return np.asarray(np.exp(2.2 * waves), np.float32)
 
 
-@pytest.mark.parametrize("name", ["tile-floor", "ramp", "interior"])
+@pytest.mark.parametrize(
+    "name", ["tile-floor", "ramp", pytest.param("interior", marks=pytest.mark.slow)]
+)
 def test_intervals_contain_the_irradiance_as_often_as_they_state(name: str) -> None:
     scene = (
         Scene(name, smooth_light(160, 200), photons_per_unit=1e4)
@@ -59,6 +61,7 @@ def test_intervals_contain_the_irradiance_as_often_as_they_state(name: str) -> N
             assert abs(share - nominal) < 0.01 + chance, part
 
 
+@pytest.mark.slow
 def test_intervals_near_saturation_are_neither_wide_nor_narrow() -> None:
     stops = [0.5 + step / 8 for step in range(8)]  # each is a plan of its own, which takes a second
     errors = radiance_errors(

@@ -108,6 +108,7 @@ def test_plan_has_the_exposures_of_the_objective() -> None:
     assert by_accuracy.xi > by_xi.xi
 
 
+@pytest.mark.slow
 def test_a_time_budget_chooses_the_count_unless_it_is_given() -> None:
     with small_camera() as camera:
         free = plan_capture(camera, CaptureRequest("linear", 100.0, time_budget_s=0.3))
@@ -228,7 +229,14 @@ def test_rows_of_a_table_are_jobs_for_every_count() -> None:
     assert entry.effective_levels < (entry.effective_levels_noise_free or 0)
 
 
-@pytest.mark.parametrize("sensor", ["security", "complete", "consumer"])
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        "consumer",
+        pytest.param("complete", marks=pytest.mark.slow),
+        pytest.param("security", marks=pytest.mark.slow),
+    ],
+)
 def test_the_settings_reach_the_accuracy_and_not_only_the_times_before_rounding(
     sensor: str,
 ) -> None:

@@ -25,6 +25,7 @@ def planned(request: CaptureRequest) -> CapturePlan:
         return camctl.plan_capture(camera, request)
 
 
+@pytest.mark.slow
 def test_an_accuracy_is_reached_over_the_largest_range_that_has_it() -> None:
     request = CaptureRequest(dynamic_range="auto", accuracy=90.0, time_budget_s=1.5)
     plan = planned(request)
@@ -34,6 +35,7 @@ def test_an_accuracy_is_reached_over_the_largest_range_that_has_it() -> None:
         planned(larger)
 
 
+@pytest.mark.slow
 def test_an_accuracy_beyond_all_ranges_names_the_range_with_most() -> None:
     """Over a very small range there are fewer levels than over a larger one."""
     request = CaptureRequest("log", "auto", 3, accuracy=1e5)
@@ -88,10 +90,10 @@ def test_exposures_are_solved_for_one_range_alone(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("scene", "sensor", "response"),
     [
-        ("night-street", "webcam", "linear"),
-        ("night-street", "webcam", "log"),
-        ("room", "webcam", "log"),
         ("tile-floor", "standard", "log"),
+        pytest.param("night-street", "webcam", "linear", marks=pytest.mark.slow),
+        pytest.param("night-street", "webcam", "log", marks=pytest.mark.slow),
+        pytest.param("room", "webcam", "log", marks=pytest.mark.slow),
     ],
 )
 def test_the_planned_shares_outside_the_range_are_those_of_the_result(

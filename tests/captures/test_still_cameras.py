@@ -72,7 +72,7 @@ def test_metering_costs_few_actuations_and_finds_the_highlights(
     mains=st.sampled_from([None, 50.0, 60.0]),
     budget=st.sampled_from([None, 30.0]),
 )
-@settings(max_examples=40)
+@settings(max_examples=10)
 def test_every_plan_consists_of_settings_that_the_camera_has(
     response: str,
     dynamic_range: float,
@@ -109,6 +109,7 @@ def test_gain_extends_the_longest_shutter_time() -> None:
         assert plan.settings[0].gain == 1
 
 
+@pytest.mark.slow
 def test_base_that_leaves_too_few_exposures_is_refused_with_a_compensation_that_works() -> None:
     with StillCamera(ramp(1e-2)) as camera:
         with pytest.raises(CaptureError, match="leaves fewer than 4 exposures") as error:

@@ -53,7 +53,7 @@ CAMERAS = {
     ("sensor", "budget_s", "objective"),
     [
         ("webcam", 5 / 30, "accuracy"),  # the least: three frames after a control delay of two
-        ("webcam", 5 / 30, "xi"),
+        pytest.param("webcam", 5 / 30, "xi", marks=pytest.mark.slow),
         ("webcam", 0.3, "accuracy"),
         ("standard", 0.3, "xi"),
         ("consumer", 1.6, "xi"),
