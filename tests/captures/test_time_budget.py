@@ -55,7 +55,7 @@ CAMERAS = {
         ("webcam", 5 / 30, "accuracy"),  # the least: three frames after a control delay of two
         pytest.param("webcam", 5 / 30, "xi", marks=pytest.mark.slow),
         ("webcam", 0.3, "accuracy"),
-        ("standard", 0.3, "xi"),
+        pytest.param("standard", 0.3, "xi", marks=pytest.mark.slow),
         ("consumer", 1.6, "xi"),
         ("consumer", 3.0, "accuracy"),
     ],
