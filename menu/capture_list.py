@@ -20,7 +20,6 @@ _NUMBERED = re.compile(r"capture-(\d{4,7})(?:-\d{8}-\d{6})?", re.ASCII)
 _FIRST_YEAR = 2026
 """A clock that shows an earlier year was never set."""
 _MOST_LISTED = 100
-_LARGEST_REPORT = 4 << 20
 
 
 def next_folder(parent: Path, now: datetime) -> Path:
@@ -48,7 +47,7 @@ def _number(name: str) -> int:
 def _is_complete(folder: Path) -> bool:
     """Return whether a report says that no frame is missing; one that is damaged does not."""
     try:
-        report = json.loads(bytes(read_own_file(folder / REPORT, _LARGEST_REPORT)))
+        report = json.loads(bytes(read_own_file(folder / REPORT, 4 << 20)))
     except (CamctlError, ValueError, RecursionError):
         return True  # looking at it shows what is wrong
     return not isinstance(report, dict) or report.get("status") != "incomplete"

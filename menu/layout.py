@@ -22,7 +22,6 @@ _ROWS_WITH_KEYS = 6
 _ROWS_WITH_SPACE = 12
 """Rows from which a histogram has several rows."""
 
-_HISTOGRAM_ROWS = 4
 _SHADES = " .:-=+*#%@"
 
 
@@ -146,7 +145,7 @@ def _extras(screen: Screen, columns: int, height: int, rows: int) -> list[str]:
     """Return the rows of the progress bar and of the histogram."""
     lines = []
     if screen.histogram and rows >= _ROWS_WITH_KEYS and height > 2:
-        count = _HISTOGRAM_ROWS if rows >= _ROWS_WITH_SPACE else 1
+        count = 4 if rows >= _ROWS_WITH_SPACE else 1
         lines += _histogram(screen.histogram, columns, count)
     if screen.share is not None and height > len(screen.lines):
         width = columns - 2

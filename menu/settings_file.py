@@ -17,8 +17,6 @@ from menu.entries import KEPT
 VERSION = 1
 """Version of the file's format; files of another version are not read."""
 
-_LARGEST = 4096
-
 
 class _File(BaseModel):
     """The content of the file; indices are checked against the lists when it is read."""
@@ -39,7 +37,7 @@ def load_settings(path: Path) -> tuple[Settings, str]:
     if not path.exists() and not path.is_symlink():
         return Settings(), ""
     try:
-        return _parsed(bytes(read_own_file(path, _LARGEST))), ""
+        return _parsed(bytes(read_own_file(path, 4096))), ""
     except CamctlError as error:
         return Settings(), f"Settings are the defaults: {error}"
 

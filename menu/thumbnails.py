@@ -20,8 +20,6 @@ COLUMNS, ROWS = 240, 180
 BINS = 64
 """Bins of a histogram of a frame."""
 
-_DISPLAY_GAMMA = 1 / 2.2
-
 
 def frame_histogram(frame: Frame, layout: Layout) -> tuple[float, ...]:
     """Return the shares of the samples in `BINS` equal steps from black to white."""
@@ -54,7 +52,7 @@ def frame_picture(frame: Frame, layout: Layout) -> Picture:
             for colour in range(3)
         ]
     light = (np.stack(colours, axis=-1) - frame.black) / (frame.white - frame.black)
-    shown = np.clip(light, 0.0, 1.0) ** _DISPLAY_GAMMA
+    shown = np.clip(light, 0.0, 1.0) ** (1 / 2.2)
     return _picture((255 * shown + 0.5).astype(np.uint8))
 
 

@@ -147,11 +147,6 @@ class SimulatedCamera(CameraBase):
         return self._renderer.compare(self._exposure, self._plan)
 
     @property
-    def frames_lost(self) -> int:
-        """Frames that the device dropped because they were not taken in time."""
-        return self.device.lost
-
-    @property
     def unused_faults(self) -> list[str]:
         """Faults of frames that were not taken yet, as the option `faults` has them."""
         return self._faults.unused(self._frames_returned)

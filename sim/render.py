@@ -99,11 +99,6 @@ class Renderer:
         self._cache = FrameCache(cache_bytes)
         self._kernels = KernelChoice(compiled)
 
-    @property
-    def cached_bytes(self) -> int:
-        """Bytes that are kept from frame to frame; at most `cache_bytes`."""
-        return self._cache.used_bytes
-
     def shot(
         self,
         time_s: float,

@@ -36,7 +36,6 @@ _MOST_IN_ROW, _LEAST_IN_ROW = 8, 4
 _HISTOGRAM_HEIGHT, _BAR_HEIGHT = 170, 17
 #: Width of the labels left of the histogram.
 _LABELS = 176
-_BINS_PER_DECADE = 24
 #: Pixels a side that are counted for the histogram, at most.
 _HISTOGRAM_SIDE = 800
 #: Decades that are drawn at most, below the brightest.
@@ -274,6 +273,6 @@ def _histogram(light: Light, details: PictureDetails) -> tuple[NDArray[np.float6
         high = max(high, float(10 ** logs.max()))
     first, last = decades(low, high)
     first = max(first, last - _MOST_DECADES)
-    edges = np.linspace(first, last, (last - first) * _BINS_PER_DECADE + 1)
+    edges = np.linspace(first, last, (last - first) * 24 + 1)
     counts = [np.histogram(channel, edges)[0] for channel in logs.T]
     return np.array(counts) / max(1, unlit.size), first, last

@@ -37,8 +37,7 @@ _ISO_SPEED, _SHORT, _LARGEST_SHORT = 34855, 3, 65535
 _LARGEST_INTEGER = 10**9
 #: Rendering intent of a PNG file in sRGB: perceptual.
 _PERCEPTUAL = b"\0"
-_PNG_SIGNATURE = 8
-_PNG_HEADER = _PNG_SIGNATURE + 4 + 4 + 13 + 4
+_PNG_HEADER = 8 + 4 + 4 + 13 + 4
 
 Attribute = str | float | tuple[float, ...]
 

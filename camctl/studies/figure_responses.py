@@ -34,12 +34,11 @@ if TYPE_CHECKING:
 
 #: The levels of the camera in figure 3, read from the paper's drawing, and its second exposure.
 _FIGURE_3_LEVELS = (0.20, 0.42, 0.78)
-_FIGURE_3_SECOND = 1.6
 
 
 def _figure_3(figure: Figure) -> None:
     camera = CameraResponse(np.array(_FIGURE_3_LEVELS), "4 brightness levels")
-    second = _FIGURE_3_SECOND
+    second = 1.6
     left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25), squeeze=False)[0]
     panels = left.subplots(2, 1)
     _levels_panel(panels[0], camera, (1.0,), "(a) exposure $e_1 = 1$", DOUBLING)

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 LOWEST_DN = 1e-4
 """Differences below this are drawn here: on a logarithmic axis, 0 has no place."""
 
-_COLUMNS = 5
 
 CAPTION = """Each panel is one scene and exposure; further left is faster, further down is more
 faithful. Each point is a tolerance, with its number in DN beside it. The bound is what the
@@ -29,7 +28,7 @@ near to it, a part of the light is left out in most of the frame."""
 def draw_study(study: SimulationStudy, paths: tuple[Path, ...]) -> None:
     """Draw differences against CPU time to `paths`; raises what `plots.plot` raises."""
     count = len(study.runs)
-    columns = min(_COLUMNS, count)
+    columns = min(5, count)
     rows = math.ceil(count / columns)
     with plot(paths, (2.7 * max(columns, 3), 2.5 * rows + 1.4), CAPTION) as figure:
         panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()

@@ -17,7 +17,6 @@ LOWEST = 1e-5
 """Regrets below this are drawn here: on a logarithmic axis, 0 has no place."""
 
 _MARKERS = ("o", "s", "^", "D")
-_COLUMNS = 3
 
 CAPTION = """Each panel is one problem; further down is better, further left is faster. A thin line
 is one run, the thick line the median over the runs. A point of camctl or of the grid is a complete
@@ -29,7 +28,7 @@ objective code. Regret is how far xi, the missing levels, lies above the least t
 def draw_study(study: SolverStudy, paths: tuple[Path, ...]) -> None:
     """Draw regret against CPU time to `paths`; raises what `plots.plot` raises."""
     cases = sorted(study.cases, key=lambda case: case[2])
-    columns = min(_COLUMNS, len(cases))
+    columns = min(3, len(cases))
     rows = math.ceil(len(cases) / columns)
     with plot(paths, (3.4 * max(columns, 2), 2.7 * rows + 1.2), CAPTION) as figure:
         panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()

@@ -41,7 +41,6 @@ from drivers.coolpix.sierra.session import Sierra
 
 # How long the camera may take to write a picture to its card.
 _WRITING_S = 10.0
-_ATTEMPTS = 2
 # Files state the dial's label, such as 1/60 s for 16,666 us and 1/1000 s for what may be 1/1024 s.
 _MAX_TIME_ERROR = 0.15
 _SUMMARY_BYTES = 32
@@ -196,7 +195,7 @@ class CoolpixBody:
             f"the camera at {self._url} ends every session",
             hint="switch it off and on, then resume",
         )
-        for _ in range(_ATTEMPTS):
+        for _ in range(2):
             self.dials.prepare()
             before = newest_picture(self.sierra)
             applied = self.dials.set_exposure(setting)

@@ -113,11 +113,7 @@ AUTOMATIC_SETTINGS = (
 
 
 def accepts(sierra: Sierra, register: Register, value: int) -> bool:
-    """Write a register; return whether the camera accepts the value and reads it back unchanged.
-
-    Raises:
-        CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
-    """
+    """Write a register; return whether the camera accepts the value and reads it back unchanged."""
     try:
         sierra.set(register, value)
         return sierra.get(register) == value
@@ -180,7 +176,6 @@ class CoolpixDials:
 
     Raises:
         CameraError: it accepts no shutter time, or cannot be set to the file format
-        CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
     """
 
     def __init__(self, sierra: Sierra, file_format: str) -> None:
@@ -204,7 +199,6 @@ class CoolpixDials:
 
         Raises:
             CameraError: it cannot be set to the file format
-            CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
         if self.are_prepared:
             return
@@ -232,7 +226,6 @@ class CoolpixDials:
 
         Raises:
             RefusedSettingError: the camera applied another shutter time or aperture
-            CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
         time_us = round(setting.time_s * _US_PER_S)
         self._apply(Register.SHUTTER_US, time_us, "time_s", setting.time_s)

@@ -31,7 +31,6 @@ SILENCE_S = 60.0
 #: A busy camera is asked again after the first pause, then after twice that, and so on, s.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.05, 2.0
 _END_S = 5.0
-_CHUNK = 1 << 20
 _TO_SHOOTING = "turn the mode dial to M, and leave playback, menus and movie mode on the camera"
 _AGAIN = "switch the camera off and on again, then resume"
 _LIST_CAMERAS = "list the cameras that are connected"
@@ -237,7 +236,7 @@ class CameraProcess:
             raise CameraTimeoutError(
                 f"{self.name} does not answer for {silence_s:.0f} s", hint=_AGAIN
             )
-        data = os.read(descriptor, _CHUNK)
+        data = os.read(descriptor, 1 << 20)
         if not data:
             raise self._ended()
         return data

@@ -18,8 +18,6 @@ from typing import Any
 
 import gphoto2 as gp
 
-_MOST_EVENTS = 1000
-_ATTEMPTS = 3
 _NETWORK_MODEL = "PTP/IP Camera"
 _KINDS = {gp.GP_WIDGET_RADIO: "choice", gp.GP_WIDGET_MENU: "choice", gp.GP_WIDGET_TEXT: "text"}
 
@@ -100,7 +98,7 @@ class Worker:
         libgphoto2 steps the dials of some Sony bodies and stops where it has counted wrong, from
         where a second attempt arrives.
         """
-        for _ in range(_ATTEMPTS):
+        for _ in range(3):
             widgets = {name: self._camera.get_single_config(name) for name in values}
             others = [
                 name for name, widget in widgets.items() if widget.get_value() != values[name]
@@ -120,7 +118,7 @@ class Worker:
     def added(self, timeout_ms: int) -> list[list[str]]:
         """Return the files that the camera has made since, until it reports nothing for a time."""
         files = []
-        for _ in range(_MOST_EVENTS):
+        for _ in range(1000):  # a camera may report without end
             kind, data = self._camera.wait_for_event(timeout_ms)
             if kind == gp.GP_EVENT_TIMEOUT:
                 break

@@ -152,7 +152,7 @@ class _Stream:
 
     def _find_exposure(self, options: OpencvOptions) -> Exposure:
         if self._address.has_exposure:
-            return AddressExposure(self, options.shortest, options.longest)
+            return AddressExposure(self.reopen, options.shortest, options.longest)
         if self._address.kind == "index":
             return PropertyExposure(self._video, self.interval_s)
         return FixedExposure(options.time or self.interval_s, is_stated=options.time is not None)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeAlias
 
 from camctl.errors import CameraError, RefusedSettingError, UsageError
 from camctl.interface.controls import Choices, Control, ExposureSetting, Steps
@@ -47,24 +47,6 @@ _AUTOMATICS = (
     ("AUTO_WB", 0.0, "automatic white balance"),
     ("BACKLIGHT", 0.0, "backlight compensation"),
 )
-
-
-class Exposure(Protocol):
-    """The exposure control of a video."""
-
-    @property
-    def times(self) -> Control:
-        """The exposure times, s."""
-        ...
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is not known of them."""
-        ...
-
-    def write(self, setting: ExposureSetting) -> ExposureSetting:
-        """Set an exposure and return it as read back, where that is possible."""
-        ...
 
 
 class PropertyExposure:
@@ -156,21 +138,23 @@ class AddressExposure:
     """The exposure of a stream whose address has a place for it; each change opens it again.
 
     Args:
-        stream: opened again by `write`
+        reopen: opens the stream again with another time, s
         shortest_s, longest_s: as the user states them
 
     Raises:
         UsageError: they are missing or contradict each other
     """
 
-    def __init__(self, stream: Reopened, shortest_s: float | None, longest_s: float | None) -> None:
+    def __init__(
+        self, reopen: Callable[[float], None], shortest_s: float | None, longest_s: float | None
+    ) -> None:
         if shortest_s is None or longest_s is None or not shortest_s <= longest_s:
             raise UsageError(
                 "an address with a place for the exposure time needs its range",
                 hint="give its shortest and its longest time in seconds",
                 remedies={"option:shortest": None, "option:longest": None},
             )
-        self._stream = stream
+        self._reopen = reopen
         self._time_s: float | None = None
         self.times: Control = Steps(shortest_s, longest_s, 1e-6)
         self.notes = (
@@ -180,14 +164,10 @@ class AddressExposure:
 
     def write(self, setting: ExposureSetting) -> ExposureSetting:
         if setting.time_s != self._time_s:
-            self._stream.reopen(setting.time_s)
+            self._reopen(setting.time_s)
             self._time_s = setting.time_s
         return setting
 
 
-class Reopened(Protocol):
-    """A stream that can be opened again."""
-
-    def reopen(self, time_s: float) -> None:
-        """Open it with this exposure time."""
-        ...
+Exposure: TypeAlias = PropertyExposure | FixedExposure | AddressExposure
+"""The exposure control of a video: `times`, what is not known of them (`notes`), and `write`."""

@@ -18,7 +18,6 @@ from camctl.errors import CameraProtocolError
 from camctl.interface.controls import Choices, Control, Steps
 from drivers.ptp.datasets import PropertyDescription
 
-_MAX_NUMBER = 0xFFFFFFFF
 # Some cameras state all numbers of the data type as the range: no setting follows from it.
 _ANY_NUMBER = ((0, 0xFFFF, 1), (0, 0xFFFFFFFF, 1))
 
@@ -288,7 +287,7 @@ def _steps(scale: Scale, description: PropertyDescription) -> Steps:
     assert scale.unit is not None
     low, high, step = description.span
     step = max(step, 1)
-    if not 0 <= low <= high <= _MAX_NUMBER:
+    if not 0 <= low <= high <= 0xFFFFFFFF:
         raise CameraProtocolError(
             f"the camera gave property {description.code:04X} the invalid range {low} to {high}",
             hint="switch it off and on again",

@@ -22,7 +22,6 @@ from drivers.ptp.datasets import (
 
 _EOS_HEADER_BYTES = 8
 _EOS_LIST = 3  # form of a list of choices
-_SONY_FIRST_PROPERTY = 0x5000
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ def parse_sony_properties(data: bytes) -> dict[int, PropertyDescription]:
         choices, span = read_form(reader, data_type)
         # Newer bodies append a second list: the choices that can be set now.  Property codes of
         # Sony start at 5000, so that a smaller number here is the count of that list.
-        if choices and reader.left >= 2 and reader.peek_u16() < _SONY_FIRST_PROPERTY:
+        if choices and reader.left >= 2 and reader.peek_u16() < 0x5000:
             choices = read_choices(reader, data_type) or choices
         writable = can_set == 1 and is_enabled == 1
         found[code] = PropertyDescription(code, data_type, writable, current, choices, span)

@@ -34,7 +34,6 @@ from drivers.ptp.transport import (
 )
 
 _GUID_BYTES = 16
-_VERSION = 0x0001_0000
 _HAS_NO_DATA_OUT, _HAS_DATA_OUT = 1, 2  # of a command
 _UNKNOWN_SIZE = 0xFFFF_FFFF_FFFF_FFFF
 _OUT_BYTES = 1 << 16  # of one data packet from here
@@ -115,7 +114,7 @@ class NetworkTransport:
     def _introduce(self) -> bytes:
         """Begin the first connection; return its number, which the second one must state."""
         name = self._caller.name.encode("utf-16-le") + b"\0\0"
-        body = self._caller.guid + name + _VERSION.to_bytes(4, "little")
+        body = self._caller.guid + name + 0x0001_0000.to_bytes(4, "little")
         self._commands.send(Packet.INIT_COMMAND, body, self.silence_s)
         answer = self._answer(self._commands, Packet.INIT_COMMAND_ACK)
         model = bytes(answer[4 + _GUID_BYTES :]).decode("utf-16-le", "replace").partition("\0")[0]

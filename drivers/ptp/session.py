@@ -42,8 +42,6 @@ _ATTEMPTS = 3
 # Pauses between requests to a busy camera: doubled from the first to the longest.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.02, 0.5
 _SESSION_ID = 1
-_CLOSE_TIMEOUT_S = 2.0
-_LAST_TRANSACTION = 0xFFFFFFFE
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,7 @@ class Session:
         """Close the session; errors are ignored."""
         if self._is_open:
             self._is_open = False
-            self._transport.silence_s = min(self._silence_s, _CLOSE_TIMEOUT_S)
+            self._transport.silence_s = min(self._silence_s, 2.0)  # s
             with suppress(CamctlError):
                 self._attempt(Op.CLOSE_SESSION, ())
 
@@ -227,7 +225,7 @@ class Session:
     ) -> Answer:
         number = self._transaction
         if self._is_open:
-            self._transaction = number + 1 if number < _LAST_TRANSACTION else 1
+            self._transaction = number + 1 if number < 0xFFFFFFFE else 1  # FFFFFFFF is none
         self.last_transaction = number
         self._transport.send(operation, number, parameters, data)
         received = b""

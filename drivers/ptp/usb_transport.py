@@ -58,7 +58,6 @@ _CHUNK_BYTES = 1 << 20
 _MAX_EMPTY_READS = 4
 # Limits of reading what a camera still sends after a cancelled transaction.
 _DRAIN_S, _DRAIN_BYTES = 2.0, 1 << 30
-_DRAIN_READ_MS = 50
 _MAX_EVENT_BYTES = HEADER.size + 4 * 3
 # After an error of the event pipe, so that polling a halted pipe does not keep the bus busy.
 _EVENT_RETRY_S = 0.05
@@ -70,7 +69,6 @@ _CANCELLED = 0x4001
 _STATUS_OK = 0x2001
 # How long a camera may report "busy" after a cancelled transaction, and the pause between requests.
 _RECOVERY_S, _RECOVERY_POLL_S = 5.0, 0.05
-_CONTROL_TIMEOUT_MS = 1000
 
 
 class UsbTransport:
@@ -277,7 +275,7 @@ class UsbTransport:
         deadline_s, total = self._clock.now() + _DRAIN_S, 0
         while self._clock.now() < deadline_s and total < _DRAIN_BYTES:
             try:
-                part = self._in.read(_CHUNK_BYTES, _DRAIN_READ_MS)
+                part = self._in.read(_CHUNK_BYTES, 50)  # ms
             except usb.core.USBError as error:
                 self._raise_if_disconnected(error)
                 return
@@ -299,9 +297,7 @@ class UsbTransport:
             self._raise_if_disconnected(error)
 
     def _control(self, request_type: int, request: int, data: int | bytes) -> Any:
-        return self._device.ctrl_transfer(
-            request_type, request, 0, self._number, data, _CONTROL_TIMEOUT_MS
-        )
+        return self._device.ctrl_transfer(request_type, request, 0, self._number, data, 1000)  # ms
 
     def _clear_halt(self, endpoint: Any) -> None:
         try:

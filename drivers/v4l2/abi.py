@@ -16,6 +16,11 @@ CAPTURE_BUFFER = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
 MAPPED_MEMORY = 1  # V4L2_MEMORY_MMAP
 
 
+def _words(names: str) -> tuple[tuple[str, type[ctypes.c_uint32]], ...]:
+    """Return fields of 32 bits each."""
+    return tuple((name, _U32) for name in names.split())
+
+
 class Capability(ctypes.Structure):
     """Driver, name and capabilities of a node: struct v4l2_capability."""
 
@@ -23,9 +28,7 @@ class Capability(ctypes.Structure):
         ("driver", _U8 * 16),
         ("card", _U8 * 32),
         ("bus_info", _U8 * 32),
-        ("version", _U32),
-        ("capabilities", _U32),
-        ("device_caps", _U32),
+        *_words("version capabilities device_caps"),
         ("reserved", _U32 * 3),
     )
 
@@ -34,9 +37,7 @@ class FormatDescription(ctypes.Structure):
     """An entry of the list of pixel formats: struct v4l2_fmtdesc."""
 
     _fields_ = (
-        ("index", _U32),
-        ("type", _U32),
-        ("flags", _U32),
+        *_words("index type flags"),
         ("description", _U8 * 32),
         ("pixelformat", _U32),
         ("reserved", _U32 * 4),
@@ -47,20 +48,10 @@ class Format(ctypes.Structure):
     """Pixel format and size: struct v4l2_format with struct v4l2_pix_format in its union."""
 
     _fields_ = (
-        ("type", _U32),
-        ("_alignment", _U32),
-        ("width", _U32),
-        ("height", _U32),
-        ("pixelformat", _U32),
-        ("field", _U32),
-        ("bytesperline", _U32),
-        ("sizeimage", _U32),
-        ("colorspace", _U32),
-        ("priv", _U32),
-        ("flags", _U32),
-        ("ycbcr_enc", _U32),
-        ("quantization", _U32),
-        ("xfer_func", _U32),
+        *_words(
+            "type _alignment width height pixelformat field bytesperline sizeimage colorspace priv"
+            " flags ycbcr_enc quantization xfer_func"
+        ),
         ("_rest", _U8 * 152),
     )
 
@@ -69,11 +60,7 @@ class StreamParameters(ctypes.Structure):
     """The frame interval: struct v4l2_streamparm with struct v4l2_captureparm in its union."""
 
     _fields_ = (
-        ("type", _U32),
-        ("capability", _U32),
-        ("capturemode", _U32),
-        ("numerator", _U32),
-        ("denominator", _U32),
+        *_words("type capability capturemode numerator denominator"),
         ("_rest", _U8 * 184),
     )
 
@@ -82,8 +69,7 @@ class ControlQuery(ctypes.Structure):
     """A control's range: struct v4l2_queryctrl."""
 
     _fields_ = (
-        ("id", _U32),
-        ("type", _U32),
+        *_words("id type"),
         ("name", _U8 * 32),
         ("minimum", _S32),
         ("maximum", _S32),
@@ -99,8 +85,7 @@ class MenuQuery(ctypes.Structure):
 
     _pack_ = 1
     _fields_ = (
-        ("id", _U32),
-        ("index", _U32),
+        *_words("id index"),
         ("name", _U8 * 32),
         ("reserved", _U32),
     )
@@ -120,9 +105,7 @@ class SizeQuery(ctypes.Structure):
     """
 
     _fields_ = (
-        ("index", _U32),
-        ("pixel_format", _U32),
-        ("type", _U32),
+        *_words("index pixel_format type"),
         ("words", _U32 * 6),
         ("reserved", _U32 * 2),
     )
@@ -136,11 +119,7 @@ class IntervalQuery(ctypes.Structure):
     """
 
     _fields_ = (
-        ("index", _U32),
-        ("pixel_format", _U32),
-        ("width", _U32),
-        ("height", _U32),
-        ("type", _U32),
+        *_words("index pixel_format width height type"),
         ("words", _U32 * 6),
         ("reserved", _U32 * 2),
     )
@@ -149,35 +128,20 @@ class IntervalQuery(ctypes.Structure):
 class BufferRequest(ctypes.Structure):
     """How many buffers a stream has: struct v4l2_requestbuffers."""
 
-    _fields_ = (
-        ("count", _U32),
-        ("type", _U32),
-        ("memory", _U32),
-        ("capabilities", _U32),
-        ("flags", _U32),
-    )
+    _fields_ = (*_words("count type memory capabilities flags"),)
 
 
 class Buffer(ctypes.Structure):
     """A buffer of a stream: struct v4l2_buffer; the timestamp in seconds and microseconds."""
 
     _fields_ = (
-        ("index", _U32),
-        ("type", _U32),
-        ("bytesused", _U32),
-        ("flags", _U32),
-        ("field", _U32),
-        ("_alignment", _U32),
+        *_words("index type bytesused flags field _alignment"),
         ("seconds", _S64),
         ("microseconds", _S64),
         ("_timecode", _U32 * 4),
-        ("sequence", _U32),
-        ("memory", _U32),
+        *_words("sequence memory"),
         ("offset", _U64),
-        ("length", _U32),
-        ("_reserved", _U32),
-        ("_request", _U32),
-        ("_end", _U32),
+        *_words("length _reserved _request _end"),
     )
 
 
@@ -198,9 +162,7 @@ class LongValues(ctypes.Structure):
     """A list of such values: struct v4l2_ext_controls."""
 
     _fields_ = (
-        ("which", _U32),
-        ("count", _U32),
-        ("error_index", _U32),
+        *_words("which count error_index"),
         ("_request", _S32),
         ("_reserved", _U32 * 2),
         ("controls", ctypes.POINTER(LongValue)),

@@ -31,10 +31,8 @@ except ImportError:  # not a POSIX system: pyserial raises its own errors alone
 
 COLUMNS, ROWS = 20, 4
 
-_BAUD = 115200
 _ANSWER_S = 0.25
 """The panel answers within this time, s, or the packet was lost; its data sheet states 0.25 s."""
-_TRIES = 5
 _ALL_KEYS = 0x3F
 _BRIGHT = 100
 _ANYONE_HOME_S = 2.0
@@ -78,7 +76,7 @@ class Cfa635Panel:
         import serial
 
         try:
-            self._port = serial.serial_for_url(self._url, _BAUD, timeout=0, write_timeout=1)
+            self._port = serial.serial_for_url(self._url, 115200, timeout=0, write_timeout=1)
         except ValueError as error:
             raise UsageError(
                 f"invalid serial port {self._url!r}", hint="use cfa635:/dev/ttyUSB0"
@@ -147,7 +145,7 @@ class Cfa635Panel:
         Raises:
             PanelDisconnectedError: it was not answered
         """
-        for _ in range(_TRIES):
+        for _ in range(5):  # a packet or its answer may be lost
             self._guarded(lambda: self._port.write(packet.encoded()))
             deadline_s = self._clock.now() + _ANSWER_S
             while (left_s := deadline_s - self._clock.now()) > 0:

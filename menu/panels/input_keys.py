@@ -16,7 +16,6 @@ from menu.ports import Key
 _EVENT = struct.Struct("@llHHi")
 """Seconds and microseconds, type, code, value; 24 bytes on 64-bit systems."""
 
-_EV_KEY = 1
 _PRESSED, _REPEATED = 1, 2
 
 _KEYS = {
@@ -120,7 +119,7 @@ class InputKeys:
         while len(rest) >= _EVENT.size:
             _, _, kind, code, value = _EVENT.unpack_from(rest)
             rest = rest[_EVENT.size :]
-            if kind == _EV_KEY and value in (_PRESSED, _REPEATED) and code in _KEYS:
+            if kind == 1 and value in (_PRESSED, _REPEATED) and code in _KEYS:
                 self._rest[descriptor] = rest
                 # A key that is held down selects on, but does nothing twice.
                 if value == _PRESSED or _KEYS[code] in (Key.UP, Key.DOWN):

@@ -36,10 +36,8 @@ TOKEN_VARIABLE = "CAMCTL_MENU_TOKEN"
 
 _PAGE = Path(__file__).with_name("web.html")
 _ADDRESS = re.compile(r"(?:(?P<host>[^:]+|\[[0-9a-fA-F:]+\]):)?(?P<port>\d{1,5})", re.ASCII)
-_TEXT_SIZE = (60, 16)
 _POLL_S = 20.0
 """A request for the next screen is answered after this time, s, even if it is the same."""
-_MOST_KEYS = 64
 _KEYS = {key.name.lower(): key for key in Key}
 _COOKIE = "camctl_token"
 
@@ -66,7 +64,7 @@ class WebPanel:
                 f"the panel web on {self._host} could be used by anybody",
                 hint=f"set a token in {TOKEN_VARIABLE}, or leave the host out",
             )
-        self.keys: queue.Queue[Key] = queue.Queue(_MOST_KEYS)
+        self.keys: queue.Queue[Key] = queue.Queue(64)
         self.changed = threading.Condition()
         self.version = 0
         self._screen: Screen | None = None
@@ -130,7 +128,7 @@ class WebPanel:
         """Return (version, lines of text, PNG file) of the screen, once it is not `version`."""
         with self.changed:
             self.changed.wait_for(lambda: self.version != version or not self.is_open, _POLL_S)
-            lines = [] if self._screen is None else list(grid(self._screen, *_TEXT_SIZE).lines)
+            lines = [] if self._screen is None else list(grid(self._screen, 60, 16).lines)
             return self.version, [line.rstrip() for line in lines], self._picture
 
 

@@ -20,7 +20,6 @@ _GLARE_SAMPLES_PER_SIGMA = 2.5
 """Glare is computed at this many samples a standard deviation, enough for a smooth Gaussian."""
 
 _CHANNELS_UM = (0.60, 0.54, 0.46)  # wavelengths of red, green and blue
-_GREY_UM = 0.55
 _FIRST_ZERO, _THIRD_ZERO = 3.8317, 10.1735  # of the Bessel function J1: dark rings of an Airy disk
 _PARTS_OF_A_PIXEL = 7  # along rows and columns, to average the Airy disk over a pixel
 
@@ -117,7 +116,7 @@ def airy_kernel(radius_px: float) -> NDArray[np.float64]:
 def _diffraction(planes: Light, shot: Shot) -> Light:
     cv2 = required_opencv("the simulation of diffraction")
     spread = np.empty(planes.shape, np.float32)
-    lengths = _CHANNELS_UM if planes.ndim == 3 else (_GREY_UM,)
+    lengths = _CHANNELS_UM if planes.ndim == 3 else (0.55,)
     for number, length_um in enumerate(lengths):
         here = (..., number) if planes.ndim == 3 else (...,)
         kernel = airy_kernel(shot.sensor.airy_radius_px(length_um))

@@ -9,13 +9,9 @@ from numpy.typing import NDArray
 
 Light = NDArray[np.float32]
 
-_EDGE_DEGREES = 5.0
-_EDGE_CONTRAST = 4.0
 _ROWS_OF_A_PIXEL = 16  # at which an edge is drawn exactly; their mean is the light of the pixel
 
 _STEPS = (4, 5)  # rows and columns of the grey steps
-_STEPS_RANGE = 10_000.0
-_SURROUND = 0.18
 
 _SUN = 160_000.0  # 1.6e9 cd/m^2, in units of a white in sunlight of 10,000 cd/m^2
 _SUN_AT = (0.66, 0.26)  # share of width and height
@@ -31,10 +27,10 @@ def slanted_edge(rows: int, columns: int) -> Light:
     Each pixel has the mean light on its area.
     """
     y = (np.arange(rows * _ROWS_OF_A_PIXEL) + 0.5) / _ROWS_OF_A_PIXEL - rows / 2
-    edge = columns / 2 - y * math.tan(math.radians(_EDGE_DEGREES))
+    edge = columns / 2 - y * math.tan(math.radians(5))
     dark = np.clip(edge[:, np.newaxis] - np.arange(columns), 0, 1)
     share = dark.reshape(rows, _ROWS_OF_A_PIXEL, columns).mean(axis=1)
-    return np.asarray(1 - share * (1 - 1 / _EDGE_CONTRAST), dtype=np.float32)
+    return np.asarray(1 - share * (1 - 1 / 4), dtype=np.float32)
 
 
 def grey_steps(rows: int, columns: int) -> Light:
@@ -46,9 +42,9 @@ def grey_steps(rows: int, columns: int) -> Light:
     y = (np.arange(rows)[:, np.newaxis] + 0.5) / rows * down
     x = (np.arange(columns) + 0.5) / columns * across
     number = np.floor(y) * across + np.floor(x)
-    steps = _STEPS_RANGE ** (-number / (down * across - 1))
+    steps = 10_000.0 ** (-number / (down * across - 1))
     is_step = (np.abs(y % 1 - 0.5) < 0.4) & (np.abs(x % 1 - 0.5) < 0.4)
-    return np.where(is_step, steps, _SURROUND).astype(np.float32)
+    return np.where(is_step, steps, 0.18).astype(np.float32)
 
 
 def outdoor_sun(rows: int, columns: int) -> Light:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from camctl.model.response.camera import FloatArray, srgb_to_linear
 
-_CURVE_SAMPLES = 4097
 _LOOKUP_BINS = 1 << 14
 
 
@@ -55,7 +54,7 @@ def curve_samples(
         table = np.array(curve, dtype=np.float64).reshape(-1, 2)
         return table[:, 0], table[:, 1]
     # Evenly spaced in brightness, so that the steep foot of the curve is sampled as finely.
-    brightness = np.linspace(0.0, 1.0, _CURVE_SAMPLES)
+    brightness = np.linspace(0.0, 1.0, 4097)
     if curve == "srgb":
         return srgb_to_linear(brightness), brightness
     return brightness ** (1 / float(curve)), brightness

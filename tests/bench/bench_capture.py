@@ -200,9 +200,9 @@ def real_time() -> None:
         SimulatedCamera(scene, load_sensor("standard"), clock=RealClock()) as camera,
         tempfile.TemporaryDirectory(dir=Path.cwd()) as folder,
     ):
-        before = camera.frames_lost
+        before = camera.device.lost
         report = capture(camera, request, Path(folder) / "out")
-        lost = camera.frames_lost - before
+        lost = camera.device.lost - before
         expected = (len(ratios) + camera.sensor.delay_frames) * camera.sensor.frame_interval_s
     print(
         f"real   {len(ratios)} frames of 2 MP at 30 a second: {lost} lost, "

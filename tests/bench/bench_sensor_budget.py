@@ -100,7 +100,7 @@ def per_scene(
                     "exact_difference_dn": float(np.abs(exact - everything).max()),
                     "largest_difference_dn": float(np.abs(off).max()),
                     "mean_difference_dn": float(off.mean(dtype=np.float64)),
-                    "cached_bytes": keeping.cached_bytes,
+                    "cached_bytes": keeping._cache.used_bytes,
                 }
             )
     return rows

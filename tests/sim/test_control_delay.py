@@ -50,7 +50,7 @@ def test_n_exposures_take_exactly_n_plus_d_slots(delay: int, counts: list[int]) 
         assert frames[-1].timestamp_s == camera.clock.now()
         for frame in frames:
             check_exposure(camera, frame)
-        assert camera.frames_lost == 0
+        assert camera.device.lost == 0
 
 
 @given(st.integers(0, 3), st.integers(1, 3), st.integers(1, 6), st.integers(0, 50))
@@ -149,7 +149,7 @@ def test_late_consumer_loses_the_oldest_frames() -> None:
         camera.clock.sleep_until(camera.clock.now() + 20 * INTERVAL_S)
         first = camera.device.dequeue(1.0)
         assert first is not None
-        assert camera.frames_lost == 20 - QUEUE
+        assert camera.device.lost == 20 - QUEUE
         assert first.sequence == 3 + 20 - QUEUE
 
 

@@ -37,7 +37,7 @@ def test_a_dropped_frame_is_missing_from_the_stream_and_the_capture_still_right(
     scene, sensor = load_scene("tile-floor", (48, 64)), load_sensor("standard")
     with SimulatedCamera(scene, sensor, faults=Faults(dropped_frames=[1])) as camera:
         frames = list(camera.shoot(SETTINGS))
-        assert camera.frames_lost == 1
+        assert camera.device.lost == 1
     assert [frame.applied for frame in frames] == SETTINGS
     means = [frame.pixels.mean() / frame.applied.time_s for frame in frames if frame.index != 2]
     assert max(means) < 1.15 * min(means)

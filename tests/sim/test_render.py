@@ -241,7 +241,7 @@ def test_frames_are_the_same_whatever_is_kept_between_them(scene: str, sensor: s
             plans = [plan_frame(shot, 0.0, left_out=names) for names in LEFT_OUT]
             taken += [renderer.expose(shot, plan) for plan in plans]
         frames.append(taken)
-        assert renderer.cached_bytes <= cache_bytes
+        assert renderer._cache.used_bytes <= cache_bytes
     for others in frames[1:]:
         assert all(np.array_equal(a, b) for a, b in zip(frames[0], others, strict=True))
 

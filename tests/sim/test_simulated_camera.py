@@ -294,4 +294,4 @@ def test_sequence_in_real_time() -> None:
             check_exposure(camera, frame)
             assert frame.timestamp_s <= clock.now()
         assert clock.now() - start_s >= 4 * INTERVAL_S
-        assert camera.frames_lost <= int(clock.late_s / INTERVAL_S)
+        assert camera.device.lost <= int(clock.late_s / INTERVAL_S)

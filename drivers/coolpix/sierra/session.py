@@ -41,8 +41,9 @@ T = TypeVar("T")
 class Sierra:
     """A session with a camera.
 
-    Each call ends with its result, or with a typed error after a limited number of bad answers or
-    after `timeout_s` without a valid one; before that, the session is opened again once.
+    Each call ends with its result, or after a limited number of bad answers with
+    `CameraProtocolError`, after `timeout_s` without a valid one with `CameraTimeoutError`, or with
+    `CameraDisconnectedError`; before that, the session is opened again once.
 
     Args:
         link: the line; the session sets its speed
@@ -89,11 +90,7 @@ class Sierra:
         self.open()
 
     def answers(self) -> bool:
-        """Return whether a camera answers one NUL at 19,200 baud, which opens a session.
-
-        Raises:
-            CameraDisconnectedError: the line was disconnected
-        """
+        """Return whether a camera answers one NUL at 19,200 baud, which opens a session."""
         self._commands.restart_timeout()
         self.link.write(bytes((NUL,)))
         self._commands.mark_first()
@@ -104,7 +101,6 @@ class Sierra:
 
         Raises:
             RefusedCommandError: the camera has no such register, or cannot read it now
-            CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
         data = self._of_picture(picture, bytes((GET_INTEGER, register)), 4)
         if len(data) != 4:
@@ -118,7 +114,6 @@ class Sierra:
 
         Raises:
             RefusedCommandError: the camera refused
-            CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
         self._exchange(lambda: self._commands.send(setting(register, value)))
 
@@ -140,7 +135,6 @@ class Sierra:
 
         Raises:
             RefusedCommandError: the camera has no such register, or cannot read it now
-            CameraTimeoutError, CameraDisconnectedError, CameraProtocolError
         """
         return self._of_picture(picture, bytes((GET_DATA, register)), limit, progress)
 

@@ -1,7 +1,7 @@
 """Facts of real bodies, from data files: codes, types, choices, and access to the card.
 
 `docs/read_body_dumps.py` wrote the files from the summaries of real cameras that libgphoto2 has
-recorded.  What a summary does not say is assumed here, and named in `BodyFacts.assumed`.
+recorded.  What a summary does not say is assumed here.
 """
 
 from __future__ import annotations
@@ -113,14 +113,6 @@ class BodyFacts(BaseModel):
         if self.extension == _OLYMPUS_REMOTE or Property.OLYMPUS_SHUTTER in self.properties:
             found |= {Operation.OLYMPUS_CAPTURE}
         return found
-
-    @property
-    def assumed(self) -> tuple[str, ...]:
-        """What its summary does not say, in words."""
-        items = [] if self.operations else ["operations"]
-        if self.access is None:
-            items.append("access to the card")
-        return tuple(items)
 
     def may_have(self, code: int) -> bool:
         """Return whether the body may have a property whose description was not recorded."""

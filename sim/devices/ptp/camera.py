@@ -31,7 +31,6 @@ _CANCEL, _RESET, _STATUS = 0x64, 0x66, 0x67  # class requests, section 5.2
 _NO_TRANSACTION = 0xFFFF_FFFF  # of events
 
 _LARGEST_CONTAINER = 64 * 1024  # from the host: no operation takes more
-_MOST_PARAMETERS = 5
 _MOST_EVENTS = 64  # queued for a host that reads none; newer ones are lost
 _MOST_REPLIES = 8  # queued for a host that reads none; then all are discarded
 _UNREAD_S, _READ_POLL_S = 2.0, 0.005  # time for the host to read before an unplugging
@@ -125,7 +124,7 @@ class PtpCamera(PtpDevice, UsbDevice):
 
     def _is_valid(self, length: int, kind: int) -> bool:
         if kind == Container.COMMAND:
-            return HEADER.size <= length <= HEADER.size + 4 * _MOST_PARAMETERS and length % 4 == 0
+            return HEADER.size <= length <= HEADER.size + 20 and length % 4 == 0
         return kind == Container.DATA and HEADER.size <= length <= _LARGEST_CONTAINER
 
     def refuse_transfers(self) -> None:

@@ -40,7 +40,6 @@ _THIRDS = (0, 3, 5)
 SHUTTER_CODES = tuple(code for code in range(0x10, 0xA1) if code % _STEPS_A_STOP in _THIRDS)
 _TENTH_OF_SECOND = 0x53
 _OUTPUT_PC, _NOT_READY = 8, 1  # property D1B0; a result of the release
-_WAITING_RECORDS = 64
 
 
 def stops_of_code(code: int, zero: int) -> float:
@@ -139,7 +138,7 @@ class CanonResponder(Responder):
         return [Property.BATTERY_LEVEL]
 
     def make_operations(self) -> dict[int, Handler]:
-        self._records: deque[bytes] = deque(maxlen=_WAITING_RECORDS)
+        self._records: deque[bytes] = deque(maxlen=64)
         self._changed: set[int] = set()
         self._is_remote, self._is_polled = not self.config.remote_mode, False
         self._empty_polls = self.config.empty_polls

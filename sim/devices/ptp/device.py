@@ -37,7 +37,6 @@ _OBJECT_OPERATIONS = (
     Operation.EOS_GET_PARTIAL_OBJECT,
 )
 _NEVER_BUSY = (Operation.GET_DEVICE_INFO, Operation.OPEN_SESSION, Operation.CLOSE_SESSION)
-_GARBAGE_BYTES = 37
 
 
 @dataclass(frozen=True)
@@ -166,7 +165,7 @@ class PtpDevice(WireFaultCommands, StillFaultCommands):
     def _reply(self, command: Command, reply: Reply) -> None:
         if self.faults.garbage > 0:
             self.faults.garbage -= 1
-            self.send_bytes(self._random.randbytes(_GARBAGE_BYTES))
+            self.send_bytes(self._random.randbytes(37))
         else:
             self.send_reply(command, reply)
 

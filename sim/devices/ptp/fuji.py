@@ -18,7 +18,6 @@ from sim.devices.ptp.responder import Responder
 _BY_CAMERA, _BY_HOST = 1, 2  # property D207
 _HALF_PRESSED, _FULLY_PRESSED = 0x0200, 0x0304  # property D208
 _FOCUSING, _FOCUSED = 1, 2  # property D209
-_FOCUS_S = 0.3
 _THIRDS = range(-39, 19)  # of a stop from 1 s
 _LONGEST_US = 64_000_000  # of exact times; higher numbers are labels of minutes
 
@@ -68,7 +67,7 @@ class FujiResponder(Responder):
         button = self.properties.number(Property.FUJI_BUTTON)
         if button == _HALF_PRESSED:
             state.value = _FOCUSING
-            self.body.call_later(_FOCUS_S, self._focus_found)
+            self.body.call_later(0.3, self._focus_found)  # s
             return Reply()
         if button != _FULLY_PRESSED or state.value == _FOCUSING:
             return Reply(Response.DEVICE_BUSY)

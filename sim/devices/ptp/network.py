@@ -30,9 +30,7 @@ from sim.devices.ptp.link import (
 )
 from sim.devices.ptp.protocol import Reply, Response, pack_parameters
 
-_VERSION = 0x0001_0000
 HOST = "127.0.0.1"
-_READ_BYTES = 1 << 16
 _RESET = struct.pack("ii", 1, 0)  # SO_LINGER: closing a socket resets its connection
 
 
@@ -112,7 +110,7 @@ class NetworkCamera(PtpDevice):
                 self._number += 1
                 name = identity_of(self.config).model.encode("utf-16-le") + b"\0\0"
                 head = self._number.to_bytes(4, "little") + bytes(range(GUID_BYTES))
-                version = _VERSION.to_bytes(4, "little")
+                version = 0x0001_0000.to_bytes(4, "little")
                 connection.send(Packet.INIT_COMMAND_ACK, head + name + version)
         elif kind == Packet.INIT_EVENT and body[:4] == self._number.to_bytes(4, "little"):
             self._events, connection.kind = connection, Packet.INIT_EVENT
@@ -313,7 +311,7 @@ class _Socket:
 def _read(link: socket.socket, connection: Connection) -> None:
     """Pass on what a host sends until it closes the connection."""
     with link, suppress(OSError):
-        while data := link.recv(_READ_BYTES):
+        while data := link.recv(1 << 16):
             connection.received(data)
     connection.lost()
 

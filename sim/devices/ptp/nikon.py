@@ -26,7 +26,6 @@ from sim.devices.still_body import ImageFile
 
 BULB = 0xFFFF_FFFF
 IN_MEMORY = 0xFFFF_0001  # handle of the first picture in memory
-_WAITING_EVENTS = 64
 _TO_CARD, _TO_MEMORY = 0, 1
 _WITHOUT_FOCUSING = 0xFFFF_FFFF
 _SPECIAL = 0xFFFF_FFF0  # values from here on are no times
@@ -108,7 +107,7 @@ class NikonResponder(Responder):
         return items
 
     def make_operations(self) -> dict[int, Handler]:
-        self._polled: deque[tuple[int, int]] = deque(maxlen=_WAITING_EVENTS)
+        self._polled: deque[tuple[int, int]] = deque(maxlen=64)
         return {
             **super().make_operations(),
             Operation.NIKON_CAPTURE: self._capture,

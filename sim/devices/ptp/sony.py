@@ -32,16 +32,13 @@ from sim.devices.still_body import ImageFile
 
 BULB = 0
 IN_MEMORY = 0xFFFF_C001  # handle of the oldest picture in memory
-_MEMORY_FILES = 16
 _READY = 0x8000  # added to the number of files in memory, in property D215
 _PRESSED, _RELEASED = 2, 1  # states of a button
-_VERSION = 0xC8
 # Properties that set another one, on newer cameras.
 _SET_BY: dict[int, int] = {
     Property.SONY_SHUTTER_SET: Property.SONY_SHUTTER,
     Property.SONY_ISO_SET: Property.SONY_ISO,
 }
-_MANUAL_FOCUS = 1
 _BY_DIALS, _BY_HOST = 0, 1  # property D25A: what sets the exposure
 _HANDSHAKE = (1, 2, 3)
 
@@ -87,7 +84,7 @@ class SonyResponder(Responder):
             battery(),
             *compression(config, self.compressions, is_always_there=True),
             *aperture(config),
-            DeviceProperty(Property.FOCUS_MODE, Type.UINT16, _MANUAL_FOCUS, is_writable=False),
+            DeviceProperty(Property.FOCUS_MODE, Type.UINT16, 1, is_writable=False),
             program(config),
             shutter,
             DeviceProperty(Property.SONY_PRIORITY, Type.INT8, _BY_DIALS, (_BY_DIALS, _BY_HOST)),
@@ -185,7 +182,7 @@ class SonyResponder(Responder):
             return Reply(Response.ACCESS_DENIED)
         controls = [Property.SONY_BUTTON_FOCUS, Property.SONY_BUTTON_SHUTTER]
         lists = pack_list(sorted(self.properties)) + pack_list(controls)
-        return Reply(data=struct.pack("<H", _VERSION) + lists)
+        return Reply(data=struct.pack("<H", 0xC8) + lists)
 
     def _get_properties(self, parameters: Sequence[int], data: bytes) -> Reply:
         """Return all properties.
@@ -274,7 +271,7 @@ class SonyResponder(Responder):
             return Reply()
         if button != _PRESSED:
             return Reply(Response.INVALID_VALUE)
-        if len(self._memory) >= _MEMORY_FILES:
+        if len(self._memory) >= 16:
             return Reply(Response.DEVICE_BUSY)
         if self.body.now() < self._ready_s:
             return Reply()  # it accepts the button, and takes no picture

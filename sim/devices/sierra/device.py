@@ -41,7 +41,6 @@ _HEADER, _SUM = 4, 2  # bytes
 _SET_NUMBER, _GET_NUMBER, _ACTION, _SET_TEXT, _GET_TEXT = range(5)
 _PARTIAL_PACKET_S = 0.5  # silence after which the beginning of a packet is discarded
 _MOST_QUEUED_BYTES = 4096  # that are kept of what a host sends during an exposure
-_GARBAGE_BYTES = 23
 
 
 class SierraDevice(LineFaultCommands, StillFaultCommands):
@@ -228,7 +227,7 @@ class SierraDevice(LineFaultCommands, StillFaultCommands):
     def _send(self, data: bytes) -> None:
         if self.faults.garbage > 0:
             self.faults.garbage -= 1
-            data = self._random.randbytes(_GARBAGE_BYTES)
+            data = self._random.randbytes(23)
         self.line.send(data, self.speed if self.config.is_paced else 0)
 
     # Silence of the host.

@@ -26,7 +26,6 @@ _FREE = 4  # VDEV_ST_NULL in the `status` file
 
 _CMD_SUBMIT, _CMD_UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4
 _HEADER = struct.Struct(">5I")  # command, sequence number, device, direction, endpoint
-_HEADER_SIZE = 48
 _PACKET_SIZE = 16  # of an isochronous packet's description
 
 
@@ -84,7 +83,7 @@ class UsbIpConnection:
             self.channel.close()
 
     def _serve_one(self) -> None:
-        head = self._receive(_HEADER_SIZE)
+        head = self._receive(48)
         command, number, _, is_in, endpoint = _HEADER.unpack_from(head)
         if command == _CMD_UNLINK:
             self._unlink(number, *struct.unpack_from(">I", head, 20))

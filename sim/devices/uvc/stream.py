@@ -19,7 +19,6 @@ from sim.devices.uvc.controls import TICKS_PER_S
 from sim.devices.uvc.descriptors import FORMATS
 from sim.streaming_device import SimulatedDevice, Slot
 
-_JPEG_QUALITY = 95
 #: Of R, G and B in the luma of ITU-R BT.601.
 _LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
 
@@ -176,7 +175,7 @@ class Stream:
         luma = self._luma(pixels)
         if not form.code:
             cv2 = required_opencv("the virtual webcam with MJPG frames")
-            return bytes(cv2.imencode(".jpg", luma, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1])
+            return bytes(cv2.imencode(".jpg", luma, [cv2.IMWRITE_JPEG_QUALITY, 95])[1])
         if self._mode.is_limited:
             luma = np.rint(16 + luma * (219 / 255)).astype(np.uint8)
         packed = np.full((*luma.shape, 2), 128, np.uint8)
