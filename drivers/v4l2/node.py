@@ -212,13 +212,10 @@ class Node:
             numerator=round(interval_s * _INTERVALS_PER_S),
             denominator=_INTERVALS_PER_S,
         )
-        try:
-            self._call(abi.Request.S_PARM, rate)
-        except OSError as error:
-            if error.errno in (errno.EINVAL, errno.ENOTTY):
-                return None
-            raise camera_error(error, self.path, "set the frame rate of") from error
-        return rate.numerator / rate.denominator if rate.numerator and rate.denominator else None
+        found = self._query_or_none(abi.Request.S_PARM, rate, "set the frame rate of")
+        if found is None or not (found.numerator and found.denominator):
+            return None
+        return float(found.numerator / found.denominator)
 
     def control(self, control: int) -> ControlRange | None:
         """Return the range of a control; None where the camera does not have it.
@@ -226,13 +223,9 @@ class Node:
         Raises:
             CameraProtocolError: the range is contradictory
         """
-        try:
-            found = self._call(abi.Request.QUERYCTRL, abi.ControlQuery(id=control))
-        except OSError as error:
-            if error.errno in (errno.EINVAL, errno.ENOTTY):
-                return None
-            raise camera_error(error, self.path, "query a control of") from error
-        if found.flags & abi.ControlFlag.DISABLED:
+        query = abi.ControlQuery(id=control)
+        found = self._query_or_none(abi.Request.QUERYCTRL, query, "query a control of")
+        if found is None or found.flags & abi.ControlFlag.DISABLED:
             return None
         name = abi.text(found.name) or f"control {control:#x}"
         is_switch = found.type in (abi.ControlType.BOOLEAN, abi.ControlType.MENU)
@@ -251,13 +244,10 @@ class Node:
 
     def menu_has(self, control: int, index: int) -> bool:
         """Return whether a menu control has an entry of that number."""
-        try:
-            self._call(abi.Request.QUERYMENU, abi.MenuQuery(id=control, index=index))
-        except OSError as error:
-            if error.errno == errno.EINVAL:
-                return False
-            raise camera_error(error, self.path, "query a menu of") from error
-        return True
+        query = abi.MenuQuery(id=control, index=index)
+        absent = (errno.EINVAL,)
+        found = self._query_or_none(abi.Request.QUERYMENU, query, "query a menu of", absent)
+        return found is not None
 
     def get(self, control: int) -> int:
         """Return the value of a control."""
@@ -268,13 +258,8 @@ class Node:
         """Return the value of a control of up to 64 bits; None where the camera has none."""
         value = abi.LongValue(id=control)
         values = abi.LongValues(count=1, controls=ctypes.pointer(value))
-        try:
-            self._call(abi.Request.G_EXT_CTRLS, values)
-        except OSError as error:
-            if error.errno in (errno.EINVAL, errno.ENOTTY):
-                return None
-            raise camera_error(error, self.path, "read a control of") from error
-        return int(value.value)
+        found = self._query_or_none(abi.Request.G_EXT_CTRLS, values, "read a control of")
+        return None if found is None else int(value.value)
 
     def set(self, control: int, value: int) -> int:
         """Set a control and return the value read back, which may be another one."""
@@ -296,12 +281,9 @@ class Node:
     ) -> Iterator[_StructureT]:
         """Yield the entries of a list, `most` at most."""
         for index in range(most):
-            try:
-                found = self._call(request, entry(index))
-            except OSError as error:
-                if error.errno in (errno.EINVAL, errno.ENOTTY):
-                    return
-                raise camera_error(error, self.path, "list the formats of") from error
+            found = self._query_or_none(request, entry(index), "list the formats of")
+            if found is None:
+                return
             yield found
             # A range is the last entry of its list.
             if (
@@ -315,6 +297,21 @@ class Node:
         try:
             return self._call(request, argument)
         except OSError as error:
+            raise camera_error(error, self.path, action) from error
+
+    def _query_or_none(
+        self,
+        request: abi.Request,
+        argument: _StructureT,
+        action: str,
+        absent: tuple[int, ...] = (errno.EINVAL, errno.ENOTTY),
+    ) -> _StructureT | None:
+        """Return as `query`; None where the driver answers with one of the errors `absent`."""
+        try:
+            return self._call(request, argument)
+        except OSError as error:
+            if error.errno in absent:
+                return None
             raise camera_error(error, self.path, action) from error
 
     def map(self, buffer: abi.Buffer) -> Memory:
