@@ -49,79 +49,40 @@ class PtpConformance(CameraConformance):
         assert (camera.controls.bits, camera.controls.layout) == (bits, layout)
 
 
-class TestPlainJpeg(PtpConformance):
-    run_length = 100
+def dialect(
+    kind: str = "jpeg",
+    sensor: str = "ideal-8",
+    run_length: int = PtpConformance.run_length,
+    **config: Any,
+) -> type[PtpConformance]:
+    """Return the suite for cameras that save files of one kind."""
+    saved = (kind, 12 if sensor == "ideal-12" else 8, Layout.MONO)
+    fields: dict[str, Any] = {
+        "config": {"files": kind, **config},
+        "sensor": sensor,
+        "saved": saved,
+        "run_length": run_length,
+        "__module__": __name__,
+    }
+    return type("Dialect", (PtpConformance,), fields)
 
 
-class TestPlainTiff(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"files": "tiff"}
-    saved = ("tiff", 8, Layout.MONO)
-
-
-class TestPlainRaw(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"files": "dng"}
-    sensor = "ideal-12"
-    saved = ("dng", 12, Layout.MONO)
-
-
-class TestTimesAsRange(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"time_form": "range"}
-
-
-class TestNikonRaw(PtpConformance):
-    run_length = 100
-    config: ClassVar[dict[str, Any]] = {"vendor": "nikon", "files": "dng"}
-    saved = ("dng", 8, Layout.MONO)
-
-
-class TestNikonJpeg(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "nikon"}
-
-
-class TestNikonTiff(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "nikon", "files": "tiff"}
-    saved = ("tiff", 8, Layout.MONO)
-
-
-class TestCanonRaw(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "canon", "files": "dng"}
-    saved = ("dng", 8, Layout.MONO)
-
-
-class TestCanonJpeg(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "canon"}
-
-
-class TestCanonTiff(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "canon", "files": "tiff"}
-    saved = ("tiff", 8, Layout.MONO)
-
-
-class TestSonyRaw(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "sony", "files": "dng"}
-    saved = ("dng", 8, Layout.MONO)
-
-
-class TestSonyJpeg(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "sony"}
-
-
-class TestSonyTiff(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "sony", "files": "tiff"}
-    saved = ("tiff", 8, Layout.MONO)
-
-
-class TestFujiJpeg(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "fuji"}
-
-
-class TestOlympusRaw(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "olympus", "files": "dng"}
-    saved = ("dng", 8, Layout.MONO)
-
-
-class TestPanasonicJpeg(PtpConformance):
-    config: ClassVar[dict[str, Any]] = {"vendor": "panasonic"}
+TestPlainJpeg = dialect(run_length=100)
+TestPlainTiff = dialect("tiff")
+TestPlainRaw = dialect("dng", "ideal-12")
+TestTimesAsRange = dialect(time_form="range")
+TestNikonRaw = dialect("dng", vendor="nikon", run_length=100)
+TestNikonJpeg = dialect(vendor="nikon")
+TestNikonTiff = dialect("tiff", vendor="nikon")
+TestCanonRaw = dialect("dng", vendor="canon")
+TestCanonJpeg = dialect(vendor="canon")
+TestCanonTiff = dialect("tiff", vendor="canon")
+TestSonyRaw = dialect("dng", vendor="sony")
+TestSonyJpeg = dialect(vendor="sony")
+TestSonyTiff = dialect("tiff", vendor="sony")
+TestFujiJpeg = dialect(vendor="fuji")
+TestOlympusRaw = dialect("dng", vendor="olympus")
+TestPanasonicJpeg = dialect(vendor="panasonic")
 
 
 class TestUnusualTransfers(PtpConformance):
