@@ -23,6 +23,9 @@ UNKNOWN = ("--scene", "uniform", "-n", "2", "--range", "5")
 """Exposures that are not in the built-in table."""
 
 
+SLOW = pytest.mark.slow  # each is a process, half a second of processor time or more
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """An empty folder."""
@@ -57,7 +60,17 @@ STREAMS = [
 ]
 
 
-@pytest.mark.parametrize(("line", "shell", "status", "message"), STREAMS)
+IN_SLOW_TESTS = {1, 4, 6, 8, 11, 13, 16}
+"""Places in `STREAMS` of lines that differ from another one in the stream or in --json alone."""
+
+
+@pytest.mark.parametrize(
+    ("line", "shell", "status", "message"),
+    [
+        pytest.param(*each, marks=SLOW if place in IN_SLOW_TESTS else ())
+        for place, each in enumerate(STREAMS)
+    ],
+)
 def test_closed_and_full_streams(
     folder: Path, line: str, shell: str, status: int, message: str
 ) -> None:
@@ -155,7 +168,14 @@ NO_RIGHTS = {"CAMCTL_CACHE": None, "CAMCTL_PROFILES": None, "XDG_CACHE_HOME": No
 """Environment in which cache and profiles are in HOME."""
 
 
-@pytest.mark.parametrize("home", [None, "", "/dev/null", "/nonexistent", "/proc"])
+@pytest.mark.parametrize(
+    "home",
+    [
+        "",
+        "/proc",
+        *(pytest.param(each, marks=SLOW) for each in (None, "/dev/null", "/nonexistent")),
+    ],
+)
 def test_home_that_cannot_be_used(folder: Path, home: str | None) -> None:
     variables = {**NO_RIGHTS, "XDG_DATA_HOME": None, "HOME": home}
     (folder / "here").mkdir()
@@ -197,13 +217,12 @@ def test_working_directory_that_was_deleted(folder: Path, line: str) -> None:
     Ended(done.returncode, done.stdout, done.stderr).check_one_line(1)
 
 
-@pytest.mark.parametrize("files", [12])
-def test_few_open_files_suffice(folder: Path, files: int) -> None:
-    ended = camctl(folder, *SHOOT, limits={resource.RLIMIT_NOFILE: files})
+def test_few_open_files_suffice(folder: Path) -> None:
+    ended = camctl(folder, *SHOOT, limits={resource.RLIMIT_NOFILE: 12})
     assert (ended.status, ended.err) == (0, "")
 
 
-@pytest.mark.parametrize("files", [5, 6, 7, 9])
+@pytest.mark.parametrize("files", [pytest.param(5, marks=SLOW), 6, pytest.param(7, marks=SLOW), 9])
 def test_too_few_open_files(folder: Path, files: int) -> None:
     """Below about 5 not even Python starts."""
     ended = camctl(folder, *SHOOT, limits={resource.RLIMIT_NOFILE: files})
@@ -263,13 +282,13 @@ def test_any_bytes_name_a_folder(folder: Path, name: bytes) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".hdr", ".exr", ".tiff", ".npy"])
-def test_any_bytes_name_a_scene(folder: Path, suffix: str) -> None:
+def test_any_bytes_name_a_scene(run: Run, suffix: str) -> None:
     values = np.linspace(0.1, 10, 16 * 24, dtype=np.float32).reshape(16, 24)
-    name = b"s\xff" + suffix.encode()
-    write_map(folder / f"map{suffix}", values)
-    (folder / f"map{suffix}").rename(folder / os.fsdecode(name))
-    ended = camctl(folder, "simulate", "--scene", name)
-    assert (ended.status, ended.err) == (0, "")
+    name = os.fsdecode(b"s\xff" + suffix.encode())
+    write_map(Path(f"map{suffix}"), values)
+    Path(f"map{suffix}").rename(name)
+    ran = run("simulate", "--scene", name)
+    assert (ran.status, ran.err) == (0, "")
 
 
 def test_report_cannot_hold_every_name_of_a_scene(run: Run) -> None:
