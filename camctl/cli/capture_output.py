@@ -96,7 +96,9 @@ def show_capture(
         else:
             print_findings(report)
             if as_json:
-                print_json(report.model_dump(mode="json"))
+                from camctl.records.report_json import to_json  # loads pydantic
+
+                print_json(to_json(report))
             else:
                 print_text(capture_text(report, directory, with_bars=draws_bars()))
             if explain and not as_json:

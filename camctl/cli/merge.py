@@ -157,7 +157,9 @@ def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json:
 
     print_findings(report, lambda text: _with_names(text, report))
     if as_json:
-        print_json(report.model_dump(mode="json") | found.source)
+        from camctl.records.report_json import to_json  # loads pydantic
+
+        print_json(to_json(report) | found.source)
         return
     photographs = sorted(
         found.photographs,

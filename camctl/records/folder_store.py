@@ -18,6 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
+import pydantic_core
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, StorageError
@@ -48,6 +49,7 @@ from camctl.records.report_file import (
     position_of,
     read_report_file,
 )
+from camctl.records.report_json import to_json
 from camctl.system.files import make_folder, npy_parts, write_bytes
 
 #: How often one exposure can be rejected; far more than happens.
@@ -203,7 +205,8 @@ class FolderStore:
             report.discarded = self._removals
         with self._folder.storage_errors():
             make_folder(self._folder.frames)
-            write_bytes(self.directory / REPORT, report.model_dump_json(indent=2).encode() + b"\n")
+            data = pydantic_core.to_json(to_json(report), indent=2, inf_nan_mode="null")
+            write_bytes(self.directory / REPORT, data + b"\n")
             self.report = report
             self._folder.remove(self._removals)
             for source, target in self._renames.items():

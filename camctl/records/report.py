@@ -28,8 +28,8 @@ from camctl.records.capture_plan import CapturePlan
 from camctl.records.frame import FrameRecord, StoredFrame
 from camctl.records.simulation_summary import SimulationSummary
 
-FORMAT_VERSION = 2
-"""Version of report.json and of the folder's files; readers accept this one only."""
+FORMAT_VERSION = 3
+"""Version of report.json and of the folder's files; readers accept 2, too."""
 
 
 class Achieved(ReportModel):

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import pydantic_core
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from camctl.errors import CamctlError, DataError
@@ -25,6 +26,7 @@ from camctl.pictures.files import CONTACT, IMAGE, PREVIEW, RADIANCE, SUM
 from camctl.records import REPORT as REPORT
 from camctl.records.frame import StoredFrame
 from camctl.records.report import FORMAT_VERSION, CaptureReport, UnfinishedCapture
+from camctl.records.report_json import from_json
 from camctl.system.files import leftovers
 from camctl.system.input_files import read_own_file
 
@@ -65,6 +67,10 @@ _ANY_CAPTURE: TypeAdapter[CaptureReport | UnfinishedCapture] = TypeAdapter(
 )
 
 
+_READ = (2, FORMAT_VERSION)
+"""Versions of reports that are read."""
+
+
 class _Versions(BaseModel):
     camctl: str = Field(default="unknown", max_length=40)
 
@@ -73,7 +79,7 @@ class _Header(BaseModel):
     """What reports of all versions have in common; reports of format 1 do not state it."""
 
     format_version: int | None = None
-    versions: _Versions | None = None
+    versions: _Versions | str | None = None
 
 
 def frame_file(position: int, suffix: str = SAMPLES, rejected: int = 0) -> str:
@@ -152,7 +158,8 @@ def read_report_file(directory: Path) -> CaptureReport | UnfinishedCapture:
         raise
     try:
         if (version := _version_text(data)) is None:
-            report = _ANY_CAPTURE.validate_json(data)
+            content = pydantic_core.to_json(from_json(pydantic_core.from_json(data)))
+            report = _ANY_CAPTURE.validate_json(content)
             problem = next(_problems(report), None)
     except ValidationError as error:
         problem = _first_problem(error)
@@ -211,8 +218,10 @@ def _version_text(data: bytearray) -> str | None:
     """Return the version of a report, and which camctl wrote it; None for the current version."""
     header = _Header.model_validate_json(data)
     version = header.format_version or (1 if header.versions is not None else FORMAT_VERSION)
-    if version == FORMAT_VERSION:
+    if version in _READ:
         return None
+    if isinstance(header.versions, str):
+        return f"{version} (written by {header.versions[:60]!r})"
     return f"{version} (written by camctl {(header.versions or _Versions()).camctl!r})"
 
 

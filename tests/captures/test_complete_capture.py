@@ -71,7 +71,6 @@ def test_resume_names_a_frame_of_a_complete_capture_that_is_missing(
     "changes",
     [
         {"frames__0__applied_s": 0},
-        {"frames__1__applied_s": 0.5},
         {"frames__2__requested_s": -1},
         {"plan__exposures": [1, 1e308, 1e308]},
         {"plan__exposures": [1, 2]},

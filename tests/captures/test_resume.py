@@ -128,7 +128,7 @@ def test_resume_refuses_another_format(unfinished: Path) -> None:
     ("before", "after", "problem"),
     [
         ('"white": 255', '"white": "snow"', "white: Input should be a valid integer"),
-        ('"attempts": 1', '"attempts": []', "frames.0.attempts: Input should be a valid integer"),
+        ('"black": ', '"black": "a", "was": ', "frames.0.black: Input should be a valid integer"),
         ("{", "[", "Invalid JSON"),
     ],
 )

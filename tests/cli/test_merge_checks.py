@@ -138,7 +138,7 @@ def test_a_masked_part_is_not_taken_for_a_part_of_the_scene(run: Run, series: Se
     assert "the black level is 17" in str(ran.json["facts"])
     (masked,) = [each for each in ran.json["facts"] if each["code"] == "masked"]
     assert (masked["place"], masked["value"]) == (None, pytest.approx(1 / 4))
-    assert ran.json["request"]["dynamic_range"] == without["request"]["dynamic_range"]
+    assert ran.json["plan"]["dynamic_range"] == without["plan"]["dynamic_range"]
     used = [[each["used"] for each in found["photographs"]] for found in (without, ran.json)]
     assert used[0] == used[1]
     left = valid > 0

@@ -26,8 +26,8 @@ from camctl.records.report_file import read_report_file
 @pytest.mark.parametrize(
     ("change", "found"),
     [
-        (lambda report: report.pop("format_version"), "format version 1 (written by camctl '0.2"),
-        (lambda report: report.update(format_version=3), "format version 3 (written by camctl"),
+        (lambda report: report.pop("format_version"), "format version 1 (written by 'camctl 0.2"),
+        (lambda report: report.update(format_version=4), "format version 4 (written by 'camctl"),
     ],
 )
 def test_report_of_another_version_is_refused_by_name_and_its_frames_stay_readable(

@@ -201,7 +201,7 @@ def test_report_with_an_invalid_request_is_a_data_error(tmp_path: Path) -> None:
     with small_camera() as camera:
         capture(camera, CaptureRequest(ratios=(1.0, 2.0)), tmp_path / "out")
     path = tmp_path / "out" / "report.json"
-    path.write_text(path.read_text().replace('"gamma": null', '"gamma": 0.4'))
+    path.write_text(path.read_text().replace('"request": {', '"request": {"gamma": 0.4,'))
     with pytest.raises(DataError, match=r"report\.json is damaged: gamma 0\.4 does not apply"):
         read_capture(tmp_path / "out")
 
