@@ -30,6 +30,7 @@ from camctl.messages.command_line import with_remedies
 from camctl.messages.plain import sentence
 from camctl.photographs.photograph_set import PhotographOptions
 from camctl.records.report import CaptureReport
+from camctl.records.report_json import FOLLOWS
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
@@ -56,6 +57,14 @@ output of `--json`, and `findings` of a `camctl.CaptureReport`. Each finding has
 
 | code | `value` | sentence, an example | options that help |
 |---|---|---|---|"""
+SHORTER = """
+## What JSON leaves out
+
+`report.json` and `--json` leave out what is null or has its default, except for `format_version`,
+`status`, `trustworthy`, `findings`, `warnings` and `noise`, and what follows from other fields:
+
+| field | in JSON |
+|---|---|"""
 REPORT = """\
 # Fields of the report
 
@@ -109,6 +118,7 @@ def report_page() -> str:
     described: dict[type, str] = {Finding: "[finding](findings.md)"}
     for path, kind, meaning in _fields(CaptureReport, "", described):
         lines.append(f"| `{path}` | {kind} | {_json_words(meaning)} |")
+    lines += [SHORTER, *(f"| `{path}` | {where} |" for path, where in FOLLOWS.items())]
     return "\n".join([*lines, "", "`python docs/write_reference.py` writes this page.", ""])
 
 
