@@ -19,7 +19,7 @@ from camctl.errors import DataError, UsageError
 from camctl.evidence.movement import FoundMovement
 from camctl.evidence.ratio_check import ReportModel
 from camctl.exposure.goal import CaptureRequest
-from camctl.findings import Finding
+from camctl.findings import Finding, note
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.controls import Layout, ResponseOrigin
 from camctl.messages.plain import sentence
@@ -135,10 +135,20 @@ class _CaptureData(ReportModel):
     @model_validator(mode="before")
     @classmethod
     def _without_computed(cls, content: object) -> object:
-        """Leave out what follows from other fields."""
-        if isinstance(content, dict):
-            return {name: value for name, value in content.items() if name != "warnings"}
-        return content
+        """Leave out what follows from other fields; before findings there were sentences alone."""
+        if not isinstance(content, dict):
+            return content
+        found = dict(content)
+        lines = found.pop("warnings", None)
+        if "findings" not in found and isinstance(lines, list):
+            found["findings"] = [note(str(line)) for line in lines]
+        if isinstance(plan := found.get("plan"), dict):
+            light = plan.get("light")
+            found["plan"] = {name: plan[name] for name in plan if name != "warnings"}
+            if isinstance(light, dict):
+                kept = light.keys() - {"advice", "bright_advice"}
+                found["plan"]["light"] = {name: light[name] for name in light if name in kept}
+        return found
 
 
 class UnfinishedCapture(_CaptureData):

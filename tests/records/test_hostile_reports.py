@@ -60,6 +60,22 @@ def test_report_that_does_not_say_what_is_known_of_the_response_is_read(tmp_path
     complete(tmp_path / "b")
 
 
+def test_sentences_of_a_report_without_findings_are_notes(tmp_path: Path) -> None:
+    shoot(tmp_path)
+
+    def as_before(report: dict[str, Any]) -> None:
+        del report["findings"], report["repeatable"], report["plan"]["findings"]
+        report["warnings"] = report["plan"]["warnings"] = ["it is dark"]
+        light = {"span": 9.0, "is_open": False, "clips": 0, "clips_stops": 0, "dark": 0}
+        report["plan"]["light"] = light | {"needed": 9.0, "advice": None, "bright_advice": "no"}
+
+    edit(tmp_path, as_before)
+    report = read_report(tmp_path)
+    assert [each.code for each in report.findings] == ["note"]
+    assert report.warnings == ["it is dark"]
+    assert report.repeatable
+
+
 # A report is hostile input
 
 
