@@ -28,7 +28,7 @@ _STATED_ERROR = 0.02
 _GREYS = (0.900, 0.591, 0.362, 0.198, 0.090, 0.031)
 _GREY_ERROR, _GLARE = 0.015, 0.0015
 #: Share of the light of the strongest channel by which a coloured patch may differ in another
-#: camera, whose colour filters are not those of sRGB.
+#: camera, whose colour filters differ from sRGB.
 _FILTER_ERROR = 0.15
 #: Reflectance of patches that have none in a colour of sRGB.
 _LEAST_REFLECTANCE = 0.003
@@ -48,7 +48,7 @@ class ChartPatch:
     """A rectangle of one reflectance in all frames.
 
     Attributes:
-        x, y: upper left corner, pixels from that of the frame
+        x, y: upper left corner, pixels from the corner of the frame
         width, height: pixels
         reflectance: in R, G, and B, in any unit
         error: standard deviations of their logarithms

@@ -22,7 +22,7 @@ from camctl.interface.controls import Control, ExposureSetting
 from camctl.profiles.profile import DelayRecord
 
 TRIALS = 12
-#: Exposure of the bright setting over that of the dark one: far apart, and both within the range
+#: Exposure of the bright setting over the dark one: far apart, and both within the range
 #: that a camera can show of one scene.
 _STEP_RATIO = 4.0
 #: Two settings with a smaller ratio of exposures are not used: their step might drown in noise.
@@ -46,8 +46,8 @@ _SETTLED_AFTER = 2
 _SETTLED_FRAMES = 4
 #: Samples of which the brightness of a frame is the mean, about.
 _SAMPLES = 1 << 16
-#: Longest exposure, s, where the camera does not report its frame interval: that of 15 frames a
-#: second, a usual lowest rate.
+#: Longest exposure, s, where the camera does not report its frame interval: 15 frames a second
+#: are a usual lowest rate.
 _LONGEST_S = 1 / 15
 
 

@@ -2,7 +2,7 @@
 
 The frames show a curve E and exposures t only up to a common exponent g: E^g and t^g fit as well
 (Mitsunaga and Nayar, "Radiometric Self Calibration", CVPR 1999).  Patches of known reflectance
-decide; without them, the expectation that the curve is about as steep as that of sRGB.
+decide; without them, the expectation that the curve is about as steep as sRGB.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from camctl.calibration.response_fit import (
 )
 from camctl.model.response.camera import FloatArray, srgb_to_linear
 
-#: Brightness, share of full scale, at which the steepness is compared with that of sRGB, and the
+#: Brightness, share of full scale, at which the steepness is compared with sRGB, and the
 #: relative standard deviation of the exponent (tests/bench/bench_response.py).
 _STEEP, _STEEP_ERROR = 0.05, 0.2
 #: Errors from which patches lose weight, in standard deviations, and the number of rounds.
@@ -39,7 +39,7 @@ class Exponent:
 
 
 def expected_exponent(fit: ResponseFit, edges: FloatArray) -> Exponent:
-    """Return the exponent that makes a response about as steep as that of sRGB.
+    """Return the exponent that makes a response about as steep as sRGB.
 
     Args:
         fit: the response for some exponent
@@ -79,7 +79,7 @@ def exponent_of_chart(fit: ResponseFit, edges: FloatArray, chart: ChartSamples) 
 def common_exponent(found: Sequence[Exponent]) -> Exponent:
     """Return the weighted mean of the exponents of the channels, which have the same exposures.
 
-    Its error is the least of theirs: what is wrong with a chart or an expectation is wrong in all.
+    Its error is the least error of a channel: a wrong chart or expectation is wrong in all.
     """
     errors = np.array([each.error for each in found])
     value = np.average([each.value for each in found], weights=errors**-2)
@@ -87,7 +87,7 @@ def common_exponent(found: Sequence[Exponent]) -> Exponent:
 
 
 def with_exponent_error(fit: ResponseFit, edges: FloatArray, error: float) -> ResponseFit:
-    """Return a fit whose standard deviations count in that of the exponent.
+    """Return a fit whose standard deviations include the error of the exponent.
 
     Args:
         fit: the response

@@ -52,7 +52,7 @@ def measure_exposures(
         camera: an open camera
         repeats: frames of each setting, at least 2
         longest_s: longest shutter time to measure, s
-        response: of the camera; None: that of its controls
+        response: of the camera; None: as its controls state it
         progress: called with the share that is done, 0 to 1
         warn: called with one line for each irregularity
 

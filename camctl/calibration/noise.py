@@ -42,7 +42,7 @@ def measure_noise(
         is_flat: an evenly lit surface fills the picture
         exposures: pairs at each gain, at least 3
         longest_s: longest shutter time, s
-        response: of the camera; None: that of its controls
+        response: of the camera; None: as its controls state it
         progress: called with the share that is done, 0 to 1
 
     Raises:

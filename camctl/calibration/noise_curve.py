@@ -60,7 +60,7 @@ class NoiseCurve:
         if levels.size < 2:
             levels, height = np.append(levels, 2 * levels[-1]), np.append(height, 2 * height[-1])
         slope = np.diff(height[[0, 1, -2, -1]])[[0, 2]] / np.diff(levels[[0, 1, -2, -1]])[[0, 2]]
-        # Beyond its ends the response goes on straight, so that noise around black is not cut.
+        # Beyond its ends the response is a straight line, so that noise around black is not cut.
         far = 1e3 * self.full
         self._light = np.concatenate([[levels[0] - far], levels, [levels[-1] + far]])
         self._height = np.concatenate(
@@ -89,7 +89,7 @@ class NoiseCurve:
             read_squared: squared read noise, levels squared of the linear scale
         """
         light = self._grid
-        # A mean below black is due to noise: there the line goes on, so that errors cancel.
+        # A mean below black is due to noise: there the line is continued, so that errors cancel.
         photon = inverse_k * light
         variance = np.maximum(photon, -max(read_squared, 0.0) / 2) + read_squared
         sigma = np.sqrt(np.maximum(variance, 1e-12))

@@ -86,7 +86,7 @@ class NoiseFit:
         squared = self.read_squared / self.inverse_k**2
         slope = np.array([-2 * squared / self.inverse_k, 1 / self.inverse_k**2])
         half = Z_95 * math.sqrt(float(slope @ self.covariance @ slope))
-        # An estimate below 0 is one of 0: the interval must not end below what is possible.
+        # An estimate below 0 counts as 0: the interval must not end below what is possible.
         squared = max(0.0, squared)
         value, low, high = (math.sqrt(max(0.0, squared + turn)) for turn in (0, -half, half))
         return value, low, high
@@ -186,7 +186,7 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
 
 
 def _shifts(curve: NoiseCurve, patches: PairPatches, found: tuple[float, float]) -> FloatArray:
-    """Return how the errors of the response change the parameters, and that of its scale."""
+    """Return how the errors of the response change the parameters, and how its scale does."""
     here, _ = _round(curve.shape(*found), patches, found)
     moved = [_round(each.shape(*found), patches, found)[0] for each in curve.varied()]
     scale = curve.response.scale_error

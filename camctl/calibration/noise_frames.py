@@ -3,7 +3,7 @@
 Two frames of each setting, from dark to nearly saturated, are compared in patches
 (`camctl.calibration.noise_pairs`); variance against brightness gives conversion gain and read noise
 (`camctl.calibration.noise_fit`).  An evenly lit surface also gives the PRNU; frames without light
-are the matter of `camctl.calibration.dark`.
+are examined by `camctl.calibration.dark`.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ _SATURATED = 0.5
 _CHANGED = 5.0
 #: Patches whose relative change has at most this standard error are asked for it.
 _CERTAIN = 0.01
-#: Relative change of a patch beside that of the whole picture from which it has moved: bands of a
+#: Relative change of a patch, beyond the whole picture, from which it has moved: bands of a
 #: lamp under a rolling shutter change less.
 _MOVED = 0.25
 #: Noise that leaves at least this variance is looked at for correlation, DN squared.

@@ -114,7 +114,7 @@ def sensitivity_pattern(first: View, second: View, noise: NoiseRecord | None = N
     Args:
         first: view of a scene
         second: view of the same camera after it was turned
-        noise: of the camera; where it has the dark signal, that is no part of the result.  The
+        noise: of the camera; the dark signal, if it has one, is no part of the result.  The
             interval does not contain the error of the dark signal, which is far smaller
 
     Raises:

@@ -85,7 +85,7 @@ class ResponseEstimate:
 
     Attributes:
         record: for the camera's profile
-        exposures: of the frames relative to the first: those given, or those estimated
+        exposures: of the frames relative to the first, as given or as estimated
         residual: root mean square error of matched irradiances, relative; None where it is
             unknown
         exponent_error: relative standard deviation of an exponent of the whole curve; None where it

@@ -33,7 +33,7 @@ def disagreement(
     Args:
         series: patches of the frames
         lights: of each channel, (white + 1,) light of each brightness, in any unit
-        exposures: of each channel, those of the frames, in any unit
+        exposures: of the frames by each channel, in any unit
     """
     order = np.argsort(series.exposures).tolist()
     span, errors = series.white - series.black, [np.zeros(0)]
@@ -54,7 +54,7 @@ def green_explains_all(
 ) -> bool:
     """Return whether the curve of green explains the frames as well as one of each colour.
 
-    Green is estimated best: most of a brightness is green, and JPEG files keep that best.
+    Green is estimated best: most of a brightness is green, and JPEG files keep green best.
 
     Args:
         series: patches of the frames

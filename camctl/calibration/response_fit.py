@@ -53,13 +53,13 @@ _COARSE, _SMOOTHNESS_OF_COARSE = 5.0, 40.0
 _ADAPTED, _AROUND, _LEAST_CURVED = 1.5, 0.3, 0.024
 #: Relative error of a match that the histograms do not explain, and of exposures far apart.
 _FLOOR, _FLOOR_OF_COARSE = 0.001, 0.003
-#: Neighbouring nodes within the noise have the same pixels: as many count as one.
+#: Neighbouring nodes within the noise have the same pixels: so many count as one.
 _ALIKE = 3.0
 #: Errors from which matches lose weight, in standard deviations, and the number of rounds with the
 #: same prior for the whole curve, and with one that follows the curve.  More of these do not help:
 #: they take the error of a round for curvature.
 _OUTLIER, _ROUNDS, _ADAPTED_ROUNDS = 2.0, 6, 2
-#: Standard deviations are those of a weaker prior, by the first factor, times the second one: what
+#: Standard deviations come from a prior weaker by the first factor, times the second one: what
 #: the frames do not determine is smoothed away, and real curves are rougher.  So chosen that the
 #: 95 % intervals hold at steps of 2, 4 and 8 (tests/bench/bench_response.py).
 _ROUGHER, _DEVIATION = 0.0001, 0.5
@@ -103,10 +103,10 @@ class ResponseFit:
     Attributes:
         irradiance: (K,) of each edge, ascending, 1 at level M + 1
         deviation: (K,) standard deviation of its logarithm, relative to the level at `REFERENCE`
-        exposures: (J,) relative exposures of the frames: those given, as corrected by the fit
+        exposures: (J,) relative exposures of the frames, as given and corrected by the fit
         residual: root mean square of the logarithm of matched irradiances, robust
         patch_errors: (P,) logarithm of the reflectance of each patch of a chart, as found, relative
-            to that given
+            to the given one
     """
 
     irradiance: FloatArray

@@ -1,4 +1,4 @@
-"""The exposures that are stated for a series against those that its pixels say.
+"""The exposures that are stated for a series, against what its pixels show.
 
 Pixels say the exposures up to a power (see `camctl.calibration.response_fit`).  What a line through
 their logarithms over those of the stated ones leaves is an error of a label, of the shutter, or of
@@ -29,7 +29,7 @@ _OTHERS = 0.15
 #: Errors are a smooth function of the exposure, and no flicker, if a parabola explains this share
 #: of their variance, in so many frames or more.
 _SMOOTH, _LEAST_SMOOTH = 0.85, 5
-#: Flatness of responses: the exponent that makes them as steep as that of sRGB.  3000 random film
+#: Flatness of responses: the exponent that makes them as steep as sRGB.  3000 random film
 #: and camera responses have 0.78 to 2.14, a linear one has 1.85.
 _STEEPNESS = (0.4, 2.2)
 #: Degrees of freedom that three frames count as: they have one, which would refuse nearly all.
@@ -71,7 +71,7 @@ def check_labels(
     *,
     is_shot: bool = False,
 ) -> LabelCheck:
-    """Compare the stated exposures of frames with those that the pixels say.
+    """Compare the stated exposures of frames with what the pixels show.
 
     Args:
         names: of the frames

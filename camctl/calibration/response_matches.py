@@ -130,7 +130,7 @@ def guess_exposures(counts: NDArray[np.int64], edges: FloatArray) -> FloatArray:
     Frames with neighbouring mean brightness are compared.
 
     Args:
-        counts: (J, K + 1) pixels of each frame, as `PairCounts` returns those of two
+        counts: (J, K + 1) pixels of each frame, as `PairCounts` returns them of two
         edges: as `match_levels` takes them
 
     Raises:
@@ -154,7 +154,7 @@ def neighbour_steps(
 ) -> Iterator[tuple[int, int, float | None]]:
     """Yield frames of neighbouring mean brightness, and their ratio as if the response were sRGB.
 
-    Arguments are those of `guess_exposures`.
+    Arguments as of `guess_exposures`.
 
     Yields:
         position of the darker one, of the brighter one, and the logarithm of the ratio of their

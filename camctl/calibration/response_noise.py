@@ -1,8 +1,8 @@
 """The noise in the frames of an exposure series, and how it shifts matched brightness levels.
 
-Noise carries samples across a level in both directions, but not as many in each.  With noise of the
+Noise carries samples across a level in both directions, in different numbers.  With noise of the
 variance s(E) = a E + b, a density p of the logarithms of the light in a frame, and its logarithmic
-slope q, the samples below E are those of light below E (1 + d) with
+slope q, the samples below E have light below E (1 + d) with
 
     d = (a q / E + b (q - 1) / E^2) / 2,
 

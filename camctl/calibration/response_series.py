@@ -158,7 +158,7 @@ class Series:
     def find_moved(self) -> None:
         """Find what moved between frames, so that `counts_of_pair` leaves it out.
 
-        What moved in one frame is seen beside those of neighbouring exposures; only then all pairs
+        What moved in one frame is found beside frames of neighbouring exposure; only then all pairs
         are compared.  A frame of which samples contradict another one is not compared in them with
         any: beside a third one the thing that moved may look as if it belonged to the scene.
         """

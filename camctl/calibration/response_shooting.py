@@ -41,7 +41,7 @@ def measure_response(
 ) -> Series:
     """Shoot an exposure series that suits the light before the camera; return it.
 
-    The exposures are the true ones where the camera's controls know them, else those stated; also
+    The exposures are the true ones where the camera's controls know them, else as stated; also
     where they were measured while the response was not known.
 
     Args:

@@ -1,4 +1,4 @@
-"""Steps of a calibration: what each is given and returns, and those that need no other result."""
+"""Steps of a calibration: what each is given and returns, and steps that need no other result."""
 
 from __future__ import annotations
 

@@ -42,10 +42,10 @@ from camctl.profiles.response import ResponseRecord
 
 #: Response and exposures are measured in turn if the exposures differ by this from their labels,
 #: until they change by less than the second number: each round about halves the errors that wrong
-#: labels leave in both, and the irradiance of dark levels has ten times those of the exposures.
+#: labels leave in both, and the irradiance of dark levels has ten times the errors of exposures.
 _NOTABLE_CHANGE, _SETTLED, _MOST_ROUNDS = 0.005, 0.001, 5
 #: Factor of the disagreement of the frames from which measured exposures are worse than stated, and
-#: the factor up to which a change may be that of the round before: else the response is wrong.
+#: the factor up to which a change may repeat the round before: else the response is wrong.
 _WORSE, _SHRINKS = 1.25, 1.0
 #: Frames for the response in a second try.
 _MORE_FRAMES = 16
@@ -167,7 +167,7 @@ class _Calibration:
     def _check_highlights(
         self, camera: Camera, options: StepOptions, progress: Progress
     ) -> Found | None:
-        """Return the response of frames without saturation where it differs from that of all.
+        """Return the response of frames without saturation if it differs from that of all frames.
 
         Frames with much saturation show the dark levels best, but charge and light that spill over
         from their highlights (blooming, glare) bend the curve.

@@ -49,7 +49,7 @@ QUICK_LEVELS = 2**16
             "camctl evaluate --ratios 1,9.91,88.38 --electrons 40 --read-noise 0.3",
             "with the noise of a sensor of 40 electrons per level",
         ),
-        ("camctl evaluate --ratios 1,9.91,88.38 --sensor webcam", "with that of a sensor preset"),
+        ("camctl evaluate --ratios 1,9.91,88.38 --sensor webcam", "with the noise of a sensor"),
     )
 )
 @click.option(

@@ -62,9 +62,9 @@ _source_options = options.option_group(
         type=Name("meaning of the times", ("auto", "dial", "exact")),
         default="auto",
         metavar="auto|dial|exact",
-        help="Whether the times are labels of a dial, whose 1/60 is 1/64 s; auto takes them for "
-        "labels where all of them are usual ones.  Both are then corrected from the pixels; exact "
-        "times are not.",
+        help="Whether the times are nominal shutter speeds (1/60 means 1/64 s); auto takes them "
+        "for nominal where all of them are usual ones.  Both are then corrected from the pixels; "
+        "exact times are not.",
     ),
     options.BLACK_OPTION,
     options.WHITE_OPTION,
@@ -73,8 +73,8 @@ _source_options = options.option_group(
         type=Text(lambda: (*STANDARDS, "linear", "power:"), files=True),
         metavar="FILE|NAME",
         help="Response of the camera: a file of two columns, irradiance and brightness, or linear, "
-        "srgb, rec709, power:GAMMA.  [default: linear for raw, that of the profile of the camera "
-        "in the EXIF data, or estimated from the photographs]",
+        "srgb, rec709, power:GAMMA.  [default: linear for raw, else from the profile of the "
+        "camera in the EXIF data, or estimated from the photographs]",
     ),
     click.option(
         "--mask",
@@ -130,8 +130,8 @@ def merge(
 
     FILES are photographs of one scene with different exposures, from a tripod: JPEG, PNG, TIFF,
     camera raw or linear OpenEXR. Those that serve the desired picture are chosen as `camctl shoot`
-    chooses exposures, and summed; the others are named with the reason. The result is a folder as
-    that of `camctl shoot`. Unless it is given, the range is that of the light in the photographs.
+    chooses exposures, and summed; the others are named with the reason. The result is a
+    folder as from `camctl shoot`. Unless it is given, the range is the range of their light.
     """
     from camctl.photographs.merge import plan_merge
     from camctl.photographs.photograph_set import PhotographOptions

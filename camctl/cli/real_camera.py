@@ -184,7 +184,7 @@ class KnownCamera:
 
 @dataclass(frozen=True)
 class NoiseOptions:
-    """Whose noise is counted: that of a sensor preset, of a camera, or of two numbers."""
+    """Whose noise is counted: of a sensor preset, of a camera, or given by two numbers."""
 
     sensor: str | None
     camera_id: str | None

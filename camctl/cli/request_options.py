@@ -99,8 +99,8 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
         OBJECTIVE,
     ),
     "accuracy": RequestOption(
-        "Reach so many effective levels, noise included, in the least time; with as many exposures "
-        "as that needs, up to 6, unless -n is given.",
+        "Reach so many effective levels, noise included, in the least time; the number of "
+        "exposures, up to 6, is then chosen too, unless -n is given.",
         "LEVELS",
         Number("a number of effective levels from 1", least=1),
     ),
@@ -111,13 +111,13 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
         TOLERANCE,
     ),
     "time_budget_s": RequestOption(
-        "Longest time from the first frame's request until the last frame has arrived; chosen by "
-        "accuracy, with as many exposures as are best in it, up to 6, unless -n is given.",
+        "Longest time from the first frame's request until the last frame has arrived; the number "
+        "of exposures, up to 6, is then chosen too, unless -n is given.",
         "SECONDS",
         Seconds(),
     ),
     "ratios": RequestOption(
-        "Exposures, relative to each other, instead of those looked up.", "A,B,...", Ratios()
+        "Exposures, relative to each other, instead of a search.", "A,B,...", Ratios()
     ),
     "base_s": RequestOption(
         "Shutter time of the shortest exposure, for example 0.004 or 1/250; auto meters it so that "
@@ -137,7 +137,7 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
         Number("a percentage from 0 to 50", least=0, most=50),
     ),
     "levels_wanted": RequestOption(
-        "Desired number of brightness levels in the picture.  [default: as many as the frames "
+        "Desired number of brightness levels in the picture.  [default: all that the frames "
         "hold together]",
         "G",
         LEVELS,

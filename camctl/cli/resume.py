@@ -29,7 +29,7 @@ _AS_BEGUN = "the capture goes on with the options that it was begun with"
 @command(
     examples=(
         ("camctl resume hall", "shoot the missing frames, with the camera of the capture"),
-        ("camctl resume day --hook './upload'", "go on with a series"),
+        ("camctl resume day --hook './upload'", "continue a series"),
         ("camctl resume hall --camera v4l2:/dev/video2", "the camera has another name now"),
     ),
     others_refused=_AS_BEGUN,
@@ -41,7 +41,7 @@ _AS_BEGUN = "the capture goes on with the options that it was begun with"
 def resume(directory: Path, camera: CameraOptions, hook: HookOptions, as_json: bool) -> None:
     """Complete a capture or a series that was interrupted.
 
-    Shoots what is missing in DIR, with the options that it was begun with. The camera is that of
+    Shoots what is missing in DIR, with the options that it was begun with. It opens the camera of
     the capture, unless --camera and its options name it again; the command of --hook is not kept,
     and is given again.
     """
@@ -83,7 +83,7 @@ def _completed(directory: Path, camera_options: CameraOptions, complete: Complet
 def _go_on(
     directory: Path, camera_options: CameraOptions, hook: HookOptions, *, as_json: bool
 ) -> None:
-    """Go on with the series in a folder, and print what became of it."""
+    """Continue the series in a folder, and print how it ended."""
     from camctl.records.journal import SERIES, read_series
 
     journal = read_series(directory)

@@ -106,7 +106,7 @@ _set_options = options.option_group(
     examples=(
         ("camctl series --repeat 50 --interval 60 -o day", "one picture a minute"),
         ("camctl series --on-key", "one picture for each key"),
-        ("camctl resume day", "go on with a series that was interrupted"),
+        ("camctl resume day", "continue a series that was interrupted"),
     )
 )
 @_set_options

@@ -85,7 +85,7 @@ def run_series(
     *,
     as_json: bool,
 ) -> None:
-    """Take the sets of a series that are missing, and print what became of it."""
+    """Take the missing sets of a series, and print how it ended."""
     from camctl.captures.series import Series
     from camctl.captures.series_sets import CameraSets
     from camctl.captures.series_tools import SeriesTools, date_by

@@ -86,7 +86,7 @@ scene_options = options.option_group(
         "faults",
         metavar="FAULT,...",
         help="Faults of the simulated camera, such as unplug@3 or wrong@1=0.5 (see "
-        "docs/ci.md).  [default: none]",
+        "docs/how-to/ci.md).  [default: none]",
     ),
 )
 

@@ -78,7 +78,7 @@ _REFRESH_S = 0.2
         ("camctl solve --sensor standard --objective accuracy", "with the noise of a camera"),
         (
             "camctl solve --tolerance 30 --levels 256 --json",
-            "as few as leave 30 of 256 levels missing",
+            "the fewest that leave at most 30 of 256 levels missing",
         ),
     )
 )

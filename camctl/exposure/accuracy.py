@@ -7,8 +7,8 @@ quantisation, as effective levels L = (12 mse)^(-1/2).  A search over the fast e
 Durand and Freeman (2010), "Noise-optimal capture for high dynamic range photography": a frame of
 twice the gain needs half the time for the same brightness, and has half the photons.
 
-The rule of choice: the most effective levels within the time allowed; among sets within `NEAR_TIE`
-of them the one that takes the least time.
+The rule of choice: the fastest set among those within `NEAR_TIE` of the best accuracy in the time
+allowed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ COUNTS: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
 
 
 class TooInaccurateError(UsageError):
-    """No set of exposures has the requested accuracy; the hint says what the best one has."""
+    """No set of exposures has the requested accuracy; the hint states the best accuracy."""
 
 
 @dataclass(frozen=True)

@@ -132,7 +132,7 @@ def look_up_accurate(
 
     Limits that do not bind, and a dark current that hardly adds to the read noise, are left out
     first, and a time limit is rounded down to `_LIMIT_DIGITS` digits, so that captures of the same
-    scene share a row.  Arguments and errors are those of `solve_accuracy`.
+    scene share a row.  Arguments and errors as in `solve_accuracy`.
     """
     problem = without_idle_limits(problem)
     available = problem.available

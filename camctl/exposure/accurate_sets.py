@@ -1,9 +1,9 @@
 """Sets of exposures rated by the exact prediction, found from the fast estimate.
 
-The estimate ranks sets but does not see how the levels of nearly equal exposures interleave, nor
-that noise far below a level leaves quantisation steps.  So the best sets of the estimate, and for a
-camera of little noise those of least quantisation error, are rated by the exact distribution, and
-their neighbours too.
+The estimate ranks sets, but takes no account of how the levels of nearly equal exposures
+interleave, nor that noise far below a level leaves quantisation steps.  So the best sets of the
+estimate, and for a camera of little noise the sets of least quantisation error, are rated by the
+exact distribution, and their neighbours too.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ CORRECTIONS = 8
 """Attempts to reach a number of levels exactly by asking the estimate for more or fewer."""
 
 MOST_STARTS, MOST_IMPROVED = 2, 1
-"""Best sets of the estimate that are rated exactly, and those of them that are improved."""
+"""Best sets of the estimate that are rated exactly, and sets that are then improved."""
 
 IMPROVABLE = 0.98
 """Share of the effective levels of a better set from which improving a set is worth the time."""

@@ -23,7 +23,7 @@ MAX_ENUMERATED = 20_000
 
 MAX_RATED = 250
 """Sets that are rated exactly, at most, for 8 bits and more; more for cameras of fewer levels,
-which take less time and of which the estimate knows less."""
+which take less time and for which the estimate is less exact."""
 
 MOST_RATED = 1000
 """The same for any camera."""

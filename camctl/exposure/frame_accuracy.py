@@ -31,7 +31,7 @@ NODES = 128
 """Steps of u over which the error is averaged; with 1,024 the effective levels differ by 0.7 %."""
 
 LARGEST_MSE = 1 / 12
-"""Mean square error of a value of which nothing is known: uniform over u."""
+"""Mean square error of an unknown value: uniform over u."""
 
 _ROWS = 256
 """Exposures computed at once, which bounds the memory used."""
@@ -47,7 +47,7 @@ class FrameTable:
     Attributes:
         slope: (K, NODES) float32, A: levels per unit of u, 0 where the frame is saturated
         variance: (K, NODES) float32, V: variance of the brightness, levels squared
-        fixed: mean square error in u that no choice changes: that of the pixels' sensitivities
+        fixed: mean square error in u that no choice changes, by the pixels' sensitivities
     """
 
     slope: NDArray[np.float32]
@@ -122,7 +122,7 @@ def _slope(
 ) -> FloatArray:
     """Return the slope in levels per unit of u of the staircase: one level per gap.
 
-    From the last level on it is that of the last gap at this irradiance.
+    From the last level on it is the slope of the last gap at this irradiance.
     """
     levels, counts = np.unique(response.levels, return_counts=True)
     edges = np.concatenate([[0.0], levels, levels[-1:]])

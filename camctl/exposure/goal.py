@@ -40,7 +40,7 @@ MAX_COMPENSATION_STOPS = 64.0
 """No camera has so many stops between its shortest and its longest exposure."""
 
 MIN_ACCURACY = 1.0
-"""Fewest effective levels that can be asked for: one level knows nothing of the light."""
+"""Fewest effective levels that can be asked for: one level does not show the light."""
 
 Range: TypeAlias = float | Literal["auto", "low", "medium", "high"]
 

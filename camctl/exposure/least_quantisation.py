@@ -1,9 +1,9 @@
 """Sets of least quantisation error, for cameras whose noise does not dither the quantiser.
 
-Without noise the accuracy is that of the gaps between the levels, which the search for the paper's
-objective minimises as well; the fast estimate of `camctl.exposure.frame_accuracy` knows nothing of
-them.  A quick search shows about what can be reached, so that the long one is made only where it
-pays.
+Without noise the accuracy follows from the gaps between the levels.  The search for the paper's
+objective minimises them as well; the fast estimate of `camctl.exposure.frame_accuracy` takes no
+account of them.  A quick search shows about what can be reached, so that the long one is made only
+where it pays.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from camctl.exposure.objective import Objective
 from camctl.exposure.solver import SearchOptions, Solution, coarse_camera, solve
 
 SEARCH, SEARCH_OF_FEW = (SearchOptions(effort=effort, refinement=0.1) for effort in (0.05, 0.15))
-"""The search for a set, and that for a camera of at most `FEW_LEVELS`, which takes less time;
+"""The search for a set, and the search for a camera of at most `FEW_LEVELS`, which takes less time;
 neighbours of what it finds are rated exactly afterwards."""
 
 FEW_LEVELS = 63
 
 QUICK_SEARCH = SearchOptions(effort=0.01, refinement=0.0)
-"""The search for an estimate: its levels are within about 5 % of those of `SEARCH`."""
+"""The search for an estimate: its levels are within about 5 % of the result of `SEARCH`."""
 
 SHORTENINGS = 6
 """Attempts to fit exposures into a time in which short ones take as long as a frame."""

@@ -132,7 +132,7 @@ def certify(
 
 
 def _bound_outside(problem: ExposureProblem) -> float:
-    """Return a lower bound for sets with an exposure above the boxes: that of one exposure less."""
+    """Return a lower bound for sets with an exposure above the boxes: the bound for n - 1."""
     response, desired, G = problem.response, problem.desired, problem.levels_wanted
     if problem.n == 2:
         return xi(response.levels, desired, G)

@@ -89,7 +89,7 @@ def noisy_effective_levels(
 ) -> float:
     """Return L = (12 mse)^(-1/2): the effective levels with the frames' noise included.
 
-    Without noise it is `effective_levels`.  Arguments and errors are those of `predicted_mse`.
+    Without noise it is `effective_levels`.  Arguments and errors as in `predicted_mse`.
     """
     check_noise(noise, len(camera.exposures))
     if all(replace(frame, black=0) == _NOISELESS for frame in noise):

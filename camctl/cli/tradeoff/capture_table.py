@@ -53,8 +53,8 @@ def _explanation(study: CaptureStudy) -> str:
     ]
     if not {"accuracy", "quick"}.isdisjoint(study.methods):
         lines.append(
-            "accuracy, quick: of sets within 0.5 % of the most levels predicted, the one of least "
-            "time: another line may have up to 0.5 % more."
+            "accuracy, quick: the fastest set among those within 0.5 % of the best accuracy "
+            "predicted: another line may have up to 0.5 % more."
         )
     if points[0].effective_levels_each:
         lines += [
