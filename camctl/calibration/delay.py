@@ -17,6 +17,7 @@ import numpy as np
 
 from camctl.calibration.timing import measure_stream_timing
 from camctl.errors import CameraProtocolError, CaptureError, UsageError
+from camctl.findings import Finding
 from camctl.interface.camera import Camera, Frame, StreamingCamera
 from camctl.interface.controls import Control, ExposureSetting
 from camctl.profiles.profile import DelayRecord
@@ -103,7 +104,7 @@ def measure_delay(
     *,
     trials: int = TRIALS,
     progress: Callable[[float], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Callable[[Finding], None] | None = None,
     seed: int = 0,
 ) -> DelayRecord:
     """Measure the delay of a camera's exposure controls in front of a steady scene.
@@ -112,7 +113,7 @@ def measure_delay(
         camera: an open `camctl.StreamingCamera`
         trials: number of steps; a delay that rarely varies needs many
         progress: called with the share that is done, 0 to 1
-        warn: called with one line for each irregularity
+        warn: called with each irregularity
         seed: of the order of the steps and the pauses between them
 
     Returns:
@@ -147,10 +148,7 @@ def measure_delay(
         responses.append(stepper.response(before, after))
     mixed = sum(response.first < response.full for response in responses)
     if mixed:
-        stepper.warn(
-            f"{mixed} of {trials} steps show a frame between the two exposures: the camera mixes "
-            "exposures while it changes them"
-        )
+        stepper.warn(Finding(code="delay_irregular", value=mixed, details={"trials": trials}))
     smallest = min(response.first for response in responses)
     largest = max(response.full for response in responses)
     return DelayRecord(
@@ -178,7 +176,7 @@ class _Stepper:
         camera: StreamingCamera,
         pairs: Sequence[_Pair],
         repeats: int,
-        warn: Callable[[str], None],
+        warn: Callable[[Finding], None],
     ) -> None:
         self._camera, self._pairs, self._repeats = camera, pairs, repeats
         self.warn = warn
@@ -212,7 +210,7 @@ class _Stepper:
                 f"{self._invalid_steps} steps were invalid, the last because {step.why}",
                 hint="keep scene and light steady; turn the camera's automatic exposure off",
             )
-        self.warn(f"a step is repeated: {step.why}")
+        self.warn(Finding(code="delay_irregular", details={"why": step.why}))
         self._light = self._settled_light()
 
     def _settled_light(self) -> dict[ExposureSetting, float]:

@@ -15,6 +15,7 @@ import numpy as np
 from camctl.errors import CaptureError
 from camctl.evidence.patches import LightScale, Patches, sample_patches
 from camctl.evidence.ratios import RatioEstimates, comparable_frames, estimate_ratios
+from camctl.findings import Finding
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
 from camctl.model.response.camera import CameraResponse, FloatArray
@@ -41,7 +42,7 @@ def measure_exposures(
     longest_s: float = LONGEST_S,
     response: CameraResponse | None = None,
     progress: Callable[[float], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Callable[[Finding], None] | None = None,
 ) -> ExposureRecord:
     """Measure the exposures of the camera's settings before a scene that does not move.
 
@@ -54,7 +55,7 @@ def measure_exposures(
         longest_s: longest shutter time to measure, s
         response: of the camera; None: as its controls state it
         progress: called with the share that is done, 0 to 1
-        warn: called with one line for each irregularity
+        warn: called with each irregularity
 
     Raises:
         CaptureError: the scene is too dark or too bright, or its light is not steady
@@ -147,7 +148,7 @@ def _comparable(
     settings: list[ExposureSetting],
     order: list[int],
     shown: list[Patches],
-    warn: Callable[[str], None],
+    warn: Callable[[Finding], None],
 ) -> tuple[list[ExposureSetting], list[int], list[Patches]]:
     """Leave out settings at which too little of the scene is well exposed to be compared.
 
@@ -163,8 +164,9 @@ def _comparable(
     if not lost or len(kept) < 2:
         return settings, order, shown  # the second case is refused where they are compared
     warn(
-        f"{len(lost)} of {len(settings)} settings expose too little of the scene well and are not "
-        "measured"
+        Finding(
+            code="not_measured", value=len(lost), details={"what": "settings", "of": len(settings)}
+        )
     )
     places = [place for place, k in enumerate(order) if k not in lost]
     return (
@@ -253,7 +255,7 @@ def _pooled(
     found: RatioEstimates,
     labels: Sequence[float],
     order: Sequence[int],
-    warn: Callable[[str], None],
+    warn: Callable[[Finding], None],
 ) -> tuple[FloatArray, FloatArray]:
     """Return for each setting the logarithm of true over stated exposure, and half its interval.
 
@@ -275,7 +277,7 @@ def _pooled(
             remedies={"estimate_ratios": True},
         )
     if scatter > _UNEVEN:
-        warn(f"frames with one setting differ by {scatter:.2%}: the light or the shutter varies")
+        warn(Finding(code="light_varies", value=scatter, details={"within": "setting"}))
     half = np.bincount(place, widths, count) / repeats
     return means, np.hypot(half, _TWO_SIGMA * scatter * np.sqrt(2 / repeats))
 

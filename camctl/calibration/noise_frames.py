@@ -22,6 +22,7 @@ from camctl.calibration.noise_fit import NoiseFit, combine_fits, fit_noise
 from camctl.calibration.noise_pairs import FramePair, PairPatches, channel_names, reduce_pair
 from camctl.calibration.pixel_pattern import root_of_ratio
 from camctl.errors import DataError
+from camctl.findings import Finding
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.model.response.camera import CameraResponse
 from camctl.profiles.noise import CurvePoint, Figure, GainNoise, NoiseRecord
@@ -58,7 +59,7 @@ class NoiseFrames:
         white: brightness from which samples are saturated, DN
         responses: response of each channel (R, G and B, or Y) as levels
         is_flat: an evenly lit surface is in view, so that the fixed pattern can be measured
-        notes: what the user should know, one line each
+        findings: what the user should know
         pairs: of two frames with one setting
     """
 
@@ -67,7 +68,7 @@ class NoiseFrames:
     white: int
     responses: Mapping[str, CameraResponse]
     is_flat: bool = False
-    notes: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
     pairs: list[FramePair] = field(default_factory=list)
     _single: dict[ExposureSetting, NDArray[Any]] = field(default_factory=dict)
 
@@ -87,9 +88,9 @@ class NoiseFrames:
 
     def note_format(self, suffix: str) -> None:
         """Note what the format of a file, by its suffix, does to the noise."""
-        note = "the frames are JPEG files: compression hides noise, so that the figures are too low"
-        if suffix.lower() in (".jpg", ".jpeg") and note not in self.notes:
-            self.notes.append(note)
+        found = Finding(code="noise_filtered")
+        if suffix.lower() in (".jpg", ".jpeg") and found not in self.findings:
+            self.findings.append(found)
 
     @property
     def unpaired(self) -> int:
@@ -109,17 +110,15 @@ def estimate_noise(frames: NoiseFrames) -> NoiseRecord:
         DataError: the frames are not suitable; says why and what to do
     """
     pairs = _usable_pairs(frames)
-    notes = list(frames.notes)
+    findings = list(frames.findings)
     correlation = _correlation(pairs)
     if correlation is not None and abs(correlation) > _CORRELATED:
-        notes.append(
-            f"the noise of neighbouring pixels has a correlation of {correlation:.2f}: the camera "
-            "filters its pictures (demosaicing, noise reduction, compression), and the figures are "
-            "those of the filtered picture"
-        )
+        findings.append(Finding(code="noise_filtered", value=correlation))
     changes = [abs(pair.change) for pair in pairs]
     if max(changes) > _NOTED_CHANGE:
-        notes.append(f"the light changes by up to {max(changes):.1%} within a pair: corrected")
+        findings.append(
+            Finding(code="light_varies", value=max(changes), details={"within": "pair"})
+        )
     gains = sorted({pair.setting.gain for pair in pairs})
     fits: dict[float, NoiseFit] = {}
     channel = None
@@ -130,19 +129,20 @@ def estimate_noise(frames: NoiseFrames) -> NoiseRecord:
             if fits:
                 fits[gain] = _fit_gain(frames, some, channel)[0]
             else:
-                fits[gain], channel = _fit_gain(frames, some, None, notes)
+                fits[gain], channel = _fit_gain(frames, some, None, findings)
         except DataError as error:
             failures.append(error)
-            notes.append(f"not measured at gain {gain:.4g}: {error.what}")
+            findings.append(
+                Finding(
+                    code="not_measured", value=gain, details={"what": "gain", "why": error.what}
+                )
+            )
     if not fits:
         raise failures[0]
     measured = tuple(_gain_noise(gain, fits[gain]) for gain in sorted(fits))
     if (misfit := max(each.misfit for each in measured)) > _NOTED_MISFIT:
-        notes.append(
-            f"the noise does not follow the response of the camera (misfit {misfit:.1f}): the "
-            "intervals are widened; measure the response (camctl calibrate response), with more "
-            "frames if it was measured"
-        )
+        remedies = {"calibrate_response": None}
+        findings.append(Finding(code="noise_misfit", value=misfit, remedies=remedies))
     saturates = max(pair.saturated_share for pair in frames.pairs) > _SOME
     lowest = measured[0]
     response = frames.responses[channel or channel_names(frames.layout)[-1]]
@@ -154,7 +154,7 @@ def estimate_noise(frames: NoiseFrames) -> NoiseRecord:
         saturates=saturates,
         prnu=_prnu(frames, pairs) if frames.is_flat else None,
         correlation=correlation,
-        notes=tuple(notes),
+        findings=tuple(findings),
         measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
     )
 
@@ -214,7 +214,7 @@ def _fit_gain(
     frames: NoiseFrames,
     pairs: Sequence[FramePair],
     channel: str | None,
-    notes: list[str] | None = None,
+    findings: list[Finding] | None = None,
 ) -> tuple[NoiseFit, str | None]:
     """Return the fit of all channels that agree, or of one; and that channel's name.
 
@@ -223,7 +223,7 @@ def _fit_gain(
     """
     fits: dict[str, NoiseFit] = {}
     failure = None
-    left_out: list[str] = []
+    left_out: list[Finding] = []
     for name in dict.fromkeys(channel_names(frames.layout)) if channel is None else (channel,):
         curve = NoiseCurve(frames.responses[name], frames.black)
         patches = PairPatches.joined([_spread(pair.channels[name]) for pair in pairs])
@@ -231,12 +231,17 @@ def _fit_gain(
             fits[name] = fit_noise(curve, patches, float(frames.white - frames.black))
         except DataError as error:
             failure = failure or error
-            left_out.append(f"channel {name} is left out: {error.what}")
+            left_out.append(
+                Finding(
+                    code="not_measured",
+                    details={"what": "channel", "channel": name, "why": error.what},
+                )
+            )
     if not fits:
         assert failure is not None
         raise failure
-    if notes is not None:
-        notes += left_out
+    if findings is not None:
+        findings += left_out
     if len(fits) == 1:
         return next(iter(fits.values())), channel
     joined = combine_fits(list(fits.values()))
@@ -248,12 +253,9 @@ def _fit_gain(
     if not differ or max(differ) < _APART_SHARE:
         return joined, None
     main = "G" if "G" in fits else next(iter(fits))
-    if notes is not None:
+    if findings is not None:
         each = ", ".join(f"{name} {fit.conversion[0]:.4g}" for name, fit in fits.items())
-        notes.append(
-            f"the channels have different electrons per level ({each}), as after a white balance: "
-            f"the figures are those of {main}"
-        )
+        findings.append(Finding(code="channels_differ", details={"each": each, "channel": main}))
     return fits[main], main
 
 

@@ -24,7 +24,7 @@ from camctl.calibration.exponent import (
     exponent_of_chart,
     with_exponent_error,
 )
-from camctl.calibration.response_chart import chart_notes, chart_samples
+from camctl.calibration.response_chart import chart_findings, chart_samples
 from camctl.calibration.response_checks import (
     check_frames,
     check_interval,
@@ -46,9 +46,9 @@ from camctl.calibration.response_noise import correct_matches
 from camctl.calibration.response_series import Series
 from camctl.calibration.spill import below_saturation, spills_over
 from camctl.errors import DataError
+from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import ChannelResponse, ResponseRecord
-from camctl.system.number_text import percent_text
 
 #: Share of the samples from which some are saturated.
 _FEW = 0.01
@@ -57,26 +57,6 @@ _FEW = 0.01
 #: these are within 0.01 % of a power.
 _LEVELS, _FIRST_LEVELS = 4096, 256
 _ALL_KEPT, _KEPT, _KEPT_BY_FACTOR = 512, 200, 500
-#: Where neither exposures nor reflectances are known.
-_UNKNOWN_EXPONENT = (
-    "no exposure is known: the exponent of the curve was chosen so that it is about as steep as "
-    "that of sRGB, and may be 20 % wrong for a camera that makes such pictures, and 100 % for raw "
-    "ones; give --times of the frames, or put a chart into the picture"
-)
-#: Where saturated samples change others.
-_SPILLS = (
-    "saturated samples change those beside them (blooming, or JPEG compression): they and those "
-    "near them are left out of the estimate"
-)
-#: Where something moved between two frames.
-_MOVED = (
-    "something moved in up to {} of the picture from one frame to another: it is left out of the "
-    "estimate of the response"
-)
-_MOVED_TOO_MUCH = (
-    "something moved in up to {} of the picture from one frame to another, and the rest does not "
-    "show the response: the estimate may be wrong"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +70,7 @@ class ResponseEstimate:
             unknown
         exponent_error: relative standard deviation of an exponent of the whole curve; None where it
             is unknown
-        notes: what the user should know, one line each
+        findings: what the user should know
         is_doubtful: something moved that could not be left out
     """
 
@@ -98,7 +78,7 @@ class ResponseEstimate:
     exposures: tuple[float, ...]
     residual: float | None
     exponent_error: float | None = None
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     is_doubtful: bool = False
 
 
@@ -143,9 +123,9 @@ def estimate_response(
     check_frames(series, has_chart=chart is not None, is_scene_checked=is_scene_checked)
     exposures = np.array(series.exposures)
     edges = _edges(series.white - series.black)
-    notes = list(series.notes)
-    still, is_doubtful = _still_evidence(series, edges, chart, notes)
-    channels = _without_spill(series, edges, still, notes)
+    findings = list(series.findings)
+    still, is_doubtful = _still_evidence(series, edges, chart, findings)
+    channels = _without_spill(series, edges, still, findings)
     exponent = None
     if estimate_ratios and exposures.size > 1 and not (series.exposures_are_stated and not chart):
         exponent = common_exponent(
@@ -153,7 +133,9 @@ def estimate_response(
         )
         exposures = exposures**exponent.value
         if chart is None:
-            notes.append(_UNKNOWN_EXPONENT)
+            findings.append(
+                Finding(code="exponent_unknown", value=exponent.error, remedies={"times": None})
+            )
     saturating = {each.name: each.saturates for each in channels}
     start = ROUGH if estimate_ratios else STATED
     if exposures.size > 1:
@@ -164,8 +146,8 @@ def estimate_response(
         if is_scene_checked:
             names = [each.name for each in channels]
             labels = _check_scene(series, edges, exposures, names, fits)
-        if labels.problem:
-            notes.append(f"{labels.problem}; {labels.hint}")
+        if labels.finding is not None:
+            findings.append(labels.finding)
         pairs = zip(channels, labels.corrections, strict=True)
         fits = [
             each.fit(exposures * factors, edges, series.phase, STATED) for each, factors in pairs
@@ -173,7 +155,7 @@ def estimate_response(
         fits = [with_exponent_error(fit, edges, labels.exponent_error) for fit in fits]
     for each, fit in zip(channels, fits, strict=True):
         if each.samples is not None:
-            notes += chart_notes(each.samples, fit.patch_errors, each.name)
+            findings += chart_findings(each.samples, fit.patch_errors, each.name)
     if exponent is not None:
         fits = [with_exponent_error(fit, edges, exponent.error) for fit in fits]
     if estimate_ratios:
@@ -197,7 +179,7 @@ def estimate_response(
         exposures=tuple((exposures / exposures[0]).tolist()),
         residual=max(fit.residual for fit in fits),
         exponent_error=None if exponent is None else exponent.error,
-        notes=tuple(dict.fromkeys(notes)),
+        findings=tuple(each for k, each in enumerate(findings) if each not in findings[:k]),
         is_doubtful=is_doubtful,
     )
 
@@ -323,8 +305,12 @@ def _evidence(series: Series, name: str, edges: FloatArray, chart: Chart | None)
     return _Evidence(name, saturates, matches, samples)
 
 
+def _left_out(what: str, share: float | None = None) -> Finding:
+    return Finding(code="left_out", value=share, details={"what": what})
+
+
 def _still_evidence(
-    series: Series, edges: FloatArray, chart: Chart | None, notes: list[str]
+    series: Series, edges: FloatArray, chart: Chart | None, findings: list[Finding]
 ) -> tuple[list[_Evidence], bool]:
     """Return the evidence of each channel without what moved, if the rest shows the response.
 
@@ -333,18 +319,18 @@ def _still_evidence(
     series.find_moved()
     is_doubtful = bool(series.moved_share)
     if is_doubtful:
-        share = percent_text(series.moved_share)
+        share = series.moved_share
         with suppress(DataError):
             found = [_evidence(series, name, edges, chart) for name in series.channels]
-            notes.append(_MOVED.format(share))
+            findings.append(_left_out("movement", share))
             return found, False
         series.forget_moved()
-        notes.append(_MOVED_TOO_MUCH.format(share))
+        findings.append(_left_out("none", share))
     return [_evidence(series, name, edges, chart) for name in series.channels], is_doubtful
 
 
 def _without_spill(
-    series: Series, edges: FloatArray, channels: list[_Evidence], notes: list[str]
+    series: Series, edges: FloatArray, channels: list[_Evidence], findings: list[Finding]
 ) -> list[_Evidence]:
     """Return the evidence without samples near saturated ones, where charge spills over.
 
@@ -362,6 +348,6 @@ def _without_spill(
     with suppress(DataError):
         for each in found:
             check_range(series, each.name, each.matches, each.samples)
-        notes.append(_SPILLS)
+        findings.append(_left_out("saturation"))
         return found
     return channels

@@ -12,6 +12,7 @@ from camctl.calibration.chart import ChartPatch
 from camctl.calibration.response_fit import ChartSamples
 from camctl.calibration.response_series import Series
 from camctl.errors import DataError
+from camctl.findings import Finding
 
 #: Brightness, share of full scale, from which a patch is used: below, noise and clipping distort.
 _DARKEST = 0.02
@@ -92,14 +93,16 @@ def _inside(patch: ChartPatch, plane: NDArray[Any], shape: tuple[int, ...]) -> N
     return plane[top:bottom, left:right].ravel()
 
 
-def chart_notes(chart: ChartSamples, errors: NDArray[np.float64], channel: str) -> list[str]:
-    """Return a note on the patch that contradicts the others most, if it does."""
+def chart_findings(chart: ChartSamples, errors: NDArray[np.float64], channel: str) -> list[Finding]:
+    """Return a finding on the patch that contradicts the others most, if it does."""
     deviations = np.abs(errors) / chart.error
     worst = int(np.argmax(deviations))
     if deviations[worst] < _NOTED_DEVIATIONS or abs(errors[worst]) < _NOTED:
         return []
     return [
-        f"patch {worst + 1} of the chart is {abs(np.expm1(errors[worst])):.0%} "
-        f"{'brighter' if errors[worst] > 0 else 'darker'} in channel {channel} than its "
-        "reflectance says: check for glare, shadows, and the list of patches"
+        Finding(
+            code="chart_contradicts",
+            value=float(np.expm1(errors[worst])),
+            details={"patch": worst + 1, "channel": channel},
+        )
     ]

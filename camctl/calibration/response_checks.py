@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.response_fit import ChartSamples, ResponseFit
-from camctl.calibration.response_labels import STEADY, LabelCheck
+from camctl.calibration.response_labels import LabelCheck, contradiction_error
 from camctl.calibration.response_matches import Matches
 from camctl.calibration.response_series import Series
 from camctl.errors import DataError
+from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import Z_95, ResponseRecord
 
@@ -89,7 +90,10 @@ def check_frames(series: Series, *, has_chart: bool = False, is_scene_checked: b
                     else "leave one of them out, or correct its exposure"
                 ),
             )
-        series.notes.append(f"{same}: a copy says nothing more; leave one of them out")
+        names = {"first": series.names[first], "second": series.names[second]}
+        series.findings.append(
+            Finding(code="left_out", frames=(first, second), details={"what": "copy", **names})
+        )
     _check_order(series, exposures)
     if is_scene_checked:
         _check_order_of_patches(series)
@@ -109,7 +113,8 @@ def _check_order(series: Series, exposures: FloatArray) -> None:
                 f"{series.names[short]} is brighter than {series.names[long]}, though its exposure "
                 "is shorter",
                 hint=(
-                    STEADY
+                    "use daylight or a lamp that does not flicker, before a scene that does not "
+                    "move"
                     if series.is_shot
                     else "check the order of the exposures and of the frames, that the light is "
                     "steady, and that no file is damaged"
@@ -216,8 +221,8 @@ def check_interval(record: ResponseRecord, exposures: Sequence[float], labels: L
     if intervals is None or intervals.mean <= REFUSED:
         return
     known = f"the response would be known to +-{intervals.mean:.0%} only"
-    if labels.problem:
-        raise DataError(f"{labels.problem}: {known}", hint=labels.hint)
+    if labels.finding is not None:
+        raise contradiction_error(labels.finding, f": {known}")
     raise DataError(known, hint=helpful_exposures(exposures, intervals.brightness))
 
 

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from camctl.calibration.exponent import expected_exponent
 from camctl.calibration.response_fit import ResponseFit
 from camctl.errors import DataError
+from camctl.findings import Finding
+from camctl.messages.calibration import contradiction_hint, exposures_contradict
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import Z_95
 
@@ -36,12 +38,6 @@ _STEEPNESS = (0.4, 2.2)
 _LEAST_FREEDOM = 2
 #: Exposures that are printed.
 _MOST_PRINTED = 8
-#: What to do where camctl has shot the frames: the user has given no labels.
-STEADY = (
-    "use daylight or a lamp that does not flicker, before a scene that does not move, or camctl "
-    "calibrate response --estimate-ratios"
-)
-_ESTIMATE = "correct them, or leave --times out and use --estimate-ratios"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +48,12 @@ class LabelCheck:
         corrections: (channels, J) factors of the stated exposures; all 1 where these are right
         exponent_error: relative standard deviation of the exponent of the curve, from the scatter
             of the labels
-        problem, hint: what is wrong, and what to do; empty where the labels are right
+        finding: what is wrong; None where the labels are right
     """
 
     corrections: FloatArray
     exponent_error: float = 0.0
-    problem: str = ""
-    hint: str = ""
+    finding: Finding | None = None
 
 
 def check_labels(
@@ -87,7 +82,7 @@ def check_labels(
     """
     logs = np.log(exposures)
     found = np.log([fit.exposures for fit in fits])
-    _check_steepness(exposures, edges, fits, STEADY if is_shot else _ESTIMATE)
+    _check_steepness(exposures, edges, fits, is_shot=is_shot)
     errors = np.array([label_errors(logs, *each) for each in zip(found, judged, strict=True)])
     worst = np.abs(errors).argmax(axis=0)
     error = errors[worst, np.arange(logs.size)]
@@ -102,42 +97,60 @@ def check_labels(
     is_smooth = not is_single and bow > 0
     if is_single:
         apart = np.ptp(errors[judged[:, first], first]) > _NOTED
-        where = f" in channel {channels[worst[first]]}" if apart else ""
-        text = _wrong_label(names[first], exposures[first], error[first], where)
-        hint = "correct its exposure, leave the frame out, or use --estimate-ratios"
-    elif shown.sum() <= 3:
-        text = (
-            f"the exposures {_numbers(exposures)} contradict the pixels by {_percent(size[first])}:"
-            " one of them is wrong, or the light changed"
+        finding = _wrong_label(
+            first, names[first], exposures[first], error[first], channels[worst[first]] * apart
         )
-        hint = "correct it, add frames, which show which one it is, or use --estimate-ratios"
+    elif shown.sum() <= 3:
+        finding = Finding(
+            code="exposures_contradict",
+            value=size[first],
+            details={"kind": "few", "stated": _numbers(exposures)},
+        )
     elif is_smooth or size[first] > math.log1p(_REFUSED):
-        text = _contradiction(exposures, edges, fits)
-        hint = _ESTIMATE
+        finding = _contradiction(exposures, edges, fits)
     else:  # of errors at random the line of least squares is the better one
         errors = np.array([_scatter(logs, *each) for each in zip(found, judged, strict=True)])
         error = errors[worst, np.arange(logs.size)]
-        text = _flicker(names, error)
-        hint = "use daylight or a lamp that does not flicker, or --estimate-ratios"
-    if is_shot:
-        hint = STEADY
+        finding = _flicker(names, error)
+    finding = _with_remedies(finding, is_shot=is_shot)
     if size[first] > math.log1p(_REFUSED):
-        raise DataError(text, hint=hint)
+        raise contradiction_error(finding)
     right = shown & (size <= _NOTED) if is_single else shown
     spread = bow if is_smooth else _standard_error(logs[right], error[right])
-    return LabelCheck(np.exp(errors), spread, text, hint)
+    return LabelCheck(np.exp(errors), spread, finding)
+
+
+def contradiction_error(finding: Finding, what: str = "") -> DataError:
+    """Return the error for exposures that contradict the pixels, and what follows from it."""
+    return DataError(
+        exposures_contradict(finding) + what,
+        hint=contradiction_hint(finding),
+        remedies=finding.remedies,
+    )
+
+
+def _with_remedies(finding: Finding, *, is_shot: bool) -> Finding:
+    """Return the finding with what helps; the user has no labels where camctl shot the frames."""
+    remedies = {"calibrate_response": None} if is_shot else {}
+    return finding.model_copy(
+        update={
+            "details": {**finding.details, "is_shot": is_shot},
+            "remedies": {**remedies, "estimate_ratios": True},
+        }
+    )
 
 
 def _check_steepness(
-    exposures: FloatArray, edges: FloatArray, fits: Sequence[ResponseFit], hint: str
+    exposures: FloatArray, edges: FloatArray, fits: Sequence[ResponseFit], *, is_shot: bool
 ) -> None:
     for fit in fits:
         steepness = expected_exponent(fit, edges).value
         if not _STEEPNESS[0] <= steepness <= _STEEPNESS[1]:
-            raise DataError(
-                f"{_contradiction(exposures, edges, fits)}: by the stated ones the response would "
-                f"be {steepness:.1f} times as flat as sRGB, as no camera's is",
-                hint=hint,
+            finding = _with_remedies(_contradiction(exposures, edges, fits), is_shot=is_shot)
+            raise contradiction_error(
+                finding,
+                f": by the stated ones the response would be {steepness:.1f} times as flat as "
+                "sRGB, as no camera's is",
             )
 
 
@@ -190,32 +203,49 @@ def _standard_error(logs: FloatArray, errors: FloatArray) -> float:
     return wider * math.sqrt(scatter / (logs.size - 2) / spread)
 
 
-def _wrong_label(name: str, exposure: float, error: float, where: str) -> str:
-    return (
-        f"{name} is {_percent(abs(math.expm1(error)))} {'brighter' if error > 0 else 'darker'}"
-        f"{where} than its exposure {exposure:.4g} says: all its pixels say "
-        f"{exposure * math.exp(error):.4g}, {math.exp(error):.3g} times as much"
+def _wrong_label(frame: int, name: str, exposure: float, error: float, channel: str) -> Finding:
+    return Finding(
+        code="exposures_contradict",
+        frames=(frame,),
+        value=math.expm1(error),
+        details={
+            "kind": "label",
+            "name": name,
+            "channel": channel,
+            "stated": exposure,
+            "said": exposure * math.exp(error),
+        },
     )
 
 
-def _flicker(names: Sequence[str], error: FloatArray) -> str:
+def _flicker(names: Sequence[str], error: FloatArray) -> Finding:
     low, high = int(error.argmin()), int(error.argmax())
-    return (
-        "the light flickers, or the shutter varies: frames differ from their exposures by "
-        f"{math.expm1(error[low]):+.0%} ({names[low]}) to {math.expm1(error[high]):+.0%} "
-        f"({names[high]}), each in all its pixels"
+    return Finding(
+        code="exposures_contradict",
+        value=math.expm1(float(error[np.abs(error).argmax()])),
+        details={
+            "kind": "flicker",
+            "least": math.expm1(error[low]),
+            "darkest": names[low],
+            "most": math.expm1(error[high]),
+            "brightest": names[high],
+        },
     )
 
 
-def _contradiction(exposures: FloatArray, edges: FloatArray, fits: Sequence[ResponseFit]) -> str:
+def _contradiction(
+    exposures: FloatArray, edges: FloatArray, fits: Sequence[ResponseFit]
+) -> Finding:
     """Return what the pixels say of the exposures if the camera is about as steep as sRGB."""
     logs = np.mean(
         [expected_exponent(fit, edges).value * np.log(fit.exposures) for fit in fits], axis=0
     )
     said = exposures[0] * np.exp(logs - logs[0])
-    return (
-        f"the exposures {_numbers(exposures)} contradict the pixels, which say about "
-        f"{_numbers(said, 2)} (for a response as of sRGB)"
+    ratios = said / exposures
+    return Finding(
+        code="exposures_contradict",
+        value=float(ratios[np.abs(np.log(ratios)).argmax()]) - 1,
+        details={"kind": "trend", "stated": _numbers(exposures), "said": _numbers(said, 2)},
     )
 
 
@@ -225,7 +255,3 @@ def _numbers(values: FloatArray, digits: int = 4) -> str:
     if len(texts) > _MOST_PRINTED:
         texts[_MOST_PRINTED - 2 : -1] = ["..."]
     return ", ".join(texts)
-
-
-def _percent(share: float) -> str:
-    return f"{share:.0%}"

@@ -16,6 +16,7 @@ from camctl.calibration.spill import SampleGrid, grid_counts
 from camctl.errors import DataError, UsageError
 from camctl.evidence.moved_parts import moved_samples
 from camctl.evidence.patches import Patches, sample_patches
+from camctl.findings import Finding
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray
 
@@ -52,7 +53,7 @@ class Series:
         names: of the frames in messages
         exposures: of the frames, in any common unit
         patches: of each frame: (patches, samples), channel by channel as `Layout.planes`
-        notes: what differs from what was stated, one line each
+        findings: what differs from what was stated
     """
 
     layout: Layout
@@ -67,7 +68,7 @@ class Series:
     names: list[str] = field(default_factory=list)
     exposures: list[float] = field(default_factory=list)
     patches: list[Patches] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
     _counts: list[dict[str, NDArray[np.int64]]] = field(default_factory=list)
     _grids: list[SampleGrid] = field(default_factory=list)
     _moved: dict[int, NDArray[np.bool_]] = field(default_factory=dict)
@@ -210,13 +211,18 @@ class Series:
             black = self._dark_level(order.tolist())
             if _LEAST_BLACK <= black / self.white <= _MOST_BLACK:
                 self.black, self.phase = round(black), 0.5
-                self.notes.append(f"the black level is {self.black}, from the darkest pixels")
+                self._found("black", self.black)
         found = self._clipped_level()
         if found is not None and self.black < found < self.white:
-            self.notes.append(
-                f"samples are clipped at {found}, below the largest code {self.white}"
-            )
+            self._found("white", found)
             self.white = found
+
+    def _found(self, level: str, value: int) -> None:
+        self.findings.append(
+            Finding(
+                code="levels_found", value=value, details={"level": level, "largest": self.white}
+            )
+        )
 
     def guess_exposures(self) -> None:
         """Replace the exposures by guesses from the pixels, about as if the response were sRGB.
@@ -238,7 +244,7 @@ class Series:
         return max(runs, key=len, default=[0])
 
     def part(self, positions: Sequence[int]) -> Series:
-        """Return a series of some of the frames, without notes."""
+        """Return a series of some of the frames, without findings."""
 
         def chosen(values: list[Any]) -> list[Any]:
             return [values[k] for k in positions]
@@ -248,7 +254,7 @@ class Series:
             names=chosen(self.names),
             exposures=chosen(self.exposures),
             patches=chosen(self.patches),
-            notes=[],
+            findings=[],
             _counts=chosen(self._counts),
             _grids=chosen(self._grids),
             _moved={},

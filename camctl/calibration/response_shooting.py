@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from camctl.calibration.response_series import Series
 from camctl.errors import CaptureError
+from camctl.findings import Finding
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
 from camctl.profiles.exposures import exposure_mode
@@ -24,11 +25,6 @@ LONGEST_S = 2.0
 #: scale, to the first in which all but this share is saturated.
 _FEW = 0.01
 _PROBE_STEP = 4.0
-_IGNORED = (
-    "the exposures in the camera's profile were measured while its response was not known: they "
-    "are not used, and no longer kept once the response is; measure them again with camctl "
-    "calibrate exposure"
-)
 
 
 def measure_response(
@@ -70,7 +66,9 @@ def measure_response(
     )
     if series.measured_exposures == "used" and _had_assumed_response(camera):
         series.measured_exposures = "ignored"
-        series.notes.append(_IGNORED)
+        series.findings.append(
+            Finding(code="profile_not_used", remedies={"calibrate_exposure": None})
+        )
         controls = replace(controls, true_exposures=None)
     for frame in camera.shoot(settings):
         exposure = controls.exposure(frame.applied)

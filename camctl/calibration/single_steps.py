@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 from camctl.calibration.dark import measure_dark
 from camctl.calibration.delay import measure_delay
@@ -16,13 +16,14 @@ from camctl.calibration.pixel_pattern import (
     shoot_view,
     view_settings,
 )
+from camctl.findings import Finding
 from camctl.interface.camera import Camera, StreamingCamera
 from camctl.interface.controls import ExposureSetting
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.profile import Profile, load_profile
 
 
-def _ignore(_text: str) -> None:
+def _ignore(_finding: Finding) -> None:
     pass
 
 
@@ -34,7 +35,7 @@ class StepOptions:
         longest_s: longest shutter time, s
         begin: called with the name of each step; returns what is called with the share of it that
             is done, 0 to 1
-        warn: called with one line for each irregularity
+        warn: called with each irregularity
         cover: asks for the lens to be covered, and returns whether it was; None: it cannot be
         turn: asks for another view of the scene through the uncovered lens, and returns whether the
             camera was turned; None: it cannot be
@@ -42,7 +43,7 @@ class StepOptions:
 
     longest_s: float = LONGEST_S
     begin: Callable[[str], Callable[[float], None] | None] = lambda _name: None
-    warn: Callable[[str], None] = _ignore
+    warn: Callable[[Finding], None] = _ignore
     cover: Callable[[], bool] | None = None
     turn: Callable[[], bool] | None = None
 
@@ -55,13 +56,14 @@ class StepResult:
         name: of the step
         result: what was measured, one line; None where it could not be
         problem: why it could not be measured; None where it was
-        hint: what to do then
+        hint, remedies: what to do then, as in `camctl.CamctlError`
     """
 
     name: str
     result: str | None
     problem: str | None = None
     hint: str = ""
+    remedies: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -92,8 +94,8 @@ def delay_step(camera: Camera, options: StepOptions, progress: Progress) -> Foun
 def noise_step(camera: Camera, options: StepOptions, progress: Progress) -> Found:
     """Measure photon and read noise."""
     record = measure_noise(camera, longest_s=options.longest_s, progress=progress)
-    for note in record.notes:
-        options.warn(note)
+    for finding in record.findings:
+        options.warn(finding)
     mode, measured = exposure_mode(camera.controls), record.reference
     conversion, read_noise = measured.conversion_e_per_dn, measured.read_noise_e
     text = (

@@ -34,6 +34,7 @@ from camctl.calibration.single_steps import (
     noise_step,
 )
 from camctl.errors import CamctlError, CaptureError, DataError
+from camctl.findings import Finding
 from camctl.interface.camera import Camera
 from camctl.profiles.calibrated import EXPOSURES, RESPONSE
 from camctl.profiles.exposures import ExposureRecord, exposure_mode
@@ -121,7 +122,7 @@ class _Calibration:
             try:
                 found = measure(camera, self._options, self._options.begin(name))
             except CamctlError as error:
-                yield StepResult(name, None, error.what, error.hint)
+                yield StepResult(name, None, error.what, error.hint, error.remedies)
                 return
         if found is not None:
             change_profile(info, found.keep)
@@ -140,8 +141,8 @@ class _Calibration:
                 estimate = estimate_response(series)
             except (CaptureError, DataError):
                 raise reason from None
-        for note in estimate.notes:
-            options.warn(note)
+        for finding in estimate.findings:
+            options.warn(finding)
         self._residual = estimate.residual or 0.0
         self._first = self._first or estimate.record
         return _response_found(camera, estimate)
@@ -180,10 +181,7 @@ class _Calibration:
                 short = estimate_response(series)
                 if known is None or _difference(known, short.record) <= _SAME_CURVE:
                     return None
-                options.warn(
-                    "light or charge spills over from the highlights of long exposures: the "
-                    "response is that of frames with few saturated samples"
-                )
+                options.warn(Finding(code="left_out", details={"what": "highlights"}))
                 return _response_found(camera, short)
         return None
 

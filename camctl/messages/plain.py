@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from camctl.findings import Detail, Finding
-from camctl.messages import photographs
+from camctl.messages import calibration, photographs
 from camctl.system.number_text import range_text, time_text
 
 # ---- settings
@@ -169,6 +169,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     ),
     "time_differs": _time_differs,
     "note": lambda finding: str(finding.details["text"]),
+    **calibration.SENTENCES,
     # Cameras.
     "response_assumed": lambda finding: (
         f"the response {finding.details['response']} is assumed until it is measured"

@@ -11,7 +11,7 @@ import numpy as np
 from camctl.calibration.response_series import Series
 from camctl.errors import UsageError
 from camctl.evidence.patches import LightScale, Patches
-from camctl.findings import Detail, Finding, note
+from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls
 from camctl.photographs.alignment import Sight
 from camctl.photographs.camera import (
@@ -121,8 +121,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     for k, factor in doubted.items():  # a wrong label must not bend the response
         series.exposures[k] *= factor
     series.find_limits()
-    facts += map(note, series.notes)
-    series.notes.clear()
+    facts += series.findings
+    series.findings.clear()
     selection, controls, response = _with_response(files, source, selection, notes, facts)
     patches = [np.minimum(each, controls.white) for each in selection.series.patches]
     scale = LightScale(controls.levels, controls.black)

@@ -12,7 +12,7 @@ from camctl.calibration.response import estimate_response
 from camctl.calibration.response_colours import AS_WELL, disagreement
 from camctl.errors import DataError
 from camctl.evidence.patches import LightScale
-from camctl.findings import Detail, Finding, note
+from camctl.findings import Detail, Finding
 from camctl.interface.controls import Choices, ExposureControls, ResponseOrigin
 from camctl.model.response.camera import named_response, standard_response
 from camctl.model.response.measured import read_curve
@@ -111,7 +111,7 @@ def known_controls(
     errors = [_fit_error(series, each) for each in (standard, estimated)]
     if errors[0] <= _FITS or errors[0] <= AS_WELL * errors[1] < math.inf:
         return fitting_standard, _FITTING
-    (notes if estimate.is_doubtful else facts).extend(map(note, estimate.notes))
+    (notes if estimate.is_doubtful else facts).extend(estimate.findings)
     is_common = len(series.channels) > 1 and not estimated.responses
     return estimated, _ESTIMATED_COMMON if is_common else _ESTIMATED
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
+from camctl.findings import Finding, note
 from camctl.model.noise import NoiseModel
 
 MOST_HOT_PIXELS = 10_000
@@ -145,7 +146,7 @@ class NoiseRecord(BaseModel):
         prnu: standard deviation of the pixels' sensitivity, relative; None: not measured
         dark: from frames without light; None: not measured
         correlation: of the noise of neighbouring samples; None where it was not measured
-        notes: what the user should know, one line each
+        findings: what the user should know
         measured_at: date and time, ISO 8601
     """
 
@@ -158,8 +159,17 @@ class NoiseRecord(BaseModel):
     prnu: Figure | None = None
     dark: DarkRecord | None = None
     correlation: float | None = Field(default=None, allow_inf_nan=False)
-    notes: tuple[str, ...] = Field(default=(), max_length=_MOST)
+    findings: tuple[Finding, ...] = Field(default=(), max_length=_MOST)
     measured_at: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_findings(cls, data: Any) -> Any:
+        """Take the sentences that earlier versions of camctl have kept."""
+        if isinstance(data, dict) and isinstance(notes := data.get("notes"), list):
+            kept = {name: value for name, value in data.items() if name != "notes"}
+            return {"findings": [note(str(text)) for text in notes], **kept}
+        return data
 
     @model_validator(mode="after")
     def _agree(self) -> Self:

@@ -21,6 +21,7 @@ from camctl.calibration.opencv_response import opencv_curves
 from camctl.calibration.response import estimate_response
 from camctl.calibration.response_series import Series
 from camctl.interface.controls import Layout
+from camctl.messages.plain import sentence
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import ChannelResponse
 
@@ -54,7 +55,7 @@ def memorial(folder: Path) -> None:
     for (name, time_s), frame in zip(listed, parts, strict=True):
         series.add(frame, time_s, name)
     estimate = estimate_response(series)
-    print("  " + "; ".join(estimate.notes), flush=True)
+    print("  " + "; ".join(map(sentence, estimate.findings)), flush=True)
     ours_ = []
     for channel in estimate.record.channels:
         levels = channel_levels(channel)

@@ -22,6 +22,7 @@ from camctl.calibration.delay import (
     measure_delay,
 )
 from camctl.errors import CameraDisconnectedError, CameraProtocolError, CaptureError, UsageError
+from camctl.findings import Detail, Finding
 from camctl.interface.camera import Frame
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
 from sim.camera import Faults, SimulatedCamera
@@ -167,12 +168,11 @@ def test_mixed_exposures_make_the_delay_not_constant() -> None:
         mixed: Any = (frames[1].pixels // 2 + frames[2].pixels // 2).astype(frames[2].pixels.dtype)
         return [*frames[:2], replace(frames[2], pixels=mixed), *frames[3:]]
 
-    warnings: list[str] = []
+    warnings: list[Finding] = []
     with camera(2, kind=changed(mix)) as under_test:
         record = measure_delay(under_test, warn=warnings.append)
     assert (record.frames, record.smallest, record.largest) == (None, 2, 3)
-    assert len(warnings) == 1
-    assert "12 of 12 steps show a frame between the two exposures" in warnings[0]
+    assert [(each.code, each.value) for each in warnings] == [("delay_irregular", 12)]
 
 
 def return_to_old(frames: list[Frame], _step: int) -> list[Frame]:
@@ -192,11 +192,12 @@ def test_one_invalid_step_is_repeated_with_a_warning() -> None:
     def once(frames: list[Frame], step: int) -> list[Frame]:
         return return_to_old(frames, step) if step == 3 else frames
 
-    warnings: list[str] = []
+    warnings: list[Finding] = []
     with camera(2, kind=changed(once)) as under_test:
         record = measure_delay(under_test, warn=warnings.append)
     assert record.frames == 2
-    assert warnings == ["a step is repeated: frame 5 returns to the earlier exposure"]
+    why: dict[str, Detail] = {"why": "frame 5 returns to the earlier exposure"}
+    assert warnings == [Finding(code="delay_irregular", details=why)]
 
 
 def test_changing_scene_is_an_error() -> None:

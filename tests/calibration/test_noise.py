@@ -136,7 +136,7 @@ def test_flickering_light_is_corrected_and_noted() -> None:
     with SimulatedCamera(scene, load_sensor("standard")) as camera:
         record = measure_noise(camera, longest_s=0.1)
     assert contains(record.reference.conversion_e_per_dn, 39.0625)
-    assert any("light changes" in note for note in record.notes)
+    assert "light_varies" in [each.code for each in record.findings]
 
 
 def test_filtered_frames_are_reported() -> None:
@@ -147,7 +147,8 @@ def test_filtered_frames_are_reported() -> None:
     frames = [(smooth(pixels), time_s) for pixels, time_s in ramp_pairs(electrons=4.0)]
     record = estimate_noise(bare_frames(frames))
     assert record.correlation == pytest.approx(0.5, abs=0.1)
-    assert any("filters its pictures" in note for note in record.notes)
+    found = [each.value for each in record.findings if each.code == "noise_filtered"]
+    assert found == [record.correlation]
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,8 @@ def test_a_patch_that_contradicts_the_others_is_named() -> None:
     steps = tuple(0.95 * 2.0**-k for k in range(6))
     frames = [shoot(picture, each, srgb) for each in steps]
     found = estimate(frames, (*patches[:2], wrong, *patches[3:]), exposures=steps)
-    assert any(note.startswith("patch 3 of the chart is ") for note in found.notes)
+    patches_named = [e.details["patch"] for e in found.findings if e.code == "chart_contradicts"]
+    assert patches_named == [3]
 
 
 def test_exposures_that_nobody_states_are_estimated_with_a_plain_warning() -> None:
@@ -166,8 +167,9 @@ def test_exposures_that_nobody_states_are_estimated_with_a_plain_warning() -> No
     found = estimate([shoot(E, each, srgb, light=(0, 0)) for each in true], None)
     assert found.exposures == pytest.approx(true, rel=0.15)
     assert found.exponent_error == 0.2
-    (note,) = [each for each in found.notes if "no exposure is known" in each]
-    assert "give --times" in note
+    (finding,) = [each for each in found.findings if each.code == "exponent_unknown"]
+    assert finding.value == found.exponent_error
+    assert "times" in finding.remedies
     (channel,) = found.record.channels
     assert channel.deviation is not None
     at = int(np.searchsorted(channel.brightness, 0.05))

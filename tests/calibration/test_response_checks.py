@@ -106,7 +106,9 @@ def test_one_label_that_is_a_little_wrong_does_not_bend_the_curve() -> None:
     frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(STOPS)]
     labels = (*STOPS[:-1], 1.2 * STOPS[-1])
     right, wrong = (estimate_response(series_of(frames, each)) for each in (STOPS, labels))
-    assert "frame 5 is 17% darker than its exposure 4.8 says" in wrong.notes[0]
+    finding = wrong.findings[0]
+    assert (finding.code, finding.frames) == ("exposures_contradict", (5,))
+    assert finding.value == pytest.approx(1 / 1.2 - 1, abs=0.005)
     channels = [each.record.main_channel for each in (right, wrong)]
     curves = [np.interp(0.1, each.brightness, each.irradiance) for each in channels]
     assert curves[1] == pytest.approx(curves[0], rel=0.005)  # 10 % with the trend of all labels
@@ -118,7 +120,7 @@ def test_flicker_is_called_flicker_and_widens_the_interval() -> None:
         shoot(shades(), t * gain, k) for k, (t, gain) in enumerate(zip(STOPS, light, strict=True))
     ]
     flickering = estimate_response(series_of(lamps))
-    assert "the light flickers, or the shutter varies: frames differ" in flickering.notes[0]
+    assert flickering.findings[0].details["kind"] == "flicker"
     steady = [shoot(shades(), exposure, k) for k, exposure in enumerate(STOPS)]
     widths = [
         intervals_of(each.record) for each in (estimate_response(series_of(steady)), flickering)
@@ -137,7 +139,7 @@ def test_times_that_are_wrong_throughout_are_refused(
     frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(true)]
     with pytest.raises(DataError, match=r"contradict the pixels, which say about 1, .*") as caught:
         estimate_response(series_of(frames, tuple(labels(1, 3, count))))
-    assert "--estimate-ratios" in str(caught.value)
+    assert caught.value.remedies == {"estimate_ratios": True}
     assert "\n" not in str(caught.value)
 
 

@@ -105,7 +105,7 @@ def test_a_thing_that_moves_does_not_bend_the_response(curve: str, quality: int 
     )
     for things in (ONE_BRIGHT, TWO) if quality else (ONE_BRIGHT, ONE_DARK, TWO, FIRST, LAST):
         found = estimated(photographs(CURVES[curve], times, quality, things), times)
-        assert any("something moved" in note for note in found.notes)
+        assert "movement" in [each.details.get("what") for each in found.findings]
         # Without the search for movement 0.02 to 0.2; fewer samples leave up to 0.002.
         assert error_of(found, CURVES[curve]) < 1.2 * still + 0.002, things
 
@@ -114,7 +114,7 @@ def test_a_thing_that_moves_does_not_bend_the_response(curve: str, quality: int 
 def test_what_stands_still_is_not_left_out(quality: int | None) -> None:
     times = (1.0, 2.0, 4.0, 8.0, 16.0)
     frames = photographs(CURVES["film"], times, quality, {})
-    assert estimated(frames, times).notes == ()
+    assert estimated(frames, times).findings == ()
 
 
 @pytest.mark.parametrize("layout", [Layout.MONO, Layout.RGGB])

@@ -54,7 +54,7 @@ def largest_error(series: Series) -> tuple[float, bool]:
     brightness = np.linspace(0.03, 0.85, 50)
     (channel,) = estimate.record.channels
     curve = np.interp(brightness, channel.brightness, channel.irradiance) / brightness
-    spills = any("saturated samples change" in note for note in estimate.notes)
+    spills = "saturation" in [each.details.get("what") for each in estimate.findings]
     return float(np.abs(curve / curve.mean() - 1).max()), spills
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,9 +16,9 @@ from camctl.cli.output import (
     format_duration,
     format_fields,
     format_table,
+    print_finding,
     print_json,
     print_text,
-    print_warning,
     progress_bar,
     without_stage,
 )
@@ -26,6 +26,7 @@ from camctl.cli.parameter_types import PATH, Seconds, WholeNumber
 from camctl.errors import DataError
 
 if TYPE_CHECKING:
+    from camctl.findings import Finding
     from camctl.interface.camera import CameraInfo
     from camctl.profiles.exposures import ExposureRecord
     from camctl.profiles.profile import DelayRecord, FrameTiming, Profile
@@ -89,8 +90,9 @@ def delay(camera: CameraOptions, trials: int, as_json: bool) -> None:
             else:
                 print_text(format_fields(_still_rows(info, timing)))
             return
+        findings = Findings()
         record = measure_delay(
-            opened, trials=trials, progress=without_stage(bar), warn=print_warning
+            opened, trials=trials, progress=without_stage(bar), warn=findings.add
         )
         mode = opened.mode
 
@@ -99,7 +101,15 @@ def delay(camera: CameraOptions, trials: int, as_json: bool) -> None:
 
     file = change_profile(info, keep)
     if as_json:
-        print_json({"camera": identity, "mode": mode, **record.model_dump(), "file": file})
+        print_json(
+            {
+                "camera": identity,
+                "mode": mode,
+                **record.model_dump(),
+                "file": file,
+                "findings": findings.to_json(),
+            }
+        )
         return
     rows = [
         ("camera", f"{info.make} {info.model} ({info.id})"),
@@ -110,6 +120,22 @@ def delay(camera: CameraOptions, trials: int, as_json: bool) -> None:
         ("profile", str(file)),
     ]
     print_text(format_fields(rows))
+
+
+class Findings:
+    """Prints findings when they are made, and keeps them for the JSON output."""
+
+    def __init__(self) -> None:
+        self._kept: list[Finding] = []
+
+    def add(self, finding: Finding) -> None:
+        """Print a finding as a warning, and keep it."""
+        print_finding(finding)
+        self._kept.append(finding)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Return the findings for the JSON output."""
+        return [each.model_dump() for each in self._kept]
 
 
 def _timing_rows(record: DelayRecord) -> list[tuple[str, str]]:
@@ -213,8 +239,9 @@ def exposure(
     from camctl.profiles.profile import change_profile
 
     context = click.get_current_context()
+    findings = Findings()
     if folder is None:
-        info, mode, record = _measure(camera, repeats, longest_s, response)
+        info, mode, record = _measure(camera, repeats, longest_s, response, findings)
     else:
         others = options.given(context) - {"folder", "response", "as_json"}
         options.refuse_together(context, "--from", others)
@@ -227,7 +254,15 @@ def exposure(
     file = change_profile(info, keep)
     if as_json:
         identity = dataclasses.asdict(info)
-        print_json({"camera": identity, "mode": mode, **record.model_dump(), "file": file})
+        print_json(
+            {
+                "camera": identity,
+                "mode": mode,
+                **record.model_dump(),
+                "file": file,
+                "findings": findings.to_json(),
+            }
+        )
         return
     rows = [
         ("camera", f"{info.make} {info.model} ({info.id})"),
@@ -238,7 +273,11 @@ def exposure(
 
 
 def _measure(
-    camera: CameraOptions, repeats: int, longest_s: float, response: str | None
+    camera: CameraOptions,
+    repeats: int,
+    longest_s: float,
+    response: str | None,
+    findings: Findings,
 ) -> tuple[CameraInfo, str, ExposureRecord]:
     from camctl.calibration.exposures import measure_exposures
     from camctl.cli.calibrate.exposure_series import response_of
@@ -254,7 +293,7 @@ def _measure(
             longest_s=longest_s,
             response=response_of(opened.controls, response),
             progress=without_stage(bar),
-            warn=print_warning,
+            warn=findings.add,
         )
         return opened.info, exposure_mode(opened.controls), record
 

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import click
 
 from camctl.cli import options
+from camctl.cli.calibrate import Findings
 from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions
 from camctl.cli.output import (
     print_error,
     print_json,
     print_text,
-    print_warning,
     progress_bar,
     without_stage,
 )
@@ -92,6 +92,7 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
     if is_interactive:
         click.pause("Press any key when all is ready ...", err=True)
     done = []
+    findings = Findings()
     with ExitStack() as bars:
 
         def begin(name: str) -> Callable[[float], None] | None:
@@ -108,7 +109,7 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
 
         cover = asked(_COVER, "Is the lens covered?")
         turn = asked(_TURN, "Is the lens uncovered, and has the camera been turned?")
-        how = StepOptions(longest_s, begin, print_warning, cover, turn)
+        how = StepOptions(longest_s, begin, findings.add, cover, turn)
         for step in calibrate(lambda parts: camera.open(profile=parts), how):
             bars.close()
             done.append(step)
@@ -117,7 +118,15 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
     name = load_profile(info).name
     if as_json:
         steps = [dataclasses.asdict(step) for step in done]
-        print_json({"camera": dataclasses.asdict(info), "mode": mode, "steps": steps, "name": name})
+        print_json(
+            {
+                "camera": dataclasses.asdict(info),
+                "mode": mode,
+                "steps": steps,
+                "name": name,
+                "findings": findings.to_json(),
+            }
+        )
     elif any(step.result for step in done):
         print_text(f"kept in the profile {name} for the mode {mode}; see camctl profile show")
         noise = load_profile(info).noises.get(mode)
@@ -145,4 +154,7 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
 def _line(step: StepResult) -> str:
     if step.result is not None:
         return f"{step.name}: {step.result}"
-    return f"{step.name}: not measured, because {step.problem}; {step.hint}"
+    from camctl.messages.command_line import with_remedies
+
+    hint = with_remedies(step.hint, step.remedies)
+    return f"{step.name}: not measured, because {step.problem}; {hint}"

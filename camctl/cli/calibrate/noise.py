@@ -25,9 +25,9 @@ from camctl.cli.options import CameraOptions
 from camctl.cli.output import (
     format_fields,
     format_table,
+    print_finding,
     print_json,
     print_text,
-    print_warning,
     progress_bar,
     without_stage,
 )
@@ -121,8 +121,8 @@ def noise(
             info, mode, record = _dark(camera, longest_s)
         else:
             info, mode, record = _from_camera(camera, count, longest_s, is_flat, response)
-    for note in () if is_dark else record.notes:
-        print_warning(note)
+    for finding in () if is_dark else record.findings:
+        print_finding(finding)
     file = None if info is None else _keep(info, mode, record)
     if as_json:
         identity = None if info is None else dataclasses.asdict(info)

@@ -17,9 +17,9 @@ from camctl.cli.output import (
     format_fields,
     format_percent,
     format_table,
+    print_finding,
     print_json,
     print_text,
-    print_warning,
     progress_bar,
     without_stage,
 )
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from camctl.calibration.response import ResponseEstimate
     from camctl.calibration.response_series import Series
+    from camctl.findings import Finding
     from camctl.interface.camera import CameraInfo
     from camctl.profiles.response import ResponseRecord
 
@@ -176,12 +177,17 @@ def response(
             hint=f"{error.hint}; if the measured exposures in the camera's profile are wrong, "
             "leave them out with --no-profile",
         ) from error
-    for note in estimate.notes:
-        print_warning(note)
+    findings = [*estimate.findings]
     record = estimate.record
     file = None
-    if info is not None and how.method == "camctl" and (keep or _is_exact(series, record)):
-        file = _keep(info, mode, record, series)
+    if info is not None and how.method == "camctl":
+        inexact = None if keep else _inexact(series, record)
+        if inexact is None:
+            file = _keep(info, mode, record, series)
+        else:
+            findings.append(inexact)
+    for finding in findings:
+        print_finding(finding)
     if output is not None:
         _write_curve(output, record)
     if as_json:
@@ -189,7 +195,7 @@ def response(
             "exposures": estimate.exposures,
             "exponent_error": estimate.exponent_error,
             "residual": estimate.residual,
-            "notes": estimate.notes,
+            "findings": [each.model_dump() for each in findings],
             "method": how.method,
             "camera": None if info is None else dataclasses.asdict(info),
             "mode": mode,
@@ -267,19 +273,24 @@ def _estimate(series: Series, frames: list[NDArray[Any]], how: EstimateOptions) 
     return ResponseEstimate(record=record, exposures=relative, residual=None)
 
 
-def _is_exact(series: Series, record: ResponseRecord) -> bool:
-    """Return whether a response is exact enough for the profile; warn where it is not."""
+def _inexact(series: Series, record: ResponseRecord) -> Finding | None:
+    """Return why a response is not exact enough for the profile; None where it is."""
     from camctl.calibration.response_checks import KEPT, helpful_exposures, intervals_of
+    from camctl.findings import Finding
 
     intervals = intervals_of(record)
     if intervals is None or intervals.widest <= KEPT:
-        return True
-    print_warning(
-        f"not kept in the camera's profile: at {intervals.brightness:.0%} of full scale the "
-        f"response is known to +-{intervals.widest:.0%}, and +-{KEPT:.0%} is needed; "
-        f"{helpful_exposures(series.exposures, intervals.brightness)}, or keep it with --keep"
+        return None
+    return Finding(
+        code="response_inexact",
+        value=intervals.widest,
+        details={
+            "brightness": intervals.brightness,
+            "needed": KEPT,
+            "help": helpful_exposures(series.exposures, intervals.brightness),
+        },
+        remedies={"keep": True},
     )
-    return False
 
 
 def _keep(info: CameraInfo, mode: str, record: ResponseRecord, series: Series) -> Path:
