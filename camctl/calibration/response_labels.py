@@ -97,9 +97,8 @@ def check_labels(
     is_smooth = not is_single and bow > 0
     if is_single:
         apart = np.ptp(errors[judged[:, first], first]) > _NOTED
-        finding = _wrong_label(
-            first, names[first], exposures[first], error[first], channels[worst[first]] * apart
-        )
+        channel = channels[worst[first]] if apart else ""
+        finding = _wrong_label(first, names[first], exposures[first], error[first], channel)
     elif shown.sum() <= 3:
         finding = Finding(
             code="exposures_contradict",
