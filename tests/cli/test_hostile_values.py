@@ -131,6 +131,15 @@ CASES = [
     if not LEFT_OUT & set(option.opts)
 ]
 
+
+def kind(option: click.Parameter) -> tuple[object, ...]:
+    """Return what options have in common that several commands share."""
+    return option.opts[-1], option.nargs, type(option.type), str(vars(option.type))
+
+
+DIFFERENT = {kind(option): (name, option) for name, option in CASES}
+"""A command and its option, for each option that is not like another one."""
+
 RUN_BY_DEFAULT = {
     "calibrate response files",
     "evaluate --noise",
@@ -250,13 +259,8 @@ def test_hostile_values_are_parsed_or_refused_in_one_line(
 ) -> None:
     for command in COMMANDS.values():
         monkeypatch.setattr(command, "callback", lambda **_: print("null"))
-    # An option that several commands share is parsed with one of them.
-    different = {
-        (option.opts[-1], option.nargs, type(option.type), str(vars(option.type))): (name, option)
-        for name, option in CASES
-    }
-    assert len(different) > 60
-    for name, option in different.values():
+    assert len(DIFFERENT) > 60
+    for name, option in DIFFERENT.values():
         assert problems(run, lines_with(name, option, places, tmp_path)) == []
 
 
@@ -275,7 +279,11 @@ def test_hostile_values_are_parsed_or_refused_in_one_line(
 def test_hostile_values_are_refused_in_one_line(
     run: Run, tmp_path: Path, places: tuple[str, ...], name: str, option: click.Parameter
 ) -> None:
-    assert problems(run, lines_with(name, option, places, tmp_path)) == []
+    """One command with an option has all values, and the others that share it a quarter each."""
+    lines = list(lines_with(name, option, places, tmp_path))
+    if DIFFERENT[kind(option)] != (name, option) and len(lines) > 8:
+        lines = lines[sorted(COMMANDS).index(name) % 4 :: 4]
+    assert problems(run, lines) == []
 
 
 EDGES = ("0", "1", "1e-12", "1e12", "1e7", "1e15", "0.01", "100", "1.0000000000000002", "16", "2.5")

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations_with_replacement
 
@@ -79,7 +79,7 @@ def every_set(problem: AccuracyProblem, n: int) -> list[tuple[float, float]]:
     return found
 
 
-def misses(seeds: range) -> list[int]:
+def misses(seeds: Iterable[int]) -> list[int]:
     """Return the seeds whose result is not the shortest set within `NEAR_TIE` of the best one."""
     wrong = []
     for seed in seeds:
@@ -97,7 +97,7 @@ def misses(seeds: range) -> list[int]:
 
 
 def test_no_set_of_a_short_list_is_missed() -> None:
-    assert misses(range(6)) == []
+    assert misses(range(2)) == []
 
 
 @pytest.mark.parametrize("seed", range(6, 10))
@@ -115,7 +115,7 @@ def test_a_limit_counts_what_exposures_take_beside_their_shutter_times(seed: int
 
 @pytest.mark.slow
 def test_no_set_of_a_short_list_is_missed_by_many_cameras() -> None:
-    assert misses(range(100, 160)) == []
+    assert misses([*range(2, 6), *range(100, 160)]) == []
 
 
 @pytest.mark.parametrize(
