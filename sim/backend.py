@@ -54,13 +54,6 @@ class SimulatedBackend:
         return (CameraInfo("sim", "camctl", f"simulated {DEFAULT_SENSOR}", DEFAULT_SENSOR, "sim"),)
 
     def open(self, address: str, options: Mapping[str, Any]) -> SimulatedCamera:
-        """Return an open simulated camera.
-
-        Raises:
-            CameraNotFoundError: there is an address after the colon
-            UsageError: an unknown option, scene or sensor, or an invalid value
-            DataError: a scene or sensor file that cannot be used
-        """
         if address:
             raise CameraNotFoundError(f"no camera sim:{address} exists", hint="its id is sim")
         chosen = SimulatedOptions.parse(options)

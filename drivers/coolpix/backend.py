@@ -23,7 +23,7 @@ _PORT_TIMEOUT_S = 0.6
 
 
 class CoolpixBackend:
-    """Opens ``coolpix:PORT``, where PORT is any pyserial URL."""
+    """Opens ``coolpix:PORT``, where PORT is any pyserial URL; see `CoolpixOptions`."""
 
     about = "Nikon CoolPix 990 on a serial port, looked for on request; any pyserial URL opens"
     local_address = r"/dev/(tty|cu\.)[\w.-]+|/dev/serial/by-(id|path)/[\w.:+-]+|COM\d+"
@@ -33,12 +33,6 @@ class CoolpixBackend:
         return probe_lines(serial_ports(), _PROBE_S) if probe else ()
 
     def open(self, address: str, options: Mapping[str, str]) -> CoolpixCamera:
-        """Return the open camera on the port or URL `address`; for `options` see `CoolpixOptions`.
-
-        Raises:
-            UsageError: an unknown option, or an invalid value
-            CameraError: see `CoolpixCamera`
-        """
         parsed = CoolpixOptions.parse(options)
         if not address:
             raise CameraNotFoundError(

@@ -57,12 +57,6 @@ class Gphoto2Backend:
         ]
 
     def open(self, address: str, options: Mapping[str, Any]) -> Gphoto2Camera:
-        """Return the open camera at a port.
-
-        Raises:
-            UsageError: an unknown option or an invalid value
-            CameraError: see `Gphoto2Camera`
-        """
         parsed = Gphoto2Options.parse(options)
         return Gphoto2Camera(address or _only_port(), parsed).open()
 

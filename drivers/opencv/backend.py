@@ -26,12 +26,6 @@ class OpencvBackend:
         return [_info(index) for index in _PROBED if _opens(index)] if probe else []
 
     def open(self, address: str, options: Mapping[str, Any]) -> OpencvCamera:
-        """Return the open camera or stream at an address.
-
-        Raises:
-            UsageError: an unknown option or an invalid value
-            CameraError: see `OpencvCamera`
-        """
         return OpencvCamera(address, OpencvOptions.parse(options)).open()
 
 

@@ -158,7 +158,6 @@ class _Stream:
         return FixedExposure(options.time or self.interval_s, is_stated=options.time is not None)
 
     def first_frame(self) -> Pixels:
-        """Return a frame, to learn the format."""
         self.next_frame()
         data = self.read()
         if data is None:

@@ -21,7 +21,7 @@ _DEVICE_CLASSES = (0, 6, 0xEF, 0xFF)
 
 
 class PtpBackend:
-    """Opens ``ptp:SERIAL`` and ``ptp:BUS:ADDRESS``, or ``ptp`` if there is one camera.
+    """Opens ``ptp:SERIAL`` and ``ptp:BUS:ADDRESS``, or ``ptp``; see `PtpOptions`.
 
     Args:
         backend: a pyusb backend; None: libusb
@@ -45,13 +45,6 @@ class PtpBackend:
         )
 
     def open(self, address: str, options: Mapping[str, str]) -> PtpCamera:
-        """Return the open camera at `address`; `options` as in `PtpOptions`.
-
-        Raises:
-            CameraNotFoundError: no such camera, libusb missing, or no permission
-            UsageError: an unknown option, or an invalid value
-            CameraError: see `PtpCamera`
-        """
         parsed = PtpOptions.parse(options)
         return PtpCamera(self._find(address), parsed).open()
 

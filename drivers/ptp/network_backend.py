@@ -94,12 +94,6 @@ class NetworkBackend:
         return ()
 
     def open(self, address: str, options: Mapping[str, Any]) -> NetworkCamera:
-        """Return the open camera at `address`; `options` as in `NetworkOptions`.
-
-        Raises:
-            UsageError: an invalid address, an unknown option, or an invalid value
-            CameraError: see `NetworkTransport` and `PtpCamera`
-        """
         chosen = NetworkOptions.parse(options)
         if not address:
             raise CameraNotFoundError(

@@ -303,11 +303,6 @@ class NetworkTransport:
         return False
 
     def reset(self) -> None:
-        """Connect anew, which closes the session.
-
-        Raises:
-            CameraDisconnectedError: that was not possible
-        """
         self.close()
         try:
             self._open()

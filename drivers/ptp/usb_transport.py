@@ -210,11 +210,6 @@ class UsbTransport:
         raise self._invalid("empty packets only")
 
     def event(self, wait_s: float) -> Container | None:
-        """Return the next event; None if none came within `wait_s`, or if it was invalid.
-
-        Raises:
-            CameraDisconnectedError: the camera was disconnected
-        """
         if self._events is None:
             self._pause(wait_s)
             return None

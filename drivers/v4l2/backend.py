@@ -28,12 +28,6 @@ class V4l2Backend:
         return find_cameras()
 
     def open(self, address: str, options: Mapping[str, Any]) -> V4l2Camera:
-        """Return the open camera at a node; without an address, the only one that is connected.
-
-        Raises:
-            UsageError: an unknown option or an invalid value
-            CameraError: see `V4l2Camera`
-        """
         _check_system()
         chosen = V4l2Options.parse(options)
         return V4l2Camera(address or _only_node(), chosen).open()

@@ -210,10 +210,6 @@ class PtpCamera(PtpDevice, UsbDevice):
 
 
 def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> PtpCamera:
-    """Return the camera of a configuration (`PtpConfig`).
-
-    Raises:
-        UsageError, DataError: an option is unknown or invalid
-    """
+    """Return the camera of a configuration (`PtpConfig`)."""
     options = PtpConfig.parse(config)
     return PtpCamera(options, options.load_picture_sensor(), clock)

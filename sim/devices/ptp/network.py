@@ -317,11 +317,7 @@ def _read(link: socket.socket, connection: Connection) -> None:
 
 
 def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> NetworkCamera:
-    """Return the camera of a configuration (`NetworkConfig`); `attach` lets it listen.
-
-    Raises:
-        UsageError, DataError: an option is unknown or invalid
-    """
+    """Return the camera of a configuration (`NetworkConfig`); `attach` lets it listen."""
     options = NetworkConfig.parse(config)
     camera = NetworkCamera(options, options.load_picture_sensor(), clock)
     camera.listen()

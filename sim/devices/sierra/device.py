@@ -309,10 +309,6 @@ _COMMANDS: Mapping[int, Callable[[SierraDevice, int, bytes], None]] = {
 
 
 def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> SierraDevice:
-    """Return the camera of a configuration (`SierraConfig`).
-
-    Raises:
-        UsageError, DataError: an option is unknown or invalid
-    """
+    """Return the camera of a configuration (`SierraConfig`)."""
     options = SierraConfig.parse(config)
     return SierraDevice(options, options.load_sensor(), clock)

@@ -304,11 +304,7 @@ class UvcCamera(UsbDevice):
 
 
 def make(config: Mapping[str, Any], clock: DeviceClock | None = None) -> UvcCamera:
-    """Return the webcam of a configuration (`UvcConfig`).
-
-    Raises:
-        UsageError, DataError: an option is unknown or invalid
-    """
+    """Return the webcam of a configuration (`UvcConfig`)."""
     options = UvcConfig.parse(config)
     sensor = options.load_sensor()
     for name in options.formats:
