@@ -155,8 +155,19 @@ def test_flicker_of_the_whole_picture_is_said_and_mended(sensor: str, trusted: b
     assert not any("do not trust" in warning for warning in mended.warnings)
 
 
-@pytest.mark.parametrize("scene", ["tile-floor", "ball", "cloth", "colour-chart", "ramp", "room"])
-@pytest.mark.parametrize("sensor", ["standard", "ccd", "ideal-6", "phone"])
+SCENES = ("tile-floor", "ball", "cloth", "colour-chart", "ramp", "room")
+SENSORS = ("standard", "ccd", "ideal-6", "phone")
+
+
+@pytest.mark.parametrize(
+    ("scene", "sensor"),
+    [
+        # By default each scene with one sensor; slow tests have the other pairs.
+        pytest.param(scene, sensor, marks=() if column == row % 4 else pytest.mark.slow)
+        for row, scene in enumerate(SCENES)
+        for column, sensor in enumerate(SENSORS)
+    ],
+)
 def test_true_exposures_are_trusted(scene: str, sensor: str) -> None:
     with camctl.open_camera("sim", scene=scene, sensor=sensor, size="320x240") as camera:
         assert capture(camera, WIDE).trustworthy

@@ -50,7 +50,13 @@ def test_samples_are_read(tmp_path: Path, name: str) -> None:
 
 
 # The examples share a folder: each writes its file anew.
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+MANY = settings(
+    max_examples=settings().max_examples // 2,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+
+
+@MANY
 @pytest.mark.parametrize("name", READERS)
 @given(rng=st.randoms(use_true_random=False))
 def test_damaged_input_is_read_or_refused(tmp_path: Path, name: str, rng: random.Random) -> None:
@@ -60,7 +66,7 @@ def test_damaged_input_is_read_or_refused(tmp_path: Path, name: str, rng: random
         READERS[name].read(data, tmp_path)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@MANY
 @pytest.mark.parametrize("name", READERS)
 @given(data=st.binary(max_size=300))
 def test_random_bytes_are_read_or_refused(tmp_path: Path, name: str, data: bytes) -> None:
