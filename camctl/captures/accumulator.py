@@ -63,7 +63,7 @@ class Accumulator:
         """Add one frame, clipped at white.
 
         Raises:
-            CaptureError: the frame's shape or type is not that of the others
+            CaptureError: the frame's shape or type differs from the others
         """
         self._each_tile(pixels, np.add)
 

@@ -218,7 +218,7 @@ def _evidence(
 ) -> tuple[Movement | None, MeasuredNoise | None]:
     """Return what moved, and the noise that the pixels show.
 
-    Noise that contradicts the known one is left out where things moved: it may be theirs.
+    Noise that contradicts the known one is left out where things moved: it may come from them.
     """
     pairs = checks.pairs(shot.exposures, shot.noise if controls.noise else None)
     movement = find_movement(store.frame, pairs, checks.bands.__getitem__)
@@ -290,7 +290,7 @@ def _light_findings(
     controls: ExposureControls,
     achieved: Achieved,
 ) -> list[Finding]:
-    """Return what of the light the pictures do not hold.
+    """Return how much of the light the pictures do not hold.
 
     Read noise around a black level lifts half of the samples above it: only those count as lit that
     are above it by `BLACK_SHARE` of one frame's levels.

@@ -35,7 +35,7 @@ from camctl.pictures.render import DARK, GOOD, SATURATED, Rendering, Tables
 from camctl.records.capture_plan import CapturePlan
 
 LONGEST_S = 4.0
-"""Longest exposure of a preview frame, s: the user waits for it, as for those of metering."""
+"""Longest exposure of a preview frame, s: the user waits for it, as for metering frames."""
 
 #: Each preview frame is longer than the one before by this factor at most.
 _STEP = 16.0
@@ -69,7 +69,7 @@ class ResponsePreview:
         picture: uint8, (rows, columns, 3), sRGB
         plan: of the response that was asked for; it was not shot
         responses: those that the camera can take, in the order of `RESPONSES`
-        settings: those of the preview frames
+        settings: of the preview frames
         left_out_s: planned shutter times that are longer than any preview frame, s
     """
 

@@ -24,12 +24,12 @@ PANEL_WIDTH = 520
 """Width of the picture of one response, pixels."""
 
 NOTABLY_UNSEEN = 0.01
-"""From this share of the samples on that metering shows no light of, it is said that it is so."""
+"""Share of the samples without light in the metering frames from which the sheet says so."""
 
 _MOST_HEIGHT = 520
 #: Width and largest height of what image.tiff holds.
 _STORED = 200, 150
-#: Share of the samples that are too dark from which it is said what helps.
+#: Share of the samples that are too dark from which the sheet says what helps.
 _MUCH_DARK = 0.3
 #: What each response is, in a few words.
 _MEANING = {

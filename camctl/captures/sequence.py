@@ -2,7 +2,7 @@
 
 The camera gets the whole list of settings at once.  During the next exposures a worker stores each
 frame, compares it with its neighbour and adds it to the sum, in this order.  Small frames may wait
-for the worker, so that a stream of short exposures goes on meanwhile: each setting of a stream is
+for the worker, so that a stream of short exposures continues meanwhile: each setting of a stream is
 written in a frame of its own, and a pause costs frames.  A slow disk pauses the stream when
 `WAITING_BYTES` wait; no frame is dropped.
 """

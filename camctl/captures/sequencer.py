@@ -53,7 +53,7 @@ def capture(
         progress: called before each frame and stage
         cancelled: called before each frame; if it returns True the capture ends
         overwrite: replace an earlier capture in the folder
-        taken_at: date and time that the report has; None: those of this computer, now
+        taken_at: date and time that the report has; None: of this computer, now
 
     Raises:
         UsageError: the request cannot be met by any camera, or `plan` was made from another one

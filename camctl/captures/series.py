@@ -1,9 +1,9 @@
-"""A series: many captures of one request, one after another, without anybody's attention.
+"""A series: many captures of one request, one after another, unattended.
 
 Set k of a series with an interval begins k intervals after the first set by the camera's clock, so
 that errors do not add up.  A set that takes longer than the interval makes the next start late.  As
-an intervalometer does, the series then leaves out the starts that have passed and goes on with the
-next one: the pictures stay on one grid of time, and as many are taken as were asked for.
+an intervalometer does, the series then leaves out the starts that have passed and continues with
+the next one: starts stay multiples of the interval, and all requested sets are taken.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ _RETRY_WAIT_S = 2.0
 #: The next set needs so many times the disk space of the last one: files compress differently.
 _SPACE_MARGIN = 1.25
 #: A series without an interval and without keys ends after so many failed sets in a row: else it
-#: would go through all its numbers while nobody looks.
+#: would go through all its numbers unattended.
 _MOST_FAILURES = 3
 
-_GO_ON = "go on with the series"
+_GO_ON = "continue the series"
 
 TAKE_KEYS, PAUSE_KEYS, STOP_KEYS = (" ", "\n", "\r"), ("p", "P"), ("q", "Q", "\x1b")
 
@@ -213,7 +213,7 @@ class Series:
             raise CameraError(
                 f"{_MOST_FAILURES} sets in a row have failed: {last[-1].error}; "
                 f"{self._done_text()}",
-                hint=f"mend that, and {_GO_ON}",
+                hint=f"correct that, and {_GO_ON}",
                 remedies=self._remedies,
             )
 

@@ -46,7 +46,7 @@ class CameraSets:
         self._plan = journal.plan
 
     def prepare(self, journal: SeriesJournal) -> float | None:
-        """Make the plan of the first set, which is kept where it is that of all."""
+        """Make the plan of the first set, which is kept if all sets have it."""
         self._plan = self._plan or self._new_plan()
         if journal.options.meter == "once":
             journal.plan = self._plan

@@ -1,7 +1,7 @@
 """By how much one photograph is shifted, turned or enlarged against another of the same scene.
 
-The brightness of the longer exposure is turned into that of the shorter one, by equal ranks in
-their histograms: a response need not be known for it, and a shift changes histograms little
+The brightness of the longer exposure is turned into brightness of the shorter one, by equal ranks
+in their histograms: a response need not be known for it, and a shift changes histograms little
 (Grossberg and Nayar, "Determining the camera response from images: what is knowable?", 2003).
 What remains is the noise of the shorter one, about the same at every brightness, so that least
 squares find the shift: at first over all shifts of small copies, by Fourier transformation, and
@@ -73,7 +73,7 @@ def displacement(short: _Floats, long: _Floats) -> _Vector | None:
 
     Args:
         short: grey copy of the shorter exposure, 0 to 1
-        long: that of the longer one, of the same shape
+        long: grey copy of the longer one, of the same shape
 
     Returns:
         columns and rows at the centre, pixels, angle in radians (positive: clockwise), and relative

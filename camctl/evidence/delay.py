@@ -33,7 +33,7 @@ _Pair = tuple[_Place, _Place, RatioCheck]
 
 @dataclass(frozen=True)
 class DelayError:
-    """The frames have the exposures that another control delay than the known one gives them.
+    """The frames have the exposures that follow from another control delay than the known one.
 
     Attributes:
         shift: frames by which all exposures came late; negative: early; None: not known
@@ -137,7 +137,7 @@ class ShotLog:
         return True
 
     def _had(self, hypothesis: _Hypothesis, place: _Place) -> float | None:
-        """Return the exposure of a shot; `_BEFORE`: that before the capture; None: unknown."""
+        """Return the exposure of a shot; `_BEFORE`: the one before the capture; None: unknown."""
         delay = self._controls.delay_frames or 0
         number, index = place
         wanted = index - hypothesis.shift
@@ -152,7 +152,7 @@ class ShotLog:
             wanted += len(self._sequences[number]) + delay + hypothesis.pause
 
     def _written(self, number: int) -> list[float]:
-        """Return the exposures that were written in a sequence, that at rest included."""
+        """Return the exposures that were written in a sequence, the one at rest included."""
         settings = [self._settings[position] for position in self._sequences[number]]
         rest = resting_setting(self._controls, settings)
         return [each.exposure for each in (*settings, *([] if rest is None else [rest]))]

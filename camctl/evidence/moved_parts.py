@@ -1,10 +1,10 @@
 """Which parts of two frames of different exposure show something that moved between them.
 
-Brightness in the longer frame of a pair decides, but for noise, that in the shorter one, whatever
-the response is.  Samples in which nothing moved lie along one ascending curve of their joint
-histogram, and those of a moving thing beside it.  The curve is the ascending path on which each
-brightness of either frame implies that of the other one best: a thing of one brightness makes a
-column or a row, of which no sample says where in it the others are.
+Brightness in the longer frame of a pair decides, but for noise, the brightness in the shorter one,
+whatever the response is.  Samples in which nothing moved lie along one ascending curve of their
+joint histogram, and samples of a moving thing lie beside it.  The curve is the ascending path on
+which each brightness of either frame best implies the brightness of the other one: a thing of one
+brightness makes a column or a row, and a sample of it implies no place in the column or the row.
 
 Cells of neighbouring samples, or patches, are judged by their mean, in which noise averages out.
 """

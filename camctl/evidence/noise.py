@@ -37,7 +37,7 @@ _MOST_CONTRAST = 0.1
 _MOST_DEVIATIONS = 4.0
 _ROUNDS = 8
 #: Effective levels more uncertain than by this share are not stated: patches of nearly one
-#: brightness do not tell photon noise from read noise.
+#: brightness do not distinguish photon noise from read noise.
 _MOST_UNCERTAIN = 0.25
 #: Harmonics of the error of quantisation: noise of a tenth of a step leaves 0.16 of the third.
 _HARMONICS, _SMALLEST_STEP = 3, 1e-12
@@ -52,7 +52,7 @@ class _Patches:
     Attributes:
         variance: measured
         terms: (K, 2): what one inverse electron per level, and read noise of one level, add
-        step: that of the shorter frame's quantiser, squared
+        step: of the shorter frame's quantiser, squared
         rounding: what the quantiser of the longer frame adds
         phases: (K, harmonics): means of exp(2 pi i k m) over the samples, where m is the light in
             steps of the shorter frame, k = 1, 2, ...
@@ -75,12 +75,12 @@ class _Patches:
         )
 
     def quantisation(self, noise: _Floats) -> _Floats:
-        """Return what the quantisers add to the variance of a noise, that of the terms.
+        """Return what the quantisers add to the variance of a noise, as in the terms.
 
         A light of m steps and Gaussian noise of s are rounded to a whole number.  Its mean square
         error and its mean error are Fourier series of m (Widrow and Kollar, Quantization Noise,
         2008); without their harmonics they are s^2 + 1/12 and 0.  Noise of half a step leaves
-        0.7 % of the first harmonic, that of a third of one a tenth.
+        0.7 % of the first harmonic, noise of a third of a step a tenth.
         """
         k = np.arange(1, _HARMONICS + 1)
         total = (noise + self.rounding)[:, None]
@@ -96,7 +96,7 @@ class _Patches:
         """Return what fits best, both noises >= 0.
 
         Raises:
-            np.linalg.LinAlgError: the patches do not tell the two noises from each other
+            np.linalg.LinAlgError: the patches do not distinguish the two noises
         """
         # The median of the single patches is a start that moving objects do not disturb.  It is
         # too large by what quantisation adds: from too small a one, few patches would fit.

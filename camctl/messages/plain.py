@@ -132,7 +132,7 @@ def _changes(finding: Finding) -> str:
     if (wall_s := finding.details.get("wall_s")) is not None:
         text += f" (the picture then takes {time_text(_number(wall_s))})"
     if (left := finding.details.get("left")) is not None:
-        text += f", after which {left:.0%} still is by the metered light"
+        text += f", which leaves {left:.0%} by the metered light"
     return text
 
 

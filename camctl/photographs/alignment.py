@@ -49,7 +49,7 @@ class Sight:
 
     @classmethod
     def of(cls, photograph: Photograph, pixels: Pixels, white: int) -> Sight:
-        """Return that of a photograph's pixels; raises `UsageError` without OpenCV."""
+        """Return the sight of a photograph's pixels; raises `UsageError` without OpenCV."""
         required_opencv("merging photographs")
         digest = hashlib.sha256(np.ascontiguousarray(pixels).data).digest()
         grey = pixels[..., 1] if pixels.ndim == 3 else pixels
@@ -71,7 +71,7 @@ def misaligned(
     Args:
         sights: of the photographs
         alike: pairs of positions of photographs whose fine structure is in the same place, so that
-            a large displacement is that of a thing that moved
+            a large displacement comes from a thing that moved
         other_views: positions of photographs with other structure than most: a large displacement
             of them is a chance likeness, and not returned
     """

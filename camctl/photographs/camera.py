@@ -123,7 +123,7 @@ def with_all_stated(
 ) -> tuple[list[Photograph], list[Finding]]:
     """Return photographs with what some do not state of their exposures, and others do.
 
-    It is the value of the others where that is the same in all, else ISO 100 and f/1.  The second
+    It is the value of the others if all of them have the same, else ISO 100 and f/1.  The second
     result has a finding for each, about the photographs that state nothing.
     """
     found, notes = list(photographs), []
@@ -166,7 +166,7 @@ def file_names(photographs: Sequence[Photograph], positions: Iterable[int]) -> s
 
 
 class PhotographCamera(CameraBase):
-    """A camera whose only settings are the exposures of photographs, and their frames its frames.
+    """A camera whose only settings are the exposures of photographs, and whose frames are these.
 
     A setting's time stands for the whole exposure: the shutter time that has it at the sensitivity
     and aperture of the first photograph.  The applied setting of a frame is the photograph's own.
@@ -176,7 +176,7 @@ class PhotographCamera(CameraBase):
         load: returns the pixels of a photograph by its position
         controls: what is known of the frames; `time_s` is not used
         taken_by: make, model and serial number of the camera that took them, for the report
-        metered: returns likewise the pixels by which the light is metered; None: those of `load`
+        metered: returns likewise the pixels by which the light is metered; None: as `load`
 
     Attributes:
         photographs: as given

@@ -19,13 +19,13 @@ _BRIGHTEST = 0.95
 _ERROR, _RELATIVE_ERROR = 0.008, 0.04
 #: A prediction is known where its error is at most this share of full scale.
 _KNOWN = 0.03
-#: Bins of brightness, in each of which the median difference is that of the response.
+#: Bins of brightness, in each of which the median difference comes from the response.
 _BINS = 16
 #: Share of the comparisons in which the others must contradict it and agree with each other.
 _MAJORITY = 0.7
 #: Other photographs that must be contradicted, and connected patches that make a place.
 _LEAST_OTHERS, _LEAST_PATCHES = 2, 4
-#: Largest share of the patches: where more differ it is no matter of a place.
+#: Largest share of the patches: where more differ, it is not a place.
 _MOST = 0.25
 
 _Floats = NDArray[np.float64]

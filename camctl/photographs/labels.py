@@ -1,4 +1,4 @@
-"""The exposures that photographs state against those that their pixels say.
+"""The exposures that photographs state, against what their pixels show.
 
 Most of the photographs of a set state the right exposure.  Before the response is known, pixels say
 exposures up to an exponent, and three photographs that agree are needed to tell which one does not;
@@ -25,8 +25,8 @@ from camctl.model.response.camera import FloatArray
 from camctl.photographs.camera import Photograph, file_names
 from camctl.photographs.ratios import MOST_CORRECTED, STEADY, exposure_runs, steady_errors
 
-#: Factor by which a label is wrong if exposures are not corrected from the pixels, and errors of an
-#: estimated response are none of theirs.
+#: Factor by which a label is wrong if exposures are not corrected from the pixels, and the response
+#: is not estimated.
 _WRONG_EXACT = 1.1
 #: Factor of a first guess from which the exposures are estimated.
 _SUSPECT = 1.15

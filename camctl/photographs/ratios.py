@@ -52,7 +52,7 @@ class PairRatio(NamedTuple):
     """The ratio of the light in two photographs.
 
     Attributes:
-        log: logarithm of that of the second one over that of the first
+        log: logarithm of the light in the second over the light in the first
         error: largest error of it from rounding and black level
     """
 
@@ -65,7 +65,7 @@ def pair_ratio(first: Patches, second: Patches, scale: LightScale) -> PairRatio 
 
     Args:
         first: patches of one photograph, see `sample_patches`
-        second: those of the other
+        second: of the other
         scale: irradiance of each brightness
     """
     span = scale.white - scale.black
@@ -218,9 +218,9 @@ def corrected_exposures(
 def odd_colours(
     photographs: Sequence[Photograph], patches: Sequence[Patches], scales: Sequence[LightScale]
 ) -> tuple[set[int], list[Finding]]:
-    """Return the positions of photographs whose colours are not those of most others; findings.
+    """Return the positions of photographs whose colours differ from most others; findings.
 
-    The ratio of light between neighbours is that of their exposures, in each colour.  Where it is
+    The light of neighbours has the ratio of their exposures, in each colour.  Where it is
     larger in one colour than in green, one of the two has more of that colour: another white
     balance, or the light had another colour.  Where the set does not show which are right, there
     is a finding alone.

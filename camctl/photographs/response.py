@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 #: A standard response is used up to this median error of the light, or where it explains the
 #: photographs as well as an estimated one.
 _FITS = 0.01
-#: Where a response is from that was found in the photographs themselves.
+#: Origins of a response that was found in the photographs themselves.
 _FITTING, ASSUMED = "srgb, which fits the photographs", "srgb, assumed"
 _ESTIMATED = "estimated from the photographs"
 _ESTIMATED_COMMON = "estimated from the photographs, one for all colours"
@@ -107,7 +107,7 @@ def known_controls(
         )
         return standard, ASSUMED
     estimated = _measured(controls, estimate.record)
-    # An estimate has errors of its own: where the standard explains the frames as well, it is it.
+    # An estimate has errors of its own: where the standard explains the frames as well, it is used.
     errors = [_fit_error(series, each) for each in (standard, estimated)]
     if errors[0] <= _FITS or errors[0] <= AS_WELL * errors[1] < math.inf:
         return fitting_standard, _FITTING

@@ -104,7 +104,7 @@ def of_one_view(
         notes: findings, to which this adds one for each of the others
 
     Returns:
-        those photographs, and by place among them how they lie where no place is that of most
+        those photographs, and by place among them how they lie if most do not lie alike
     """
     series, count = selection.series, len(sights)
     found = likenesses(series.patches, len(series.colours()), series.black, series.white)
@@ -125,7 +125,7 @@ def of_one_view(
 def of_one_colour(
     selection: Selection, controls: ExposureControls, notes: list[Finding]
 ) -> Selection:
-    """Return the photographs whose colours are those of most.
+    """Return the photographs that agree with most in their colours.
 
     Args:
         selection: the photographs

@@ -42,7 +42,7 @@ class ValidArea:
 
     @classmethod
     def of(cls, files: PhotographFiles, mask: str | None) -> ValidArea:
-        """Return that of photographs.
+        """Return the valid part of photographs.
 
         Args:
             files: of them
@@ -115,7 +115,7 @@ def _masked(invalid: NDArray[np.bool_], rows: slice, columns: slice, by: str) ->
 
 
 def _nearest(invalid: NDArray[np.bool_], step: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return row and column of a valid pixel near each invalid one, as many places of a pattern on.
+    """Return row and column of a valid pixel of the same colour near each invalid one.
 
     Blocks of `step` x `step` pixels count as invalid if one of their pixels is.
     """

@@ -39,7 +39,7 @@ _OTHER, _BEST_OF_OTHER = 0.6, 0.75
 _LESS_SHARP, _SHARPER, _AS_SHARP = 0.8, 1.15, 0.9
 #: Where much is blurred, brightness deviates, too, but not even a quarter of the patches has the
 #: first correlation with a brighter photograph, or the second one with a darker one, whose noise
-#: makes it small: those have it that a moving thing does not cover.
+#: makes it small: patches that no moving thing covers have it.
 _BEST_WITH_BRIGHTER, _BEST_WITH_DARKER = 0.9, 0.95
 #: Neighbouring patches that are one part of the picture, and how many of them can be compared.
 _PART, _OF_PART = 6, 4
@@ -53,12 +53,12 @@ _Floats = NDArray[np.float64]
 
 
 class Likeness(NamedTuple):
-    """How much the fine structure of a darker photograph is that of a brighter one.
+    """How much the fine structure of a darker photograph resembles a brighter one.
 
     Attributes:
-        correlation: median of that of the patches
+        correlation: median over the patches
         best: correlation that a quarter of them exceed
-        contrast: quartiles of the contrast of patches over that which the brighter one has
+        contrast: quartiles of the contrast of patches over their contrast in the brighter one
         deviating: share of the patches that have another brightness than most
         agreeing: share of the parts of the picture in which no patch has
     """
@@ -86,7 +86,7 @@ class Likeness(NamedTuple):
 
     @property
     def is_brighter_less_sharp(self) -> bool:
-        """Whether the brighter one has, likewise."""
+        """Whether the brighter one has less contrast all over it."""
         is_less_sharp = self.contrast[1] > _SHARPER and self.contrast[0] > _AS_SHARP
         return is_less_sharp and self.deviating < _DEVIATING
 

@@ -230,7 +230,7 @@ def test_an_interrupted_series_goes_on_with_the_set_that_was_begun(bench: Bench)
     with pytest.raises(InterruptedCaptureError) as caught:
         bench.run(sets, journal(repeat=4, interval_s=10.0))
     assert str(caught.value) == (
-        "interrupted; 1 of 3 frames are kept; 1 of 4 sets are complete; go on with the series"
+        "interrupted; 1 of 3 frames are kept; 1 of 4 sets are complete; continue the series"
     )
     assert caught.value.remedies == {"resume": bench.folder}
     kept = read_series(bench.folder)

@@ -181,7 +181,7 @@ def test_a_signal_keeps_what_was_shot_and_resume_goes_on(
         patch.setattr(SimulatedCamera, "_frames", sending)
         ran = run(*TINY, "--repeat", "3", "--hook", "true", "-o", "day")
     assert ran.status == status
-    assert "1 of 3 sets are complete; go on with the series (camctl resume day)" in ran.error
+    assert "1 of 3 sets are complete; continue the series (camctl resume day)" in ran.error
     assert sets()[1]["state"] == "begun"
     assert list(Path("day/set-0002/frames").glob("frame-01.npy"))
     again = run("resume", "day")
