@@ -27,7 +27,7 @@ def exposures_contradict(finding: Finding) -> str:
     if found["kind"] == "trend":
         return (
             f"the exposures {found['stated']} contradict the pixels, which say about "
-            f"{found['said']} (for a response as of sRGB)"
+            f"{found['said']} (for a response like sRGB)"
         )
     return (
         "the light flickers, or the shutter varies: frames differ from their exposures by "
@@ -61,7 +61,7 @@ def _left_out(finding: Finding) -> str:
         ),
         "highlights": (
             "light or charge spills over from the highlights of long exposures: the response is "
-            "that of frames with few saturated samples"
+            "from frames with few saturated samples"
         ),
         "movement": (
             f"something moved in up to {share} of the picture from one frame to another: it is "
@@ -73,7 +73,7 @@ def _left_out(finding: Finding) -> str:
         ),
         "copy": (
             f"{finding.details.get('first')} and {finding.details.get('second')} are the same "
-            "picture: a copy says nothing more; leave one of them out"
+            "picture: a copy adds nothing; leave one of them out"
         ),
     }[str(finding.details["what"])]
 
@@ -110,8 +110,8 @@ def _noise_filtered(finding: Finding) -> str:
         return "the frames are JPEG files: compression hides noise, so that the figures are too low"
     return (
         f"the noise of neighbouring pixels has a correlation of {finding.value:.2f}: the camera "
-        "filters its pictures (demosaicing, noise reduction, compression), and the figures are "
-        "those of the filtered picture"
+        "filters its pictures (demosaicing, noise reduction, compression), and the figures "
+        "describe the filtered picture"
     )
 
 
@@ -168,7 +168,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "noise_filtered": _noise_filtered,
     "channels_differ": lambda finding: (
         f"the channels have different electrons per level ({finding.details['each']}), as after a "
-        f"white balance: the figures are those of {finding.details['channel']}"
+        f"white balance: the figures are for {finding.details['channel']}"
     ),
     "not_measured": _not_measured,
     "light_varies": _light_varies,

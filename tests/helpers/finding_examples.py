@@ -130,5 +130,38 @@ _PHOTOGRAPHS = (
         details={"what": "orientation", "file": "c.jpg", "other": "a.jpg"},
     ),
 )
-EXAMPLES: Final = {finding.code: finding for finding in (*_FINDINGS, *_PHOTOGRAPHS)}
+_CALIBRATIONS = (
+    Finding(
+        code="exposures_contradict",
+        frames=(3,),
+        value=0.6,
+        details={
+            "kind": "label",
+            "name": "d.tif",
+            "channel": None,
+            "stated": 0.125,
+            "said": 0.2,
+            "is_shot": False,
+        },
+        remedies={"times": None, "estimate_ratios": True},
+    ),
+    Finding(code="exponent_unknown", value=0.2, remedies={"times": None}),
+    Finding(code="left_out", value=0.08, details={"what": "movement"}),
+    Finding(code="levels_found", value=17, details={"level": "black", "largest": 255}),
+    Finding(code="chart_contradicts", value=-0.12, details={"patch": 4, "channel": "G"}),
+    Finding(code="profile_not_used", remedies={"calibrate_exposure": None}),
+    Finding(
+        code="response_inexact",
+        value=0.11,
+        details={"brightness": 0.2, "needed": 0.07, "help": "add a frame of exposure 0.03"},
+        remedies={"keep": True},
+    ),
+    Finding(code="noise_misfit", value=4.2, remedies={"calibrate_response": None}),
+    Finding(code="noise_filtered", value=0.31),
+    Finding(code="channels_differ", details={"each": "R 2.1, G 3.4, B 1.9", "channel": "G"}),
+    Finding(code="not_measured", value=3, details={"what": "settings", "of": 12}),
+    Finding(code="light_varies", value=0.013, details={"within": "pair"}),
+    Finding(code="delay_irregular", value=2, details={"trials": 20}),
+)
+EXAMPLES: Final = {finding.code: finding for finding in (*_FINDINGS, *_PHOTOGRAPHS, *_CALIBRATIONS)}
 """One finding of each code of `camctl.findings.CODES`."""
