@@ -132,7 +132,8 @@ def test_what_is_too_bright_for_two_reasons_gets_one_advice(tmp_path: Path) -> N
     assert not findings
 
 
-@pytest.mark.parametrize("response", ["log", pytest.param("linear", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("response", ["log", "linear"])
 def test_what_is_too_dark_for_two_reasons_gets_one_advice(response: str, tmp_path: Path) -> None:
     fields = {"clip_percent": 0.0, "dynamic_range": 1000.0, "response": response}
     shares, findings = follow("night-street", fields, tmp_path)
