@@ -13,12 +13,13 @@ from datetime import UTC, datetime
 import numpy as np
 
 from camctl.errors import CaptureError
-from camctl.evidence.patches import LightScale, Patches, sample_patches
+from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.ratios import RatioEstimates, comparable_frames, estimate_ratios
 from camctl.findings import Finding
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
 from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.sensor import SensorModel
 from camctl.profiles.exposures import Correction, ExposureRecord
 
 REPEATS = 3
@@ -66,7 +67,7 @@ def measure_exposures(
     controls = camera.controls
     if response is None:
         controls.check_response("exposure")
-    scale = LightScale(controls.levels if response is None else response, controls.black)
+    scale = SensorModel(controls.levels if response is None else response, controls.black)
     times = _useful_times(camera, _candidates(controls.time_s, longest_s), scale)
     base = controls.gain.nearest(1.0)
     span = times[-1] / times[0]
@@ -115,7 +116,7 @@ def measure_exposures(
 def record_of_frames(
     frames: Sequence[Patches],
     settings: Sequence[ExposureSetting],
-    scale: LightScale,
+    scale: SensorModel,
 ) -> ExposureRecord:
     """Return the exposures of the settings of one capture, from one frame of each.
 
@@ -144,7 +145,7 @@ def record_of_frames(
 
 def _comparable(
     controls: ExposureControls,
-    scale: LightScale,
+    scale: SensorModel,
     settings: list[ExposureSetting],
     order: list[int],
     shown: list[Patches],
@@ -193,7 +194,7 @@ def _gains(control: Control, base: float) -> list[float]:
     return sorted({control.nearest(base * 2.0**stop) for stop in range(count)})
 
 
-def _useful_times(camera: Camera, times: Sequence[float], scale: LightScale) -> list[float]:
+def _useful_times(camera: Camera, times: Sequence[float], scale: SensorModel) -> list[float]:
     """Return the times between the first and the last at which the scene is well exposed.
 
     Every second stop is tried.

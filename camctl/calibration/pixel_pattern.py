@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import CaptureError, DataError
-from camctl.evidence.patches import LightScale, sample_patches
+from camctl.evidence.patches import sample_patches
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
 from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.sensor import SensorModel
 from camctl.profiles.noise import DarkRecord, Figure, NoiseRecord
 
 #: Frames of a view with each time, and the number of times, a factor of 2 apart.
@@ -60,7 +61,7 @@ class View:
     def add(self, pixels: NDArray[Any], time_s: float) -> None:
         """Add a frame of this shutter time; its pixels are not kept."""
         controls = self.controls
-        scales = [LightScale(each, controls.black) for each in _responses(controls)]
+        scales = [SensorModel(each, controls.black) for each in _responses(controls)]
         planes = controls.layout.planes(pixels)
         patches = np.split(sample_patches(planes, controls.white), len(planes))
         light = np.concatenate(

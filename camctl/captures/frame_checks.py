@@ -14,10 +14,9 @@ from camctl.captures.true_exposures import choose_exposures, estimate_exposures
 from camctl.captures.verdict import judge, suspects
 from camctl.evidence.delay import ShotLog
 from camctl.evidence.light_ratio import MOST_CHANGE, NeighbourCheck
-from camctl.evidence.movement import bands_of
-from camctl.evidence.pair import Pair, Side
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import RatioCheck
+from camctl.evidence.residual import Pair, Side
 from camctl.findings import note
 from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import Layout
@@ -32,7 +31,6 @@ class FrameChecks:
 
     Attributes:
         thumbnails: small pictures of the frames that have arrived, by position
-        bands: parts of them, to measure movement where the camera's noise is unknown
 
     Args:
         camera: that shoots it
@@ -47,7 +45,6 @@ class FrameChecks:
         self._log = ShotLog(capture.plan.settings, self._controls)
         self._delay_of = camera.info.id if self._log.has_delay else None
         self.thumbnails: dict[int, NDArray[np.uint8]] = {}
-        self.bands: dict[int, Pixels] = {}
 
     def begin(self, positions: Sequence[int]) -> None:
         """Record that the frames at `positions` are shot now, in one sequence."""
@@ -57,8 +54,6 @@ class FrameChecks:
         """Compare the frame at `position` with its neighbours that have arrived."""
         self._check.add(position, pixels)
         self.thumbnails[position] = thumbnail(pixels, self._controls)
-        if not self._controls.noise:
-            self.bands[position] = bands_of(pixels)
         for later in (position, position + 1):
             if self._check.has(later):
                 before, after = (

@@ -221,7 +221,7 @@ def _evidence(
     Noise that contradicts the known one is left out where things moved: it may come from them.
     """
     pairs = checks.pairs(shot.exposures, shot.noise if controls.noise else None)
-    movement = find_movement(store.frame, pairs, checks.bands.__getitem__)
+    movement = find_movement(store.frame, pairs)
     gains = [frame.applied.gain for frame in shot.frames]
     measured = measure_noise(
         controls.levels, shot.desired, checks.samples, shot.exposures, shot.noise, gains

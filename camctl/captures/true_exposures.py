@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from camctl.errors import DataError
-from camctl.evidence.patches import LightScale, Patches
+from camctl.evidence.patches import Patches
 from camctl.evidence.ratios import comparable_frames, estimate_ratios
 from camctl.interface.controls import ExposureControls
+from camctl.model.sensor import SensorModel
 from camctl.records.frame import ExposureRatio, StoredFrame
 
 #: An estimate with a wider 95 % interval, relative, is used only where the label lies outside it.
@@ -31,7 +32,7 @@ class Estimates:
 def estimate_exposures(
     frames: Sequence[StoredFrame],
     samples: Sequence[Patches],
-    scale: LightScale,
+    scale: SensorModel,
     controls: ExposureControls,
 ) -> tuple[Estimates | None, list[str]]:
     """Estimate the exposures of the frames of a capture; return warnings, too.

@@ -13,11 +13,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.patches import LightScale, Patches, sample_patches
+from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.ratio_check import LAMP_DEPTH, LEAST_COMPARED, RatioCheck
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import CameraResponse
+from camctl.model.sensor import SensorModel
 
 #: Relative difference of light that may have other causes than a wrong exposure.
 TOLERANCE = 0.015
@@ -63,7 +64,7 @@ class NeighbourCheck:
     """
 
     def __init__(self, real: CameraResponse, black: int, layout: Layout = Layout.MONO) -> None:
-        self.scale = LightScale(real, black)
+        self.scale = SensorModel(real, black)
         self._layout = layout
         self._dark = self.scale.full / min(real.M, _LEVELS)
         self._offset = max(_OFFSET_LEVELS * self.scale.level, _OFFSET_SHARE * self.scale.full)

@@ -1,62 +1,69 @@
 """Where the frames of a capture contradict each other: things that moved, or light that changed.
 
-Frames neighbouring in exposure are compared sample by sample, see `camctl.evidence.pair`.
-Change of the whole picture, as by lamps that flicker, is taken out of the comparison first: it is
-the ratio of most patches.
+Frames neighbouring in exposure are compared by their normalised residual, of each sample and of
+the mean of 5 x 5 samples, see `camctl.evidence.residual`.  Change of the whole picture, as by lamps
+that flicker, is taken out first: it is the ratio of most patches.
 
-What light does that spreads from saturated pixels is no movement, see
-`camctl.evidence.spill`, but the picture is wrong there: it is marked, and counted apart.
+Thresholds are quantiles of the normal distribution.  Samples have marks where noise alone would
+mark `FALSE_ALARMS` of them; a place is reported where the mean of 5 x 5 contradicts so much that
+noise would report one in `SIGNIFICANCE` of the captures in which nothing moves.
+
+What light does that spreads from saturated pixels is no movement, see `camctl.evidence.spill`, but
+the picture is wrong there: it is marked, and counted apart.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from itertools import pairwise
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.limits import Limits, Ranges
-from camctl.evidence.movement_map import (
-    FALSE_ALARMS,
-    Place,
-    cell_sizes,
-    light_spread_cells,
-    mapped,
-    places,
-    widened,
-)
-from camctl.evidence.pair import Pair
-from camctl.evidence.spill import ACROSS, LightSpread, Lines
+from camctl.evidence.edges import edge_levels, local_ranges, ranges_at
+from camctl.evidence.residual import MEAN_RADIUS, Limits, Pair
+from camctl.evidence.spill import LightSpread, Lines, only_beside_white
+from camctl.findings import Place
 from camctl.interface.camera import Pixels
+from camctl.system.picture_operations import box_sums, connected_parts, opencv
 from camctl.system.threads import in_threads
 
-NOTABLE_SPREAD = 1e-4
-"""Share of light that spread that is named."""
+FALSE_ALARMS = 0.002
+"""Share of the samples of a scene without movement that noise marks, at most: the promise of the
+mask.  Half of it is for single samples and half for means, and each is divided by the pairs."""
 
-#: The limits are set again until false alarms are between these shares of those aimed at, how often
-#: at most, and for how many times as many at most.
-_LEAST_ALARMS, _NEAR_ALARMS, _TRIES, _MOST_RATE = 0.75, 1.05, 6, 8.0
-#: Those of the pairs may sum to this share of what is set for them.
-_NEAR_SUM = 0.95
-#: How often at most they are set again where whole frames have more false alarms than the bands, by
-#: this factor.
-_TRIES_WHOLE, _MOST_ALARMS = 3, 1.25
-#: Pixels of all bands of a frame in which they are set again, about: by chance the share of their
-#: false alarms differs by 3 %.  A wide frame has narrow bands, so that there are so many of them.
-_BANDS_PIXELS, _LEAST_BANDS = 500_000, 8
-_NARROWEST, _WIDEST = 16, 64
+SIGNIFICANCE = 0.01
+"""Probability that noise alone reports a place in a capture in which nothing moves, at most: it is
+divided by the number of means that are tested (Bonferroni)."""
+
+NOTABLE_SPREAD = 1e-4
+"""Share of light that spread that is named: twice the least that a picture of 24 MP shows as one
+spot of 32 x 32 pixels."""
+
+#: Residuals count up to so many standard deviations in a mean: a single sample (a cosmic ray, a
+#: pixel that blinks) is 4 / 5 of one there, and is not significant by itself.
+_MOST_SIGMAS = 4.0
+#: Steps in which residuals are counted, of a standard deviation: the rounding of two tables adds at
+#: most 5 / 32 of one to a mean.
+_STEPS = 32
+#: Cells of the map of movement along the longer side of a picture, at most, and the least side of
+#: one, pixels.
+_MAP_SIDE, _LEAST_CELL = 160, 8
+#: Places that are named at most, the largest first.
+_MOST_PLACES = 5
 #: Where fewer samples than this share can be compared it is not known what moved.
 _LEAST_COMPARED = 1e-3
 #: Share of the blocks below which what moved is in a part of the picture.
 _MOST_LOCAL = 0.25
-#: Samples that are compared at a time.
-_STRIP_SAMPLES = 1 << 19
+#: Samples that are compared at a time: their residuals in float32 fit a cache of 2 MB.
+_STRIP_SAMPLES = 1 << 18
 
-_Floats = NDArray[np.float64]
+_Levels = NDArray[np.int16]
+_Marks = NDArray[np.bool_]
+_Packed = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -65,12 +72,10 @@ class FoundMovement:
 
     Attributes:
         share: of the samples that contradict, without those of `spread`
-        false_alarms: share that does by noise, predicted from patches that do not move; with
-            unknown noise, fewer than 8 levels, and where light spreads, measured where the map
-            shows no movement
-        places: the largest places where more contradict than by noise, those with most first
-        area: share of the picture's blocks of `block` x `block` pixels in which more contradict
-            than by noise; larger than `share`, since not each sample of a block does
+        false_alarms: share that does by noise, at most
+        places: the largest places where it is no noise, those with most marks first
+        area: share of the picture's blocks of `block` x `block` pixels in which it is no noise;
+            larger than `share`, since not each sample of a block contradicts
         block: side of a block of the map, pixels
         spread: share of the samples that contradict by light that spread to them from saturated
             ones of a longer exposure: the picture is too bright there.  All have marks, too.  A
@@ -107,16 +112,16 @@ class Movement:
             light spread
         found: how many do, and where
         cell: side of a cell of `cells`, pixels
-        cells: map of low resolution, bool: cells in which more samples contradict than by noise
-        spread_cells: likewise those where they do by light that spread from saturated ones
+        cells: map of low resolution, bool: cells in which it is no noise
+        spread_cells: likewise those where light spread from saturated samples
     """
 
     shape: tuple[int, ...]
-    marks: NDArray[np.uint8]
+    marks: _Packed
     found: FoundMovement
     cell: int
-    cells: NDArray[np.bool_]
-    spread_cells: NDArray[np.bool_]
+    cells: _Marks
+    spread_cells: _Marks
 
     def rows(self, start: int, stop: int) -> NDArray[np.uint8]:
         """Return 1 where samples of these rows contradict, else 0, in the shape of a frame."""
@@ -125,17 +130,7 @@ class Movement:
         return found.reshape(-1, *self.shape[1:])
 
 
-def bands_of(pixels: Pixels) -> Pixels:
-    """Return bands of columns of a frame, all over it, of about half a million pixels together."""
-    rows, columns = pixels.shape[:2]
-    every = -(-rows * columns // _BANDS_PIXELS)
-    width = min(max(columns // (_LEAST_BANDS * every), _NARROWEST), _WIDEST)
-    return pixels[:, np.arange(columns) % (width * every) < width].copy()
-
-
-def find_movement(
-    frame: Callable[[int], Pixels], pairs: Sequence[Pair], bands: Callable[[int], Pixels]
-) -> Movement | None:
+def find_movement(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> Movement | None:
     """Return where the frames of a capture contradict each other; None with a single frame.
 
     Three frames are in memory at a time.
@@ -143,199 +138,290 @@ def find_movement(
     Args:
         frame: returns the samples of a frame by its position, black included
         pairs: frames neighbouring in exposure, from the shortest on
-        bands: returns `bands_of` a frame likewise; called where the noise is unknown
     """
     if not pairs:
         return None
-    if all(pair.is_known for pair in pairs):
-        return _marked(frame, pairs, FALSE_ALARMS)
-    total, before = _corrected_total(bands, pairs), 0.0
-    for _ in range(_TRIES_WHOLE):
-        found = _marked(frame, pairs, total)
-        alarms = found.found.false_alarms
-        if alarms <= _MOST_ALARMS * FALSE_ALARMS or alarms == before:
-            break
-        total *= FALSE_ALARMS / alarms
-        before = alarms
-    return found
-
-
-def _corrected_total(bands: Callable[[int], Pixels], pairs: Sequence[Pair]) -> float:
-    """Return the share of false alarms to set limits for, so that the share in frames is right.
-
-    Unknown noise is larger at contours and beside saturated pixels, of which patches have few.
-    """
-    low, high = 0.0, _MOST_RATE * FALSE_ALARMS
-    total, most, before = FALSE_ALARMS, high, -1.0
-    for _ in range(_TRIES):
-        alarms = _marked(bands, pairs, total, in_memory=True).found.false_alarms
-        is_few = alarms < _NEAR_ALARMS * FALSE_ALARMS
-        low, high = (total, high) if is_few else (low, total)
-        if is_few and (alarms > _LEAST_ALARMS * FALSE_ALARMS or total == most):
-            break
-        # Limits that are the least ones do not change.
-        total = most if alarms in (0, before) else min(total * FALSE_ALARMS / alarms, most)
-        before = alarms
-        if high < most and not low < total < high:
-            total = math.sqrt(low * high) if low else high / 4
-    return low
-
-
-def _marked(
-    frame: Callable[[int], Pixels], pairs: Sequence[Pair], total: float, *, in_memory: bool = False
-) -> Movement:
-    """Return what contradicts by limits that are set for this share of false alarms.
-
-    Frames that are `in_memory` are compared two pairs at a time.
-    """
-    is_known = all(pair.is_known for pair in pairs)
 
     def load(position: int) -> tuple[Pixels, Lines]:
         pixels = frame(position)
-        return pixels, Lines.of(pixels, pairs[0].scale.white, is_known=is_known)
-
-    def compare(
-        work: tuple[Pair, tuple[Limits, float], tuple[tuple[Pixels, Lines], tuple[Pixels, Lines]]],
-    ) -> tuple[NDArray[np.uint8], float, float, NDArray[np.uint8] | None, tuple[int, ...]]:
-        pair, (limits, rate), ((short, short_lines), (long, long_lines)) = work
-        rows, columns = short.shape[:2]
-        channels = short.shape[2] if short.ndim == 3 else 1
-        spread = LightSpread.of(limits, pair, short_lines, long_lines)
-        marks = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
-        spilled = np.zeros_like(marks) if spread.is_any else None
-        mark = partial(_mark, (marks, spilled), limits, spread, short, long, long_lines.ranges)
-        areas = _areas(rows, columns, channels, spread)
-        compared = sum(map(mark, areas) if in_memory else in_threads(mark, areas)) / short.size
-        return marks, compared, rate * compared, spilled, short.shape
+        return pixels, Lines.of(pixels)
 
     positions = [pairs[0].short.position, *(pair.long.position for pair in pairs)]
-    # The next frame is read while two are compared.
-    frames = map(load, positions) if in_memory else in_threads(load, positions, 1)
-    calibrated = _calibrated(pairs, total)
-    work = zip(pairs, calibrated, pairwise(frames), strict=True)
-    results = in_threads(compare, work) if in_memory else map(compare, work)
-    marks, compared, alarms, spilled, shape = next(results)
-    for each, comparable, share, more, _ in results:
-        marks |= each
-        compared = max(compared, comparable)
-        alarms += share
-        if more is not None:
-            spilled = more if spilled is None else np.bitwise_or(spilled, more, out=spilled)
-    cell, counts, moves = mapped(shape, marks, is_known=is_known)
-    spread = np.zeros_like(moves)
-    if is_known and moves.any():
-        both = pairwise(map(frame, positions))
-        limits = (limits for limits, _ in calibrated)
-        spread = light_spread_cells(moves, cell, zip(pairs, limits, both, strict=True))
-    movement, at_rest = _summed(shape, marks, alarms, cell, counts, moves, spread)
-    movement = replace(movement, found=replace(movement.found, compared=compared))
-    if spilled is not None:
-        movement = _with_spread(movement, spilled, counts, is_known=is_known)
-    is_coarse = pairs[0].scale.is_coarse  # its noise is not near a normal distribution
-    if is_known and not is_coarse and not (spilled is not None and at_rest < alarms):
-        return movement
-    # Light that spread is in the patches, too, and is not in `share`.
-    return replace(movement, found=replace(movement.found, false_alarms=at_rest))
+    frames = in_threads(load, positions, 1)  # the next frame is read while two are compared
+    found: _Comparison | None = None
+    for pair, (short, long) in zip(pairs, pairwise(frames), strict=True):
+        if found is None:
+            found = _Comparison(short[0].shape, len(pairs))
+        found.add(pair, short, long)
+    assert found is not None  # there is a pair
+    return found.movement(pairs, frame)
 
 
-def _areas(
-    rows: int, columns: int, channels: int, spread: LightSpread
-) -> list[tuple[slice, slice]]:
-    """Return the rows and columns of the parts of a frame that are compared at a time."""
-    if not spread.is_any:
-        step = max(1, _STRIP_SAMPLES // (columns * channels))
-        return [(slice(top, top + step), slice(0, columns)) for top in range(0, rows, step)]
-    # Charge flows along columns, so that a part has whole ones, and the marks of one whole bytes.
-    step = max(8, _STRIP_SAMPLES // (rows * channels) & ~7)
-    return [(slice(None), slice(left, left + step)) for left in range(0, columns, step)]
-
-
-def _mark(
-    marks: tuple[NDArray[np.uint8], NDArray[np.uint8] | None],
-    limits: Limits,
-    spread: LightSpread,
-    short: Pixels,
-    long: Pixels,
-    ranges: Ranges | None,
-    area: tuple[slice, slice],
-) -> int:
-    """Add what contradicts in an area to the packed marks; return how many samples can.
-
-    The second marks are those of light that spread; None where it does not.
-    """
-    rows, columns = area
-    part = slice(max(0, columns.start - ACROSS), columns.stop + ACROSS)
-    inner = slice(columns.start - part.start, columns.stop - part.start)
-    before, after = short[rows, part], long[rows, part]
-    found = limits.outside(before, after, ranges, (rows.start or 0, part.start))
-    found, comparable, spilled = spread.separated(limits, found, before, after)
-    for packed, each in zip(marks, (found, spilled), strict=True):
-        if packed is None or each is None:
-            continue
-        bits = np.packbits(each[:, inner].reshape(len(each), -1), axis=1)
-        first = columns.start * (each[0, 0].size) // 8
-        packed[rows, first : first + bits.shape[1]] |= bits
-    return int(np.count_nonzero(comparable[:, inner]))
-
-
-def _calibrated(pairs: Sequence[Pair], total: float) -> list[tuple[Limits, float]]:
-    """Return limits of each pair, and its share of false alarms among the samples compared.
-
-    They are set for a share of `total` of all samples.  Where one pair has fewer, as where its
-    longer frame is saturated, the others have more, up to `total` of the samples compared.
-    """
-    rate, found = total / len(pairs), []
-    for _ in range(_TRIES):
-        found = list(in_threads(partial(Pair.calibrated, rate=rate), pairs))
-        reached = sum(share * pair.compared for (_, share), pair in zip(found, pairs, strict=True))
-        if reached > _NEAR_SUM * total or rate >= total or not reached:
-            break
-        rate = min(rate * total / reached, total)
-    return found
-
-
-def _summed(
-    shape: tuple[int, ...],
-    marks: NDArray[np.uint8],
-    false_alarms: float,
-    cell: int,
-    counts: _Floats,
-    cells: NDArray[np.bool_],
-    spread: NDArray[np.bool_],
-) -> tuple[Movement, float]:
-    """Return a `Movement` with shares and places, and the share of the marks at rest."""
-    rows, columns = shape[:2]
-    size = np.outer(cell_sizes(rows, cell), cell_sizes(columns, cell)) * math.prod(shape[2:])
-    spread_share = float(counts[spread].sum() / size.sum())
-    share = float(counts[~spread].sum() / size.sum())
-    rests = ~widened(cells)
-    at_rest = float(counts[rests].sum() / max(size[rests].sum(), 1))
-    moves = cells & ~spread
-    named = places(moves, counts, (rows, columns), cell)
-    found = FoundMovement(
-        share,
-        false_alarms,
-        named,
-        float(moves.mean()),
-        cell,
-        spread_share,
-    )
-    return Movement(shape, marks, found, cell, moves, spread), at_rest
-
-
-def _with_spread(
-    movement: Movement, spilled: NDArray[np.uint8], counts: _Floats, *, is_known: bool
-) -> Movement:
-    """Add the marks of light that spread, which are no movement and no place.
+class _Comparison:
+    """What the pairs compared so far show.
 
     Args:
-        movement: found without it
-        spilled: packed marks, likewise
-        counts: marks of `movement` in each cell
-        is_known: whether the noise is
+        shape: of a frame
+        pairs: how many there are
+
+    Attributes:
+        sigmas: quantile from which samples have marks
+        significant: quantile from which a mean is no noise
+        cell: see `Movement`
+        cells: cells with a significant mean
+        marks: see `Movement`, without light that spread
+        spilled: likewise of light that spread
+        compared: the largest share of the samples that a pair compares
     """
-    marks = np.bitwise_or(spilled, movement.marks, out=spilled)
-    _, all_counts, cells = mapped(movement.shape, marks, is_known=is_known)
-    more = float((all_counts - counts).sum()) / math.prod(movement.shape)
-    found = replace(movement.found, spread=movement.found.spread + more)
-    return replace(movement, marks=marks, found=found, spread_cells=cells & ~movement.cells)
+
+    def __init__(self, shape: tuple[int, ...], pairs: int) -> None:
+        self.shape = shape
+        rows, columns, channels = (*shape, 1)[:3]
+        normal = NormalDist()
+        self.sigmas = -normal.inv_cdf(FALSE_ALARMS / 4 / pairs)
+        self.significant = -normal.inv_cdf(SIGNIFICANCE / 2 / pairs / math.prod(shape))
+        self.cell = max(_LEAST_CELL, -(-max(rows, columns) // _MAP_SIDE))
+        self.cells: _Marks = np.zeros((-(-rows // self.cell), -(-columns // self.cell)), np.bool_)
+        self.marks: _Packed = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
+        self.spilled = np.zeros_like(self.marks)
+        self.compared = 0.0
+
+    def add(self, pair: Pair, short: tuple[Pixels, Lines], long: tuple[Pixels, Lines]) -> None:
+        """Compare two frames."""
+        limits = pair.limits(self.sigmas)
+        ranges = local_ranges(long[0], pair.sensor.white) if pair.is_processed else None
+        spread = LightSpread.of(limits, pair, short[1], long[1], ranges)
+        work = _FramePair(self, limits, spread, short[0], long[0], ranges)
+        count = sum(in_threads(work.mark, work.areas()))
+        self.compared = max(self.compared, count / math.prod(self.shape))
+
+    def movement(self, pairs: Sequence[Pair], frame: Callable[[int], Pixels]) -> Movement:
+        """Return it; the frames are read again where parts of them may be light that spread."""
+        rows, columns = self.shape[:2]
+        counts = _cell_counts(self.marks, self.shape, self.cell)
+        spread = only_beside_white(self.cells, self.cell, pairs, frame, self._marks_in, self.sigmas)
+        moves = self.cells & ~spread
+        size = math.prod(self.shape)
+        spread_count = counts[spread].sum()
+        flooded = np.zeros_like(spread)
+        if self.spilled.any():
+            more = _cell_counts(self.spilled & ~self.marks, self.shape, self.cell)
+            spread_count += more.sum()
+            flooded = more > self.cell // 2  # streaks of half its side
+        found = FoundMovement(
+            share=float(counts[~spread].sum() / size),
+            false_alarms=FALSE_ALARMS * self.compared,
+            places=_places(moves, counts, (rows, columns), self.cell),
+            area=float(moves.mean()),
+            block=self.cell,
+            spread=float(spread_count / size),
+            compared=self.compared,
+        )
+        marks = self.marks | self.spilled
+        return Movement(self.shape, marks, found, self.cell, moves, spread | flooded & ~moves)
+
+    def _marks_in(self, rows: slice, columns: slice) -> _Marks:
+        """Return which pixels have marks in any colour."""
+        channels = (*self.shape, 1)[2]
+        part = np.unpackbits(self.marks[rows], axis=1, count=self.shape[1] * channels)
+        pixels = part.reshape(len(part), self.shape[1], channels)[:, columns]
+        return np.asarray(pixels.any(axis=2))
+
+
+class _FramePair:
+    """Two frames that are compared, area by area."""
+
+    def __init__(
+        self,
+        total: _Comparison,
+        limits: Limits,
+        spread: LightSpread,
+        short: Pixels,
+        long: Pixels,
+        ranges: NDArray[np.uint8] | None,
+    ) -> None:
+        self._total, self._limits, self._spread = total, limits, spread
+        self._short, self._long, self._ranges = short, long, ranges
+        self._has_means = limits.pair.is_measured and not limits.pair.sensor.is_coarse
+        self._tables = _residual_tables(limits.pair, short.dtype)
+
+    def areas(self) -> list[tuple[slice, slice]]:
+        """Return the rows and columns of the parts that are compared at a time."""
+        (rows, columns), cell = self._short.shape[:2], self._total.cell
+        channels = self._short.size // (rows * columns)
+        if not self._spread.is_any:
+            step = max(1, _STRIP_SAMPLES // (columns * channels * cell)) * cell
+            return [(slice(top, top + step), slice(0, columns)) for top in range(0, rows, step)]
+        # Charge flows along columns, so that a part has whole ones, and the marks of one whole
+        # bytes.
+        step = max(1, _STRIP_SAMPLES // (rows * channels * 8 * cell)) * 8 * cell
+        return [(slice(0, rows), slice(left, left + step)) for left in range(0, columns, step)]
+
+    def mark(self, area: tuple[slice, slice]) -> int:
+        """Add what contradicts in an area; return how many samples can be compared."""
+        shape = self._short.shape
+        outer = tuple(
+            slice(max(0, part.start - MEAN_RADIUS), min(part.stop + MEAN_RADIUS, length))
+            for part, length in zip(area, shape, strict=False)
+        )
+        first = outer[0].start, outer[1].start
+        inner = tuple(
+            slice(part.start - start, min(part.stop, length) - start)
+            for part, length, start in zip(area, shape, first, strict=False)
+        )
+        short, long = self._short[outer], self._long[outer]
+        found = self._limits.outside(short, long, self._ranges, first)
+        comparable = long < self._limits.pair.saturated
+        spilled = free = None
+        if self._spread.is_any:
+            found, free = self._spread.separated(self._limits, found, comparable, short, long)
+            spilled, found, comparable = found & ~free, found & free, comparable & free
+        if self._has_means:
+            places, sizes = self._contradicting_means(short, long, free, first)
+            found[places] = True
+            self._add_cells(area, first, places, sizes > self._total.significant)
+        _pack(self._total.marks, found[inner], area)
+        if spilled is not None:
+            _pack(self._total.spilled, spilled[inner], area)
+        return int(np.count_nonzero(comparable[inner]))
+
+    def _contradicting_means(
+        self, short: Pixels, long: Pixels, free: _Marks | None, first: tuple[int, int]
+    ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
+        """Return the places of samples whose mean contradicts, and the size of its residual.
+
+        Args:
+            short: a part of the shorter frame
+            long: the same of the longer one
+            free: pixels that count; None: all
+            first: row and column where the part begins
+        """
+        side, pair = 2 * MEAN_RADIUS + 1, self._limits.pair
+        residuals = self._residuals(short, long)
+        if free is not None:
+            residuals *= free
+        sums = box_sums(residuals, MEAN_RADIUS)
+        limit = int(self._total.sigmas * side * _STEPS)
+        contradict = (sums > limit) | (sums < -limit)
+        # Most areas have none; numpy's nonzero is five times as slow as this.
+        places = np.unravel_index(np.flatnonzero(contradict), contradict.shape)
+        used = residuals[places] != 0
+        places = tuple(each[used] for each in places)
+        sizes = np.abs(sums[places]) / (side * _STEPS)
+        if self._ranges is not None:
+            white, tables = pair.sensor.white, pair.tables
+            after = places[2], np.minimum(long[places], white)
+            around = ranges_at(self._ranges, places, first)
+            edges = side * edge_levels(around, white) * pair.sensor.step(tables.mean[after])
+            square = tables.square[after]
+            sizes *= square / np.hypot(square, edges)
+            used = sizes > self._total.sigmas
+            places, sizes = tuple(each[used] for each in places), sizes[used]
+        return places, sizes
+
+    def _residuals(self, short: Pixels, long: Pixels) -> NDArray[np.int16]:
+        """Return the normalised residual of each sample, in `_STEPS` of a standard deviation.
+
+        It is within `_MOST_SIGMAS`, and not above 0 where the longer frame is saturated.
+        """
+        lights, means, most = self._tables
+        found = _looked_up(lights, short)
+        found -= _looked_up(means, long)
+        np.minimum(found, _looked_up(most, long), out=found)
+        # numpy is six times as fast with a row as with a number.
+        least = np.full(found.shape[1:], -_MOST_SIGMAS * _STEPS, np.int16)
+        return np.maximum(found, least, out=found)
+
+    def _add_cells(
+        self,
+        area: tuple[slice, slice],
+        first: tuple[int, int],
+        places: tuple[NDArray[np.intp], ...],
+        chosen: _Marks,
+    ) -> None:
+        """Set the cells of the chosen places that are in an area."""
+        rows, columns = (start + each[chosen] for start, each in zip(first, places, strict=False))
+        inside = (rows >= area[0].start) & (rows < area[0].stop)
+        inside &= (columns >= area[1].start) & (columns < area[1].stop)
+        cell = self._total.cell
+        self._total.cells[rows[inside] // cell, columns[inside] // cell] = True
+
+
+def _residual_tables(
+    pair: Pair, dtype: np.dtype[np.uint8] | np.dtype[np.uint16]
+) -> tuple[_Levels, _Levels, _Levels]:
+    """Return tables by the value of a sample: light, its mean, and the largest residual.
+
+    Light is counted in standard deviations of the mean of a square, which makes the variance of
+    photon noise one everywhere (Anscombe, 1948), and in `_STEPS` of them.  (colours, values of the
+    type): samples above white count as white.
+    """
+    sensor, white = pair.sensor, pair.sensor.white
+    codes = np.minimum(np.arange(np.iinfo(dtype).max + 1), white)
+    tables = np.empty((3, len(pair.tables.mean), white + 1))
+    for k, (mean, square) in enumerate(zip(pair.tables.mean, pair.tables.square, strict=True)):
+        # The response may be flat, and measured errors not quite ascending.
+        light, first = np.unique(np.maximum.accumulate(mean[: pair.saturated]), return_index=True)
+        density = 1 / np.maximum(square[first], 1e-12 * sensor.full)
+        scale = np.append(0.0, np.cumsum(np.diff(light) * (density[1:] + density[:-1]) / 2))
+        for number, each in enumerate((sensor.light, mean)):
+            inside = np.interp(each, light, scale)
+            inside += np.minimum(each - light[0], 0.0) * density[0]
+            tables[number, k] = inside + np.maximum(each - light[-1], 0.0) * density[-1]
+    tables[2] = np.where(np.arange(white + 1) < pair.saturated, _MOST_SIGMAS, 0.0)
+    # The difference of two fits into 16 bits.
+    found = np.rint(np.clip(tables * _STEPS, -16000, 16000)).astype(np.int16)[..., codes]
+    return found[0], found[1], found[2]
+
+
+def _looked_up(tables: _Levels, samples: Pixels) -> _Levels:
+    """Return the value of each sample in the table of its colour, or in the only one."""
+    cv2 = opencv() if samples.dtype == np.uint8 else None
+    if len(tables) == 1:
+        return tables[0][samples] if cv2 is None else np.asarray(cv2.LUT(samples, tables[0]))
+    if cv2 is not None:
+        table = np.ascontiguousarray(tables.T).reshape(1, 256, 3)
+        return np.asarray(cv2.LUT(samples, table))
+    return np.stack([tables[k][samples[..., k]] for k in range(len(tables))], axis=-1)
+
+
+def _pack(packed: _Packed, marks: _Marks, area: tuple[slice, slice]) -> None:
+    """Add marks of an area to the packed ones."""
+    bits = np.packbits(marks.reshape(len(marks), -1), axis=1)
+    first = area[1].start * marks[0, 0].size // 8
+    packed[area[0], first : first + bits.shape[1]] |= bits
+
+
+def _cell_counts(marks: _Packed, shape: tuple[int, ...], cell: int) -> NDArray[np.float64]:
+    """Return the marks in each cell, of all colours."""
+    rows, columns, channels = (*shape, 1)[:3]
+    edges = np.arange(0, columns, cell)
+    counts = np.zeros((-(-rows // cell), edges.size))
+    step = max(1, _STRIP_SAMPLES // (columns * channels * cell)) * cell
+    for start in range(0, rows, step):
+        packed = marks[start : start + step]
+        if not packed.any():
+            continue
+        part = np.unpackbits(packed, axis=1, count=columns * channels)
+        sums = np.add.reduceat(part, edges * channels, axis=1, dtype=np.int64)
+        cells = np.add.reduceat(sums, np.arange(0, len(part), cell), axis=0)
+        counts[start // cell :][: len(cells)] = cells
+    return counts
+
+
+def _places(
+    moves: _Marks, counts: NDArray[np.float64], shape: tuple[int, int], cell: int
+) -> tuple[Place, ...]:
+    """Return the rectangles around connected cells that move, those with most marks first."""
+    labels, boxes = connected_parts(moves)
+    weights = np.bincount(labels.ravel(), weights=counts.ravel(), minlength=len(boxes))[1:]
+    largest = np.argsort(-weights, kind="stable")[:_MOST_PLACES]
+    return tuple(
+        Place(
+            top=top * cell,
+            left=left * cell,
+            bottom=min((top + height) * cell, shape[0]),
+            right=min((left + width) * cell, shape[1]),
+        )
+        for left, top, width, height in boxes[1:][largest, :4].tolist()
+    )

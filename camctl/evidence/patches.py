@@ -13,13 +13,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.camera import FloatArray
 
 #: Side of a patch in samples of one colour, and the number of patches of a frame, about.
 _SIDE, _PATCHES = 8, 4800
-
-#: With fewer levels the noise of a few electrons decides which samples are saturated.
-_FEWEST_LEVELS = 8
 
 #: Distances at which the samples of a patch are compared to see whether they are equal.
 _STEPS_APART = (1, 9, 27)
@@ -54,45 +51,6 @@ def patch_places(
         np.linspace(0, length - side, min(length // side, most)).astype(np.intp) for length in shape
     )
     return rows, columns, side
-
-
-class LightScale:
-    """The irradiance of each brightness of a camera at exposure 1, from 0 to white.
-
-    Args:
-        real: the camera's response as levels
-        black: brightness without light, DN
-
-    Attributes:
-        light: (white + 1,) float64, the middle of each brightness's gap
-        gap: (white + 1,) float64, the width of the gap
-        black: as given
-        white: brightness from which samples are saturated, DN
-        full: light at white
-        level: mean width of a gap
-        is_coarse: whether there are so few levels that noise decides which samples are saturated
-        curvature: (white + 1,) float64, the second difference of `light`
-        exponent_error: that of the response
-    """
-
-    def __init__(self, real: CameraResponse, black: int) -> None:
-        low, high = real.gaps
-        self.light: FloatArray = (low + high) / 2
-        self.gap: FloatArray = high - low
-        if black:
-            # Noise around a black level has samples below it: they continue the first whole gap.
-            first, step = self.light[1], self.gap[1]
-            below = first - step * np.arange(black + 1, 0, -1)
-            self.light = np.concatenate((below, self.light[1:]))
-            self.gap = np.concatenate((np.full(black + 1, step), self.gap[1:]))
-        self.black, self.white = black, black + real.M
-        self.exponent_error = real.exponent_error
-        self.full = float(self.light[-1])
-        self.level = self.full / real.M
-        self.is_coarse = real.M < _FEWEST_LEVELS
-        self.curvature: FloatArray = np.concatenate(
-            ([0.0], np.abs(np.diff(self.light, 2)), [0.0] * min(1, self.light.size - 1))
-        )
 
 
 def shared_rounding(

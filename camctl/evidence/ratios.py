@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError
-from camctl.evidence.patches import LightScale, Patches, shared_rounding
+from camctl.evidence.patches import Patches, shared_rounding
 from camctl.evidence.ratio_fit import RatioFit
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import FloatArray
+from camctl.model.sensor import SensorModel
 
 #: Standard deviations of a sample by which a patch keeps away from black and from saturation.
 _MARGIN = 4.0
@@ -73,7 +74,7 @@ class RatioEstimates:
 def estimate_ratios(
     frames: Sequence[Patches],
     labels: Sequence[float],
-    scale: LightScale,
+    scale: SensorModel,
     noise: Sequence[FrameNoise] | None = None,
 ) -> RatioEstimates:
     """Estimate the exposures of frames of one scene.
@@ -142,7 +143,7 @@ def estimate_ratios(
 
 
 def comparable_frames(
-    frames: Sequence[Patches], scale: LightScale, noise: Sequence[FrameNoise] | None = None
+    frames: Sequence[Patches], scale: SensorModel, noise: Sequence[FrameNoise] | None = None
 ) -> set[int]:
     """Return the frames that can be compared with most others, directly or through others.
 
@@ -188,7 +189,7 @@ class _Observations:
 
     @classmethod
     def of(
-        cls, frames: Sequence[Patches], scale: LightScale, noise: Sequence[FrameNoise] | None
+        cls, frames: Sequence[Patches], scale: SensorModel, noise: Sequence[FrameNoise] | None
     ) -> _Observations:
         """Return the light of all patches."""
         columns, photons = [], []
@@ -229,7 +230,7 @@ class _Observations:
         return np.where(self.usable & (light >= self.least), 1 / variance, 0.0)
 
 
-def _check_light(frames: Sequence[Patches], weights: FloatArray, scale: LightScale) -> None:
+def _check_light(frames: Sequence[Patches], weights: FloatArray, scale: SensorModel) -> None:
     """Raise `DataError` if no frame is well exposed anywhere."""
     if np.count_nonzero(weights.any(axis=1)) >= _LEAST_PATCHES:
         return

@@ -10,16 +10,19 @@ Two effects are distinguished from movement, each by what one pair of frames sho
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import pairwise
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.limits import Limits, Ranges, local_ranges
-from camctl.evidence.pair import Pair
+from camctl.evidence.edges import Ranges
+from camctl.evidence.residual import MEAN_RADIUS, Limits, Pair
 from camctl.interface.camera import Pixels
-from camctl.system.picture_operations import dilated
+from camctl.system.picture_operations import connected_parts, dilated
 
 ACROSS = 2
 """Pixels across the columns that light spreads."""
@@ -32,6 +35,9 @@ LOST = 0.05
 
 #: Distances from saturated pixels at which contradictions are counted, pixels along the columns.
 _DISTANCES = (2, 4, 8, 16)
+#: Parts of the map smaller than this share of it are light that spread if more than the second
+#: share of what contradicts there is beside saturated samples.
+_SMALL, _MOST_BESIDE = 1 / 16, 0.9
 #: Columns and rows that are looked at, at most, and pixels at a distance that make a share of them
 #: meaningful.
 _MOST_LINES, _RING_SAMPLES = 512, 200
@@ -60,20 +66,17 @@ class Lines:
         columns: every so many columns
         rows: every so many rows
         every: column and row
-        ranges: `local_ranges` of the frame where the noise is unknown, else None
     """
 
     columns: Pixels
     rows: Pixels
     every: tuple[int, int]
-    ranges: Ranges | None
 
     @classmethod
-    def of(cls, frame: Pixels, white: int, *, is_known: bool) -> Lines:
+    def of(cls, frame: Pixels) -> Lines:
         """Take them from a frame."""
         down, across = (-(-length // _MOST_LINES) for length in frame.shape[:2])
-        ranges = None if is_known else local_ranges(frame, white)
-        return cls(frame[:, ::across].copy(), frame[::down].copy(), (across, down), ranges)
+        return cls(frame[:, ::across].copy(), frame[::down].copy(), (across, down))
 
 
 @dataclass(frozen=True)
@@ -96,17 +99,19 @@ class LightSpread:
         return self.streaks or self.reach > 0
 
     @classmethod
-    def of(cls, limits: Limits, pair: Pair, short: Lines, long: Lines) -> LightSpread:
+    def of(
+        cls, limits: Limits, pair: Pair, short: Lines, long: Lines, ranges: Ranges | None
+    ) -> LightSpread:
         """Measure it on some of the columns and rows."""
         white, every = pair.saturated, short.every
         distance = (1, every[0])
-        found, source = _on_lines(limits, white, short.columns, long.columns, long.ranges, distance)
+        found, source = _on_lines(limits, white, short.columns, long.columns, ranges, distance)
         if not (found.any() and source.any()):
             return cls(white, 0, False)
         connected = _connected_runs(found, source)
         along = np.count_nonzero(connected) * every[0]
         distance = (every[1], 1)
-        on_rows = _on_lines(limits, white, short.rows, long.rows, long.ranges, distance)
+        on_rows = _on_lines(limits, white, short.rows, long.rows, ranges, distance)
         beside = np.count_nonzero(_connected_runs(*(each.T for each in on_rows))) * every[1]
         streaks = along > _STREAKS * beside + _LEAST_STREAKS
         if not streaks and pair.is_known:
@@ -122,21 +127,25 @@ class LightSpread:
         return cls(white, _reach(found, source, least), bool(streaks))
 
     def separated(
-        self, limits: Limits, found: NDArray[np.bool_], short: Pixels, long: Pixels
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_] | None]:
-        """Return which samples contradict, which can, and which do by light that spread to them.
-
-        The last is None where light does not spread.
+        self,
+        limits: Limits,
+        found: NDArray[np.bool_],
+        comparable: NDArray[np.bool_],
+        short: Pixels,
+        long: Pixels,
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which samples contradict, and to which pixels no light spread.
 
         Args:
             limits: of the shorter frame
             found: samples that contradict
+            comparable: samples that the longer frame does not saturate
             short: those of the shorter frame
             long: those of the longer one
+
+        Returns:
+            in the shape of the samples, and of them or (rows, columns, 1)
         """
-        comparable = long < self.white
-        if not self.is_any:
-            return found, comparable, None
         source = _any_colour(~comparable & ~found)
         spread = np.zeros_like(source)
         if self.streaks:
@@ -150,21 +159,59 @@ class LightSpread:
         if self.reach:
             box = (2 * self.reach + 1, 2 * min(self.reach, ACROSS) + 1)
             spread |= dilated(source.view(np.uint8), box) > 0
-        free = ~spread if found.ndim == 2 else ~spread[..., np.newaxis]
-        return found & free, comparable & free, found & ~free
+        return found, ~spread if found.ndim == 2 else ~spread[..., np.newaxis]
 
 
-def beside_white(limits: Limits, white: int, short: Pixels, long: Pixels) -> tuple[int, int, int]:
-    """Return how many pixels of a part contradict, and of them are beside saturated ones, darker.
+def only_beside_white(
+    cells: NDArray[np.bool_],
+    cell: int,
+    pairs: Sequence[Pair],
+    frame: Callable[[int], Pixels],
+    marks: Callable[[slice, slice], NDArray[np.bool_]],
+    sigmas: float,
+) -> NDArray[np.bool_]:
+    """Return the cells whose connected part has no other marks than light that spread.
 
-    Saturated are those of the longer frame, in any colour.
+    Nearly all of them are then beside samples that the longest frame saturates, and none but by
+    noise lost light.
+
+    Args:
+        cells: (rows, columns), those with what is no noise
+        cell: side of one, pixels
+        pairs: of frames
+        frame: returns the samples of a frame by its position
+        marks: returns which pixels of some rows and columns contradict
+        sigmas: of the limits
     """
-    found = _any_colour(limits.outside(short, long))
-    source = _any_colour(long >= white).view(np.uint8)
-    near = dilated(source, (2 * BESIDE + 1, 2 * ACROSS + 1)) > 0
-    counted = found, found & near, found & _darker(limits, short, long)
-    beside = [int(np.count_nonzero(each)) for each in counted]
-    return beside[0], beside[1], beside[2]
+    labels, boxes = connected_parts(cells)
+    small = [k for k in range(1, len(boxes)) if boxes[k, 2] * boxes[k, 3] < _SMALL * cells.size]
+    if not small or not all(pair.is_known for pair in pairs):
+        return np.zeros_like(cells)
+    parts = {}
+    for k in small:
+        left, top, width, height = (boxes[k, :4] * cell).tolist()
+        parts[k] = (
+            slice(max(0, top - BESIDE), top + height + BESIDE),
+            slice(max(0, left - BESIDE), left + width + BESIDE),
+        )
+    found = {k: marks(*part) for k, part in parts.items()}
+    beside, darker, noise = (np.zeros(len(boxes)) for _ in range(3))
+    frames = map(frame, [pairs[0].short.position, *(pair.long.position for pair in pairs)])
+    box = (2 * BESIDE + 1, 2 * (ACROSS + MEAN_RADIUS) + 1)
+    for pair, (short, long) in zip(pairs, pairwise(frames), strict=True):
+        limits = pair.limits(sigmas)
+        for k, part in parts.items():
+            source = _any_colour(long[part] >= pair.saturated).view(np.uint8)
+            beside[k] = np.count_nonzero(found[k] & (dilated(source, box) > 0))
+            darker[k] += np.count_nonzero(_darker(limits, short[part], long[part]))
+            noise[k] += NormalDist().cdf(-sigmas) * short[part].size
+    count = np.zeros(len(boxes))
+    for k, each in found.items():
+        count[k] = np.count_nonzero(each)
+    elsewhere = count - beside
+    spreads = (count > 0) & (elsewhere < (1 - _MOST_BESIDE) * count + noise)
+    spreads &= darker < LOST * count + noise
+    return np.asarray(cells & spreads[labels])
 
 
 def _on_lines(
@@ -182,7 +229,7 @@ def _on_lines(
 
 def _has_one_factor(pair: Pair, marks: NDArray[np.bool_], short: Pixels, long: Pixels) -> bool:
     """Return whether marked pixels of the longer frame are brighter by one factor than expected."""
-    white, light = pair.saturated, pair.scale.light
+    white, light = pair.saturated, pair.sensor.light
     compared = (short < white) & (long < white)
     compared &= marks if marks.ndim == short.ndim else marks[..., np.newaxis]
     before, after = (light[each[compared]] for each in (short, long))
@@ -195,7 +242,7 @@ def _has_one_factor(pair: Pair, marks: NDArray[np.bool_], short: Pixels, long: P
 
 def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
     """Return which pixels are darker in the longer frame than expected, in any colour."""
-    brighter = Limits(np.zeros_like(limits.low), limits.high)
+    brighter = replace(limits, low=np.zeros_like(limits.low))
     return _any_colour(brighter.outside(short, long))
 
 

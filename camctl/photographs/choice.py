@@ -12,7 +12,7 @@ import numpy as np
 
 from camctl.captures.plan import plan_capture
 from camctl.errors import CaptureError, UsageError
-from camctl.evidence.patches import LightScale, Patches
+from camctl.evidence.patches import Patches
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.objective import Objective
@@ -20,6 +20,7 @@ from camctl.exposure.search.settings import relative_exposures, search_choices
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
+from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import PhotographCamera
 from camctl.pictures.render import DARK, sum_mask
 from camctl.records.capture_plan import CapturePlan
@@ -47,7 +48,7 @@ def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float
         patches: samples of each photograph, see `sample_patches`
     """
     controls, times = camera.controls, camera.times_s
-    scales = [LightScale(each, controls.black) for each in controls.plane_levels]
+    scales = [SensorModel(each, controls.black) for each in controls.plane_levels]
     found = []
     for plane, scale in enumerate(scales):
         parts = [np.array_split(each, len(scales))[plane] for each in patches]

@@ -8,8 +8,9 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.patches import LightScale, Patches, patch_places
+from camctl.evidence.patches import Patches, patch_places
 from camctl.findings import Detail, Finding, Place
+from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph
 from camctl.system.picture_operations import AREA, HEIGHT, LEFT, TOP, WIDTH, connected_parts
 
@@ -35,7 +36,7 @@ _Mask = NDArray[np.bool_]
 def contradictions(
     photographs: Sequence[Photograph],
     patches: Sequence[Patches],
-    scale: LightScale,
+    scale: SensorModel,
     planes: Sequence[tuple[int, ...]],
 ) -> list[Finding]:
     """Return a finding for each photograph that contradicts the others in a place, largest first.
@@ -72,7 +73,7 @@ def contradictions(
 
 
 def _odd_ones(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale, planes: int
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: SensorModel, planes: int
 ) -> _Mask:
     """Return (photographs, patches): where one contradicts others that agree."""
     count, size = len(photographs), len(patches[0])
@@ -102,7 +103,7 @@ def _odd_ones(
 
 
 def _compared(
-    seen: _Floats, other: _Floats, usable: _Mask, factor: float, scale: LightScale, planes: int
+    seen: _Floats, other: _Floats, usable: _Mask, factor: float, scale: SensorModel, planes: int
 ) -> tuple[_Mask, _Mask, _Mask]:
     """Return where `seen` is brighter than `other` predicts, darker, and as it predicts.
 

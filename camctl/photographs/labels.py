@@ -18,10 +18,11 @@ from camctl.calibration.response import estimate_response
 from camctl.calibration.response_labels import label_errors
 from camctl.calibration.response_series import Series
 from camctl.errors import DataError
-from camctl.evidence.patches import LightScale, Patches
+from camctl.evidence.patches import Patches
 from camctl.findings import Detail, Finding
 from camctl.messages.plain import sentence
 from camctl.model.response.camera import FloatArray
+from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph, file_names
 from camctl.photographs.ratios import MOST_CORRECTED, STEADY, exposure_runs, steady_errors
 
@@ -185,7 +186,7 @@ def _agree_when_swapped(series: Series, one: int, other: int) -> bool:
 def wrong_labels(
     photographs: Sequence[Photograph],
     patches: Sequence[Patches],
-    scale: LightScale,
+    scale: SensorModel,
     *,
     is_exact: bool,
     is_known: bool,

@@ -10,9 +10,10 @@ import numpy as np
 
 from camctl.calibration.response_series import Series
 from camctl.errors import UsageError
-from camctl.evidence.patches import LightScale, Patches
+from camctl.evidence.patches import Patches
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls
+from camctl.model.sensor import SensorModel
 from camctl.photographs.alignment import Sight
 from camctl.photographs.camera import (
     Photograph,
@@ -125,7 +126,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     series.findings.clear()
     selection, controls, response = _with_response(files, source, selection, notes, facts)
     patches = [np.minimum(each, controls.white) for each in selection.series.patches]
-    scale = LightScale(controls.levels, controls.black)
+    scale = SensorModel(controls.levels, controls.black)
     photographs, right = _with_exposures(selection, patches, scale, source, response, notes, facts)
     positions, patches = [selection.positions[k] for k in right], [patches[k] for k in right]
     first = area.seen(files.pixels(positions[0]))
@@ -154,7 +155,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
 def _with_exposures(
     selection: Selection,
     patches: Sequence[Patches],
-    scale: LightScale,
+    scale: SensorModel,
     source: PhotographOptions,
     response: str,
     notes: list[Finding],

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError
-from camctl.evidence.patches import LightScale, Patches
+from camctl.evidence.patches import Patches
 from camctl.evidence.ratios import comparable_frames, estimate_ratios
 from camctl.findings import Detail, Finding
 from camctl.model.response.camera import FloatArray
+from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph
 
 #: Patches are compared up to this share of full scale.
@@ -60,7 +61,7 @@ class PairRatio(NamedTuple):
     error: float
 
 
-def pair_ratio(first: Patches, second: Patches, scale: LightScale) -> PairRatio | None:
+def pair_ratio(first: Patches, second: Patches, scale: SensorModel) -> PairRatio | None:
     """Return the ratio of the light in most patches of two photographs; None: they do not show it.
 
     Args:
@@ -129,7 +130,7 @@ def _runs(patches: Sequence[Patches], jump: Callable[[int, int], _Jump]) -> list
 
 
 def exposure_runs(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: SensorModel
 ) -> list[Run]:
     """Return the runs of photographs, whose light is expected to grow as their exposures.
 
@@ -148,7 +149,7 @@ def exposure_runs(
 
 
 def neighbours_differ(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: SensorModel
 ) -> float:
     """Return by how much neighbours in brightness differ from their exposures, in all.
 
@@ -175,7 +176,7 @@ def steady_errors(jumps: Sequence[float] | FloatArray, least: Sequence[float]) -
 
 
 def corrected_exposures(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: LightScale
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: SensorModel
 ) -> tuple[list[Photograph], list[Finding]]:
     """Return photographs with exposures estimated from their pixels, and what was changed.
 
@@ -216,7 +217,7 @@ def corrected_exposures(
 
 
 def odd_colours(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scales: Sequence[LightScale]
+    photographs: Sequence[Photograph], patches: Sequence[Patches], scales: Sequence[SensorModel]
 ) -> tuple[set[int], list[Finding]]:
     """Return the positions of photographs whose colours differ from most others; findings.
 
@@ -264,7 +265,9 @@ def _other_white_balance(
     return Finding(code="other_white_balance", frames=frames, value=largest, details=details)
 
 
-def _colour_runs(patches: Sequence[Patches], plane: int, scales: Sequence[LightScale]) -> list[Run]:
+def _colour_runs(
+    patches: Sequence[Patches], plane: int, scales: Sequence[SensorModel]
+) -> list[Run]:
     """Return the runs of photographs, of which one colour is expected to grow as green does."""
 
     def jump(dark: int, bright: int) -> _Jump:

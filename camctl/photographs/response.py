@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 from camctl.calibration.response import estimate_response
 from camctl.calibration.response_colours import AS_WELL, disagreement
 from camctl.errors import DataError
-from camctl.evidence.patches import LightScale
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import Choices, ExposureControls, ResponseOrigin
 from camctl.model.response.camera import named_response, standard_response
 from camctl.model.response.measured import read_curve
+from camctl.model.sensor import SensorModel
 from camctl.profiles.calibrated import response_changes
 from camctl.profiles.exposures import mode_name
 from camctl.profiles.folder import list_profiles
@@ -144,7 +144,7 @@ def _maker(make: str) -> str:
 def _fit_error(series: Series, controls: ExposureControls) -> float:
     """Return the `disagreement` of the photographs by the exposures that are stated."""
     responses = (controls.responses or (controls.levels,) * 3)[-len(series.channels) :]
-    lights = [LightScale(each, series.black).light for each in responses]
+    lights = [SensorModel(each, series.black).light for each in responses]
     return disagreement(series, lights, (series.exposures,) * len(lights))
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from camctl.calibration.response_series import Series
 from camctl.errors import DataError, UsageError
-from camctl.evidence.patches import LightScale
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls, Layout
+from camctl.model.sensor import SensorModel
 from camctl.photographs.alignment import Sight, misaligned
 from camctl.photographs.camera import Photograph
 from camctl.photographs.labels import SAME_EXPOSURE
@@ -134,7 +134,7 @@ def of_one_colour(
     """
     if controls.layout is not Layout.RGB:
         return selection
-    scales = [LightScale(each, controls.black) for each in controls.plane_levels]
+    scales = [SensorModel(each, controls.black) for each in controls.plane_levels]
     patches = [each.clip(max=controls.white) for each in selection.series.patches]
     odd, found = odd_colours(selection.photographs, patches, scales)
     notes += [selection.finding(each) for each in found]

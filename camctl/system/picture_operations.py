@@ -206,6 +206,20 @@ def box_means(values: NDArray[Any], radius: int) -> Kernel:
     return values.astype(np.float32)
 
 
+def box_sums(values: NDArray[np.int16], radius: int) -> NDArray[np.int16]:
+    """Return the sums over squares of 2 radius + 1 pixels a side, borders mirrored.
+
+    They must fit into 16 bits.
+    """
+    side = 2 * radius + 1
+    if (cv2 := opencv()) is not None:
+        found = cv2.boxFilter(
+            values, -1, (side, side), normalize=False, borderType=cv2.BORDER_REFLECT
+        )
+        return np.asarray(found, np.int16).reshape(values.shape)
+    return np.rint(box_means(values, radius) * side**2).astype(np.int16)
+
+
 def correlated(values: Kernel, kernel: NDArray[Any], *, repeats_border: bool) -> Kernel:
     """Return the sums of each pixel's neighbours, weighted by a small kernel of odd sides.
 

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 import camctl
 from camctl.errors import CamctlError
-from camctl.evidence.patches import LightScale, sample_patches
+from camctl.evidence.patches import sample_patches
 from camctl.evidence.ratios import estimate_ratios
+from camctl.model.sensor import SensorModel
 
 SCENES = ("tile-floor", "colour-chart", "ramp", "cloth", "ball", "room", "moving-target")
 SENSORS = ("standard", "consumer", "webcam", "phone", "machine-vision", "ccd", "mobile", "ideal-8")
@@ -31,7 +32,7 @@ def errors(scene: str, sensor: str, seed: int) -> tuple[NDArray[np.float64], ...
         controls = camera.controls
         plan = camctl.plan_capture(camera, camctl.CaptureRequest(ratios=RATIOS))
         frames = list(camera.shoot(plan.settings))
-    scale = LightScale(controls.levels, controls.black)
+    scale = SensorModel(controls.levels, controls.black)
     exposures = np.array([frame.applied.exposure for frame in frames])
     patches = [
         sample_patches(controls.layout.planes(frame.pixels), scale.white) for frame in frames

@@ -20,8 +20,8 @@ import numpy as np
 
 import camctl
 from camctl.evidence.light_ratio import NeighbourCheck
-from camctl.evidence.movement import bands_of, find_movement
-from camctl.evidence.pair import Pair, Side
+from camctl.evidence.movement import find_movement
+from camctl.evidence.residual import Pair, Side
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import linear_response
 from sim.scenes.scene import scene_names
@@ -69,9 +69,7 @@ def print_movement(megapixels: float) -> None:
         for short, long in pairwise(sides)
     ]
     began = time.perf_counter()
-    find_movement(
-        lambda place: frames[place][..., 0], pairs, lambda place: bands_of(frames[place][..., 0])
-    )
+    find_movement(lambda place: frames[place][..., 0], pairs)
     ours_s = time.perf_counter() - began
     three = [np.repeat(frame, 3, axis=2) for frame in frames]
     began = time.perf_counter()

@@ -13,10 +13,8 @@ from small_cameras import small_camera
 
 import camctl
 from camctl.evidence.light_ratio import NeighbourCheck
-from camctl.evidence.limits import Limits
-from camctl.evidence.movement import Movement, bands_of, find_movement
-from camctl.evidence.movement_map import FALSE_ALARMS
-from camctl.evidence.pair import Pair, Side
+from camctl.evidence.movement import FALSE_ALARMS, Movement, find_movement
+from camctl.evidence.residual import Pair, Side, outside_limits
 from camctl.interface.camera import Pixels
 from camctl.model.response.camera import standard_response
 
@@ -42,15 +40,14 @@ def found(report: camctl.CaptureReport) -> tuple[float, float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("scene", ["cloth", "ramp", "tile-floor"])
-def test_false_alarms_are_as_many_as_stated(sensor: str, scene: str) -> None:
-    """Some 1,000 to 2,000 samples are marked, so that their share scatters by 2 % to 3 %.
-
-    Where the longest frame is saturated everywhere only one of the two pairs has false alarms.
-    """
-    shares = [found(shot(sensor, scene, seed=seed, size="640x480")) for seed in range(3)]
-    share, stated = np.mean(shares, axis=0)
-    assert share == pytest.approx(stated, rel=0.1)
-    assert share < FALSE_ALARMS * 1.1
+def test_false_alarms_are_no_more_than_stated(sensor: str, scene: str) -> None:
+    """No place is reported, and the mask keeps its promise."""
+    for seed in range(3):
+        report = shot(sensor, scene, seed=seed, size="640x480")
+        share, stated = found(report)
+        assert share <= stated <= FALSE_ALARMS
+        assert report.movement is not None
+        assert report.movement.places == ()
 
 
 @pytest.mark.parametrize("colours", [1, 3])
@@ -68,14 +65,13 @@ def test_bytes_are_compared_as_wider_samples_are(colours: int) -> None:
         axis=-1,
     )
     assert 0.1 < expected.mean() < 0.9
-    limits = Limits(low, high)
-    assert np.array_equal(limits.outside(short, long), expected)
+    assert np.array_equal(outside_limits(low, high, short, long), expected)
     wide = (each.astype(np.uint16) for each in (short, long))
-    assert np.array_equal(limits.outside(*wide), expected)
+    assert np.array_equal(outside_limits(low, high, *wide), expected)
 
 
 def test_frames_without_noise_have_no_false_alarms() -> None:
-    assert found(shot("ideal-8", "tile-floor", size="320x240")) == (0.0, 0.0)
+    assert found(shot("ideal-8", "tile-floor", size="320x240"))[0] == 0
 
 
 def test_a_moving_target_is_found_where_it_was_and_the_picture_stays_trustworthy() -> None:
@@ -131,8 +127,7 @@ def test_folder_and_memory_have_the_same_marks(sensor: str, tmp_path: Path) -> N
 def test_light_that_spreads_from_saturated_pixels_is_no_movement(sensor: str, scene: str) -> None:
     report = shot(sensor, scene, seed=1, size="320x240")
     share, stated = found(report)
-    assert share == pytest.approx(stated, rel=0.1)
-    assert share < 1.1 * FALSE_ALARMS
+    assert share <= stated <= FALSE_ALARMS
     assert report.movement is not None
     assert report.movement.area < 0.01
     assert all(frame.attempts == 1 for frame in report.frames)
@@ -191,7 +186,7 @@ def movement_of(frames: list[Pixels], exposures: tuple[float, ...]) -> Movement:
         Pair(check.scale, short, long, long.exposure / short.exposure, both, 3)
         for (short, long), both in zip(pairwise(sides), pairwise(samples), strict=True)
     ]
-    movement = find_movement(frames.__getitem__, pairs, lambda place: bands_of(frames[place]))
+    movement = find_movement(frames.__getitem__, pairs)
     assert movement is not None
     return movement
 
@@ -286,56 +281,14 @@ def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: 
         frames.append(compressed(np.clip(noisy, 0, 1.001), quality))
     movement = movement_of(frames, exposures)
     share, stated = movement.found.share, movement.found.false_alarms
-    assert 0.6 * FALSE_ALARMS < stated < 1.1 * FALSE_ALARMS  # files have whole codes
     if not moves:
         assert movement.found.places == ()
-        assert share == pytest.approx(stated, rel=0.1)
+        assert share <= stated <= FALSE_ALARMS
         return
     first = movement.found.places[0]
     assert 190 <= first.top < first.bottom <= 270
     assert 290 <= first.left < first.right <= 390
     assert share > 3 * stated
-
-
-def test_bands_are_parts_of_a_large_frame_from_all_over_it() -> None:
-    frame = np.arange(1000 * 2100).reshape(1000, 2100).astype(np.uint16)
-    bands = bands_of(frame)
-    begins = range(0, 2100, 5 * 52)  # 2.1 million pixels: every fifth band
-    assert np.array_equal(bands, np.hstack([frame[:, start : start + 52] for start in begins]))
-    small = frame[:, :500]
-    assert np.array_equal(bands_of(small), small)
-    columns = bands_of(np.broadcast_to(np.arange(6000, dtype=np.uint16), (4000, 6000)))[0]
-    assert np.flatnonzero(np.diff(columns) > 1).size == 7  # eight bands, and not two wide ones
-
-
-def test_false_alarms_of_large_photographs_are_set_on_their_bands() -> None:
-    """Unknown noise that is larger in a third of the rows is in the bands, not in the patches."""
-    rng = np.random.default_rng(0)
-    light = np.broadcast_to(np.exp(np.linspace(-5, -1.4, 2000)), (1000, 2000))
-    noise = np.where(np.arange(1000)[:, np.newaxis] % 12 < 4, 1.2, 1.0)
-    frames = []
-    for exposure in (1.0, 4.0):
-        E = light * exposure
-        E = E + noise * np.sqrt(E / 1000) * rng.normal(size=E.shape)
-        codes = np.searchsorted(standard_response("srgb", 8).levels, E, side="right")
-        frames.append(codes.astype(np.uint8))
-    check = NeighbourCheck(standard_response("srgb", 8), 0)
-    calm = [np.where(noise > 1, 0, frame).astype(np.uint8) for frame in frames]
-    both = check.sample(calm[0]), check.sample(calm[1])  # patches miss the noise
-    pair = Pair(check.scale, Side(0, 1.0, None), Side(1, 4.0, None), 4.0, both)
-    bands, whole = [bands_of(frame) for frame in frames], []
-
-    def frame(place: int) -> Pixels:
-        whole.append(place)
-        return frames[place]
-
-    movement = find_movement(frame, [pair], bands.__getitem__)
-    assert movement is not None
-    assert whole == [0, 1]  # limits were set without the whole frames
-    assert bands[0].shape == (1000, 512)
-    assert movement.found.places == ()
-    assert movement.found.share == pytest.approx(movement.found.false_alarms, rel=0.1)
-    assert 0.6 * FALSE_ALARMS < movement.found.share < 1.1 * FALSE_ALARMS
 
 
 def test_frames_without_samples_in_common_show_no_movement_and_no_rest() -> None:

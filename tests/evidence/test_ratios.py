@@ -7,10 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.errors import DataError
-from camctl.evidence.patches import LightScale, Patches, sample_patches
+from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.ratios import RatioEstimates, estimate_ratios
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response
+from camctl.model.sensor import SensorModel
 
 NOISE = FrameNoise(40.0, 0.7)
 
@@ -67,7 +68,7 @@ def test_ratios_are_unbiased_and_their_intervals_are_honest(
 ) -> None:
     true = np.array([0.25, 0.51, 0.985, 2.03])
     labels = [0.25, 0.5, 1.0, 2.0]
-    scale, light = LightScale(real, black), smooth()
+    scale, light = SensorModel(real, black), smooth()
     found = []
     covered = 0
     for seed in range(12):
@@ -90,7 +91,7 @@ def test_black_offset_is_within_the_interval() -> None:
     true = np.array([0.25, 1.0])
     light = smooth()
     frames = [shoot(light + 0.3 / 256 / each, each, real, seed=k) for k, each in enumerate(true)]
-    found = estimate_ratios(frames, list(true), LightScale(real, 0), [NOISE] * 2)
+    found = estimate_ratios(frames, list(true), SensorModel(real, 0), [NOISE] * 2)
     half = np.array(found.high) / np.array(found.exposures) - 1
     assert (np.abs(errors(found, true)) <= half + 1e-12).all()
 
@@ -99,7 +100,7 @@ def test_unknown_noise_costs_little() -> None:
     real = linear_response(8, phase=0.5)
     true = np.array([0.3, 1.0])
     frames = [shoot(smooth(), each, real, seed=k) for k, each in enumerate(true)]
-    found = estimate_ratios(frames, [0.3, 1.0], LightScale(real, 0))
+    found = estimate_ratios(frames, [0.3, 1.0], SensorModel(real, 0))
     half = max(np.array(found.high) / np.array(found.exposures) - 1)
     assert half < 1.5e-3
     assert np.abs(errors(found, true)).max() < 1.5 * half
@@ -113,7 +114,7 @@ def test_rounding_without_noise_widens_the_interval(bits: int) -> None:
     light = np.kron(np.linspace(0.3, 0.95, 12).reshape(3, 4), np.ones((64, 64)))
     none = FrameNoise(1e12, 0.0)
     frames = [shoot(light, each, real, noise=none) for each in true]
-    found = estimate_ratios(frames, list(true), LightScale(real, 0), [none] * 2)
+    found = estimate_ratios(frames, list(true), SensorModel(real, 0), [none] * 2)
     half = max(np.array(found.high) / np.array(found.exposures) - 1)
     assert np.abs(errors(found, true)).max() <= half
     assert half > 0.1 / 2**bits
@@ -130,7 +131,7 @@ def test_moving_object_does_not_count(share: float) -> None:
         width = int(share * light.shape[1])
         here[:, 40 * k : 40 * k + width] = 0.8 if k else 0.1
         frames.append(shoot(here, each, real, seed=k))
-    found = estimate_ratios(frames, list(true), LightScale(real, 0), [NOISE] * 2)
+    found = estimate_ratios(frames, list(true), SensorModel(real, 0), [NOISE] * 2)
     assert np.abs(errors(found, true)).max() < 2e-3
     assert found.moved > 0.3 * share
 
@@ -139,8 +140,8 @@ def test_wrong_labels_do_not_matter() -> None:
     real = linear_response(8, phase=0.5)
     true = np.array([0.2, 0.4, 0.8])
     frames = [shoot(smooth(), each, real, seed=k) for k, each in enumerate(true)]
-    right = estimate_ratios(frames, list(true), LightScale(real, 0), [NOISE] * 3)
-    wrong = estimate_ratios(frames, [1.0, 0.1, 5.0], LightScale(real, 0), [NOISE] * 3)
+    right = estimate_ratios(frames, list(true), SensorModel(real, 0), [NOISE] * 3)
+    wrong = estimate_ratios(frames, [1.0, 0.1, 5.0], SensorModel(real, 0), [NOISE] * 3)
     assert errors(wrong, true) == pytest.approx(errors(right, true), abs=1e-12)
 
 
@@ -150,7 +151,7 @@ def test_frames_that_share_no_neighbour_are_connected_through_others() -> None:
     light = np.geomspace(0.05, 3, 40_000).reshape(200, 200)
     order = [3, 0, 2, 1]
     frames = [shoot(light, true[k], real, seed=k) for k in order]
-    found = estimate_ratios(frames, list(true[order]), LightScale(real, 0), [NOISE] * 4)
+    found = estimate_ratios(frames, list(true[order]), SensorModel(real, 0), [NOISE] * 4)
     error = errors(found, true[order])
     half = np.array(found.high) / np.array(found.exposures) - 1
     assert (np.abs(error) <= 2 * half + 1e-12).all()
@@ -159,7 +160,7 @@ def test_frames_that_share_no_neighbour_are_connected_through_others() -> None:
 
 def refused(frames: list[Patches], labels: list[float], real: CameraResponse) -> str:
     with pytest.raises(DataError) as caught:
-        estimate_ratios(frames, labels, LightScale(real, 0), [NOISE] * len(frames))
+        estimate_ratios(frames, labels, SensorModel(real, 0), [NOISE] * len(frames))
     assert caught.value.hint
     return caught.value.what
 
@@ -197,4 +198,4 @@ def test_a_frame_that_shares_one_small_place_with_the_others_is_refused() -> Non
     frames = [shoot(smooth(), exposure, real, seed=k) for k, exposure in enumerate((0.25, 0.5, 1))]
     frames[2][: -len(frames[2]) // 16] = 255  # the rest is one of 16 blocks
     with pytest.raises(DataError, match="agrees with the others in one small place only"):
-        estimate_ratios(frames, (0.25, 0.5, 1), LightScale(real, 0))
+        estimate_ratios(frames, (0.25, 0.5, 1), SensorModel(real, 0))

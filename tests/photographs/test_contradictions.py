@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.evidence.patches import LightScale, sample_patches
+from camctl.evidence.patches import sample_patches
 from camctl.findings import Finding
 from camctl.model.response.camera import standard_response
+from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph
 from camctl.photographs.contradictions import _compared, contradictions
 
 RESPONSE = standard_response("srgb", 8)
-SCALE = LightScale(RESPONSE, 0)
+SCALE = SensorModel(RESPONSE, 0)
 TIMES = (1.0, 2.0, 4.0, 8.0, 16.0)
 
 

@@ -301,7 +301,8 @@ def _measure(
 def _from_capture(folder: Path, response: str | None) -> tuple[CameraInfo, str, ExposureRecord]:
     from camctl.calibration.exposures import record_of_frames
     from camctl.cli.calibrate.exposure_series import SeriesOptions, stored_capture
-    from camctl.evidence.patches import LightScale, sample_patches
+    from camctl.evidence.patches import sample_patches
+    from camctl.model.sensor import SensorModel
 
     stored = stored_capture(SeriesOptions((folder,)))
     if stored is None:
@@ -312,7 +313,7 @@ def _from_capture(folder: Path, response: str | None) -> tuple[CameraInfo, str, 
     record = record_of_frames(
         [sample_patches(report.layout.planes(frame), report.white) for frame in frames],
         [report.frames[position].applied for position in stored.positions],
-        LightScale(channels[len(channels) // 2], stored.black),
+        SensorModel(channels[len(channels) // 2], stored.black),
     )
     return report.camera, stored.mode, record
 

@@ -1,0 +1,75 @@
+"""Errors of photographs at edges, which are neither noise of the sensor nor movement.
+
+JPEG files are rounded in blocks, and programs mix the colours of neighbouring pixels.  Both grow
+with the range of brightness around a sample.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.interface.camera import Pixels
+from camctl.model.sensor import JPEG_ERROR
+from camctl.system.picture_operations import dilated
+
+#: Side of the blocks of which ranges are taken, pixels, those beside included: together they hold
+#: the 16 x 16 pixels in which JPEG files round colours (ITU-T T.81).
+_BLOCK = 8
+#: By how much less the range counts that the blocks beside have: only colours are mixed across
+#: them, which are a third of the brightness of a pixel.
+_BESIDE = 3
+
+Ranges = NDArray[np.uint8]
+"""Range of brightness in and beside each block of a frame, white = 255."""
+
+
+def edge_levels(ranges: Ranges, white: int) -> NDArray[np.float64]:
+    """Return the standard deviation of photographs with these ranges of brightness, in levels."""
+    return np.asarray(ranges * (JPEG_ERROR * white / 255), np.float64)
+
+
+def ranges_at(
+    ranges: Ranges,
+    places: tuple[NDArray[np.intp], ...],
+    first: tuple[int, int],
+    every: tuple[int, int] = (1, 1),
+) -> Ranges:
+    """Return the ranges at rows and columns of a part of the frame, see `Limits.outside`."""
+    row, column = (
+        (start + step * place) // _BLOCK
+        for start, step, place in zip(first, every, places, strict=False)
+    )
+    return ranges[row, column]
+
+
+def local_ranges(frame: Pixels, white: int) -> Ranges:
+    """Return the range of brightness in and beside each block of a frame, of any colour.
+
+    Brightness beside it counts by a third.
+    """
+    planes = frame.shape[2] if frame.ndim == 3 else 1
+    found = []
+    most, least = (
+        (np.minimum(_blocks(frame, reduce), white) * (255 / white)).astype(np.uint8)
+        for reduce in (np.maximum, np.minimum)
+    )
+    for plane in range(planes):
+        above, below = (
+            np.ascontiguousarray(each[:, plane::planes]) for each in (most, 255 - least)
+        )
+        around = dilated(above, (3, 3)) - (255 - dilated(below, (3, 3)))
+        found.append(np.maximum(above - (255 - below), around // _BESIDE))
+    return np.asarray(np.maximum.reduce(found))
+
+
+def _blocks(frame: Pixels, reduce: np.ufunc) -> Pixels:
+    """Return the largest or the least sample of each block, the colours of one side by side."""
+    rows, columns = frame.shape[:2]
+    whole = rows // _BLOCK * _BLOCK
+    # Many times as fast as `reduceat` along rows.
+    parts = [reduce.reduce(frame[:whole].reshape(-1, _BLOCK, *frame.shape[1:]), axis=1)]
+    if whole < rows:
+        parts.append(reduce.reduce(frame[whole:], axis=0, keepdims=True))
+    found = reduce.reduceat(np.concatenate(parts), np.arange(0, columns, _BLOCK), axis=1)
+    return np.asarray(found.reshape(len(found), -1))
