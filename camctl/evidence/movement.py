@@ -199,7 +199,9 @@ class _Comparison:
         """Return it; the frames are read again where parts of them may be light that spread."""
         rows, columns = self.shape[:2]
         counts = _cell_counts(self.marks, self.shape, self.cell)
-        spread = only_beside_white(self.cells, self.cell, pairs, frame, self._marks_in, self.sigmas)
+        spread = only_beside_white(
+            self.cells, (rows, columns), self.cell, pairs, frame, self._marks_in, self.sigmas
+        )
         moves = self.cells & ~spread
         size = math.prod(self.shape)
         spread_count = counts[spread].sum()

@@ -164,6 +164,7 @@ class LightSpread:
 
 def only_beside_white(
     cells: NDArray[np.bool_],
+    shape: tuple[int, int],
     cell: int,
     pairs: Sequence[Pair],
     frame: Callable[[int], Pixels],
@@ -176,7 +177,8 @@ def only_beside_white(
     noise lost light.
 
     Args:
-        cells: (rows, columns), those with what is no noise
+        cells: those with what is no noise
+        shape: rows and columns of a frame
         cell: side of one, pixels
         pairs: of frames
         frame: returns the samples of a frame by its position
@@ -187,14 +189,14 @@ def only_beside_white(
     small = [k for k in range(1, len(boxes)) if boxes[k, 2] * boxes[k, 3] < _SMALL * cells.size]
     if not small or not all(pair.is_known for pair in pairs):
         return np.zeros_like(cells)
-    parts = {}
+    parts, (rows, columns) = {}, shape
     for k in small:
         left, top, width, height = (boxes[k, :4] * cell).tolist()
         parts[k] = (
-            slice(max(0, top - BESIDE), top + height + BESIDE),
-            slice(max(0, left - BESIDE), left + width + BESIDE),
+            slice(max(0, top - BESIDE), min(top + height + BESIDE, rows)),
+            slice(max(0, left - BESIDE), min(left + width + BESIDE, columns)),
         )
-    found = {k: marks(*part) for k, part in parts.items()}
+    found = {k: marks(*part) & (labels[_cells_of(part, cell)] == k) for k, part in parts.items()}
     beside, darker, noise = (np.zeros(len(boxes)) for _ in range(3))
     frames = map(frame, [pairs[0].short.position, *(pair.long.position for pair in pairs)])
     box = (2 * BESIDE + 1, 2 * (ACROSS + MEAN_RADIUS) + 1)
@@ -203,15 +205,19 @@ def only_beside_white(
         for k, part in parts.items():
             source = _any_colour(long[part] >= pair.saturated).view(np.uint8)
             beside[k] = np.count_nonzero(found[k] & (dilated(source, box) > 0))
-            darker[k] += np.count_nonzero(_darker(limits, short[part], long[part]))
+            lost = found[k] & _darker(limits, short[part], long[part])
+            darker[k] += np.count_nonzero(lost)
             noise[k] += NormalDist().cdf(-sigmas) * short[part].size
     count = np.zeros(len(boxes))
     for k, each in found.items():
         count[k] = np.count_nonzero(each)
-    elsewhere = count - beside
-    spreads = (count > 0) & (elsewhere < (1 - _MOST_BESIDE) * count + noise)
-    spreads &= darker < LOST * count + noise
+    spreads = (count > 0) & (beside > _MOST_BESIDE * count) & (darker < LOST * count + noise)
     return np.asarray(cells & spreads[labels])
+
+
+def _cells_of(part: tuple[slice, slice], cell: int) -> tuple[NDArray[np.intp], ...]:
+    """Return the cell of each pixel of a part."""
+    return np.ix_(*(np.arange(each.start, each.stop) // cell for each in part))
 
 
 def _on_lines(

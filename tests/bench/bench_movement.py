@@ -158,7 +158,8 @@ def electrons_per_light(
     pixels = frame.pixels.astype(np.float64) - frame.black
     inside = frame.pixels < frame.white
     levels = float(pixels[inside].sum()) / float(light[inside].sum(dtype=np.float64))
-    return levels * float(sensor.electrons_per_dn) / (setting.time_s * setting.gain)
+    electrons = levels * float(sensor.electrons_per_dn)
+    return electrons / float(setting.time_s * setting.gain)
 
 
 def print_squares(size: str) -> None:
