@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
+from camctl.errors import CamctlError
+from camctl.messages.command_line import error_hint
 from camctl.system.interrupts import uninterrupted
 from menu.data import Settings, Summary
 from menu.entries import SAVERS, seconds
@@ -146,7 +148,9 @@ class Session:
         """Return what became of the capture that was running, one line each."""
         words = []
         for event in self.worker.poll_events():
-            if event.outcome in (Outcome.CANCELLED, Outcome.FAILED):
+            if isinstance(event.error, CamctlError):  # read where commands are typed
+                words.append("; ".join(filter(None, (event.error.what, error_hint(event.error)))))
+            elif event.outcome in (Outcome.CANCELLED, Outcome.FAILED):
                 words.append(str(event.value))
             elif isinstance(event.value, Summary):
                 words.append(f"the last picture is in {event.value.folder}")

@@ -31,12 +31,14 @@ Symbol: TypeAlias = Key | Action | Outcome
 class Event:
     """A report on the work that was started with `request_id`.
 
-    Reports on time (`TICK`, `UNUSED`) and remarks (`NOTE`) belong to no work.
+    Reports on time (`TICK`, `UNUSED`) and remarks (`NOTE`) belong to no work.  `value` of a failure
+    is its text for the panel, and `error` the failure itself.
     """
 
     outcome: Outcome
     request_id: int = 0
     value: object = None
+    error: Exception | None = None
 
 
 class Work(Enum):

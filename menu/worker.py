@@ -107,7 +107,7 @@ class Worker:
             cancelled = task.work in _CAPTURES and self._is_cancelled(task)
             is_cancelled = cancelled and isinstance(error, InterruptedCaptureError)
             outcome = Outcome.CANCELLED if is_cancelled else Outcome.FAILED
-            return Event(outcome, task.request_id, failure_text(error))
+            return Event(outcome, task.request_id, failure_text(error), error)
         except Exception as error:
             self.internal_error = error
             return Event(Outcome.FAILED, task.request_id, failure_text(error))

@@ -118,6 +118,21 @@ WHITE_OPTION = click.option(
     "[default: stated in raw files, else from the pixels]",
 )
 
+
+def longest(
+    help_text: str = "Longest shutter time to use.", default: str | None = "2"
+) -> Decorator:
+    """Return --longest of a command that measures a camera."""
+    return click.option(
+        "--longest",
+        "longest_s",
+        type=Seconds(),
+        metavar="SECONDS",
+        default=default,
+        help=help_text,
+    )
+
+
 force = click.option("--force", is_flag=True, help="Replace existing files.")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -25,6 +26,9 @@ from camctl.cli.request_options import RequestOptions, request_options
 from camctl.cli.shoot import PICTURE_OPTIONS
 from camctl.errors import StorageError, UsageError
 from camctl.system.number_text import range_text
+
+if TYPE_CHECKING:
+    from camctl.captures.response_preview import ResponsePreview
 
 _SUFFIX = ".png"
 
@@ -60,7 +64,6 @@ def preview(
     log response side by side, each over the range that its light has.
     """
     from camctl.captures.response_preview import preview_responses
-    from camctl.captures.response_sheet import NOTABLY_UNSEEN
     from camctl.system.files import check_replaceable, write_bytes
     from camctl.system.picture_operations import png
 
@@ -81,33 +84,38 @@ def preview(
     write_bytes(path, png(shown.picture))
     for finding in shown.plan.findings:
         print_finding(finding)
-    times = [setting.time_s for setting in shown.settings]
-    unseen = 0.0 if shown.plan.light is None else shown.plan.light.unseen
     if as_json:
-        print_json(
+        print_json({"file": str(path), **_json(shown)})
+    else:
+        print_text(_text(shown, path))
+
+
+def _json(shown: ResponsePreview) -> dict[str, Any]:
+    return {
+        "findings": [finding.model_dump(mode="json") for finding in shown.plan.findings],
+        "warnings": shown.plan.warnings,
+        "dynamic_range": shown.plan.dynamic_range,
+        "preview_times_s": [setting.time_s for setting in shown.settings],
+        "left_out_s": shown.left_out_s,
+        "unseen_fraction": _unseen(shown),
+        "planned_times_s": [setting.time_s for setting in shown.plan.settings],
+        "responses": [
             {
-                "file": str(path),
-                "findings": [finding.model_dump(mode="json") for finding in shown.plan.findings],
-                "warnings": shown.plan.warnings,
-                "dynamic_range": shown.plan.dynamic_range,
-                "preview_times_s": times,
-                "left_out_s": shown.left_out_s,
-                "unseen_fraction": unseen,
-                "planned_times_s": [setting.time_s for setting in shown.plan.settings],
-                "responses": [
-                    {
-                        "response": each.name,
-                        "dynamic_range": each.plan.dynamic_range,
-                        "planned_times_s": [setting.time_s for setting in each.plan.settings],
-                        "effective_levels": each.plan.effective_levels,
-                        "dark_fraction": each.dark,
-                        "saturated_fraction": each.saturated,
-                    }
-                    for each in shown.responses
-                ],
+                "response": each.name,
+                "dynamic_range": each.plan.dynamic_range,
+                "planned_times_s": [setting.time_s for setting in each.plan.settings],
+                "effective_levels": each.plan.effective_levels,
+                "dark_fraction": each.dark,
+                "saturated_fraction": each.saturated,
             }
-        )
-        return
+            for each in shown.responses
+        ],
+    }
+
+
+def _text(shown: ResponsePreview, path: Path) -> str:
+    from camctl.captures.response_sheet import NOTABLY_UNSEEN
+
     rows = [
         (
             each.name,
@@ -120,18 +128,23 @@ def preview(
         for each in shown.responses
     ]
     headings = ("response", "range", "effective levels", "exposures", "too dark", "saturated")
-    fields = [("computed from", "preview frames of " + ", ".join(map(format_duration, times)))]
+    times = ", ".join(format_duration(setting.time_s) for setting in shown.settings)
+    fields = [("computed from", f"preview frames of {times}")]
     if shown.left_out_s:
         left_out = ", ".join(map(format_duration, shown.left_out_s))
         fields.append(("left out", f"{left_out}: too long for a preview"))
-    if unseen >= NOTABLY_UNSEEN:
+    if (unseen := _unseen(shown)) >= NOTABLY_UNSEEN:
         share = format_percent(unseen)
         fields.append(
             ("not seen", f"metering shows no light in {share}, all of which may be too dark")
         )
     fields += [("result", str(path)), ("", "nothing was shot")]
     table = format_table(headings, rows, right_aligned=range(1, len(headings)))
-    print_text(f"{table}\n\n{format_fields(fields)}")
+    return f"{table}\n\n{format_fields(fields)}"
+
+
+def _unseen(shown: ResponsePreview) -> float:
+    return 0.0 if shown.plan.light is None else shown.plan.light.unseen
 
 
 def _free_name() -> Path:

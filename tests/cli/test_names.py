@@ -16,6 +16,7 @@ from command_line import Ran, Run
 
 from camctl.cli.output import visible
 from camctl.errors import CameraProtocolError
+from camctl.findings import note
 from camctl.interface.backends import BackendListing
 from camctl.interface.camera import CameraBase, CameraInfo
 from camctl.stills.decoding import read_still
@@ -118,7 +119,7 @@ def test_name_of_a_real_camera_is_visible(run: Run, monkeypatch: pytest.MonkeyPa
 
 def test_warning_of_a_camera_is_visible(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     controls = vars(CameraBase)["controls"].fget
-    noted = property(lambda camera: replace(controls(camera), notes=(NAME,)))
+    noted = property(lambda camera: replace(controls(camera), findings=(note(NAME),)))
     monkeypatch.setattr(SimulatedCamera, "controls", noted)
     ran = run("simulate", "--size", "24x16")
     assert f"camctl: warning: {SHOWN}\n" in ran.err

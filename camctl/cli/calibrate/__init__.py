@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from camctl.cli import options
+from camctl.cli.calibrate.result import Findings, Result, camera_row
 from camctl.cli.commands import LazyGroup, command
 from camctl.cli.options import CameraOptions
 from camctl.cli.output import (
@@ -16,17 +17,15 @@ from camctl.cli.output import (
     format_duration,
     format_fields,
     format_table,
-    print_finding,
     print_json,
     print_text,
     progress_bar,
     without_stage,
 )
-from camctl.cli.parameter_types import PATH, Seconds, WholeNumber
+from camctl.cli.parameter_types import PATH, WholeNumber
 from camctl.errors import DataError
 
 if TYPE_CHECKING:
-    from camctl.findings import Finding
     from camctl.interface.camera import CameraInfo
     from camctl.profiles.exposures import ExposureRecord
     from camctl.profiles.profile import DelayRecord, FrameTiming, Profile
@@ -82,11 +81,11 @@ def delay(camera: CameraOptions, trials: int, as_json: bool) -> None:
 
     with camera.open(profile="none") as opened, progress_bar("changing the exposure") as bar:
         info = opened.info
-        identity = dataclasses.asdict(info)
         if not isinstance(opened, StreamingCamera):
             timing = measure_still_timing(opened)
             if as_json:
-                print_json({"camera": identity, "frames": None, "timing": timing.model_dump()})
+                content = {"frames": None, "timing": timing.model_dump()}
+                print_json({"camera": dataclasses.asdict(info), **content})
             else:
                 print_text(format_fields(_still_rows(info, timing)))
             return
@@ -99,43 +98,16 @@ def delay(camera: CameraOptions, trials: int, as_json: bool) -> None:
     def keep(profile: Profile) -> None:
         profile.delays[mode] = record
 
-    file = change_profile(info, keep)
+    result = Result(info, mode, change_profile(info, keep))
     if as_json:
-        print_json(
-            {
-                "camera": identity,
-                "mode": mode,
-                **record.model_dump(),
-                "file": file,
-                "findings": findings.to_json(),
-            }
-        )
+        result.print_json({**record.model_dump(), "findings": findings.to_json()})
         return
     rows = [
-        ("camera", f"{info.make} {info.model} ({info.id})"),
-        ("mode", mode),
         ("control delay", f"{format_delay(record)}, in {record.trials} trials"),
         ("consequence", _consequence(record)),
         *_timing_rows(record),
-        ("profile", str(file)),
     ]
-    print_text(format_fields(rows))
-
-
-class Findings:
-    """Prints findings when they are made, and keeps them for the JSON output."""
-
-    def __init__(self) -> None:
-        self._kept: list[Finding] = []
-
-    def add(self, finding: Finding) -> None:
-        """Print a finding as a warning, and keep it."""
-        print_finding(finding)
-        self._kept.append(finding)
-
-    def to_json(self) -> list[dict[str, Any]]:
-        """Return the findings for the JSON output."""
-        return [each.model_dump() for each in self._kept]
+    result.print_text("", rows)
 
 
 def _timing_rows(record: DelayRecord) -> list[tuple[str, str]]:
@@ -157,7 +129,7 @@ def _timing_rows(record: DelayRecord) -> list[tuple[str, str]]:
 def _still_rows(info: CameraInfo, timing: FrameTiming) -> list[tuple[str, str]]:
     interval = _milliseconds(timing.frame_interval_s)
     return [
-        ("camera", f"{info.make} {info.model} ({info.id})"),
+        camera_row(info),
         ("control delay", "none: a still camera"),
         (
             "picture to picture",
@@ -197,14 +169,7 @@ def _consequence(record: DelayRecord) -> str:
     default=3,
     help="Frames of each setting.",
 )
-@click.option(
-    "--longest",
-    "longest_s",
-    type=Seconds(),
-    metavar="SECONDS",
-    default="2",
-    help="Longest shutter time to measure.",
-)
+@options.longest("Longest shutter time to measure.")
 @click.option(
     "--from",
     "folder",
@@ -251,25 +216,11 @@ def exposure(
         earlier = profile.exposures.get(mode)
         profile.exposures[mode] = record if earlier is None else record.joined(earlier)
 
-    file = change_profile(info, keep)
+    result = Result(info, mode, change_profile(info, keep))
     if as_json:
-        identity = dataclasses.asdict(info)
-        print_json(
-            {
-                "camera": identity,
-                "mode": mode,
-                **record.model_dump(),
-                "file": file,
-                "findings": findings.to_json(),
-            }
-        )
-        return
-    rows = [
-        ("camera", f"{info.make} {info.model} ({info.id})"),
-        ("mode", mode),
-        ("profile", str(file)),
-    ]
-    print_text(f"{_exposure_table(record)}\n\n{format_fields(rows)}")
+        result.print_json({**record.model_dump(), "findings": findings.to_json()})
+    else:
+        result.print_text(_exposure_table(record), [])
 
 
 def _measure(

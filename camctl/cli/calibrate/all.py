@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from camctl.cli import options
-from camctl.cli.calibrate import Findings
+from camctl.cli.calibrate.result import Findings
 from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions
 from camctl.cli.output import (
@@ -21,7 +21,6 @@ from camctl.cli.output import (
     progress_bar,
     without_stage,
 )
-from camctl.cli.parameter_types import Seconds
 
 if TYPE_CHECKING:
     from camctl.calibration.single_steps import StepResult
@@ -59,14 +58,7 @@ _NEVER = "smear, blooming and glare"
     ),
 )
 @options.camera_options
-@click.option(
-    "--longest",
-    "longest_s",
-    type=Seconds(),
-    metavar="SECONDS",
-    default="2",
-    help="Longest shutter time to use.",
-)
+@options.longest()
 @options.as_json
 def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
     """Measure control delay, response, true exposures, noise and pixels, one after the other.

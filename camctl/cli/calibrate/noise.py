@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,18 +19,16 @@ from camctl.cli.calibrate.exposure_series import (
     series_options,
     stored_capture,
 )
+from camctl.cli.calibrate.result import Result
 from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions
 from camctl.cli.output import (
-    format_fields,
     format_table,
     print_finding,
-    print_json,
-    print_text,
     progress_bar,
     without_stage,
 )
-from camctl.cli.parameter_types import Seconds, WholeNumber
+from camctl.cli.parameter_types import WholeNumber
 from camctl.errors import DataError, UsageError
 
 if TYPE_CHECKING:
@@ -75,13 +72,7 @@ if TYPE_CHECKING:
     default=12,
     help="Exposures at each gain, of two frames each.",
 )
-@click.option(
-    "--longest",
-    "longest_s",
-    type=Seconds(),
-    metavar="SECONDS",
-    help="Longest shutter time to use.  [default: 2; with --dark 4]",
-)
+@options.longest("Longest shutter time to use.  [default: 2; with --dark 4]", default=None)
 @click.option(
     "--response",
     metavar="NAME",
@@ -124,16 +115,11 @@ def noise(
     for finding in () if is_dark else record.findings:
         print_finding(finding)
     file = None if info is None else _keep(info, mode, record)
+    result = Result(info, mode, file)
     if as_json:
-        identity = None if info is None else dataclasses.asdict(info)
-        print_json({**_json(record), "camera": identity, "mode": mode, "file": file})
-        return
-    rows = _rows(record)
-    if info is not None:
-        rows += [("camera", f"{info.make} {info.model} ({info.id})"), ("mode", mode)]
-    if file is not None:
-        rows.append(("profile", str(file)))
-    print_text(f"{_table(record)}\n\n{format_fields(rows)}")
+        result.print_json(_json(record))
+    else:
+        result.print_text(_table(record), _rows(record))
 
 
 def _from_camera(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,19 +10,17 @@ import click
 
 from camctl.cli import options
 from camctl.cli.calibrate.exposure_series import SeriesOptions, series_of_files, series_options
+from camctl.cli.calibrate.result import Result
 from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions, option_group
 from camctl.cli.output import (
-    format_fields,
     format_percent,
     format_table,
     print_finding,
-    print_json,
-    print_text,
     progress_bar,
     without_stage,
 )
-from camctl.cli.parameter_types import PATH, Name, Seconds, WholeNumber
+from camctl.cli.parameter_types import PATH, Name, WholeNumber
 from camctl.errors import DataError, UsageError
 
 if TYPE_CHECKING:
@@ -112,14 +109,7 @@ _estimate_options = option_group(
     default=8,
     help="Frames to shoot.",
 )
-@click.option(
-    "--longest",
-    "longest_s",
-    type=Seconds(),
-    metavar="SECONDS",
-    default="2",
-    help="Longest shutter time to use.",
-)
+@options.longest()
 @_estimate_options
 @click.option(
     "--keep",
@@ -175,7 +165,7 @@ def response(
         raise DataError(
             error.what,
             hint=f"{error.hint}; if the measured exposures in the camera's profile are wrong, "
-            "leave them out with --no-profile",
+            "leave them out with -O profile=none",
         ) from error
     findings = [*estimate.findings]
     record = estimate.record
@@ -190,20 +180,23 @@ def response(
         print_finding(finding)
     if output is not None:
         _write_curve(output, record)
+    content = _json(record) | {
+        "exposures": estimate.exposures,
+        "exponent_error": estimate.exponent_error,
+        "residual": estimate.residual,
+        "findings": [each.model_dump() for each in findings],
+        "method": how.method,
+    }
+    result = Result(info, mode, file)
     if as_json:
-        described = _json(record) | {
-            "exposures": estimate.exposures,
-            "exponent_error": estimate.exponent_error,
-            "residual": estimate.residual,
-            "findings": [each.model_dump() for each in findings],
-            "method": how.method,
-            "camera": None if info is None else dataclasses.asdict(info),
-            "mode": mode,
-            "file": file,
-        }
-        print_json(described)
-        return
-    rows = [("frames", str(record.frames)), ("method", how.method)]
+        result.print_json(content)
+    else:
+        rows = [] if output is None else [("curve", str(output))]
+        result.print_text(_table(record), _rows(estimate, how), rows)
+
+
+def _rows(estimate: ResponseEstimate, how: EstimateOptions) -> list[tuple[str, str]]:
+    rows = [("frames", str(estimate.record.frames)), ("method", how.method)]
     if estimate.residual is not None:
         rows.append(("agreement of the frames", format_percent(estimate.residual)))
     if how.estimate_ratios:
@@ -211,13 +204,7 @@ def response(
         rows.append(("estimated exposures", ratios))
         if not how.has_chart:
             rows.append(("", "a power of them, with that power of the curve, would fit as well"))
-    if info is not None:
-        rows += [("camera", f"{info.make} {info.model} ({info.id})"), ("mode", mode)]
-    if file is not None:
-        rows.append(("profile", str(file)))
-    if output is not None:
-        rows.append(("curve", str(output)))
-    print_text(f"{_table(record)}\n\n{format_fields(rows)}")
+    return rows
 
 
 def _needs_times(source: SeriesOptions, how: EstimateOptions) -> bool:
