@@ -145,7 +145,7 @@ def test_the_frames_of_a_camera_without_a_response_are_taken_for_linear(run: Run
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("--times", "1,2"), "has 2 values for 8 files"),
+        (("--times", "1,2"), "2 exposure times were given for 8 files"),
         ((*TIMES, "--white", "300"), "invalid levels"),
         ((*TIMES, "--sensor", "phone"), "--sensor"),
         ((*TIMES, "--dark"), "--dark"),
