@@ -6,16 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from camctl.calibration.dark import measure_dark
 from camctl.calibration.delay import measure_delay
 from camctl.calibration.exposures import LONGEST_S
-from camctl.calibration.noise import measure_noise
-from camctl.calibration.pixel_pattern import (
+from camctl.calibration.noise.dark import measure_dark
+from camctl.calibration.noise.pattern import (
     View,
     sensitivity_pattern,
     shoot_view,
     view_settings,
 )
+from camctl.calibration.noise.shooting import measure_noise
 from camctl.findings import Finding
 from camctl.interface.camera import Camera, StreamingCamera
 from camctl.interface.controls import ExposureSetting

@@ -19,9 +19,9 @@ from typing import TypeAlias
 import numpy as np
 
 from camctl.calibration.exposures import measure_exposures
-from camctl.calibration.response import ResponseEstimate, estimate_response
-from camctl.calibration.response_series import Series
-from camctl.calibration.response_shooting import measure_response
+from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
+from camctl.calibration.response.series import Series
+from camctl.calibration.response.shooting import measure_response
 from camctl.calibration.single_steps import (
     Found,
     Measure,

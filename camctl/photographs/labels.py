@@ -14,9 +14,9 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from camctl.calibration.response import estimate_response
-from camctl.calibration.response_labels import label_errors
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.estimate import estimate_response
+from camctl.calibration.response.labels import label_errors
+from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches
 from camctl.findings import Detail, Finding

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.series import Series
 from camctl.errors import UsageError
 from camctl.evidence.patches import Patches
 from camctl.findings import Detail, Finding

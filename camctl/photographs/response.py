@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from camctl.calibration.response import estimate_response
-from camctl.calibration.response_colours import AS_WELL, disagreement
+from camctl.calibration.response.colours import AS_WELL, disagreement
+from camctl.calibration.response.estimate import estimate_response
 from camctl.errors import DataError
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import Choices, ExposureControls, ResponseOrigin
@@ -22,7 +22,7 @@ from camctl.profiles.folder import list_profiles
 from camctl.system.input_files import exists
 
 if TYPE_CHECKING:
-    from camctl.calibration.response_series import Series
+    from camctl.calibration.response.series import Series
     from camctl.photographs.files import PhotographFiles
     from camctl.profiles.profile import Profile
     from camctl.profiles.response import ResponseRecord

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.series import Series
 from camctl.errors import DataError, UsageError
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls, Layout

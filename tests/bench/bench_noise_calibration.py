@@ -25,10 +25,10 @@ from pathlib import Path
 
 import numpy as np
 
-from camctl.calibration.dark import DarkFrames, estimate_dark, measure_dark
-from camctl.calibration.noise import measure_noise
-from camctl.calibration.noise_frames import NoiseFrames, estimate_noise, same_response
-from camctl.calibration.noise_pairs import reduce_pair
+from camctl.calibration.noise.dark import DarkFrames, estimate_dark, measure_dark
+from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise, same_response
+from camctl.calibration.noise.pairs import reduce_pair
+from camctl.calibration.noise.shooting import measure_noise
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.profiles.noise import Figure, NoiseRecord
 from sim.camera import SimulatedCamera

@@ -26,8 +26,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
 from accuracy import RAMP_COLUMNS, SEED, ramp_base_s, sensor_without_lens, shoot_ramp
 
-from camctl.calibration.dark import measure_dark
-from camctl.calibration.noise import measure_noise
+from camctl.calibration.noise.dark import measure_dark
+from camctl.calibration.noise.shooting import measure_noise
 from camctl.calibration.single_steps import StepOptions
 from camctl.calibration.steps import calibrate
 from camctl.interface.camera import Camera

@@ -17,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
 from opencv_levels import levels_of
 
-from camctl.calibration.opencv_response import opencv_curves
-from camctl.calibration.response import estimate_response
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.estimate import estimate_response
+from camctl.calibration.response.opencv import opencv_curves
+from camctl.calibration.response.series import Series
 from camctl.interface.controls import Layout
 from camctl.messages.plain import sentence
 from camctl.model.response.camera import FloatArray

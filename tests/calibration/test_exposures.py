@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 import camctl
 from camctl.calibration.exposures import measure_exposures
-from camctl.calibration.response import estimate_response
-from camctl.calibration.response_shooting import measure_response
+from camctl.calibration.response.estimate import estimate_response
+from camctl.calibration.response.shooting import measure_response
 from camctl.errors import CaptureError
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.exposures import ExposureRecord, exposure_mode

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 import camctl
-from camctl.calibration.noise import measure_noise
-from camctl.calibration.noise_curve import NoiseCurve
-from camctl.calibration.noise_frames import NoiseFrames, estimate_noise, same_response
+from camctl.calibration.noise.curve import NoiseCurve
+from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise, same_response
+from camctl.calibration.noise.shooting import measure_noise
 from camctl.errors import CaptureError, DataError
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camctl.calibration.pixel_pattern import View, sensitivity_pattern
+from camctl.calibration.noise.pattern import View, sensitivity_pattern
 from camctl.calibration.single_steps import PatternSteps, StepOptions
 from camctl.errors import DataError
 from camctl.interface.camera import Camera

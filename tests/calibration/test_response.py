@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from camctl.calibration.response import ResponseEstimate, estimate_response
-from camctl.calibration.response_fit import fit_response
-from camctl.calibration.response_matches import match_levels
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
+from camctl.calibration.response.fit import fit_response
+from camctl.calibration.response.matches import match_levels
+from camctl.calibration.response.series import Series
 from camctl.errors import DataError, UsageError
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, srgb_to_linear
@@ -114,7 +114,7 @@ def test_three_frames_suffice() -> None:
 
 
 def test_it_is_much_better_than_the_methods_of_opencv() -> None:
-    from camctl.calibration.opencv_response import opencv_response
+    from camctl.calibration.response.opencv import opencv_response
 
     frames = [shoot(scene(), exposure, s_curve, seed=k) for k, exposure in enumerate(STOPS)]
     ours = error_of(estimate_response(series_of(s_curve)), s_curve)

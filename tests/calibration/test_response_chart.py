@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.calibration.chart import ChartPatch, find_macbeth, read_patches
-from camctl.calibration.response import Chart, ResponseEstimate, estimate_response
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.chart import ChartPatch, find_macbeth, read_patches
+from camctl.calibration.response.estimate import Chart, ResponseEstimate, estimate_response
+from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray

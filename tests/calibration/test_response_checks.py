@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.calibration.response import estimate_response
-from camctl.calibration.response_checks import KEPT, intervals_of
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.checks import KEPT, intervals_of
+from camctl.calibration.response.estimate import estimate_response
+from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camctl.calibration.response_fit import ResponseFit
-from camctl.calibration.response_matches import Matches, match_levels
-from camctl.calibration.response_noise import correct_matches
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.fit import ResponseFit
+from camctl.calibration.response.matches import Matches, match_levels
+from camctl.calibration.response.noise import correct_matches
+from camctl.calibration.response.series import Series
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray
 

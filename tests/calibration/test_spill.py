@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from camctl.calibration import response
-from camctl.calibration.response import estimate_response
-from camctl.calibration.response_series import Series
-from camctl.calibration.spill import SampleGrid, grid_counts
+from camctl.calibration.response.estimate import estimate_response
+from camctl.calibration.response.series import Series
+from camctl.calibration.response.spill import SampleGrid, grid_counts
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camctl.calibration.dark import measure_dark
-from camctl.calibration.noise import measure_noise
+from camctl.calibration.noise.dark import measure_dark
+from camctl.calibration.noise.shooting import measure_noise
 from camctl.calibration.single_steps import StepOptions, StepResult, dark_step, noise_step
 from camctl.calibration.steps import calibrate
 from camctl.captures.sequencer import capture

@@ -24,7 +24,7 @@ from camctl.records.report_file import FRAMES, REPORT
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from camctl.calibration.response_series import Series
+    from camctl.calibration.response.series import Series
     from camctl.interface.camera import CameraInfo
     from camctl.interface.controls import ExposureControls
     from camctl.model.response.camera import CameraResponse
@@ -115,7 +115,7 @@ class StoredCapture:
         Raises:
             UsageError: there is no response of that name
         """
-        from camctl.calibration.noise_pairs import channel_names
+        from camctl.calibration.noise.pairs import channel_names
         from camctl.profiles.profile import load_profile
 
         white = self.report.white
@@ -211,7 +211,7 @@ def check_levels(bits: int, black: int, white: int) -> None:
 
 
 def _new_series(source: SeriesOptions, still: Still) -> Series:
-    from camctl.calibration.response_series import Series
+    from camctl.calibration.response.series import Series
 
     black, white = levels_of(source, still)
     check_levels(still.bits, black, white)
@@ -246,7 +246,7 @@ def read_stills(
 def _from_capture(
     stored: StoredCapture, *, keep: bool
 ) -> tuple[CameraInfo, str, Series, list[NDArray[Any]]]:
-    from camctl.calibration.response_series import Series
+    from camctl.calibration.response.series import Series
 
     report, black = stored.report, stored.black
     series = Series(

@@ -129,7 +129,7 @@ def _from_camera(
     is_flat: bool,
     response: str | None,
 ) -> tuple[CameraInfo, str, NoiseRecord]:
-    from camctl.calibration.noise import LONGEST_S, measure_noise
+    from camctl.calibration.noise.shooting import LONGEST_S, measure_noise
     from camctl.profiles.exposures import exposure_mode
 
     with camera.open(profile="response") as opened, progress_bar("shooting pairs") as bar:
@@ -145,7 +145,7 @@ def _from_camera(
 
 
 def _dark(camera: CameraOptions, longest_s: float | None) -> tuple[CameraInfo, str, NoiseRecord]:
-    from camctl.calibration.dark import LONGEST_S, measure_dark
+    from camctl.calibration.noise.dark import LONGEST_S, measure_dark
     from camctl.profiles.exposures import exposure_mode
     from camctl.profiles.profile import load_profile
 
@@ -166,7 +166,7 @@ def _dark(camera: CameraOptions, longest_s: float | None) -> tuple[CameraInfo, s
 def _from_files(
     source: SeriesOptions, response: str | None, is_flat: bool
 ) -> tuple[CameraInfo | None, str, NoiseRecord]:
-    from camctl.calibration.noise_frames import NoiseFrames, estimate_noise, same_response
+    from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise, same_response
 
     if (stored := stored_capture(source)) is not None:
         return _from_capture(stored, response, is_flat)
@@ -196,7 +196,7 @@ def _from_files(
 def _from_capture(
     stored: StoredCapture, response: str | None, is_flat: bool
 ) -> tuple[CameraInfo, str, NoiseRecord]:
-    from camctl.calibration.noise_frames import NoiseFrames, estimate_noise
+    from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise
 
     report, responses = stored.report, stored.responses(response)
     frames = NoiseFrames(report.layout, stored.black, report.white, responses, is_flat)

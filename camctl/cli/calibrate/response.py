@@ -26,8 +26,8 @@ from camctl.errors import DataError, UsageError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from camctl.calibration.response import ResponseEstimate
-    from camctl.calibration.response_series import Series
+    from camctl.calibration.response.estimate import ResponseEstimate
+    from camctl.calibration.response.series import Series
     from camctl.findings import Finding
     from camctl.interface.camera import CameraInfo
     from camctl.profiles.response import ResponseRecord
@@ -215,7 +215,7 @@ def _needs_times(source: SeriesOptions, how: EstimateOptions) -> bool:
 def _from_camera(
     camera: CameraOptions, count: int, longest_s: float, how: EstimateOptions
 ) -> tuple[CameraInfo, str, Series, list[NDArray[Any]]]:
-    from camctl.calibration.response_shooting import measure_response
+    from camctl.calibration.response.shooting import measure_response
     from camctl.profiles.exposures import exposure_mode
 
     with (
@@ -234,12 +234,12 @@ def _from_camera(
 
 
 def _estimate(series: Series, frames: list[NDArray[Any]], how: EstimateOptions) -> ResponseEstimate:
-    from camctl.calibration.response import Chart, ResponseEstimate, estimate_response
+    from camctl.calibration.response.estimate import Chart, ResponseEstimate, estimate_response
 
     if how.method == "camctl":
         chart = None
         if how.has_chart:
-            from camctl.calibration.chart import find_macbeth, read_patches
+            from camctl.calibration.response.chart import find_macbeth, read_patches
 
             found = (
                 find_macbeth(frames, series.layout)
@@ -248,8 +248,8 @@ def _estimate(series: Series, frames: list[NDArray[Any]], how: EstimateOptions) 
             )
             chart = Chart(found, frames)
         return estimate_response(series, estimate_ratios=how.estimate_ratios, chart=chart)
-    from camctl.calibration.opencv_response import opencv_response
-    from camctl.calibration.response_checks import check_frames
+    from camctl.calibration.response.checks import check_frames
+    from camctl.calibration.response.opencv import opencv_response
 
     if how.estimate_ratios or how.has_chart:
         what = "use a chart" if how.has_chart else "estimate exposures"
@@ -262,7 +262,7 @@ def _estimate(series: Series, frames: list[NDArray[Any]], how: EstimateOptions) 
 
 def _inexact(series: Series, record: ResponseRecord) -> Finding | None:
     """Return why a response is not exact enough for the profile; None where it is."""
-    from camctl.calibration.response_checks import KEPT, helpful_exposures, intervals_of
+    from camctl.calibration.response.checks import KEPT, helpful_exposures, intervals_of
     from camctl.findings import Finding
 
     intervals = intervals_of(record)

@@ -15,7 +15,7 @@ bend, and where it is straight it shows p, which is the same everywhere.
 The exposures may be a little wrong, or hardly known.  Then there is an ambiguity (Mitsunaga and
 Nayar, "Radiometric Self Calibration", CVPR 1999): E^g fits exposures t^g as well, for every g.  The
 exposures that are given decide: their corrections have no trend with the logarithm of the exposure.
-`camctl.calibration.exponent` decides where they are not known.
+`camctl.calibration.response.exponent` decides where they are not known.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.ascending_fit import ascending
-from camctl.calibration.response_knots import COEFFICIENTS, Knots
-from camctl.calibration.response_matches import LEAST_PIXELS, NOISE_STEPS, Matches
+from camctl.calibration.response.matches import LEAST_PIXELS, NOISE_STEPS, Matches
+from camctl.calibration.response.spline import COEFFICIENTS, Knots, ascending
 from camctl.errors import DataError
 from camctl.model.response.camera import FloatArray
 
@@ -157,11 +156,7 @@ def fit_response(
     whole = system.curve(with_top)
     curve, top = whole[:-1], whole[-1:]
     known = system.known_beforehand(logs, exposure_error)
-    roughness = np.diff(np.eye(COEFFICIENTS), prior.order, axis=0)
-    roughness *= math.sqrt(prior.smoothness) / prior.knots.step ** (prior.order - 0.5)
-    places = np.arange(len(roughness)) + prior.order / 2 - 1  # of the differences, in knots
-    fine = np.linspace(0, 1, 4001)  # at which the places of knots are looked up
-    places = np.interp(places, prior.knots.before(fine), fine)
+    roughness, places = prior.roughness()
     log_E = 1.5 * np.log(x_known)  # a start: most responses are steeper than a linear one
     residuals = np.zeros(system.wanted.size)
     bends = np.zeros(len(roughness))
@@ -299,6 +294,14 @@ class _Prior(NamedTuple):
     rounds: int
     floor: float
     knots: Knots
+
+    def roughness(self) -> tuple[FloatArray, FloatArray]:
+        """Return the rows that give the weighted derivatives of h, and the brightness of each."""
+        rows = np.diff(np.eye(COEFFICIENTS), self.order, axis=0)
+        rows *= math.sqrt(self.smoothness) / self.knots.step ** (self.order - 0.5)
+        places = np.arange(len(rows)) + self.order / 2 - 1  # in knots
+        fine = np.linspace(0, 1, 4001)  # at which the places of knots are looked up
+        return rows, np.interp(places, self.knots.before(fine), fine)
 
 
 _CHART = _Prior(_SMOOTHNESS_OF_CHART, 2, _ROUNDS, _FLOOR_OF_COARSE, Knots(0.0))

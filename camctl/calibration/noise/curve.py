@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.noise_pairs import PairPatches
+from camctl.calibration.noise.pairs import PairPatches
 from camctl.model.response.camera import CameraResponse, FloatArray
 
 #: Standard deviations of the quadrature, and its nodes, close enough for the corner at black.

@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.response_matches import LARGEST_RATIO, guess_exposures, neighbour_steps
-from camctl.calibration.spill import SampleGrid, grid_counts
+from camctl.calibration.response.matches import LARGEST_RATIO, guess_exposures, neighbour_steps
+from camctl.calibration.response.spill import SampleGrid, grid_counts
 from camctl.errors import DataError, UsageError
 from camctl.evidence.moved_parts import moved_samples
 from camctl.evidence.patches import Patches, sample_patches

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.series import Series
 from camctl.errors import CaptureError
 from camctl.findings import Finding
 from camctl.interface.camera import Camera

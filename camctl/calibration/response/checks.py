@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.response_fit import ChartSamples, ResponseFit
-from camctl.calibration.response_labels import LabelCheck, contradiction_error
-from camctl.calibration.response_matches import Matches
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.fit import ChartSamples, ResponseFit
+from camctl.calibration.response.labels import LabelCheck, contradiction_error
+from camctl.calibration.response.matches import Matches
+from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray

@@ -1,6 +1,6 @@
 """Conversion gain and read noise that fit the variance of noise against brightness.
 
-A weighted fit of all patches of all pairs, by `camctl.calibration.noise_curve`.
+A weighted fit of all patches of all pairs, by `camctl.calibration.noise.curve`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.noise_curve import LEAST_VARIANCE, NoiseCurve, TransferCurve
-from camctl.calibration.noise_pairs import PairPatches
+from camctl.calibration.noise.curve import LEAST_VARIANCE, NoiseCurve, TransferCurve
+from camctl.calibration.noise.pairs import PairPatches
 from camctl.errors import DataError
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import Z_95

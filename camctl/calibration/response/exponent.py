@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camctl.calibration.response_fit import (
+from camctl.calibration.response.fit import (
     CHART_LIGHT,
     REFERENCE,
     ChartSamples,

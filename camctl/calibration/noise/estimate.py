@@ -1,9 +1,9 @@
 """The noise of a camera from pairs of frames of whatever is in view (photon transfer, EMVA 1288).
 
 Two frames of each setting, from dark to nearly saturated, are compared in patches
-(`camctl.calibration.noise_pairs`); variance against brightness gives conversion gain and read noise
-(`camctl.calibration.noise_fit`).  An evenly lit surface also gives the PRNU; frames without light
-are examined by `camctl.calibration.dark`.
+(`camctl.calibration.noise.pairs`); variance against brightness gives conversion gain and read noise
+(`camctl.calibration.noise.fit`).  An evenly lit surface also gives the PRNU; frames without light
+are examined by `camctl.calibration.noise.dark`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.noise_curve import NoiseCurve
-from camctl.calibration.noise_fit import NoiseFit, combine_fits, fit_noise
-from camctl.calibration.noise_pairs import FramePair, PairPatches, channel_names, reduce_pair
-from camctl.calibration.pixel_pattern import root_of_ratio
+from camctl.calibration.noise.curve import NoiseCurve
+from camctl.calibration.noise.fit import NoiseFit, combine_fits, fit_noise
+from camctl.calibration.noise.pairs import FramePair, PairPatches, channel_names, reduce_pair
+from camctl.calibration.noise.pattern import root_of_ratio
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureSetting, Layout

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from camctl.calibration.noise_frames import NoiseFrames, estimate_noise, same_response
+from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise, same_response
 from camctl.errors import CaptureError
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Control, ExposureSetting

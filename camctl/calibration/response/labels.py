@@ -1,6 +1,6 @@
 """The exposures that are stated for a series, against what its pixels show.
 
-Pixels say the exposures up to a power (see `camctl.calibration.response_fit`).  What a line through
+Pixels say the exposures up to a power (see `camctl.calibration.response.fit`).  What a line through
 their logarithms over those of the stated ones leaves is an error of a label, of the shutter, or of
 the light.  The line passes through two of them, so that the sum of the square roots of what it
 leaves is least: a few wrong labels do not bend it.
@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.exponent import expected_exponent
-from camctl.calibration.response_fit import ResponseFit
+from camctl.calibration.response.exponent import expected_exponent
+from camctl.calibration.response.fit import ResponseFit
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.messages.calibration import contradiction_hint, exposures_contradict

@@ -1,7 +1,7 @@
 """The response of a camera from an exposure series of a scene that does not move.
 
 Frames are reduced one by one to histograms and patches (`Series`), checked, and the curve of each
-channel is estimated by `camctl.calibration.response_fit`.
+channel is estimated by `camctl.calibration.response.fit`.
 """
 
 from __future__ import annotations
@@ -16,35 +16,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.chart import ChartPatch
-from camctl.calibration.exponent import (
-    Exponent,
-    common_exponent,
-    expected_exponent,
-    exponent_of_chart,
-    with_exponent_error,
-)
-from camctl.calibration.response_chart import chart_findings, chart_samples
-from camctl.calibration.response_checks import (
+from camctl.calibration.response.chart import ChartPatch, chart_findings, chart_samples
+from camctl.calibration.response.checks import (
     check_frames,
     check_interval,
     check_patches,
     check_range,
     shows_exposure,
 )
-from camctl.calibration.response_colours import green_explains_all
-from camctl.calibration.response_fit import (
+from camctl.calibration.response.colours import green_explains_all
+from camctl.calibration.response.exponent import (
+    Exponent,
+    common_exponent,
+    expected_exponent,
+    exponent_of_chart,
+    with_exponent_error,
+)
+from camctl.calibration.response.fit import (
     ROUGH,
     STATED,
     ChartSamples,
     ResponseFit,
     fit_response,
 )
-from camctl.calibration.response_labels import LabelCheck, check_labels
-from camctl.calibration.response_matches import Matches, match_levels
-from camctl.calibration.response_noise import correct_matches
-from camctl.calibration.response_series import Series
-from camctl.calibration.spill import below_saturation, spills_over
+from camctl.calibration.response.labels import LabelCheck, check_labels
+from camctl.calibration.response.matches import Matches, match_levels
+from camctl.calibration.response.noise import correct_matches
+from camctl.calibration.response.series import Series
+from camctl.calibration.response.spill import below_saturation, spills_over
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
@@ -160,18 +159,7 @@ def estimate_response(
         fits = [with_exponent_error(fit, edges, exponent.error) for fit in fits]
     if estimate_ratios:
         exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0))
-    found = [each.response(fit, series, edges) for each, fit in zip(channels, fits, strict=True)]
-    if len(found) < len(saturating):
-        found *= len(saturating)
-    record = ResponseRecord(
-        channels=tuple(
-            each.model_copy(update={"name": name, "saturates": saturates})
-            for each, (name, saturates) in zip(found, saturating.items(), strict=True)
-        ),
-        phase=series.phase,
-        frames=len(series.exposures),
-        measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
-    )
+    record = _record(series, edges, channels, fits, saturating)
     if is_scene_checked and not estimate_ratios:
         check_interval(record, series.exposures, labels)
     return ResponseEstimate(
@@ -181,6 +169,28 @@ def estimate_response(
         exponent_error=None if exponent is None else exponent.error,
         findings=tuple(each for k, each in enumerate(findings) if each not in findings[:k]),
         is_doubtful=is_doubtful,
+    )
+
+
+def _record(
+    series: Series,
+    edges: FloatArray,
+    channels: Sequence[_Evidence],
+    fits: Sequence[ResponseFit],
+    saturating: dict[str, bool],
+) -> ResponseRecord:
+    """Return the record of the fits; one fit is that of all channels in `saturating`."""
+    found = [each.response(fit, series, edges) for each, fit in zip(channels, fits, strict=True)]
+    if len(found) < len(saturating):
+        found *= len(saturating)
+    return ResponseRecord(
+        channels=tuple(
+            each.model_copy(update={"name": name, "saturates": saturates})
+            for each, (name, saturates) in zip(found, saturating.items(), strict=True)
+        ),
+        phase=series.phase,
+        frames=len(series.exposures),
+        measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
     )
 
 

@@ -18,9 +18,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.response_fit import ResponseFit
-from camctl.calibration.response_matches import Matches
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.fit import ResponseFit
+from camctl.calibration.response.matches import Matches
+from camctl.calibration.response.series import Series
 from camctl.model.response.camera import FloatArray
 
 #: Brightness of patches in which noise is measured, as shares of full scale, and how many are

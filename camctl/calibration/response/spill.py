@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.response_matches import Matches
+from camctl.calibration.response.matches import Matches
 from camctl.interface.controls import Layout
 
 #: Rows and columns of the grid of samples of a colour.

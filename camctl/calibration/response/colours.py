@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from camctl.calibration.response_series import Series
+from camctl.calibration.response.series import Series
 from camctl.model.response.camera import FloatArray
 
 AS_WELL = 1.2

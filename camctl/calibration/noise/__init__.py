@@ -1,0 +1,1 @@
+"""The noise of a camera, from pairs of frames (photon transfer), and its dark signal."""

@@ -1,0 +1,1 @@
+"""The response of a camera, from an exposure series of any scene or from a chart."""
