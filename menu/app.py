@@ -53,7 +53,7 @@ def run(
     A `CamctlError` of the job is shown with buttons to retry, go back or take another camera.  Any
     other exception of the job is a programming error: it is shown in the same way, so that the user
     can keep or repeat the capture, and is raised from here once the panel is closed, or logged if
-    later work succeeded.  A panel that is unplugged is opened again; its other errors are raised.
+    a later try succeeded.  A panel that is unplugged is opened again; its other errors are raised.
     However this function ends, a running capture is cancelled, and camera and panel are closed.
 
     Args:

@@ -30,8 +30,9 @@ class Worker:
     """Does the work of a job on a thread; `make_job` is called there, too.
 
     Attributes:
-        internal_error: the last exception that was no `CamctlError`, unless later work succeeded
-        recovered_errors: those after which later work succeeded
+        internal_error: the last exception that was no `CamctlError`, unless a later try of the same
+            work succeeded
+        recovered_errors: those after which one did
     """
 
     def __init__(self, make_job: Callable[[], Job]) -> None:
@@ -43,6 +44,7 @@ class Worker:
         self._stopped = threading.Event()
         self._latest_id = 0
         self.internal_error: Exception | None = None
+        self._failed_work: Work | None = None
         self.recovered_errors: list[Exception] = []
         # A daemon thread, so that a prediction that is not needed any more cannot delay the exit.
         self._thread = threading.Thread(target=self._run, name="menu job", daemon=True)
@@ -109,9 +111,9 @@ class Worker:
             outcome = Outcome.CANCELLED if is_cancelled else Outcome.FAILED
             return Event(outcome, task.request_id, failure_text(error), error)
         except Exception as error:
-            self.internal_error = error
+            self.internal_error, self._failed_work = error, task.work
             return Event(Outcome.FAILED, task.request_id, failure_text(error))
-        if self.internal_error is not None:
+        if self.internal_error is not None and task.work is self._failed_work:
             self.recovered_errors.append(self.internal_error)
             self.internal_error = None
         return Event(Outcome.DONE, task.request_id, value)
