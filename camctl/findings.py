@@ -26,6 +26,13 @@ class Place(BaseModel):
 CODES: Final[dict[str, str]] = {
     "note": "nothing: its sentence is the detail `text`",
     # Exposures: what the frames say of the exposures that the camera states.
+    "exposure_differs": "ratio of the light to that of the frame before over the ratio of the"
+    " exposures; null: no ratio could be measured",
+    "part_contradicts": "share of the comparable samples that do not fit the exposures",
+    "delay_contradicts": "frames by which exposures took effect late; negative: early",
+    "frame_white": "share of the frame that is saturated, though the metered light is not",
+    "exposure_estimated": "exposure in the pixels over the stated one",
+    "not_estimated": "nothing: an exposure, or all of them, could not be estimated from the pixels",
     "setting_differs": "what the camera sets instead of the requested value; `field` names it",
     "flicker": "shutter time that is not a whole number of the lamps' flicker periods, s",
     "steps_cost_levels": "effective levels that the camera's steps allow",

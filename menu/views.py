@@ -78,7 +78,7 @@ def summary_view(report: CaptureReport, folder: Path) -> Summary:
         planned_levels=report.plan.effective_levels,
         saturated=report.achieved.saturated_fraction,
         folder=str(folder),
-        notes=tuple(map(finding_text, report.findings)),
+        notes=tuple(map(finding_text, report.remarks)),
         untrustworthy_because=report.untrustworthy_because or "",
         histogram=tuple(report.achieved.light_shares),
         picture=preview_picture(folder),

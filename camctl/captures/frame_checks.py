@@ -17,7 +17,6 @@ from camctl.evidence.light_ratio import MOST_CHANGE, NeighbourCheck
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Pair, Side
-from camctl.findings import note
 from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise
@@ -84,23 +83,25 @@ class FrameChecks:
         error = self._log.find(checks) if disagree else None
         estimates = None
         if self._capture.request.estimate_ratios and len(frames) > 1:
-            estimates, warnings = estimate_exposures(
+            estimates, findings = estimate_exposures(
                 frames, self.samples, self._check.scale, self._controls
             )
-            self._capture.findings += map(note, warnings)
+            self._capture.findings += findings
         chosen = choose_exposures(frames, self._controls, estimates)
         if estimates is not None:
             checks[1:] = [
                 self._compare(k, chosen[k].exposure / chosen[k - 1].exposure)
                 for k in range(1, len(frames))
             ]
-        judge(
+        reasons, others = judge(
             self._capture,
             checks,
             error,
             self._delay_of,
             exposures_exact=self._controls.exposures_exact,
         )
+        self._capture.distrust(reasons)
+        self._capture.findings += others
         return chosen
 
     @property

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratios import comparable_frames, estimate_ratios
+from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls
 from camctl.model.sensor import SensorModel
 from camctl.records.frame import ExposureRatio, StoredFrame
@@ -34,8 +35,8 @@ def estimate_exposures(
     samples: Sequence[Patches],
     scale: SensorModel,
     controls: ExposureControls,
-) -> tuple[Estimates | None, list[str]]:
-    """Estimate the exposures of the frames of a capture; return warnings, too.
+) -> tuple[Estimates | None, list[Finding]]:
+    """Estimate the exposures of the frames of a capture; return findings, too.
 
     Frames that have no light in common with the others, as where one is saturated everywhere, have
     no estimate.  The first result is None where the frames do not allow any.
@@ -50,13 +51,10 @@ def estimate_exposures(
         noises = None if noise is None else [noise[k] for k in used]
         found = estimate_ratios([samples[k] for k in used], labels, scale, noises)
     except DataError as error:
-        return None, [f"the exposure ratios could not be estimated: {error.what}"]
+        return None, [Finding(code="not_estimated", details={"what": error.what})]
     unit, label = found.exposures[found.reference], labels[found.reference]
     notes = [
-        f"the exposure of frame {k + 1} could not be estimated: it has no pixels in common with "
-        "the others that are well exposed"
-        for k in range(len(frames))
-        if k not in used
+        Finding(code="not_estimated", frames=(k,)) for k in range(len(frames)) if k not in used
     ]
     rows = zip(used, labels, found.exposures, found.low, found.high, strict=True)
     exposures = {}
@@ -64,9 +62,13 @@ def estimate_exposures(
         exposures[k] = value, low, high
         if not low * (1 - 1e-9) <= stated <= high * (1 + 1e-9):
             notes.append(
-                f"frame {k + 1} has {value / stated * label / unit:.4g} times the exposure that "
-                f"the camera states, compared with frame {used[found.reference] + 1} (95 %: "
-                f"{low / stated:.4g} to {high / stated:.4g})"
+                Finding(
+                    code="exposure_estimated",
+                    frames=(k, used[found.reference]),
+                    value=value / stated * label / unit,
+                    low=low / stated,
+                    high=high / stated,
+                )
             )
     return Estimates(used[found.reference], exposures), notes
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from camctl.evidence.delay import DelayError
 from camctl.evidence.ratio_check import LAMP_DEPTH, RatioCheck
-from camctl.findings import note
+from camctl.findings import Finding
 from camctl.records.report import UnfinishedCapture
 
 #: A frame contradicts the metered light if this share of its samples is saturated, beyond those
@@ -16,8 +17,6 @@ _BEYOND_METERED = 0.6
 _MOST = 0.5
 #: Largest factor between two frames that lamps may explain.
 _LAMPS = (1 + LAMP_DEPTH) / (1 - LAMP_DEPTH)
-#: What helps where the light of the whole picture changes.
-_MENDS = "--estimate-ratios computes the pictures with the light that the frames show"
 #: Exposures up to this factor count as the same.
 _SAME = 1.02
 
@@ -29,8 +28,8 @@ def judge(
     delay_of: str | None,
     *,
     exposures_exact: bool = True,
-) -> None:
-    """Write into the report of a capture what its frames say of their exposures.
+) -> tuple[list[Finding], list[Finding]]:
+    """Return what the frames of a capture say of their exposures.
 
     Args:
         capture: all its frames were shot, those that were wrong twice
@@ -38,47 +37,43 @@ def judge(
         error: see `ShotLog.find`
         delay_of: id of the camera where its settings take effect late
         exposures_exact: see `ExposureControls`
+
+    Returns:
+        why the pictures are not trustworthy, and what else there is to know
     """
-    measure = f"measure the control delay with camctl calibrate delay --camera {delay_of}"
     wrong = [(k, check) for k, check in enumerate(checks) if check and not check.agrees]
     certain = [
         (k, check)
         for k, check in wrong
         if check.contradicts and (exposures_exact or _is_no_movement(check))
     ]
-    reasons = [_difference_text(capture, k, check) for k, check in certain]
-    if not reasons and delay_of and (brighter := _brighter_than_metered(capture)):
-        reasons.append(brighter)
+    mends: dict[str, Any] = {}
+    if not capture.request.estimate_ratios:
+        mends = {"estimate_ratios": True}
+    measure = {"calibrate_delay": delay_of}
+    late = Finding(code="delay_contradicts", value=error.shift if error else None, remedies=measure)
+    reasons = [_exposure_differs(capture, k, check, {}, certain=True) for k, check in certain]
+    if not reasons and delay_of:
+        reasons = _brighter_than_metered(capture)
     if error and error.shift:
-        count = f"{abs(error.shift)} frame{'s' if abs(error.shift) > 1 else ''}"
-        stale = (
-            f"every exposure took effect {count} {'later' if error.shift > 0 else 'earlier'} than "
-            f"the known control delay of the camera; {measure}"
-        )
-        if wrong:
-            reasons, wrong = [stale], []
-        else:
-            capture.findings.append(note(stale))
-    elif reasons and error:
-        reasons.append(
-            "the frames fit exposures that were set for other frames: probably the control delay "
-            f"of the camera is not the known one; {measure}"
-        )
+        return ([late], []) if wrong else (reasons, [late])
+    if reasons and error:
+        reasons.append(late)
     elif reasons:
-        is_of_lamps = all(
-            check.is_of_whole_picture and check.factor <= _LAMPS for _, check in certain
-        )
-        if is_of_lamps and exposures_exact and not capture.request.estimate_ratios:
-            reasons.append(f"if lamps flicker, {_MENDS}")
-        if delay_of:
-            reasons.append(f"if this happens again, {measure}")
-    if reasons:
-        capture.trustworthy, capture.untrustworthy_because = False, "; ".join(reasons)
+        lamps = all(check.is_of_whole_picture and check.factor <= _LAMPS for _, check in certain)
+        remedies = (mends if lamps and exposures_exact else {}) | (measure if delay_of else {})
+        reasons[-1] = reasons[-1].model_copy(update={"remedies": remedies})
     if not exposures_exact:
-        return  # they were compared before
-    estimated = capture.request.estimate_ratios
-    capture.findings += [
-        note(_change_text(capture, k, check, is_estimated=estimated))
+        return reasons, []  # they were compared before
+    return reasons, [
+        _exposure_differs(capture, k, check, mends)
+        if check.is_of_whole_picture
+        else Finding(
+            code="part_contradicts",
+            frames=(k - 1, k),
+            value=check.contradicting,
+            details={"compared": check.compared},
+        )
         for k, check in wrong
         if not check.contradicts
     ]
@@ -94,67 +89,51 @@ def _is_no_movement(check: RatioCheck) -> bool:
     return check.compared * check.contradicting > _MOST
 
 
-def _change_text(
-    capture: UnfinishedCapture, position: int, check: RatioCheck, *, is_estimated: bool
-) -> str:
-    """Return a warning of frames that differ, without most of many samples being wrong."""
-    if not check.is_of_whole_picture:
-        return (
-            f"frames {position} and {position + 1} can be compared in {check.compared:.2%} of the "
-            f"picture only, and {check.contradicting:.0%} of that does not fit their exposures: "
-            f"something moved there or its light changed, and only that part is wrong, or one of "
-            f"the frames has another exposure"
-        )
-    advice = "" if is_estimated else f"; {_MENDS}"
-    return (
-        f"{_difference_text(capture, position, check)}: do not trust the light of the picture to "
-        f"less than that (lamps that flicker, stray light, or a shutter that is not exact{advice})"
-    )
-
-
-def _brighter_than_metered(capture: UnfinishedCapture) -> str | None:
-    """Return which frame is white although the metered light is not; None: none is.
+def _brighter_than_metered(capture: UnfinishedCapture) -> list[Finding]:
+    """Return which frame is white although the metered light is not; the first one, or none.
 
     Of frames that are white altogether no ratio can be measured.
     """
     metering = capture.plan.metering
     if metering is None:
-        return None
+        return []
     expected = max(metering.clipped, capture.request.clip or 0.0)
     limit = metering.limit_s * metering.setting.gain
-    for number, frame in enumerate(capture.frames, start=1):
+    for place, frame in enumerate(capture.frames):
         if (
             frame is not None
             and frame.applied.exposure <= _SAME * limit
             and frame.saturated_fraction > expected + _BEYOND_METERED
         ):
-            return (
-                f"{frame.saturated_fraction:.0%} of frame {number} is white, and by the metered "
-                f"light it would be {expected:.0%}: it had a longer exposure, or the light changed"
-            )
-    return None
+            return [
+                Finding(
+                    code="frame_white",
+                    frames=(place,),
+                    value=frame.saturated_fraction,
+                    details={"metered": expected},
+                )
+            ]
+    return []
 
 
-def _names(capture: UnfinishedCapture, position: int) -> tuple[str, str]:
-    """Return what to call a frame and the one before it: by their files where they have some."""
+def _exposure_differs(
+    capture: UnfinishedCapture,
+    position: int,
+    check: RatioCheck,
+    remedies: dict[str, Any],
+    *,
+    certain: bool = False,
+) -> Finding:
+    """Return by how much a frame differs from the one before it."""
     frames = [capture.frames[k] for k in (position, position - 1)]
-    one, before = ("" if each is None else str(each.details.get("file", "")) for each in frames)
-    if one and before:
-        return one, before
-    return f"frame {position + 1}", "the frame before"
-
-
-def _difference_text(capture: UnfinishedCapture, position: int, check: RatioCheck) -> str:
-    """Return how a frame differs from the one before it."""
-    name, before = _names(capture, position)
-    if check.measured is None:
-        return (
-            f"the light in {name} does not fit its exposure, {check.expected:.4g} times "
-            f"that of {before}"
-        )
-    return (
-        f"{name} is {check.measured:.4g} times as bright as {before}, and its "
-        f"exposure is {check.expected:.4g} times as long, a factor of {check.factor:.3g} apart"
+    name, before = (None if each is None else each.details.get("file") for each in frames)
+    ratio = None if check.measured is None else check.measured / check.expected
+    return Finding(
+        code="exposure_differs",
+        frames=(position - 1, position),
+        value=ratio,
+        details={"expected": check.expected, "certain": certain, "name": name, "before": before},
+        remedies=remedies,
     )
 
 

@@ -25,6 +25,7 @@ from camctl.cli.output import (
     print_warning,
     progress_bar,
 )
+from camctl.messages.command_line import with_remedies
 from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
@@ -118,10 +119,14 @@ def print_findings(
 
     `name_frames` turns numbers of frames in a text into names.
     """
-    for finding in report.findings:
+    remarks = report.remarks
+    for finding in remarks:
         print_finding(finding)
     if report.untrustworthy_because is not None:
-        print_warning(f"not trustworthy: {name_frames(report.untrustworthy_because)}")
+        reasons = [finding for finding in report.findings if finding not in remarks]
+        remedies = {name: each for reason in reasons for name, each in reason.remedies.items()}
+        because = name_frames(report.untrustworthy_because)
+        print_warning(f"not trustworthy: {with_remedies(because, remedies)}")
 
 
 @contextmanager

@@ -12,6 +12,86 @@ from camctl.findings import Detail, Finding
 from camctl.messages import calibration, photographs
 from camctl.system.number_text import range_text, time_text
 
+# ---- exposures
+
+
+def _exposure_differs(finding: Finding) -> str:
+    details, ratio = finding.details, finding.value
+    name = details["name"] or f"frame {finding.frames[1] + 1}"
+    before = details["before"] if details["name"] and details["before"] else "the frame before"
+    expected = _number(details["expected"])
+    found = f"the light in {name} does not fit its exposure, {expected:.4g} times that of {before}"
+    if ratio is not None:
+        found = (
+            f"{name} is {ratio * expected:.4g} times as bright as {before}, and its exposure is "
+            f"{expected:.4g} times as long, a factor of {max(ratio, 1 / ratio):.3g} apart"
+        )
+    mends = ""
+    if "estimate_ratios" in finding.remedies:
+        mends = "the pictures can be computed with the light that the frames show"
+    if details["certain"]:
+        return f"{found}{mends and f'; if lamps flicker, {mends}'}{_delay_helps(finding)}"
+    return (
+        f"{found}: do not trust the light of the picture to less than that (lamps that flicker, "
+        f"stray light, or a shutter that is not exact{mends and f'; {mends}'})"
+    )
+
+
+def _delay_helps(finding: Finding) -> str:
+    """Return what to do again where settings take effect late."""
+    if "calibrate_delay" in finding.remedies:
+        return "; if this happens again, measure the control delay"
+    return ""
+
+
+def _part_contradicts(finding: Finding) -> str:
+    first, second = finding.frames
+    return (
+        f"frames {first + 1} and {second + 1} can be compared in "
+        f"{finding.details['compared']:.2%} of the picture only, and {finding.value:.0%} of that "
+        "does not fit their exposures: something moved there or its light changed, and only that "
+        "part is wrong, or one of the frames has another exposure"
+    )
+
+
+def _delay_contradicts(finding: Finding) -> str:
+    if not finding.value:
+        return (
+            "the frames fit exposures that were set for other frames: probably the control delay "
+            "of the camera is not the known one; measure it"
+        )
+    count = f"{abs(finding.value):g} frame{'s' if abs(finding.value) > 1 else ''}"
+    return (
+        f"every exposure took effect {count} {'later' if finding.value > 0 else 'earlier'} than "
+        "the known control delay of the camera; measure the control delay"
+    )
+
+
+def _frame_white(finding: Finding) -> str:
+    return (
+        f"{finding.value:.0%} of frame {finding.frames[0] + 1} is white, and by the metered light "
+        f"it would be {finding.details['metered']:.0%}: it had a longer exposure, or the light "
+        f"changed{_delay_helps(finding)}"
+    )
+
+
+def _exposure_estimated(finding: Finding) -> str:
+    frame, reference = finding.frames
+    return (
+        f"frame {frame + 1} has {finding.value:.4g} times the exposure that the camera states, "
+        f"compared with frame {reference + 1} (95 %: {finding.low:.4g} to {finding.high:.4g})"
+    )
+
+
+def _not_estimated(finding: Finding) -> str:
+    if not finding.frames:
+        return f"the exposure ratios could not be estimated: {finding.details['what']}"
+    return (
+        f"the exposure of frame {finding.frames[0] + 1} could not be estimated: it has no pixels "
+        "in common with the others that are well exposed"
+    )
+
+
 # ---- settings
 
 
@@ -143,6 +223,12 @@ def _number(value: Detail) -> float:
 
 
 SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
+    "exposure_differs": _exposure_differs,
+    "part_contradicts": _part_contradicts,
+    "delay_contradicts": _delay_contradicts,
+    "frame_white": _frame_white,
+    "exposure_estimated": _exposure_estimated,
+    "not_estimated": _not_estimated,
     "flicker": lambda finding: (
         f"{finding.value:.4g} s is not a whole number of the lamps' flicker periods of "
         f"{finding.details['period_s']:.4g} s"

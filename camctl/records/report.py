@@ -132,6 +132,19 @@ class _CaptureData(ReportModel):
         """What to know of the pictures, one line each."""
         return [sentence(finding) for finding in self.findings]
 
+    @property
+    def remarks(self) -> list[Finding]:
+        """The findings without those for which the pictures are not trustworthy."""
+        because = self.untrustworthy_because or ""
+        return [finding for finding in self.findings if sentence(finding) not in because]
+
+    def distrust(self, reasons: list[Finding]) -> None:
+        """Add findings for which the pictures are not trustworthy."""
+        self.findings += reasons
+        if reasons:
+            self.trustworthy = False
+            self.untrustworthy_because = "; ".join(map(sentence, reasons))
+
     @model_validator(mode="before")
     @classmethod
     def _without_computed(cls, content: object) -> object:

@@ -20,7 +20,6 @@ from sim.scenes.scene import scene_names
 from sim.sensors.sensor import sensor_names
 
 FACTORS = (0.1, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1, 1.25, 2.0, 10.0)
-_WARNING = "do not trust"
 #: A bracket as it is computed for constant contrast, without the time to compute it.
 _REQUEST = camctl.CaptureRequest(ratios=(1.0, 8.9, 88.0))
 
@@ -55,7 +54,7 @@ def main() -> None:
                 ratio = report.frames[1].ratio
                 counts["compared"] += ratio is not None and ratio.compared >= 0.1
                 counts["not"] += not report.trustworthy
-                counts["warned"] += any(_WARNING in warning for warning in report.warnings)
+                counts["warned"] += any(each.code == "exposure_differs" for each in report.findings)
         print(
             f"{factor:6g}  {counts['all']:8}  {counts['compared']:8}  {counts['not']:15}  "
             f"{counts['warned']:6}",

@@ -231,7 +231,7 @@ def test_untrustworthy_capture_ends_with_status_3(
     ran = run("shoot", "--ratios", "1,2,4", "-o", "here", "--json")
     assert ran.status == 3
     assert ran.json["trustworthy"] is False
-    assert f"warning: not trustworthy: {ran.json['untrustworthy_because']}\n" in ran.err
+    assert f"warning: not trustworthy: {ran.json['untrustworthy_because']}" in ran.err
     assert {path.name for path in Path("here").iterdir()} >= set(ran.json["files"].values())
     FaultyBackend.faults = wrong
     ran = run("shoot", "--ratios", "1,2,4", "-o", "there")

@@ -16,6 +16,7 @@ import usb.core
 from guest_processes import Forked, clock_in_step, spawner, wait_for
 
 from camctl import CaptureReport, read_report
+from camctl.findings import Finding
 from camctl.interface.camera import Camera, StreamingCamera
 from camctl.interface.controls import ExposureSetting
 from camctl.profiles.calibrated import open_camera
@@ -367,9 +368,9 @@ def completed_frames(directory: str) -> list[FrameRecord]:
     return frames
 
 
-def distrust_warnings(report: CaptureReport) -> list[str]:
-    """Return the warnings that a capture's frames do not have the exposures they should."""
-    return [warning for warning in report.warnings if "do not trust" in warning]
+def distrust_warnings(report: CaptureReport) -> list[Finding]:
+    """Return where a capture's frames do not have the exposures they should."""
+    return [finding for finding in report.findings if finding.code == "exposure_differs"]
 
 
 def setting(camera: Camera, time_s: float) -> ExposureSetting:

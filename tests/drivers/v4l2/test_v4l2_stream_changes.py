@@ -191,7 +191,8 @@ def test_stale_delay_makes_a_capture_untrustworthy(delay: int) -> None:
     with open_streaming(Model(delay=2)) as camera:
         report = capture(camera, request)
     assert not report.trustworthy
-    assert f"calibrate delay --camera v4l2:{PATH}" in (report.untrustworthy_because or "")
+    remedies = [finding.remedies for finding in report.findings]
+    assert {"calibrate_delay": f"v4l2:{PATH}"} in remedies
     save_delay(2)
     with open_streaming(Model(delay=2)) as camera:
         assert capture(camera, request).trustworthy
