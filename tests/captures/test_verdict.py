@@ -103,7 +103,8 @@ def test_untrustworthy_capture_has_all_its_files(tmp_path: Path) -> None:
     written = json.loads((tmp_path / "out" / "report.json").read_text())
     assert written["trustworthy"] is False
     assert "exposure is 2 times as long" in written["untrustworthy_because"]
-    assert [each["details"]["expected"] for each in written["findings"]] == [2.0, 2.0]
+    assert [each["code"] for each in written["findings"]] == ["exposure_differs"] * 2
+    assert [each["frames"] for each in written["findings"]] == [[0, 1], [1, 2]]
 
 
 @pytest.mark.parametrize(
