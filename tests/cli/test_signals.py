@@ -109,7 +109,7 @@ AtCall = Callable[[str, signal.Signals], None]
         (SHOOT, "camctl.captures.sequence:complete", f"; 2 of 2 frames are kept; {RESUME}"),
         (SHOOT, "tifffile:imwrite", f"; 2 of 2 frames are kept; {RESUME}"),
         (SHOOT, CLOSING, "; the capture in out is complete"),
-        (SHOOT, "camctl.cli.shoot:capture_text", "; the capture in out is complete"),
+        (SHOOT, "camctl.cli.capture_output:capture_text", "; the capture in out is complete"),
         ("solve -n 2", "camctl.exposure.solver:solve", ""),
         ("simulate --size 24x16", "sim.render:Renderer.expose", ""),
         ("simulate --size 24x16", CLOSING, ""),
