@@ -127,7 +127,7 @@ class NeighbourCheck:
 
         Args:
             before: brightness in the patches of one frame
-            after: the same of the next frame
+            after: brightness in the patches of the next frame
             expected: ratio of their exposures, after over before
             lamps: factor by which lamps may change it; see `lamp_factor`
             most: factor by which they may before the picture is not trustworthy
@@ -220,7 +220,7 @@ class NeighbourCheck:
     def _moved(
         self, light: _Floats, then: _Floats, usable: NDArray[np.bool_], ratio: float
     ) -> float:
-        """Return the share of the samples in patches whose ratio is not that of most."""
+        """Return the share of the samples in patches whose ratio differs from most."""
         count = np.count_nonzero(usable, axis=1)
         if not count.any() or not 0 < ratio < math.inf:
             return 0.0
@@ -256,7 +256,7 @@ def _spread(ratios: _Floats, weights: _Floats) -> float:
 
 
 def _share_outside(votes: _Floats, weights: _Floats, expected: float, factor: float) -> float:
-    """Return the share of the votes above, or that below, expected times or over the factor."""
+    """Return the larger share of the votes: above expected x factor, or below expected / factor."""
     above, below = votes > expected * factor, votes < expected / factor
     return float(max(weights[above].sum(), weights[below].sum()) / weights.sum())
 

@@ -8,8 +8,8 @@ Thresholds are quantiles of the normal distribution.  Samples have marks where n
 mark `FALSE_ALARMS` of them; a place is reported where the mean of 5 x 5 contradicts so much that
 noise would report one in `SIGNIFICANCE` of the captures in which nothing moves.
 
-What light does that spreads from saturated pixels is no movement, see `camctl.evidence.spill`, but
-the picture is wrong there: it is marked, and counted apart.
+Light that spreads from saturated pixels (blooming) is not movement, see `camctl.evidence.spill`,
+but the picture is wrong there: it is marked, and counted apart.
 """
 
 from __future__ import annotations
@@ -77,10 +77,10 @@ class FoundMovement:
         area: share of the picture's blocks of `block` x `block` pixels in which it is no noise;
             larger than `share`, since not each sample of a block contradicts
         block: side of a block of the map, pixels
-        spread: share of the samples that contradict by light that spread to them from saturated
+        spread: share of the samples that contradict because light spread to them from saturated
             ones of a longer exposure: the picture is too bright there.  All have marks, too.  A
             bright thing that moved beside such samples looks the same
-        compared: share of the samples that two frames have in range, of the two that have most
+        compared: share of the samples that are in range in two frames, of the pair with most
     """
 
     share: float

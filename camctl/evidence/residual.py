@@ -5,10 +5,10 @@ residual is what the shorter frame shows beyond it, over the standard deviation:
 and of the mean of 5 x 5, in which noise averages out and what neighbours share does not.
 
 Where the noise is known, the sensor model predicts the variance; one factor for the variance of
-samples and one for that of means hold what it lacks (lag, rows that differ).  Where it is unknown,
-as for photographs, variance and mean error are measured as functions of brightness in patches at
-rest: those of `camctl.evidence.moved_parts` are left out, and others lose their weight by iterated
-trimming.  Photographs have errors at edges besides: see `EdgeLimits`.
+samples and one for the variance of means hold what it lacks (lag, rows that differ).  Where it is
+unknown, as for photographs, variance and mean error are measured as functions of brightness in
+patches at rest: parts that `camctl.evidence.moved_parts` finds are left out, and others lose their
+weight by iterated trimming.  Photographs have errors at edges besides: see `camctl.evidence.edges`.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Tables:
     Attributes:
         mean: light of the shorter frame
         sample: standard deviation of a sample
-        square: that of the mean of 5 x 5, times 5: as if it were of a sample
+        square: standard deviation of the mean of 5 x 5, times 5: as if it were of a sample
         skewness: of a sample
     """
 
@@ -268,7 +268,7 @@ def _trimmed_median(values: _Floats, spread: float) -> float:
 def _trimmed_mean(values: _Floats) -> float:
     """Return the mean of positive values without those above `_TRIM` squared times the median.
 
-    It is that of the variances of blocks of JPEG files, of which many are smooth and some are not.
+    Blocks of JPEG files have such variances: many are smooth and some are not.
     """
     return float(np.mean(values[values <= _TRIM**2 * max(float(np.median(values)), 1e-12)]))
 

@@ -50,7 +50,7 @@ _AROUND = 9
 #: Or if fewer than `LOST` of those connected are darker in the longer frame than expected.
 #: With unknown noise that proves nothing: what became darker may not be found in the pair before.
 #: It does not where the first to the ninth tenth of them are brighter by nearly the same factor, up
-#: to this logarithm: their light changed, as that of lamps that flicker.
+#: to this logarithm: their light changed, as under lamps that flicker.
 _ONE_FACTOR = 0.1
 #: Light spreads if this share of the pixels beside saturated ones contradict; the second share with
 #: unknown noise, since errors of JPEG files are larger there.  It ends where the share is less than
@@ -140,8 +140,8 @@ class LightSpread:
             limits: of the shorter frame
             found: samples that contradict
             comparable: samples that the longer frame does not saturate
-            short: those of the shorter frame
-            long: those of the longer one
+            short: samples of the shorter frame
+            long: samples of the longer one
 
         Returns:
             in the shape of the samples, and of them or (rows, columns, 1)
@@ -150,7 +150,7 @@ class LightSpread:
         spread = np.zeros_like(source)
         if self.streaks:
             spread |= _connected_runs(_any_colour(found), source)
-            # Single samples of a short exposure have too much noise there, those of a streak not.
+            # Single samples of a short exposure have too much noise there, a streak has not.
             low, high = (each[:, self.white - 1] for each in (limits.low, limits.high))
             darker = ~comparable & (short < low + (high - low) // 2)
             flooded = darker & _mostly(darker & (short < low + (high - low) // 4))
