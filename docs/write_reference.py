@@ -205,7 +205,8 @@ def _annotations(model: type) -> dict[str, Any]:
             for name, field in model.model_computed_fields.items()
         }
         return {name: hints[name] for name in model.model_fields} | computed
-    return {field.name: hints[field.name] for field in dataclasses.fields(model)}
+    # What is not shown of a value is not part of a report.
+    return {field.name: hints[field.name] for field in dataclasses.fields(model) if field.repr}
 
 
 def _meanings(model: type) -> dict[str, str]:
