@@ -33,6 +33,7 @@ CODES: Final[dict[str, str]] = {
     "frame_white": "share of the frame that is saturated, though the metered light is not",
     "exposure_estimated": "exposure in the pixels over the stated one",
     "not_estimated": "nothing: an exposure, or all of them, could not be estimated from the pixels",
+    "curve_repaired": "nothing: the curve of the camera was repaired; `repair` says how",
     "setting_differs": "what the camera sets instead of the requested value; `field` names it",
     "flicker": "shutter time that is not a whole number of the lamps' flicker periods, s",
     "steps_cost_levels": "effective levels that the camera's steps allow",

@@ -19,7 +19,7 @@ from camctl.exposure.search.ranges import Chosen
 from camctl.exposure.search.settings import relative_exposures
 from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.exposure.table import ExposureTable
-from camctl.findings import note
+from camctl.findings import Finding
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureControls
 from camctl.model.effective import EffectiveCamera
@@ -104,7 +104,7 @@ def plan_for(controls: ExposureControls, search: Search, light: Light | None) ->
         findings=(
             *controls.response_findings,
             *controls.findings,
-            *map(note, real.notes),
+            *(Finding(code="curve_repaired", details={"repair": each}) for each in real.notes),
             *setting_findings(controls, request, plan, light, possible),
         ),
     )

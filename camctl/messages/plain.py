@@ -229,6 +229,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "frame_white": _frame_white,
     "exposure_estimated": _exposure_estimated,
     "not_estimated": _not_estimated,
+    "curve_repaired": lambda finding: str(finding.details["repair"]),
     "flicker": lambda finding: (
         f"{finding.value:.4g} s is not a whole number of the lamps' flicker periods of "
         f"{finding.details['period_s']:.4g} s"

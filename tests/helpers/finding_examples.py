@@ -26,6 +26,10 @@ _FINDINGS = (
     Finding(code="exposure_estimated", frames=(1, 0), value=1.021, low=1.019, high=1.023),
     Finding(code="not_estimated", details={"what": "the frames are black"}),
     Finding(code="setting_differs", value=0.02, details={"field": "base_s", "requested": 0.0213}),
+    Finding(
+        code="curve_repaired",
+        details={"repair": "brightness 0.02 without light was subtracted"},
+    ),
     Finding(code="flicker", value=0.004, details={"period_s": 0.01}),
     Finding(code="steps_cost_levels", value=61.0, details={"possible": 75.0}),
     Finding(code="time_differs", value=1.9, details={"planned_s": 1.2}),
