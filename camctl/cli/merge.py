@@ -23,7 +23,7 @@ from camctl.cli.output import (
     print_json,
     print_text,
 )
-from camctl.cli.parameter_types import FILE, PATH, Name, Ratios, Text
+from camctl.cli.parameter_types import FILE, PATH, Name, Number, Ratios, Text
 from camctl.cli.real_camera import STANDARDS
 from camctl.cli.request_options import (
     COUNT,
@@ -102,6 +102,11 @@ _CHOICE = {
         "STOPS",
         STOPS,
     ),
+    "clip_percent": RequestOption(
+        "Share of the picture, the brightest, that may saturate in every photograph.  [default: 0]",
+        "PERCENT",
+        Number("a percentage from 0 to 50", least=0, most=50),
+    ),
 }
 """Options of a request whose help pages say something else of photographs."""
 
@@ -114,9 +119,7 @@ _CHOICE = {
     )
 )
 @_source_options
-@request_options(
-    *("response", "gamma", "dynamic_range", "clip_percent", *_CHOICE), has_light=True, **_CHOICE
-)
+@request_options(*("response", "gamma", "dynamic_range", *_CHOICE), has_light=True, **_CHOICE)
 @options.result_folder("merge")
 @options.as_json
 def merge(

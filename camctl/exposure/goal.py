@@ -62,7 +62,7 @@ class Goal:
             order of irradiance (> 0); both are scaled to end at 1, and u to begin at 0
         clip_percent: percentage of the samples, the brightest, that may be saturated in every
             frame; None: lamps and reflections, at most 0.5 % and at least two stops brighter than
-            the rest
+            the rest, but nothing where the frames are photographs already taken
         levels_wanted: number of levels G of the desired camera; None: as many as the frames hold
         tolerance: take the fewest exposures, `count` at most, that leave no more than this number
             of `levels_wanted` missing

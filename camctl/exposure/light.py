@@ -91,7 +91,9 @@ class Light:
     def limited(self, goal: Goal, controls: ExposureControls) -> Light:
         """Return the same light in units of the longest shortest exposure that a goal allows."""
         whole_s = self.metering.limit_s
-        end = self.upper_end(goal.clip, goal.given_range)
+        # Photographs already taken hold what they hold: clipping would gain no range and no time.
+        clip = 0.0 if goal.clip is None and not controls.repeatable else goal.clip
+        end = self.upper_end(clip, goal.given_range)
         limit_s = min(whole_s / end, controls.time_s.maximum)
         unit = whole_s / limit_s
         return replace(
