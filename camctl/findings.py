@@ -26,7 +26,7 @@ class Place(BaseModel):
 CODES: Final[dict[str, str]] = {
     "note": "nothing: its sentence is the detail `text`",
     # Exposures: what the frames say of the exposures that the camera states.
-    "exposure_differs": "ratio of the light to that of the frame before over the ratio of the"
+    "exposure_differs": "light over the light of the frame before, over the ratio of the"
     " exposures; null: no ratio could be measured",
     "part_contradicts": "share of the comparable samples that do not fit the exposures",
     "delay_contradicts": "frames by which exposures took effect late; negative: early",

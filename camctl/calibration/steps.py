@@ -168,7 +168,7 @@ class _Calibration:
     def _check_highlights(
         self, camera: Camera, options: StepOptions, progress: Progress
     ) -> Found | None:
-        """Return the response of frames without saturation if it differs from that of all frames.
+        """Return the response of frames without saturation if it differs from the response of all.
 
         Frames with much saturation show the dark levels best, but charge and light that spill over
         from their highlights (blooming, glare) bend the curve.

@@ -43,7 +43,7 @@ _COUNTS, _CLIPS, _FACTORS = (3, 6), (1.0, 2.0, 3.0, 4.0), (2, 4, 16)
 _NEARLY = 0.99
 #: Stops by which a shorter exposure holds what lamps that flicker added, mostly.
 _FLICKER_STOPS = 0.5
-#: Range and stops of a bracket whose longest exposure is some hundred times shorter than that of
+#: Range and stops of a bracket whose longest exposure is some hundred times shorter than for
 #: the whole light.  A range only a little smaller can have more spread light: another exposure of
 #: the bracket is then in the middle.
 _SMALL_RANGE, _SPREAD_STOPS = 256, 2.0

@@ -123,7 +123,7 @@ class Sequence:
     def _failure(
         self, what: str, kind: type[CamctlError], remedies: Mapping[str, Any] | None = None
     ) -> CamctlError:
-        """Return the error with the number of frames that are kept, and how to go on."""
+        """Return the error with the number of frames that are kept, and how to continue."""
         after = self._kept()
         return kind(
             f"{what}; {after.kept}",

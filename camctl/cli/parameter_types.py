@@ -94,7 +94,7 @@ def _built_in_names(folder: str) -> list[str]:
     return sorted(file.name.removesuffix(".json") for file in files if file.name.endswith(".json"))
 
 
-# The entry-point groups are those of `camctl.interface.backends`, which imports numpy.
+# The entry-point groups are also in `camctl.interface.backends`, which imports numpy.
 CAMERA = Text(lambda: _entry_point_names("camctl.cameras"))
 PANEL = Text(lambda: _entry_point_names("camctl.panels"))
 SCENE = Text(lambda: _built_in_names("scenes"), files=True)

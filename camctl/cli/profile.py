@@ -182,7 +182,7 @@ def _measurements(found: Profile) -> list[tuple[str, str]]:
 
 
 def _mode_of_delay(mode: str, known: Iterable[str]) -> str:
-    """Return the mode of a control delay as that of the other measurements, with its frame rate.
+    """Return the mode of a control delay as other measurements name it, with its frame rate.
 
     A stream's mode ends in the frame rate, theirs in the white level: it is itself where none or
     several of theirs have its format and size.

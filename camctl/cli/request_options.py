@@ -156,7 +156,7 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
         "them; for shutters that are not exact, and for light that changes a little."
     ),
 }
-"""The fields of a request; their names as options are those of `messages.command_line.OPTIONS`."""
+"""The fields of a request; `messages.command_line.OPTIONS` has their names as options."""
 
 NAMES: Final = {"count": ("-n", "--exposures"), "mains_hz": ("--mains",)}
 """Names of options that have two, or another one where they are no setting of --set."""

@@ -132,7 +132,7 @@ class SolveResult:
         return f"{text}\n\n{certificate_text(self.certificate)}"
 
     def _comparison(self) -> list[tuple[str, str]]:
-        """Return rows that compare exposures on a camera's settings with those of any times."""
+        """Return rows that compare exposures on a camera's settings with exposures of any times."""
         unrestricted = self.camera.rate(self.desired, self.found.exposures)
         share = self.quality.effective_levels / unrestricted.effective_levels
         kept = f"the camera's settings reach {format_number(100 * share, 3)} % of these levels"

@@ -50,7 +50,7 @@ class _Hypothesis:
         shift: frames by which exposures come late; negative: early
         pause: slots between two sequences beyond the least
         before: exposure in force before the capture, as the ratios show it
-        explained: pairs of shots whose ratio of light is that of the exposures set before them
+        explained: pairs of shots whose light has the ratio of the exposures set before them
         is_needed: whether one of these ratios does not fit the shots' own exposures
     """
 

@@ -84,7 +84,7 @@ class _Patches:
         """
         k = np.arange(1, _HARMONICS + 1)
         total = (noise + self.rounding)[:, None]
-        # Where noise is that of a step, they are below 1e-8.
+        # Where noise is one step, they are below 1e-8.
         square = np.minimum(total / np.maximum(self.step, _SMALLEST_STEP)[:, None], 1.0)
         weights = (-1.0) ** k * np.exp(-2 * (math.pi * k) ** 2 * square)
         waves = weights * self.phases.real * (1 / (math.pi * k) ** 2 + 4 * square)
@@ -125,7 +125,7 @@ class _Fit(NamedTuple):
     covariance: _Floats
 
     def neighbours(self) -> list[_Floats]:
-        """Return noises whose effects, squared and summed, are the variance of that of `noise`."""
+        """Return noises whose squared effects add up to the variance of the effect of `noise`."""
         found = []
         for axis in np.linalg.cholesky(self.covariance).T:
             inside = self.noise + axis if np.all(self.noise + axis >= 0) else self.noise - axis
@@ -134,11 +134,11 @@ class _Fit(NamedTuple):
 
 
 def _least_squares(terms: _Floats, values: _Floats) -> tuple[_Floats, _Floats]:
-    """Return two coefficients >= 0 of least squares, and the covariance of those of any sign."""
+    """Return two coefficients >= 0 of least squares, and their covariance for any sign."""
     square, product = terms.T @ terms, terms.T @ values
     both = np.linalg.solve(square, product)
     residual = values - terms @ both
-    # Errors larger than those of noise alone, as by contrast, make the coefficients as uncertain.
+    # Errors larger than by noise alone, as by contrast, make the coefficients as uncertain.
     scale = max(1.0, float(residual @ residual) / (values.size - 2))
     covariance = scale * np.linalg.inv(square)
     if both.min() >= 0:

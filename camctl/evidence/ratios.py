@@ -147,7 +147,7 @@ def comparable_frames(
 ) -> set[int]:
     """Return the frames that can be compared with most others, directly or through others.
 
-    Arguments are those of `estimate_ratios`.
+    Arguments as of `estimate_ratios`.
     """
     seen = _Observations.of(frames, scale, noise)
     common = _common_patches(seen.weights(seen.light) > 0)

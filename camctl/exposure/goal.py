@@ -258,7 +258,7 @@ class Goal:
 class CaptureRequest(Goal):
     """A goal, and how to shoot it; everything else is looked up, metered or measured.
 
-    The fields of the goal, with their defaults, are those of `Goal`.
+    The fields of the goal, with their defaults, are the fields of `Goal`.
 
     Attributes:
         ratios: the exposures, relative to each other, instead of looked-up ones; `count` is not

@@ -10,7 +10,7 @@ SMALLEST_MOVE, LARGEST_MOVE = 1e-5, 2.0
 """Scales of the random moves, in ln e: far below an 8-bit interleave (4e-3) up to a factor of 7."""
 
 SIMILAR_STEPS = 0.25
-"""Relative difference up to which a camera's interleave step is that of a linear camera."""
+"""Relative difference up to which a camera's interleave step equals a linear camera's."""
 
 LEAST_LEVELS = 15
 """A camera of fewer levels counts as linear: they are too few to show a step."""

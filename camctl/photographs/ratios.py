@@ -153,7 +153,7 @@ def neighbours_differ(
 ) -> float:
     """Return by how much neighbours in brightness differ from their exposures, in all.
 
-    It is the sum of the magnitudes of logarithms.  Arguments are those of `exposure_runs`.
+    It is the sum of the magnitudes of logarithms.  Arguments as of `exposure_runs`.
     """
     jumps = [jump for run in exposure_runs(photographs, patches, scale) for jump in run.jumps]
     return float(np.abs(jumps).sum())
@@ -182,7 +182,7 @@ def corrected_exposures(
 
     Shutters are not exact, and film is less sensitive in long exposures.  An exposure is changed
     where the stated one lies outside the 95 % interval of the estimate, by `MOST_CORRECTED` at
-    most: what differs by more has a wrong label.  Arguments are those of `exposure_runs`.
+    most: what differs by more has a wrong label.  Arguments as of `exposure_runs`.
     """
     result, factors = list(photographs), dict[int, float]()
     shown = sorted(comparable_frames(patches, scale))
@@ -191,7 +191,7 @@ def corrected_exposures(
         found = estimate_ratios([patches[k] for k in shown], stated, scale)
     except DataError:
         return result, []
-    # The unit is that of one with as many above as below: two that contradict are not averaged.
+    # The unit is the median one: two that contradict are not averaged.
     changes = np.array(found.exposures) / stated
     unit = float(np.sort(changes)[(changes.size - 1) // 2])
     for k, position in enumerate(shown):

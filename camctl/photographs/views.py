@@ -155,7 +155,7 @@ def unlike_each_other(found: Likenesses, count: int) -> tuple[int, int] | None:
 
 
 def _is_less_sharp(k: int, against: Likenesses) -> bool:
-    """Return whether photograph `k` is less sharp than those of the pairs with it."""
+    """Return whether photograph `k` is less sharp than the others of its pairs."""
     if all(
         each.is_darker_less_sharp if pair[0] == k else each.is_brighter_less_sharp
         for pair, each in against.items()

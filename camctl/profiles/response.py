@@ -132,7 +132,7 @@ class ChannelResponse(BaseModel):
             raise ValueError("expected black < white")
         lists = (self.irradiance, self.brightness, self.deviation or self.brightness)
         if len({len(values) for values in lists}) > 1 or len(self.irradiance) < 2:
-            raise ValueError("expected two or more numbers, as many in each list")
+            raise ValueError("expected two or more numbers, equally many in each list")
         for values in (self.irradiance, self.brightness):
             if values[0] != 0 or values[-1] != 1 or not np.all(np.diff(values) > 0):
                 raise ValueError("expected numbers that ascend from 0 to 1")

@@ -228,7 +228,7 @@ class FolderStore:
         return dict(PICTURE_FILES)
 
     def after_failure(self, done: int, count: int) -> AfterFailure:
-        """Say how many frames are kept, and how to go on."""
+        """Say how many frames are kept, and how to continue."""
         if not (self.directory / REPORT).exists():
             gone = f"{self.directory} was removed meanwhile, and the frames with it"
             return AfterFailure(gone, "shoot again")

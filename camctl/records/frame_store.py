@@ -36,7 +36,7 @@ class AfterFailure(NamedTuple):
 
     Attributes:
         kept: how many frames are kept
-        hint: how to go on
+        hint: how to continue
         remedies: the same as data, see `camctl.findings.Finding.remedies`
     """
 

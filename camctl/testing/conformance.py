@@ -81,7 +81,7 @@ class CameraConformance(LightChecks, FaultChecks):
         assert self.shoot(camera, []) == []
 
     def test_light_is_proportional_to_the_exposure(self, camera: Camera) -> None:
-        """Every frame has the exposure that it reports, not the one of an earlier setting."""
+        """Every frame has the exposure that it reports, not the exposure of an earlier one."""
         settings = self.times(camera, [1, 0.25, 1, 0.5, 0.25])
         frames = self.shoot(camera, settings)
         compared = [self.check_light(camera, frames[0], frame) for frame in frames[1:]]

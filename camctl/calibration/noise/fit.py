@@ -286,7 +286,7 @@ def _scores(
     """Return the terms of the normal equations, the design, the weights and the residuals.
 
     A patch's mean has noise, too: where the scene has few shades near black, the brightness of the
-    darkest patches is too dark on average, and that of others too bright.  The first term of its
+    darkest patches is too dark on average, and of other patches too bright.  The first term of its
     expansion is subtracted.
     """
     h = np.sqrt(np.maximum(shape.variances(patches), LEAST_VARIANCE) / (2 * (patches.freedom + 1)))

@@ -107,7 +107,7 @@ def estimate_response(
 
     Args:
         series: frames of different exposure of one scene; with a chart, one is enough
-        estimate_ratios: the exposures are approximate (30 %), and are estimated, too, as those of
+        estimate_ratios: the exposures are approximate (30 %), and are estimated, too, as for
             a series that does not state them always are
         chart: adds the brightness of its patches to what the frames say
         is_scene_checked: False: the caller checks exposures and movement itself
@@ -179,7 +179,7 @@ def _record(
     fits: Sequence[ResponseFit],
     saturating: dict[str, bool],
 ) -> ResponseRecord:
-    """Return the record of the fits; one fit is that of all channels in `saturating`."""
+    """Return the record of the fits; one fit is for all channels in `saturating`."""
     found = [each.response(fit, series, edges) for each, fit in zip(channels, fits, strict=True)]
     if len(found) < len(saturating):
         found *= len(saturating)

@@ -6,7 +6,7 @@ slope q, the samples below E have light below E (1 + d) with
 
     d = (a q / E + b (q - 1) / E^2) / 2,
 
-to second order in the noise.  Dark levels of short exposures are shifted more than those of long
+to second order in the noise.  Dark levels of short exposures are shifted more than in long
 ones, by 1 % where a level has 100 electrons.
 """
 

@@ -48,7 +48,7 @@ class Series:
         exposures_are_stated: the exposures are known, at least roughly; else `guess_exposures`
             replaces them
         is_shot: camctl has shot the frames itself: no file or label of the user's can be wrong
-        measured_exposures: whether the exposures are those of the camera's profile; "ignored": it
+        measured_exposures: whether the exposures are from the camera's profile; "ignored": it
             has some, but they were measured without a known response
         names: of the frames in messages
         exposures: of the frames, in any common unit

@@ -27,7 +27,7 @@ _ROWS_NEAR, _COLUMNS_NEAR = 2, 1
 #: What spills over: a pair of frames whose levels match otherwise without samples near saturation,
 #: by this much, relative, and by so many standard errors.
 _LEAST_SPILLED, _CERTAIN = 0.003, 5.0
-#: Neighbouring matches have pixels in common: as many count as one.
+#: Neighbouring matches have pixels in common: so many count as one.
 _ALIKE = 5.0
 #: Matches that are compared in a pair of frames, at least, and the brightness, as a share of full
 #: scale, up to which they are: above it noise decides which samples are saturated.

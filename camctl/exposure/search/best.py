@@ -45,7 +45,7 @@ _MOST_LEVELS_SORTED = 8_000_000
 _LEAST_SETS, _MOST_SETS = 16, 400
 #: Attempts to find settings within a time budget.
 _ATTEMPTS = 6
-#: Relative difference up to which a time is within the budget: more than that of float64.
+#: Relative difference up to which a time is within the budget: more than float64 rounds.
 _SAME = 1e-8
 
 Found: TypeAlias = tuple[tuple[ExposureSetting, ...], tuple[float, ...]]
@@ -289,7 +289,7 @@ def within_budget(
         over_s = wall_s(found[0]) - budget_s
         if over_s <= _SAME * budget_s:
             return found
-        assert allowed.time_budget_s is not None  # it is that of `request`, or less
+        assert allowed.time_budget_s is not None  # as in `request`, or less
         try:
             allowed = replace(allowed, time_budget_s=allowed.time_budget_s - reduction * over_s)
             found = choose(allowed)
