@@ -1,6 +1,6 @@
 """The exposures that are stated for a series, against what its pixels show.
 
-Pixels show the exposures up to a power (see `camctl.calibration.response.fit`): their logarithms lie
+Pixels give exposures up to a power (see `camctl.calibration.response.fit`): their logarithms lie
 on a line over the logarithms of the stated ones.  A distance from it is an error of a label, of the
 shutter, or of the light.  The line passes through two of the points, so that the sum of the square
 roots of the distances is least: a few wrong labels do not bend it.
