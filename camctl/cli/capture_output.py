@@ -112,21 +112,16 @@ def show_capture(
         click.get_current_context().exit(UNTRUSTWORTHY)
 
 
-def print_findings(
-    report: CaptureReport, name_frames: Callable[[str], str] = lambda text: text
-) -> None:
-    """Print one line of warning for each finding of a report.
-
-    `name_frames` turns numbers of frames in a text into names.
-    """
+def print_findings(report: CaptureReport) -> None:
+    """Print one line of warning for each finding of a report."""
     remarks = report.remarks
     for finding in remarks:
         print_finding(finding)
     if report.untrustworthy_because is not None:
         reasons = [finding for finding in report.findings if finding not in remarks]
         remedies = {name: each for reason in reasons for name, each in reason.remedies.items()}
-        because = name_frames(report.untrustworthy_because)
-        print_warning(f"not trustworthy: {with_remedies(because, remedies)}")
+        because = with_remedies(report.untrustworthy_because, remedies)
+        print_warning(f"not trustworthy: {because}")
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -158,7 +157,7 @@ def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json:
     """Print which photographs are used, which are not and why, and the summary of the capture."""
     from camctl.messages.command_line import finding_line
 
-    print_findings(report, lambda text: _with_names(text, report))
+    print_findings(report)
     if as_json:
         from camctl.records.report_json import to_json  # loads pydantic
 
@@ -196,15 +195,3 @@ def _iso(gain: float) -> str:
 
 def _f_number(f_number: float | None) -> str:
     return "unknown" if f_number is None else f"f/{f_number:.2g}"
-
-
-def _with_names(text: str, report: CaptureReport) -> str:
-    """Return what is said of frames by number with the names of their files."""
-    names = [frame.details.get("file", "") for frame in report.frames]
-    return re.sub(
-        r"\bframe (\d+)\b",
-        lambda found: (
-            str(names[int(found[1]) - 1] or found[0]) if int(found[1]) <= len(names) else found[0]
-        ),
-        text,
-    )

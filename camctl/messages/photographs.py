@@ -103,7 +103,7 @@ def _label_wrong(finding: Finding) -> str:
 
 def _labels_contradict(finding: Finding) -> str:
     details: dict[str, Any] = finding.details
-    if "files" in details:
+    if "why" not in details:
         return (
             f"the exposures of {details['files']} contradict their pixels if the response is sRGB, "
             "as is assumed: give the response, or correct them"

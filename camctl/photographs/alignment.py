@@ -122,22 +122,18 @@ def _misplaced(
             continue
         exposure = sights[k].photograph.exposure
         near = min(others, key=lambda o: abs(math.log(sights[o].photograph.exposure / exposure)))
-        details: dict[str, Detail] = {
-            "file": sights[k].photograph.name,
-            "other": sights[near].photograph.name,
-        }
-        details |= _described(place - usual, first, limit)
-        value = extent * first.scale
+        other: dict[str, Detail] = {"other": sights[near].photograph.name}
+        details, value = other | _described(place - usual, first, limit), extent * first.scale
         found.append((k, Finding(code="shifted", frames=(k,), value=value, details=details)))
     return found
 
 
-def _described(place: _Place, first: Sight, limit: float) -> dict[str, float]:
+def _described(place: _Place, first: Sight, limit: float) -> dict[str, Detail]:
     """Return turn, clockwise, enlargement and shift of a photograph, those that are notable."""
     columns, rows = (np.rint(place[:2] * first.scale) + 0.0).tolist()  # no -0
     turn, growth = place[2:].tolist()
     half = max(first.grey.shape) / 2
-    how: dict[str, float] = {}
+    how: dict[str, Detail] = {}
     if abs(turn) * half > limit / 2:
         how["degrees"] = math.degrees(turn)
     if abs(growth) * half > limit / 2:

@@ -7,7 +7,7 @@ and the frames are summed, checked and rendered by the same code.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
@@ -139,8 +139,8 @@ def with_all_stated(
             changes["gain"] = value / 100
         for k in silent:
             found[k] = replace(found[k], **changes)
-        details: dict[str, Detail] = {"what": what, "file": found[silent[0]].name}
-        notes.append(Finding(code="tags_differ", frames=silent, value=value, details=details))
+        finding = Finding(code="tags_differ", frames=silent, value=value)
+        notes.append(detailed(finding, what=what))
     return found, notes
 
 
@@ -153,16 +153,25 @@ def flashes(photographs: Sequence[Photograph]) -> list[Finding]:
     if not fired or not dark:
         return []
     odd = fired if len(fired) <= len(dark) else dark
-    details: dict[str, Detail] = {
-        "files": file_names(photographs, odd),
-        "flash_fired": odd is fired,
-    }
-    return [Finding(code="light_differs", frames=tuple(odd), details=details)]
+    is_fired = odd is fired
+    return [Finding(code="light_differs", frames=tuple(odd), details={"flash_fired": is_fired})]
 
 
-def file_names(photographs: Sequence[Photograph], positions: Iterable[int]) -> str:
-    """Return the names of photographs as a finding has them."""
-    return ", ".join(photographs[k].name for k in positions)
+def named(finding: Finding, photographs: Sequence[Photograph]) -> Finding:
+    """Return a finding with the names of its photographs, which are at its frames' positions."""
+    names = [photographs[k].name for k in finding.frames]
+    details = dict(zip(("file", "other"), names, strict=False)) | {"files": ", ".join(names)}
+    return detailed(finding, **(details | finding.details))
+
+
+def detailed(finding: Finding, **details: Detail) -> Finding:
+    """Return a finding with more details."""
+    return finding.model_copy(update={"details": finding.details | details})
+
+
+def at(finding: Finding, positions: Sequence[int]) -> Finding:
+    """Return a finding about places of a list of positions as one about these positions."""
+    return finding.model_copy(update={"frames": tuple(positions[k] for k in finding.frames)})
 
 
 class PhotographCamera(CameraBase):

@@ -18,7 +18,7 @@ from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.objective import Objective
 from camctl.exposure.search.settings import relative_exposures, search_choices
 from camctl.interface.controls import ExposureSetting
-from camctl.model.effective import EffectiveCamera
+from camctl.model.effective import MAX_EXPOSURES, EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import PhotographCamera
@@ -33,9 +33,6 @@ _SHADOWS = 0.005
 _WELL = 0.9
 #: Dynamic ranges that a picture gets without being asked for.
 _LEAST_RANGE, _MOST_RANGE = 16.0, 1e6
-
-MOST_PHOTOGRAPHS = 16
-"""Photographs of which one picture is made, at most."""
 
 
 def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float:
@@ -96,7 +93,7 @@ def plan_photographs(
             return plan_capture(camera, request), request
     desired, controls = request.desired, camera.controls
     assert desired is not None  # the range is a number, and no response is automatic
-    most = min(len(camera.photographs), MOST_PHOTOGRAPHS)
+    most = min(len(camera.photographs), MAX_EXPOSURES)
     found: list[tuple[float, tuple[ExposureSetting, ...]]] = []
     for count in range(1, most + 1) if request.count is None else (request.count,):
         try:

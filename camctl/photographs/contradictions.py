@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patches import Patches, patch_places
-from camctl.findings import Detail, Finding, Place
+from camctl.findings import Finding, Place
 from camctl.model.sensor import SensorModel
-from camctl.photographs.camera import Photograph
+from camctl.photographs.camera import Photograph, detailed
 from camctl.system.picture_operations import AREA, HEIGHT, LEFT, TOP, WIDTH, connected_parts
 
 #: A patch is compared below this share of full scale, where no sample of it is saturated.
@@ -63,12 +63,8 @@ def contradictions(
             bottom=int(rows[box[TOP] + box[HEIGHT] - 1]) + side,
             right=int(columns[box[LEFT] + box[WIDTH] - 1]) + side,
         )
-        details: dict[str, Detail] = {"file": photographs[k].name, "elsewhere": len(boxes) > 1}
-        share = float(grid.mean())
-        finding = Finding(
-            code="part_differs", frames=(k,), value=share, place=place, details=details
-        )
-        found.append((box[AREA], finding))
+        finding = Finding(code="part_differs", frames=(k,), value=float(grid.mean()), place=place)
+        found.append((box[AREA], detailed(finding, elsewhere=len(boxes) > 1)))
     return [each for _, each in sorted(found, key=lambda pair: pair[0], reverse=True)]
 
 

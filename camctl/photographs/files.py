@@ -181,7 +181,6 @@ class PhotographFiles:
 
     def _note(self, code: str, position: int, **details: str) -> None:
         """Add a finding about a file; it may be read again."""
-        details["file"] = self._paths[position].name
         finding = Finding(code=code, frames=(position,), details=dict(details))
         if finding not in self.notes:
             self.notes.append(finding)

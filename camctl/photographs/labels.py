@@ -23,7 +23,7 @@ from camctl.findings import Detail, Finding
 from camctl.messages.plain import sentence
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import SensorModel
-from camctl.photographs.camera import Photograph, file_names
+from camctl.photographs.camera import Photograph, at, detailed, named
 from camctl.photographs.ratios import MOST_CORRECTED, STEADY, exposure_runs, steady_errors
 
 #: Factor by which a label is wrong if exposures are not corrected from the pixels, and the response
@@ -172,7 +172,8 @@ def check_doubted(
         if len(reverse) == 1 and _agree_when_swapped(series, k, reverse[0]):
             raise _swapped(photographs[k].name, photographs[reverse[0]].name)
         agree = len(photographs) - len(doubted)
-        raise _refused(sentence(_wrong_label(photographs, k, factor, agree)))
+        wrong = _wrong_label(photographs, k, factor, agree)
+        raise _refused(sentence(named(wrong, photographs)))
 
 
 def _agree_when_swapped(series: Series, one: int, other: int) -> bool:
@@ -210,9 +211,7 @@ def wrong_labels(
     found = LabelErrors()
     for run in exposure_runs(photographs, patches, scale):
         if len(run.members) == 1:
-            details: dict[str, Detail] = {"file": photographs[run.members[0]].name}
-            alone = tuple(run.members)
-            found.facts.append(Finding(code="label_unchecked", frames=alone, details=details))
+            found.facts.append(Finding(code="label_unchecked", frames=tuple(run.members)))
         errors = steady_errors(run.jumps, [max(STEADY * limit, each) for each in run.tolerances])
         wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
         agree = len(run.members) - len(wrong)
@@ -223,7 +222,6 @@ def wrong_labels(
                 Finding(
                     code="labels_contradict",
                     frames=tuple(run.members),
-                    details={"files": file_names(photographs, run.members)},
                     remedies={"curve": None, "times": None},
                 )
             )
@@ -238,10 +236,7 @@ def wrong_labels(
         else:
             found.factors.update({run.members[k]: math.exp(errors[k]) for k in wrong})
             contradicting = _named(members, errors, wrong, is_exact=is_exact)
-        found.notes.extend(
-            each.model_copy(update={"frames": tuple(run.members[k] for k in each.frames)})
-            for each in contradicting
-        )
+        found.notes.extend(at(each, run.members) for each in contradicting)
     return found
 
 
@@ -257,13 +252,11 @@ def _named(
                 code="light_differs",
                 frames=tuple(wrong),
                 value=math.exp(float(np.median(values))),
-                details={"files": file_names(photographs, wrong), "left_out": is_exact},
+                details={"left_out": is_exact},
             )
         ]
     found = [_wrong_label(photographs, k, math.exp(errors[k]), count - len(wrong)) for k in wrong]
-    return [
-        each.model_copy(update={"details": each.details | {"left_out": is_exact}}) for each in found
-    ]
+    return [detailed(each, left_out=is_exact) for each in found]
 
 
 def _wrong_label(
@@ -272,7 +265,6 @@ def _wrong_label(
     """Return the finding of one exposure, beside so many that agree."""
     photograph = photographs[position]
     details: dict[str, Detail] = {
-        "file": photograph.name,
         "stated_s": photograph.time_s,
         "pixels_s": photograph.time_s * factor,
         "agree": agree,
@@ -318,14 +310,9 @@ def _contradicting(
     return [
         Finding(
             code="labels_contradict",
-            frames=(k, k + 1),
+            frames=(k + 1, k),  # the brighter one first
             value=math.exp(jump),
-            details={
-                "file": bright.name,
-                "other": dark.name,
-                "exposure": bright.exposure / dark.exposure,
-                "why": why,
-            },
+            details={"exposure": bright.exposure / dark.exposure, "why": why},
             remedies={"curve": None} if why == "response" else {"times": None},
         )
         for k, ((dark, bright), jump) in enumerate(zip(pairwise(photographs), jumps, strict=True))

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from camctl.captures.sequencer import capture
-from camctl.exposure.goal import AUTO, CaptureRequest
+from camctl.exposure.goal import AUTO, RANGE_WITHOUT_LIGHT, CaptureRequest
 from camctl.findings import Finding
 from camctl.messages.plain import sentence
+from camctl.photographs.camera import detailed
 from camctl.photographs.choice import (
     darkest_light,
     plan_photographs,
@@ -23,13 +24,9 @@ from camctl.photographs.photograph_set import (
     PhotographOptions,
     open_photographs,
 )
-from camctl.photographs.selection import detailed
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import FolderStore
 from camctl.records.report import CaptureReport
-
-#: Stands for the range in a request until the light of the photographs gives it.
-_ANY_RANGE = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +101,8 @@ def plan_merge(
     """Read photographs, and choose those that serve a picture; arguments as for `merge`."""
     is_auto = request.dynamic_range == AUTO
     if is_auto:
-        request = replace(request, dynamic_range=_ANY_RANGE)
+        # Until the light of the photographs gives it.
+        request = replace(request, dynamic_range=RANGE_WITHOUT_LIGHT)
     opened = open_photographs([Path(each) for each in files], options)
     camera, patches = opened.camera, opened.patches
     darkest = darkest_light(camera, patches) if is_auto else None

@@ -18,7 +18,9 @@ from camctl.photographs.alignment import Sight
 from camctl.photographs.camera import (
     Photograph,
     PhotographCamera,
+    at,
     flashes,
+    named,
     with_all_stated,
     with_true_exposures,
 )
@@ -101,7 +103,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         UsageError: an exposure is missing, or an option does not fit the files
     """
     files = PhotographFiles(paths, source.times)
-    photographs, unstated = with_all_stated(files.photographs)
+    given = files.photographs
+    photographs, unstated = with_all_stated(given)
     photographs, facts = _with_labels(photographs, source.labels)
     _, white = _levels(files, source)
     area = ValidArea.of(files, source.mask)
@@ -131,10 +134,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     positions, patches = [selection.positions[k] for k in right], [patches[k] for k in right]
     first = area.seen(files.pixels(positions[0]))
     planes = [each.shape for each in files.format.layout.planes(first)]
-    facts += [
-        each.model_copy(update={"frames": tuple(positions[k] for k in each.frames)})
-        for each in contradictions(photographs, patches, scale, planes)
-    ]
+    facts += [at(each, positions) for each in contradictions(photographs, patches, scale, planes)]
     camera = PhotographCamera(
         photographs,
         lambda k: area.shown(files.pixels(positions[k]), controls.black),
@@ -146,9 +146,9 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         camera,
         tuple(patches),
         response,
-        tuple(facts),
-        tuple(notes),
-        {place: displaced[k] for place, k in enumerate(right) if k in displaced},
+        tuple(named(each, given) for each in facts),
+        tuple(named(each, given) for each in notes),
+        {place: named(displaced[k], given) for place, k in enumerate(right) if k in displaced},
     )
 
 
@@ -172,7 +172,7 @@ def _with_exposures(
         stated_differ = neighbours_differ(photographs, patches, scale)
         if neighbours_differ(corrected, patches, scale) < stated_differ:
             photographs = corrected
-            facts += [selection.finding(each) for each in changed]
+            facts += [at(each, selection.positions) for each in changed]
     if len(photographs) <= 3 and response in OF_THEIR_EXPOSURES:
         facts.append(Finding(code="label_unchecked", remedies={"curve": None}))
     wrong = wrong_labels(
@@ -183,8 +183,8 @@ def _with_exposures(
         is_known=source.curve is not None or response not in FROM_PHOTOGRAPHS,
         is_assumed=response == ASSUMED,
     )
-    notes += [selection.finding(each) for each in wrong.notes]
-    facts += [selection.finding(each) for each in wrong.facts]
+    notes += [at(each, selection.positions) for each in wrong.notes]
+    facts += [at(each, selection.positions) for each in wrong.facts]
     places = list(range(len(photographs)))
     if is_exact:  # what is named must not falsify the picture
         places = [k for k in places if k not in wrong.factors]

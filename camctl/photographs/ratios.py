@@ -9,10 +9,10 @@ that small errors do not add up over a long series.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,19 +205,14 @@ def corrected_exposures(
     if not factors:
         return result, []
     names = ", ".join(f"{photographs[k].name} {factor:.2f}" for k, factor in factors.items())
-    largest = max(factors.values(), key=lambda factor: abs(math.log(factor)))
+    value, details = _largest(factors), {"factors": names}
     return result, [
-        Finding(
-            code="exposure_corrected",
-            frames=tuple(factors),
-            value=largest,
-            details={"factors": names},
-        )
+        Finding(code="exposure_corrected", frames=tuple(factors), value=value, details={**details})
     ]
 
 
 def odd_colours(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scales: Sequence[SensorModel]
+    patches: Sequence[Patches], scales: Sequence[SensorModel]
 ) -> tuple[set[int], list[Finding]]:
     """Return the positions of photographs whose colours differ from most others; findings.
 
@@ -227,8 +222,7 @@ def odd_colours(
     is a finding alone.
 
     Args:
-        photographs: in any order
-        patches: of each of them, of red, green and blue
+        patches: of each photograph, of red, green and blue
         scales: irradiance of each brightness of these
     """
     limit = math.log(_OTHER_COLOUR)
@@ -247,22 +241,22 @@ def odd_colours(
                     odd.setdefault(run.members[k], {})[colour] = math.exp(float(errors[k]))
                 continue
             ends = run.members[0], run.members[-1]
-            names = {"file": photographs[ends[0]].name, "other": photographs[ends[1]].name}
             most = math.exp(float(np.ptp(errors)))
-            notes.append(_other_white_balance(ends, {colour: most}, names))
-    named = [
-        _other_white_balance((k,), factors, {"file": photographs[k].name})
-        for k, factors in odd.items()
-    ]
-    return set(odd), named + notes
+            notes.append(_other_white_balance(ends, {colour: most}))
+    certain = [_other_white_balance((k,), factors) for k, factors in odd.items()]
+    return set(odd), certain + notes
 
 
-def _other_white_balance(
-    frames: tuple[int, ...], factors: dict[str, float], names: dict[str, str]
-) -> Finding:
-    largest = max(factors.values(), key=lambda factor: abs(math.log(factor)))
-    details: dict[str, Detail] = {**names, **factors}
-    return Finding(code="other_white_balance", frames=frames, value=largest, details=details)
+def _other_white_balance(frames: tuple[int, ...], factors: dict[str, float]) -> Finding:
+    details: dict[str, Detail] = {**factors}
+    return Finding(
+        code="other_white_balance", frames=frames, value=_largest(factors), details=details
+    )
+
+
+def _largest(factors: Mapping[Any, float]) -> float:
+    """Return the factor that is farthest from 1."""
+    return max(factors.values(), key=lambda factor: abs(math.log(factor)))
 
 
 def _colour_runs(

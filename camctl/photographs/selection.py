@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError, UsageError
-from camctl.findings import Detail, Finding
+from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls, Layout
 from camctl.model.sensor import SensorModel
 from camctl.photographs.alignment import Sight, misaligned
-from camctl.photographs.camera import Photograph
+from camctl.photographs.camera import Photograph, at, detailed
 from camctl.photographs.labels import SAME_EXPOSURE
 from camctl.photographs.ratios import odd_colours
 from camctl.photographs.views import likenesses, unlike_each_other, unlike_others
@@ -41,17 +40,6 @@ class Selection:
             self.series.part(kept),
         )
 
-    def finding(self, finding: Finding, **details: Detail) -> Finding:
-        """Return a finding about places of the selection with positions among those given."""
-        frames = tuple(self.positions[k] for k in finding.frames)
-        return detailed(finding, **details).model_copy(update={"frames": frames})
-
-
-def detailed(finding: Finding, **details: Detail) -> Finding:
-    """Return a finding with more details."""
-    changes: dict[str, Any] = {"details": finding.details | details}
-    return finding.model_copy(update=changes)
-
 
 def distinct(sights: Sequence[Sight], notes: list[Finding]) -> list[int]:
     """Return the positions of photographs that are no copies, and show something.
@@ -64,20 +52,18 @@ def distinct(sights: Sequence[Sight], notes: list[Finding]) -> list[int]:
         DataError: two copies state different exposures
         UsageError: fewer than two photographs remain
     """
-    names = [each.photograph.name for each in sights]
     first: dict[bytes, int] = {}
     kept = []
     empty = []
     for k, sight in enumerate(sights):
         earlier = first.setdefault(sight.digest, k)
         if sight.is_even:
-            empty.append(Finding(code="empty", frames=(k,), details={"file": names[k]}))
+            empty.append(Finding(code="empty", frames=(k,)))
         elif earlier == k:
             kept.append(k)
         else:
             _check_copy(sights[earlier].photograph, sight.photograph)
-            details: dict[str, Detail] = {"file": names[k], "other": names[earlier]}
-            notes.append(Finding(code="copy", frames=(k, earlier), details=details))
+            notes.append(Finding(code="copy", frames=(k, earlier)))
     notes += empty
     if len(kept) < 2:
         raise UsageError("one photograph makes no merge", hint="give two or more exposures")
@@ -111,14 +97,13 @@ def of_one_view(
     unlike = unlike_others(found, count)
     alike = {frozenset(pair) for pair, each in found.items() if each.is_same}
     displaced = misaligned(sights, alike, unlike)
-    names = [each.name for each in selection.photographs]
     if not displaced and (pair := unlike_each_other(found, count)) is not None:
         finding = Finding(code="other_view", frames=pair, value=found[pair].agreeing)
-        notes.append(selection.finding(finding, file=names[pair[0]], other=names[pair[1]]))
+        notes.append(at(finding, selection.positions))
     odd = unlike | displaced
     if len(odd) >= count / 2:
-        return selection, {k: selection.finding(each) for k, each in displaced.items()}
-    notes += [selection.finding(each, file=names[k], left_out=True) for k, each in odd.items()]
+        return selection, {k: at(each, selection.positions) for k, each in displaced.items()}
+    notes += [detailed(at(each, selection.positions), left_out=True) for each in odd.values()]
     return selection.without(odd), {}
 
 
@@ -136,6 +121,6 @@ def of_one_colour(
         return selection
     scales = [SensorModel(each, controls.black) for each in controls.plane_levels]
     patches = [each.clip(max=controls.white) for each in selection.series.patches]
-    odd, found = odd_colours(selection.photographs, patches, scales)
-    notes += [selection.finding(each) for each in found]
+    odd, found = odd_colours(patches, scales)
+    notes += [at(each, selection.positions) for each in found]
     return selection.without(odd) if odd else selection

@@ -29,7 +29,7 @@ def test_a_frame_that_contradicts_is_named_by_its_file(run: Run, series: Series)
     ran = run("merge", *line, "--curve", "srgb", "--black", "0", "-n", "2", "-o", "hall", "--json")
     assert ran.status == 3
     (finding,) = [each for each in ran.json["findings"] if each["code"] == "labels_contradict"]
-    assert finding["frames"] == [0, 1]
+    assert finding["frames"] == [1, 0]
     assert finding["value"] == pytest.approx(1 / 1.7, rel=0.05)
     assert finding["details"]["why"] == "two"
     # The words of the command line: files instead of numbers, and the option that helps.

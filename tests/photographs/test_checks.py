@@ -34,7 +34,7 @@ def test_a_shift_is_that_of_the_whole_picture_where_tiles_have_lines_of_one_dire
         sights.append(Sight.of(photograph, noisy.astype(np.uint8), 255))
     (found,) = misaligned(sights).values()
     assert found.frames == (1,)
-    assert found.details == {"file": "b", "other": "a", "columns": 9, "rows": 5}
+    assert found.details == {"other": "a", "columns": 9, "rows": 5}
     assert found.value == pytest.approx(np.hypot(9, 5), abs=0.2)
 
 
@@ -114,7 +114,7 @@ def test_a_shift_of_a_smooth_photograph_is_named(shifted: int, columns: int, row
 
     (found,) = misaligned(smooth_bracket(shift)).values()
     assert (found.code, found.frames) == ("shifted", (shifted,))
-    assert found.details.keys() == {"file", "other", "columns", "rows"}
+    assert found.details.keys() == {"other", "columns", "rows"}
     place = found.details["columns"], found.details["rows"]
     assert place == pytest.approx((columns, rows), abs=1)
 

@@ -203,7 +203,7 @@ class TestWhiteBalance:
         times = tuple(each / 16 for each in TIMES[:8:2])
         (other,) = with_colours(times, [(1.4, 1), (1, 1), (1, 1), (1, 1)], "srgb").notes
         assert (other.code, other.frames) == ("other_white_balance", (0,))
-        assert other.details.keys() == {"file", "red"}
+        assert {"red", "blue"} & other.details.keys() == {"red"}
 
     def test_one_that_changes_halfway_is_named(self) -> None:
         found = with_colours(TIMES[2:6], [(1, 1), (1, 1), (1.2, 1), (1.2, 1)], "srgb")
