@@ -64,7 +64,7 @@ def test_sentences_of_a_report_without_findings_are_notes(tmp_path: Path) -> Non
     shoot(tmp_path)
 
     def as_before(report: dict[str, Any]) -> None:
-        del report["findings"], report["repeatable"], report["plan"]["findings"]
+        del report["findings"]
         report["warnings"] = report["plan"]["warnings"] = ["it is dark"]
         light = {"span": 9.0, "is_open": False, "clips": 0, "clips_stops": 0, "dark": 0}
         report["plan"]["light"] = light | {"needed": 9.0, "advice": None, "bright_advice": "no"}
