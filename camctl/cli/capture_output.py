@@ -310,7 +310,7 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
         return []
     shares = (
         f"{format_percent(movement.share)} of the samples differ between frames, "
-        f"{format_percent(movement.false_alarms)} by noise alone"
+        f"at most {format_percent(movement.false_alarms)} by noise"
     )
     spread = []
     if movement.spread >= NOTABLE_SPREAD:

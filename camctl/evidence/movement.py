@@ -28,7 +28,7 @@ from camctl.evidence.residual import MEAN_RADIUS, Limits, Pair
 from camctl.evidence.spill import LightSpread, Lines, only_beside_white
 from camctl.findings import Place
 from camctl.interface.camera import Pixels
-from camctl.system.picture_operations import box_sums, connected_parts, opencv
+from camctl.system.picture_operations import box_sums, connected_parts, dilated, opencv
 from camctl.system.threads import in_threads
 
 FALSE_ALARMS = 0.002
@@ -203,6 +203,10 @@ class _Comparison:
             self.cells, (rows, columns), self.cell, pairs, frame, self._marks_in, self.sigmas
         )
         moves = self.cells & ~spread
+        # What moved reaches into the cells beside it that have more marks than by noise.
+        expected = FALSE_ALARMS * self.cell**2 * math.prod(self.shape[2:])
+        many = counts > expected + self.significant * math.sqrt(expected)
+        moves |= many & ~spread & (dilated(moves.astype(np.uint8), (3, 3)) > 0)
         size = math.prod(self.shape)
         spread_count = counts[spread].sum()
         flooded = np.zeros_like(spread)

@@ -16,7 +16,8 @@ from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.evidence.movement import FALSE_ALARMS, Movement, find_movement
 from camctl.evidence.residual import Pair, Side, outside_limits
 from camctl.interface.camera import Pixels
-from camctl.model.response.camera import standard_response
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import linear_response, standard_response
 
 Floats = NDArray[np.float64]
 
@@ -232,6 +233,35 @@ def test_a_box_that_only_the_longest_photograph_has_is_found_in_all_of_its_parts
     halves = np.hsplit(marks[box], 2)
     assert min(half.mean() for half in halves) > 0.9
     assert marks.mean() < 0.05
+
+
+@pytest.mark.parametrize("noise", [FrameNoise(39.0, 0.1), None])
+@pytest.mark.parametrize("contrast", [1.8, 0.6])
+def test_a_thing_of_sixty_pixels_is_found_whether_noise_is_known_or_not(
+    noise: FrameNoise | None, contrast: float
+) -> None:
+    """It is in the longer frame, at a tenth of full scale; the promise of the mask holds."""
+    rng, thing = np.random.default_rng(4), (slice(100, 106), slice(150, 160))
+    light = np.broadcast_to(np.geomspace(0.01, 0.9, 320), (240, 320))
+    check = NeighbourCheck(linear_response(8), 0)
+    frames: list[Pixels] = []
+    for exposure in (0.25, 1.0):
+        E = light * exposure
+        if exposure == 1:
+            E[thing] *= contrast
+        E = E + np.hypot(np.sqrt(E / 39 / 256), 0.1 / 256) * rng.normal(size=E.shape)
+        frames.append(np.clip(E * 256, 0, 255).astype(np.uint8))
+    samples = check.sample(frames[0]), check.sample(frames[1])
+    pair = Pair(check.scale, Side(0, 0.25, noise), Side(1, 1.0, noise), 4.0, samples)
+    movement = find_movement(frames.__getitem__, [pair])
+    assert movement is not None
+    marks = movement.rows(0, 240) > 0
+    (place,) = movement.found.places
+    assert place.top <= 100 < 106 <= place.bottom
+    assert place.left <= 150 < 160 <= place.right
+    assert marks[thing].mean() > 0.8
+    marks[96:110, 146:164] = False  # with the border that means reach
+    assert marks.mean() < FALSE_ALARMS
 
 
 @pytest.mark.parametrize("is_plain", [True, False])
