@@ -71,7 +71,7 @@ def test_accuracy_decides_where_the_noise_is_known(
 def test_a_table_means_xi() -> None:
     controls = controls_with(NOISE)
     assert objective_of(CaptureRequest(), controls, has_table=True) == "xi"
-    with pytest.raises(UsageError, match=r"a table .* has exposures chosen by xi"):
+    with pytest.raises(UsageError, match=r"a table has exposures chosen by xi"):
         objective_of(CaptureRequest(objective="accuracy"), controls, has_table=True)
 
 
