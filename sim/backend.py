@@ -28,7 +28,7 @@ class SimulatedOptions(BackendOptions):
         time: whether the camera waits in real time, or on a clock of its own and thus not at all
         tolerance: see `tolerance_dn` of `SimulatedCamera`, DN
         unknown: the camera states neither response, noise, sensitivity nor control delay, like a
-            webcam; `camctl calibrate all` measures them
+            webcam; a calibration measures them
         faults: of the hardware, for tests: `Faults`, a dict of its fields, or a text such as
             unplug@3,wrong@1=0.5
     """

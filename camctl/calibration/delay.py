@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from camctl.calibration.light import too_bright
 from camctl.calibration.timing import measure_stream_timing
 from camctl.errors import CameraProtocolError, CaptureError, UsageError
 from camctl.findings import Finding
@@ -244,10 +245,7 @@ def _brightness(frame: Frame) -> float:
 def _invisible_step(light: float, dark: ExposureSetting, bright: ExposureSetting) -> CaptureError:
     """Return the error for two settings with equal brightness, `light`."""
     if light > _SATURATED:
-        return CaptureError(
-            f"the scene is too bright: it is white even at {dark.time_s:.4g} s",
-            hint="close the aperture, or put a filter in front of the lens",
-        )
+        return too_bright(dark.time_s)
     return CaptureError(
         f"the scene is too dark: it is black even at {bright.time_s:.4g} s with gain "
         f"{bright.gain:.4g}",

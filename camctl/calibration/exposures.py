@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from camctl.calibration.light import spread_times, too_bright, too_dark
 from camctl.errors import CaptureError
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.ratios import RatioEstimates, comparable_frames, estimate_ratios
@@ -183,8 +184,7 @@ def _candidates(control: Control, longest_s: float) -> list[float]:
         return [value for value in control.values if value <= longest_s] or [control.minimum]
     longest_s = max(control.minimum, min(control.maximum, longest_s))
     count = 1 + math.ceil(_TIMES_PER_STOP * math.log2(longest_s / control.minimum))
-    requested = np.geomspace(control.minimum, longest_s, count)
-    return sorted({control.nearest(float(value)) for value in requested})
+    return spread_times(control, control.minimum, longest_s, count)
 
 
 def _gains(control: Control, base: float) -> list[float]:
@@ -235,17 +235,9 @@ def _useful_times(camera: Camera, times: Sequence[float], scale: SensorModel) ->
 def _unsuitable_light(light: Mapping[float, FloatArray]) -> CaptureError:
     shortest, longest = min(light), max(light)
     if np.mean(light[shortest]) > _BRIGHTEST:
-        return CaptureError(
-            f"the scene is too bright: it is white even at {shortest:.4g} s",
-            hint="close the aperture, or put a filter in front of the lens",
-        )
+        return too_bright(shortest)
     if np.mean(light[longest]) < _DIMMEST:
-        return CaptureError(
-            f"the scene is too dark: it is nearly black even at {longest:.4g} s",
-            hint="take the lens cap off, point the camera at something brighter, or allow longer "
-            "times",
-            remedies={"longest_s": None},
-        )
+        return too_dark(f"it is nearly black even at {longest:.4g} s")
     return CaptureError(
         "no shutter time exposes a twentieth of the picture well",
         hint="point the camera at an evenly lit surface",

@@ -194,11 +194,8 @@ CURVED = ("--sensor", "consumer", "--scene", "ramp", "-O", "size=160x120", "-O",
 def test_nothing_is_measured_through_an_assumed_response(run: Run, what: str) -> None:
     ran = run("calibrate", what, *CURVED, "--longest", "0.1")
     assert ran.status == 1
-    assert ran.error == (
-        "the response of the camera is only assumed, and without the true one its "
-        f"{what} cannot be measured; measure it first with camctl calibrate response, or give it: "
-        f"camctl calibrate {what} --response NAME"
-    )
+    assert f"only assumed, and without the true one its {what} cannot be measured" in ran.error
+    assert ran.error.endswith("(camctl calibrate response, --response NAME)")
     assert list_profiles() == []
 
 

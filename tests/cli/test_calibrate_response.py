@@ -127,12 +127,12 @@ def test_the_folder_of_a_capture_is_measured(run: Run) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message", "status"),
     [
-        (("--times", "1,2"), "--times has 2 values for 3 files; give one for each file", 2),
-        ((), "frame-0.png does not say its exposure time; give --times", 2),
+        (("--times", "1,2"), "2 exposure times were given for 3 files", 2),
+        ((), "frame-0.png does not say its exposure time", 2),
         (("--camera", "sim"), "FILES cannot be combined with --camera", 2),
         (("--times", "1,4,16", "--black", "300"), "invalid levels: black 300", 2),
         (("--times", "16,4,1"), "though its exposure is shorter; check the order", 1),
-        (("--times", "1,4,16", "missing.png"), "--times has 3 values for 4 files", 2),
+        (("--times", "1,4,16", "missing.png"), "3 exposure times were given for 4 files", 2),
     ],
 )
 def test_invalid_series_are_one_line(

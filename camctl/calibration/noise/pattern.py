@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.light import spread_times
 from camctl.errors import CaptureError, DataError
 from camctl.evidence.patches import sample_patches
 from camctl.interface.camera import Camera
-from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
-from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import SensorModel
 from camctl.profiles.noise import DarkRecord, Figure, NoiseRecord
 
@@ -61,7 +62,7 @@ class View:
     def add(self, pixels: NDArray[Any], time_s: float) -> None:
         """Add a frame of this shutter time; its pixels are not kept."""
         controls = self.controls
-        scales = [SensorModel(each, controls.black) for each in _responses(controls)]
+        scales = [SensorModel(each, controls.black) for each in controls.plane_levels]
         planes = controls.layout.planes(pixels)
         patches = np.split(sample_patches(planes, controls.white), len(planes))
         light = np.concatenate(
@@ -153,7 +154,7 @@ def sensitivity_pattern(first: View, second: View, noise: NoiseRecord | None = N
         count = np.maximum(usual[:, half].sum(axis=1), 1)
         sums[:, 0] += weight * (products / count / freedom - dark)
         sums[:, 1] += weight
-    return root_of_ratio(np.split(sums, len(_responses(first.controls))))
+    return root_of_ratio(np.split(sums, len(first.controls.plane_levels)))
 
 
 def _dark_covariance(first: View, second: View, noise: NoiseRecord | None) -> FloatArray | float:
@@ -205,9 +206,7 @@ def view_settings(camera: Camera, longest_s: float) -> list[ExposureSetting]:
     gain = controls.gain.nearest(1.0)
     shortest, longest = controls.time_s.minimum, min(controls.time_s.maximum, longest_s)
     count = 1 + math.ceil(math.log2(max(longest / shortest, 2.0)))
-    times = sorted(
-        {controls.time_s.nearest(float(each)) for each in np.geomspace(shortest, longest, count)}
-    )
+    times = spread_times(controls.time_s, shortest, longest, count)
     shares = []
     for frame in camera.shoot([ExposureSetting(time_s, gain) for time_s in times]):
         view = View(controls)
@@ -233,15 +232,6 @@ def shoot_view(camera: Camera, settings: Sequence[ExposureSetting]) -> View:
     for frame in camera.shoot([each for each in settings for _ in range(_REPEATS)]):
         view.add(frame.pixels, frame.applied.time_s)
     return view
-
-
-def _responses(controls: ExposureControls) -> list[CameraResponse]:
-    """Return the response of each plane of `Layout.planes`."""
-    letters = {Layout.MONO: "Y", Layout.RGB: "RGB"}.get(controls.layout, controls.layout.upper())
-    if not controls.responses:
-        return [controls.levels] * len(letters)
-    named = dict(zip("RGB", controls.responses, strict=True))
-    return [named[letter] for letter in letters]
 
 
 def _smooth_shades(side: int) -> FloatArray:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from camctl.calibration.light import spread_times, too_bright, too_dark
 from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise, same_response
-from camctl.errors import CaptureError
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Control, ExposureSetting
 from camctl.model.response.camera import CameraResponse
@@ -80,9 +80,7 @@ def _settings(camera: Camera, count: int, longest_s: float) -> list[ExposureSett
     base = controls.gain.nearest(1.0)
     shortest, longest = controls.time_s.minimum, min(controls.time_s.maximum, longest_s)
     probes = 1 + max(1, math.ceil(math.log(max(longest / shortest, 1.0), _PROBE_STEP)))
-    times = sorted(
-        {controls.time_s.nearest(float(each)) for each in np.geomspace(shortest, longest, probes)}
-    )
+    times = spread_times(controls.time_s, shortest, longest, probes)
     middle = {}
     for frame in camera.shoot([ExposureSetting(time_s, base) for time_s in times]):
         # An odd step keeps all colours of a mosaic.
@@ -96,24 +94,17 @@ def _settings(camera: Camera, count: int, longest_s: float) -> list[ExposureSett
             break
     seen = list(middle)
     if middle[seen[0]] >= 1 and len(seen) == 1:
-        raise CaptureError(
-            f"the scene is too bright: it is white even at {seen[0]:.4g} s",
-            hint="close the aperture, or put a filter in front of the lens",
-        )
+        raise too_bright(seen[0])
     if middle[seen[-1]] < _TOO_DARK:
-        raise CaptureError(
-            f"the scene is too dark: its brighter parts have {middle[seen[-1]]:.0%} of full scale "
-            f"at {seen[-1]:.4g} s",
-            hint="take the lens cap off, light the scene, or allow longer times",
-            remedies={"longest_s": None},
+        raise too_dark(
+            f"its brighter parts have {middle[seen[-1]]:.0%} of full scale at {seen[-1]:.4g} s"
         )
     first = next(time_s for time_s in seen if middle[time_s] >= _FIRST)
     found = []
     for gain in _gains(controls.gain, base):
         scale = base / gain
         least, most = (max(shortest, each * scale) for each in (first, seen[-1]))
-        spread = np.geomspace(least, most, count)
-        chosen = sorted({controls.time_s.nearest(float(each)) for each in spread})
+        chosen = spread_times(controls.time_s, least, most, count)
         if len(chosen) >= 3 or gain == base:
             found += [ExposureSetting(time_s, gain) for time_s in chosen]
     return found

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.light import spread_times, too_bright, too_dark
 from camctl.calibration.response.series import Series
-from camctl.errors import CaptureError
 from camctl.findings import Finding
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
@@ -94,9 +94,7 @@ def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:
     shortest = controls.time_s.minimum
     longest = max(shortest, min(controls.time_s.maximum, longest_s))
     probes = 1 + max(1, math.ceil(math.log(longest / shortest, _PROBE_STEP)))
-    times = sorted(
-        {controls.time_s.nearest(float(each)) for each in np.geomspace(shortest, longest, probes)}
-    )
+    times = spread_times(controls.time_s, shortest, longest, probes)
     first, last = None, times[-1]
     half = controls.black + (controls.white - controls.black) / 2
     for frame in camera.shoot([ExposureSetting(time_s, gain) for time_s in times]):
@@ -106,15 +104,7 @@ def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:
             last = frame.applied.time_s
             break
     if first is None:
-        raise CaptureError(
-            f"the scene is too dark: it does not reach half of full scale at {times[-1]:.4g} s",
-            hint="take the lens cap off, light the scene, or allow longer times",
-            remedies={"longest_s": None},
-        )
+        raise too_dark(f"it does not reach half of full scale at {times[-1]:.4g} s")
     if last == times[0]:
-        raise CaptureError(
-            f"the scene is too bright: it is white even at {times[0]:.4g} s",
-            hint="close the aperture, or put a filter in front of the lens",
-        )
-    wanted = np.geomspace(max(first, shortest), last, count)
-    return sorted({controls.time_s.nearest(float(each)) for each in wanted})
+        raise too_bright(times[0])
+    return spread_times(controls.time_s, max(first, shortest), last, count)
