@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camctl.calibration import response
+from camctl.calibration.response import estimate
 from camctl.calibration.response.estimate import estimate_response
 from camctl.calibration.response.series import Series
 from camctl.calibration.response.spill import SampleGrid, grid_counts
@@ -65,7 +65,7 @@ def test_charge_that_spills_over_does_not_bend_the_response(
     error, spills = largest_error(series)
     assert spills
     assert error < 0.005
-    monkeypatch.setattr(response, "spills_over", lambda *_: False)
+    monkeypatch.setattr(estimate, "spills_over", lambda *_: False)
     assert largest_error(series)[0] > 0.02
 
 
