@@ -61,7 +61,8 @@ SHORTER = """
 ## What JSON leaves out
 
 `report.json` and `--json` leave out what is null or has its default, except for `format_version`,
-`status`, `trustworthy`, `findings`, `warnings` and `noise`, and what follows from other fields:
+`status`, `trustworthy`, `findings`, `warnings`, `plan.objective` and `noise`, and what follows
+from other fields:
 
 | field | in JSON |
 |---|---|"""

@@ -24,7 +24,7 @@ FOLLOWS: Final[dict[str, str]] = {
     "frames[].exposure_ratio.exposure": "left out: it is `frames[].exposure`",
     "plan.exposures": "left out: they follow from `plan.settings`",
     "plan.shutter_s": "left out: the sum of the times in `plan.settings`",
-    "timing.planned_wall_s": "left out where it is `plan.wall_s`",
+    "source.options": "left out where there are none, in a complete capture",
     "versions": 'one text, such as "camctl 0.2.0, numpy 2.3.1, python 3.11.7"',
 }
 """Fields of a report that its JSON has in another form, or not at all, and where they are then."""
@@ -35,6 +35,7 @@ _PLAN_NOISE = "plan.noise"
 _EMPTY: Final[dict[str, tuple[str, Any]]] = {
     "movement": ("places", []),
     "simulation": ("left_out", {}),
+    "source": ("options", {}),
 }
 
 
@@ -42,17 +43,17 @@ def to_json(report: CaptureReport | UnfinishedCapture) -> Json:
     """Return a report as it is written."""
     content: Json = report.model_dump(mode="json", exclude_defaults=True)
     content |= report.model_dump(mode="json", include=_ALWAYS)
-    plan, timing = content["plan"], content.get("timing", {})
-    plan.setdefault("noise", None)
+    plan = content["plan"]
+    plan |= {"noise": plan.get("noise"), "objective": report.plan.objective}
     _leave_out(plan, _from_settings(plan["settings"]))
-    _leave_out(timing, {"planned_wall_s": plan.get("wall_s")})
     content["versions"] = ", ".join(f"{name} {text}" for name, text in report.versions.items())
     for frame, setting in zip(content["frames"], plan["settings"], strict=True):
         if frame is not None:
             _shorten_frame(frame, setting)
     if isinstance(report, CaptureReport):
         for name, (part, empty) in _EMPTY.items():
-            _leave_out(content.get(name, {}), {part: empty})
+            if len(content.get(name, {})) > 1:
+                _leave_out(content[name], {part: empty})
         achieved = content["achieved"]
         if achieved.setdefault("noise", None) == plan["noise"] is not None:
             achieved["noise"] = _PLAN_NOISE
@@ -107,11 +108,9 @@ def _completed(content: Json) -> Json:
     found = {**content, "plan": plan, "frames": frames}
     if isinstance(content.get("versions"), str):
         found["versions"] = dict(part.split(" ", 1) for part in content["versions"].split(", "))
-    if "actual_wall_s" in content.get("timing", {}) and "wall_s" in plan:
-        found["timing"] = {"planned_wall_s": plan["wall_s"], **content["timing"]}
     if "achieved" in content:
         for name, (part, empty) in _EMPTY.items():
-            if content.get(name) is not None:
+            if content.get(name):
                 found[name] = {part: empty, **content[name]}
         if content["achieved"].get("noise") == _PLAN_NOISE:
             found["achieved"] = {**content["achieved"], "noise": plan["noise"]}
