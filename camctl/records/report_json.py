@@ -24,7 +24,7 @@ FOLLOWS: Final[dict[str, str]] = {
     "frames[].exposure_ratio.exposure": "left out: it is `frames[].exposure`",
     "plan.exposures": "left out: they follow from `plan.settings`",
     "plan.shutter_s": "left out: the sum of the times in `plan.settings`",
-    "source.options": "left out where there are none, in a complete capture",
+    "white": "left out of a complete capture: it is `frames[].white`",
     "versions": 'one text, such as "camctl 0.2.0, numpy 2.3.1, python 3.11.7"',
 }
 """Fields of a report that its JSON has in another form, or not at all, and where they are then."""
@@ -35,7 +35,6 @@ _PLAN_NOISE = "plan.noise"
 _EMPTY: Final[dict[str, tuple[str, Any]]] = {
     "movement": ("places", []),
     "simulation": ("left_out", {}),
-    "source": ("options", {}),
 }
 
 
@@ -52,8 +51,8 @@ def to_json(report: CaptureReport | UnfinishedCapture) -> Json:
             _shorten_frame(frame, setting)
     if isinstance(report, CaptureReport):
         for name, (part, empty) in _EMPTY.items():
-            if len(content.get(name, {})) > 1:
-                _leave_out(content[name], {part: empty})
+            _leave_out(content.get(name, {}), {part: empty})
+        _leave_out(content, {"white": content["frames"][0]["white"]})
         achieved = content["achieved"]
         if achieved.setdefault("noise", None) == plan["noise"] is not None:
             achieved["noise"] = _PLAN_NOISE
@@ -109,6 +108,7 @@ def _completed(content: Json) -> Json:
     if isinstance(content.get("versions"), str):
         found["versions"] = dict(part.split(" ", 1) for part in content["versions"].split(", "))
     if "achieved" in content:
+        found.setdefault("white", frames[0]["white"])
         for name, (part, empty) in _EMPTY.items():
             if content.get(name):
                 found[name] = {part: empty, **content[name]}

@@ -68,7 +68,7 @@ def test_shoot_with_metering_or_given_base(
     ).json
     assert report["source"] == {"camera": "ptp:77", "options": {"format": "raw"}}
     assert report["status"] == "complete"
-    assert (report["white"], report["black_total"]) == (1023, 3 * 64)
+    assert (report["frames"][0]["white"], report["black_total"]) == (1023, 3 * 64)
     for frame in report["frames"]:
         assert Path("here", frame["original"]).suffix == ".png"
     metered = report["plan"]["metering"]["frames"] if how == ("--meter",) else 0
