@@ -108,7 +108,7 @@ def _completed(content: Json) -> Json:
     if isinstance(content.get("versions"), str):
         found["versions"] = dict(part.split(" ", 1) for part in content["versions"].split(", "))
     if "achieved" in content:
-        found.setdefault("white", frames[0]["white"])
+        found.setdefault("white", content["frames"][0]["white"])
         for name, (part, empty) in _EMPTY.items():
             if content.get(name):
                 found[name] = {part: empty, **content[name]}
