@@ -311,7 +311,10 @@ class _FramePair:
         contradict = (sums > limit) | (sums < -limit)
         # Most areas have none; numpy's nonzero is five times as slow as this.
         places = np.unravel_index(np.flatnonzero(contradict), contradict.shape)
-        used = residuals[places] != 0
+        # A sample beside what moved is in its mean, and does not differ by itself: it has to by as
+        # much as each sample of the weakest mean that contradicts.
+        own = residuals[places].astype(np.int32) * np.sign(sums[places])
+        used = own * side > self._total.sigmas * _STEPS
         places = tuple(each[used] for each in places)
         sizes = np.abs(sums[places]) / (side * _STEPS)
         if self._ranges is not None:
