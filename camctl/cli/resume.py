@@ -14,8 +14,7 @@ from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions
 from camctl.cli.output import print_warning
 from camctl.cli.parameter_types import PATH
-from camctl.cli.series_run import HookOptions, hook_options, run_series
-from camctl.cli.terminal_keys import check_keys
+from camctl.cli.series_run import HookOptions, check_keys, hook_options, run_series
 from camctl.errors import DataError, UsageError
 from camctl.messages.command_line import word
 
