@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.controls import ExposureSetting
-from camctl.records.report import CaptureReport, UnfinishedCapture
+from camctl.records.report import FORMAT_VERSION, CaptureReport, UnfinishedCapture
 
 Json = dict[str, Any]
 
@@ -42,6 +42,7 @@ def to_json(report: CaptureReport | UnfinishedCapture) -> Json:
     """Return a report as it is written."""
     content: Json = report.model_dump(mode="json", exclude_defaults=True)
     content |= report.model_dump(mode="json", include=_ALWAYS)
+    content["format_version"] = FORMAT_VERSION  # also where it was read from format 2
     plan = content["plan"]
     plan |= {"noise": plan.get("noise"), "objective": report.plan.objective}
     _leave_out(plan, _from_settings(plan["settings"]))

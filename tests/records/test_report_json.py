@@ -90,6 +90,7 @@ def test_reports_of_format_2_are_read(taken: tuple[Path, CaptureReport], tmp_pat
     (copy / "frames").mkdir(parents=True)
     (copy / "report.json").write_text(json.dumps(before))
     again = read_report(copy)
+    assert to_json(again)["format_version"] == 3
     assert again.model_copy(update={"format_version": 3}).model_dump() == report.model_dump()
 
 
