@@ -17,7 +17,7 @@ import camctl
 
 PROMISED = {
     "open_camera",
-    "cameras",
+    "list_cameras",
     "capture",
     "resume",
     "plan_capture",

@@ -126,7 +126,10 @@ def test_text_and_plots(line: tuple[str, ...], words: tuple[str, ...], run: Run)
     assert all(word in text.out for word in words)
     assert Path("plot.png").read_bytes().startswith(b"\x89PNG")
     assert "CPU time" in Path("plot.svg").read_text("utf-8")
-    assert run(*line, *plots).error == "plot.svg exists; choose another file, or add --force"
+    assert (
+        run(*line, *plots).error
+        == "plot.svg exists; choose another file, or have it replaced (--force)"
+    )
 
 
 def test_without_scipy_the_error_states_the_command(
@@ -135,7 +138,7 @@ def test_without_scipy_the_error_states_the_command(
     monkeypatch.setitem(sys.modules, "scipy.optimize", None)
     assert run(*QUICK_SOLVER).error == (
         "differential evolution and dual annealing need scipy, which is not installed; install it "
-        "with: pip install 'camctl[studies]', or use --methods camctl,grid"
+        "with: pip install 'camctl[studies]', or use other methods (--methods camctl,grid)"
     )
     assert run(*QUICK_SOLVER, "--methods", "grid", "--workers", "1").status == 0
 
@@ -161,8 +164,8 @@ def test_bad_input(arguments: tuple[str, ...], message: str, run: Run) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("no", "rows.json is not JSON; give a file that --json has written"),
-        ("[]", "rows.json has no rows; give a file that --json has written"),
+        ("no", "rows.json is not JSON; give a file of the JSON that the same study has written"),
+        ("[]", "rows.json has no rows; give a file of the JSON that the same study has written"),
         ('[{"method": "grid", "n": "x"}]', "rows.json, row 1: n: "),
         ('[{"n": 3}]', "rows.json, row 1: method: "),
         ('[{"method": "sorting"}]', "unknown method 'sorting'"),

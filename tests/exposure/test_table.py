@@ -195,7 +195,7 @@ def test_damaged_table_is_refused_in_one_line(
     with pytest.raises(DataError, match=problem) as caught:
         ExposureTable.load(path)
     assert str(path) in str(caught.value)
-    assert "camctl table build" in str(caught.value)
+    assert "build the table again" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
