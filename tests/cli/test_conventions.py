@@ -134,6 +134,7 @@ def test_python_runs_the_package() -> None:
 
 WHOLE_TO_16 = "expected a whole number from 1 to 16"
 A_TIME = "expected a time in seconds such as 0.004 or 1/250"
+NO_PROFILES = "unknown profile 'x': there are no profiles; make one: calibrate a camera"
 RATIOS = "expected positive numbers such as 1,2,4"
 
 
@@ -217,11 +218,8 @@ RATIOS = "expected positive numbers such as 1,2,4"
             "calibrate delay --trials 1",
             "invalid value for --trials: 1; expected a whole number from 2 to 10000",
         ),
-        (
-            "profile show x",
-            "unknown profile 'x': there are no profiles; make one with camctl calibrate",
-        ),
-        ("profile remove x", "unknown profile 'x': there are no profiles; make one with camctl"),
+        ("profile show x", NO_PROFILES),
+        ("profile remove x", NO_PROFILES),
         ("cameras --udev-rules --json", "--udev-rules cannot be combined with --json"),
         (
             "resume x -O a=b",
