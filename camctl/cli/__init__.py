@@ -176,6 +176,10 @@ def _report(error: BaseException, *, as_json: bool) -> int:
         status, kind, message, hint = _describe(error)
     # What became of a capture.
     notes = [one_line(note) for note in getattr(error, "__notes__", ())]
+    if notes and not isinstance(error, CamctlError) and hasattr(error, "remedies"):
+        from camctl.messages.command_line import with_remedies  # loads pydantic
+
+        notes[-1] = with_remedies(notes[-1], error.remedies)
     if interrupt is not None:
         status = 128 + interrupt.number
     # Notes and hints hold commands to be pasted: they stay whole.

@@ -57,7 +57,7 @@ def test_all_figures_are_drawn_and_none_is_flat(run: Run) -> None:
 def test_existing_files_are_kept(run: Run) -> None:
     line = (*QUICK, "--only", "3")
     assert run(*line).status == 0
-    message = "figures/figure-3.png exists; choose another file, or add --force"
+    message = "figures/figure-3.png exists; choose another file, or have it replaced (--force)"
     assert run(*line).error == message
     assert run(*line, "--force").status == 0
 

@@ -81,8 +81,12 @@ class CameraResponse:
 
     @cached_property
     def fingerprint(self) -> str:
-        """First 16 hex digits of the SHA-256 of the levels as little-endian float64."""
-        return hashlib.sha256(self.levels.astype("<f8").tobytes()).hexdigest()[:16]
+        """First 16 hex digits of the SHA-256 of the levels, in 9 significant digits each.
+
+        Processors differ in the last bit of a power, which would give one camera two fingerprints.
+        """
+        text = " ".join(f"{level:.9g}" for level in self.levels.tolist())
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def slope(self, E: ArrayLike) -> FloatArray:
         """Return the slope of brightness in levels per unit of irradiance, in the shape of E.
