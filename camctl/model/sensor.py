@@ -150,7 +150,8 @@ class SensorModel:
             own += noise[0] + noise[1] / ratio**2
             # A count that is too small has too small a variance, too.  The residual over its root
             # has mean 0 with this shift, half an electron where photon noise is all.
-            slope = np.gradient(own, self.light)
+            light, first, each = np.unique(self.light, return_index=True, return_inverse=True)
+            slope = np.gradient(own[first], light)[each]  # levels of a flat response coincide
             mean = mean + slope * noise[1] / ratio / (2 * np.maximum(own, 1e-300))
             own += ((short.dsnu_levels - long.dsnu_levels / ratio) * unit) ** 2
             third += lit / ratio * electron[0] ** 2 + 2 * lit * electron[1] ** 2 / ratio**3
@@ -158,4 +159,4 @@ class SensorModel:
         own += roundings[0][0] + roundings[1][0] / ratio**2
         shared = roundings[0][1] + roundings[1][1] / ratio**2
         shared += (BLACK_ERROR_LEVELS * self.level * (1 - 1 / ratio)) ** 2
-        return Prediction(mean, own, shared, third / np.maximum(own + shared, 1e-300) ** 1.5)
+        return Prediction(mean, own, shared, third / np.maximum(own + shared, 1e-200) ** 1.5)
