@@ -77,9 +77,9 @@ def folder_for_all() -> Iterator[Path]:
         ),
         pytest.param(
             rig.STILL,
-            r"Virtual PTP camera at USB \d+:\d+ cannot be opened: no permission; run: camctl "
-            r"cameras --udev-rules \| sudo tee /etc/udev/rules\.d/70-camctl\.rules && sudo udevadm "
-            r"control --reload, then plug it in again",
+            r"Virtual PTP camera at USB \d+:\d+ cannot be opened: no permission; install the udev "
+            r"rules, then plug it in again \(camctl cameras --udev-rules \| sudo tee "
+            r"/etc/udev/rules\.d/70-camctl\.rules && sudo udevadm control --reload\)",
             id="ptp",
         ),
         pytest.param(
