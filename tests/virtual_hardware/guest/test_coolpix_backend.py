@@ -29,11 +29,11 @@ LASTING_FAULTS = {
     ),
     "card_full": (
         f"the card of {CAMERA} is full; make room on it or put another in, then resume; "
-        "0 of 3 frames are kept; shoot the others (camctl resume card_full)"
+        r"0 of 3 frames are kept; shoot the others \(camctl resume card_full\)"
     ),
     "battery_low": (
         rf"the battery of {CAMERA} is low \(3 %\); charge it or use a mains adapter, then "
-        "resume; 0 of 3 frames are kept; shoot the others (camctl resume battery_low)"
+        r"resume; 0 of 3 frames are kept; shoot the others \(camctl resume battery_low\)"
     ),
 }
 
@@ -112,7 +112,7 @@ class TestFaults:
                 r"the line /dev/serial/by-id/\S+ was disconnected"
                 r"(, or another process reads from it)?, and a picture of \S+ s that was not "
                 r"downloaded may be on its card; plug the cable in, switch the camera on, then "
-                r"try again; [1-4] of 5 frames are kept; shoot the others (camctl resume cut)"
+                r"try again; [1-4] of 5 frames are kept; shoot the others \(camctl resume cut\)"
             )
             assert re.fullmatch(message, cut.error), cut.error
             assert not node.exists()

@@ -27,13 +27,13 @@ LASTING_FAULTS = {
     "hang": f"{CAMERA} does not answer; switch it off and on again, then resume",
     "card_full": (
         f"{CAMERA} did not take a picture: its card is full; make room on the card or put "
-        "another one in; 0 of 3 frames are kept; shoot the others (camctl resume )"
-        "card_full"
+        "another one in; 0 of 3 frames are kept; shoot the others "
+        r"\(camctl resume card_full\)"
     ),
     "battery_low": (
         f"{CAMERA} did not take a picture: its battery has 3 % of its charge; charge it or "
-        "use a mains adapter; 0 of 3 frames are kept; shoot the others (camctl resume )"
-        "battery_low"
+        "use a mains adapter; 0 of 3 frames are kept; shoot the others "
+        r"\(camctl resume battery_low\)"
     ),
 }
 
@@ -126,7 +126,8 @@ class TestFaults:
             cut = camctl("shoot", *rig.camera_arguments(self.device), *LONG_BRACKET, "-o", "cut")
         message = (
             f"{CAMERA} was disconnected; (taken and not fetched: [^;]*; )?plug it in and switch it "
-            "on, then try again; [1-4] of 5 frames are kept; shoot the others (camctl resume cut)"
+            "on, then try again; [1-4] of 5 frames are kept; shoot the others "
+            r"\(camctl resume cut\)"
         )
         assert re.fullmatch(message, cut.error), cut.error
         kept = {path: path.stat().st_mtime_ns for path in Path("cut/frames").glob("*.npy")}

@@ -217,7 +217,7 @@ class TestFaults:
             cut = camctl("shoot", *rig.camera_arguments(rig.WEB), *LONGER_BRACKET, "-o", "cut")
         message = (
             rf"{self.node} was unplugged; plug it in and open it again; \d+ of 12 frames are kept; "
-            "shoot the others (camctl resume cut)"
+            r"shoot the others \(camctl resume cut\)"
         )
         assert re.fullmatch(message, cut.error), cut.error
         kept = {path: path.stat().st_mtime_ns for path in Path("cut/frames").glob("*.npy")}
