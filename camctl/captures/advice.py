@@ -197,7 +197,7 @@ def _shown(request: CaptureRequest, plan: CapturePlan, controls: ExposureControl
 
 
 def _advice(request: CaptureRequest, best: _Tried) -> _Advice:
-    """Return the changed fields, and what is left outside where that is still much."""
+    """Return the changed fields, and the share that stays outside where it is still large."""
     names = [field.name for field in fields(request)]
     changed = {
         name: getattr(best.request, name)

@@ -31,7 +31,7 @@ class ValidArea:
         columns: likewise
         invalid: which pixels of these are not valid; None: all are
         nearest: row and column of the valid pixel of the same colour next to each invalid one
-        facts: finding of what is left out, if something is
+        facts: a finding of the pixels that the mask excludes, if any
     """
 
     rows: slice

@@ -293,11 +293,6 @@ def check_series_folder(directory: Path) -> None:
         )
 
 
-def is_series(directory: Path) -> bool:
-    """Return whether a folder holds a series."""
-    return os.path.lexists(directory / SERIES)
-
-
 def read_series(directory: Path) -> SeriesJournal:
     """Return the journal of a series.
 
