@@ -224,9 +224,13 @@ class Seconds(_ValueType):
 
     name = "seconds"
 
-    def __init__(self, *, auto: bool = False) -> None:
-        self._auto = auto
-        self.expected = "a time in seconds such as 0.004 or 1/250" + (", or auto" if auto else "")
+    def __init__(self, *, auto: bool = False, least: float = 0) -> None:
+        self._auto, self._least = auto, least
+        self.expected = (
+            "a time in seconds such as 0.004 or 1/250"
+            + (f", at least {least:g}" if least else "")
+            + (", or auto" if auto else "")
+        )
 
     def parse(self, text: str, option: str) -> float | None:
         """Return the time in s; None for auto."""
@@ -234,9 +238,11 @@ class Seconds(_ValueType):
             return None
         numerator, slash, denominator = text.partition("/")
         value, divisor = _float(numerator), _float(denominator) if slash else 1.0
-        if not (value > 0 and divisor > 0 and 0 < value / divisor < math.inf):
-            raise invalid_value(option, text, f"expected {self.expected}")
-        return value / divisor
+        if value > 0 and divisor > 0:
+            seconds = value / divisor
+            if 0 < seconds < math.inf and seconds >= self._least:
+                return seconds
+        raise invalid_value(option, text, f"expected {self.expected}")
 
     def suggestions(self) -> Iterable[str]:
         """Return auto where it is allowed."""

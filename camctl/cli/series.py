@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from camctl.records.journal import SeriesOptions
 
 _MOST_SETS = 100_000  # `camctl.records.journal.MOST_SETS`, which imports numpy
+_LEAST_INTERVAL_S = 1e-9  # `camctl.records.journal.LEAST_INTERVAL_S`
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ _set_options = options.option_group(
     click.option(
         "--interval",
         "interval_s",
-        type=Seconds(),
+        type=Seconds(least=_LEAST_INTERVAL_S),
         metavar="SECONDS",
         help="Time from the start of one set to the start of the next; a start that has passed "
         "because the set before took longer is left out.  [default: one set after another]",

@@ -30,6 +30,9 @@ SERIES, GALLERY, THUMBNAILS = "series.json", "index.html", "thumbnails"
 PATTERN = "set-{number}"
 """Names of the sets' folders unless others are asked for."""
 
+LEAST_INTERVAL_S = 1e-9
+"""Shortest time between the starts of two sets, s: clocks count nanoseconds."""
+
 MOST_SETS = 100_000
 """Most sets of a series: one a second for a day."""
 
@@ -183,7 +186,7 @@ class SeriesOptions(_Model):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     repeat: int | None = Field(default=None, ge=1, le=MOST_SETS)
-    interval_s: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    interval_s: float | None = Field(default=None, ge=LEAST_INTERVAL_S, allow_inf_nan=False)
     on_key: bool = False
     name: str = PATTERN
     meter: Literal["once", "each"] = "once"
