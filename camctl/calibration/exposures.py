@@ -12,7 +12,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from camctl.calibration.light import spread_times, too_bright, too_dark
+from camctl.calibration.intervals import student_95
+from camctl.calibration.light import LONGEST_S, spread_times, too_bright, too_dark
 from camctl.errors import CaptureError
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.ratios import RatioEstimates, comparable_frames, estimate_ratios
@@ -24,8 +25,6 @@ from camctl.model.sensor import SensorModel
 from camctl.profiles.exposures import Correction, ExposureRecord
 
 REPEATS = 3
-#: Longest shutter time that is measured unless another one is asked for, s.
-LONGEST_S = 2.0
 #: Shutter times in a stop, on a camera that has any.
 _TIMES_PER_STOP = 2
 #: A frame is worth comparing if this share of its samples lies between these shares of full scale.
@@ -33,8 +32,6 @@ _LEAST_SHARE, _DIMMEST, _BRIGHTEST = 0.05, 0.08, 0.9
 #: Standard deviation of frames with one setting, relative: above the first the light or the shutter
 #: is not steady and nothing is measured, above the second there is a warning.
 _UNSTEADY, _UNEVEN = 0.02, 0.003
-#: Factor of a standard error for a 95 % interval, with the few repeats of many settings pooled.
-_TWO_SIGMA = 2.0
 
 
 def measure_exposures(
@@ -260,7 +257,8 @@ def _pooled(
     widths = np.array(found.half_widths)
     repeats = np.bincount(place, minlength=count)
     means = np.bincount(place, logs, count) / repeats
-    scatter = math.sqrt(float(np.square(logs - means[place]).sum() / (len(logs) - count)))
+    freedom = len(logs) - count
+    scatter = math.sqrt(float(np.square(logs - means[place]).sum() / freedom))
     if scatter > _UNSTEADY:
         raise CaptureError(
             f"frames with one setting differ by {scatter:.1%}: the light or the shutter is not "
@@ -272,7 +270,7 @@ def _pooled(
     if scatter > _UNEVEN:
         warn(Finding(code="light_varies", value=scatter, details={"within": "setting"}))
     half = np.bincount(place, widths, count) / repeats
-    return means, np.hypot(half, _TWO_SIGMA * scatter * np.sqrt(2 / repeats))
+    return means, np.hypot(half, student_95(freedom) * scatter * np.sqrt(2 / repeats))
 
 
 def _correction(value: float, log: float, half: float) -> Correction:

@@ -2,16 +2,40 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
 
 from camctl.errors import CaptureError
-from camctl.interface.controls import Control
+from camctl.interface.camera import Camera, Frame
+from camctl.interface.controls import Control, ExposureSetting
+
+LONGEST_S = 2.0
+"""Longest shutter time that is used unless another one is asked for, s."""
+
+PROBE_STEP = 4.0
+"""Factor between the times of `probes`: two stops, of the eight that a frame of 8 bits shows."""
 
 
 def spread_times(control: Control, shortest_s: float, longest_s: float, count: int) -> list[float]:
     """Return up to `count` times at about equal factors that a camera can do, ascending, s."""
-    requested = np.geomspace(shortest_s, longest_s, count)
+    requested = np.geomspace(shortest_s, max(shortest_s, longest_s), count)
     return sorted({control.nearest(float(each)) for each in requested})
+
+
+def probe_times(control: Control, longest_s: float, step: float = PROBE_STEP) -> list[float]:
+    """Return times from the shortest one on, about a factor `step` apart, up to `longest_s`."""
+    longest_s = max(control.minimum, min(control.maximum, longest_s))
+    count = 1 + max(1, math.ceil(math.log2(longest_s / control.minimum) / math.log2(step)))
+    return spread_times(control, control.minimum, longest_s, count)
+
+
+def probes(camera: Camera, longest_s: float, step: float = PROBE_STEP) -> Iterator[Frame]:
+    """Yield frames of `probe_times`, at the gain nearest to 1."""
+    gain = camera.controls.gain.nearest(1.0)
+    times = probe_times(camera.controls.time_s, longest_s, step)
+    yield from camera.shoot([ExposureSetting(time_s, gain) for time_s in times])
 
 
 def too_bright(shortest_s: float) -> CaptureError:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from camctl.calibration.delay import measure_delay
-from camctl.calibration.exposures import LONGEST_S
+from camctl.calibration.light import LONGEST_S
 from camctl.calibration.noise.dark import measure_dark
 from camctl.calibration.noise.pattern import (
     View,

@@ -12,9 +12,6 @@ from camctl.errors import unknown_name
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.measured import measured_response
 
-Z_95 = 1.96
-"""Half the width of a 95 % confidence interval in standard deviations."""
-
 #: Logarithm of the ratio of irradiances from which their deviation shows the exponent's.
 _LEAST_DISTANCE = 1.0
 #: Standard deviation of the slope with which a curve is continued where it was not measured.

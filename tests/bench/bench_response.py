@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
 from opencv_levels import levels_of
 
+from camctl.calibration.intervals import Z_95
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
 from camctl.calibration.response.opencv import opencv_curves
 from camctl.calibration.response.series import Series
@@ -34,7 +35,7 @@ from camctl.errors import DataError
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray
 from camctl.model.response.measured import ResponseModel, read_response_model
-from camctl.profiles.response import Z_95, ChannelResponse
+from camctl.profiles.response import ChannelResponse
 
 STOPS = tuple(2.0 ** np.arange(-1, 6))
 COARSE = {"steps of 4": (0.5, 2.0, 8.0, 32.0), "steps of 8": (0.5, 4.0, 32.0)}

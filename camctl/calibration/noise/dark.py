@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.intervals import root_of_ratio, student_95
+from camctl.calibration.noise.pattern import HOT
 from camctl.errors import DataError
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
@@ -27,23 +29,17 @@ from camctl.profiles.noise import (
     HotPixel,
     NoiseRecord,
 )
-from camctl.profiles.response import Z_95
 
 #: Shutter times, and the longest one unless another is asked for, s.
 TIMES, LONGEST_S = 5, 4.0
 #: Share of full scale above black that the frames have at most without light, up to this quantile:
 #: above it are hot pixels.
 _MOST_LIGHT, _BRIGHT = 0.1, 0.95
-#: A pixel is hot if its signal in the longest frames exceeds the median by this many standard
-#: deviations of the noise and of the pattern, in each of the two frames, and grows with time.
-_HOT = 8.0
 #: Noise of a sample, with rounding, that the frames need, DN; samples at 0, as a share, from which
 #: noise is cut.
 _LEAST_NOISE, _MOST_CUT = 0.4, 0.01
 #: Median of the absolute deviation of normal numbers of standard deviation 1.
 _MEDIAN_SHARE = 0.6745
-#: Vertical stripes of the picture whose scatter gives the intervals of DSNU and DCNU.
-_STRIPES = 16
 
 
 @dataclass(eq=False)
@@ -118,7 +114,8 @@ def estimate_dark(frames: DarkFrames, at: GainNoise) -> DarkRecord:
         )
     electrons = at.conversion_e_per_dn
     hot = _hot_pixels(times, pairs, frames.white, electrons.value)
-    cool = ~_mask(hot, pairs[0][0].shape)
+    cool = np.ones(pairs[0][0].shape, np.bool_)
+    cool[[each.row for each in hot], [each.column for each in hot]] = False
     means = np.array([[each[cool].mean(dtype=np.float64) for each in pair] for pair in pairs])
     black, current = _line(np.repeat(times, 2), means.ravel())
     shortest, longest = pairs[0], pairs[-1]
@@ -148,23 +145,9 @@ def _line(times: FloatArray, means: FloatArray) -> tuple[float, Figure]:
     start = float(means.mean() - slope * times.mean())
     freedom = times.size - 2
     scatter = np.square(means - start - slope * times).sum() / freedom
-    half = _student(freedom) * math.sqrt(float(scatter / np.square(centred).sum()))
+    half = student_95(freedom) * math.sqrt(float(scatter / np.square(centred).sum()))
     ends = [max(0.0, slope + turn * half) for turn in (-1, 0, 1)]
     return start, Figure(low=ends[0], value=ends[1], high=ends[2])
-
-
-def _student(freedom: int) -> float:
-    """Return the 97.5 % quantile of Student's t (Cornish and Fisher, two terms)."""
-    z = Z_95
-    first, second = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96
-    return z + first / freedom + second / freedom**2
-
-
-def _mask(hot: Sequence[HotPixel], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    found = np.zeros(shape, bool)
-    for each in hot:
-        found[each.row, each.column] = True
-    return found
 
 
 def _hot_pixels(
@@ -179,7 +162,7 @@ def _hot_pixels(
     lower = np.minimum(a, b)
     middle = float(np.median(lower))
     pattern = float(np.median(np.abs(lower - middle))) / _MEDIAN_SHARE
-    excess = _HOT * max(pattern, noise, 0.5)
+    excess = HOT * max(pattern, noise, 0.5)
     found = np.nonzero(lower > middle + excess)
     signals = [(first[found] + second[found]) / 2 for first, second in pairs]
     growth = [
@@ -198,34 +181,17 @@ def _hot_pixels(
     return [HotPixel(row=row, column=column, rate_e_s=rate) for (row, column), rate in brightest]
 
 
-def _stripes(values: NDArray[Any], counts: NDArray[np.bool_]) -> FloatArray:
-    """Return the mean of each vertical stripe."""
-    return np.array(
-        [
-            float(part[used].mean(dtype=np.float64))
-            for part, used in zip(
-                np.array_split(values, _STRIPES, axis=1),
-                np.array_split(counts, _STRIPES, axis=1),
-                strict=True,
-            )
-        ]
-    )
-
-
 def _deviation(
     first: NDArray[np.float32], second: NDArray[np.float32], counts: NDArray[np.bool_]
 ) -> Figure:
     """Return the standard deviation of the pattern that two pictures have in common.
 
-    It is the root of their covariance about the mean of each; the stripes give its interval.
+    It is the root of their covariance about the mean of each.
     """
     centres = [float(each[counts].mean(dtype=np.float64)) for each in (first, second)]
-    stripes = _stripes((first - centres[0]) * (second - centres[1]), counts)
-    half = Z_95 * float(stripes.std(ddof=1)) / math.sqrt(stripes.size)
-    low, value, high = (
-        math.sqrt(max(0.0, float(stripes.mean()) + turn * half)) for turn in (-1, 0, 1)
-    )
-    return Figure(value=value, low=low, high=high)
+    products = np.where(counts, (first - centres[0]) * (second - centres[1]), 0.0)
+    rows = (each.sum(axis=1, dtype=np.float64) for each in (products, counts))
+    return root_of_ratio([np.stack([*rows], axis=1)])
 
 
 def measure_dark(

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.intervals import certain, root_of_ratio
 from camctl.calibration.noise.curve import NoiseCurve
 from camctl.calibration.noise.fit import NoiseFit, combine_fits, fit_noise
 from camctl.calibration.noise.pairs import FramePair, PairPatches, channel_names, reduce_pair
-from camctl.calibration.noise.pattern import root_of_ratio
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureSetting, Layout
@@ -39,8 +39,8 @@ _BLACK = 0.01
 _NOTED_MISFIT = 3.0
 #: Correlation of neighbouring samples from which the camera is said to filter its pictures.
 _CORRELATED = 0.05
-#: Channels differ if their conversion gains do by so many standard errors and by this share.
-_APART, _APART_SHARE = 4.0, 0.03
+#: Channels differ if their conversion gains certainly do, and by this share.
+_APART_SHARE = 0.03
 #: Standard deviation of brightness, of the noise and over the picture together, from which light is
 #: spread over a level, DN: where it is not, as on a flat field with little noise, the variance
 #: depends on where in a level the light is.
@@ -248,7 +248,8 @@ def _fit_gain(
     differ = [
         abs(fit.inverse_k / joined.inverse_k - 1)
         for fit in fits.values()
-        if abs(fit.inverse_k - joined.inverse_k) > _APART * math.sqrt(fit.covariance[0, 0])
+        if abs(fit.inverse_k - joined.inverse_k)
+        > certain(len(fits)) * math.sqrt(fit.covariance[0, 0])
     ]
     if not differ or max(differ) < _APART_SHARE:
         return joined, None

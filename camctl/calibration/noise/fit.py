@@ -12,21 +12,18 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.intervals import Z_95, certain
 from camctl.calibration.noise.curve import LEAST_VARIANCE, NoiseCurve, TransferCurve
 from camctl.calibration.noise.pairs import PairPatches
 from camctl.errors import DataError
 from camctl.model.response.camera import FloatArray
-from camctl.profiles.response import Z_95
+from camctl.model.sensor import CLIPPING_SIGMAS
 
 #: Rounds of reweighted least squares; they end at this relative change.
 _ROUNDS = 10
 _CONVERGED = 1e-7
-#: A patch moved if its variance exceeds the fit by this many standard deviations.
-_MOST_DEVIATIONS = 6.0
 #: Patches with a mean above this share of white are not used for a start.
 _BRIGHT = 0.7
-#: Patches with a mean within this many standard deviations of white are not used.
-_BELOW_WHITE = 5.0
 #: Where a response is curved or noise is cut at black, patches with contrast that would change the
 #: variance by this share are not used, nor those with a contrast above this share of their mean.
 _MOST_CURVED, _MOST_CONTRAST = 0.03, 0.06
@@ -202,13 +199,16 @@ def _suitable(
     expected = shape.variances(patches)
     noise = np.maximum(expected, LEAST_VARIANCE)
     deviation = np.sqrt((2 * noise**2 + noise / 2) / patches.freedom)
-    reach = _BELOW_WHITE * np.sqrt(patches.spread + noise / 2)
+    reach = CLIPPING_SIGMAS * np.sqrt(patches.spread + noise / 2)
     suitable = (shape.share_used(patches) > 0) & (patches.mean + reach < white)
     even = patches.spread < np.square(_MOST_CONTRAST * patches.mean) + 0.75 * noise
     even &= np.abs(shape.bend(patches)) <= _MOST_CURVED * noise
     # On a straight response contrast does not matter but where samples are cut at black.
     suitable &= even | (shape.is_straight & (patches.mean - reach > shape.lowest))
-    moved = suitable & (patches.variance > expected + _MOST_DEVIATIONS * deviation)
+    # A variance has the skewness of a chi-squared one (Cornish and Fisher's first term).
+    z = certain(patches.mean.size)
+    most = z + (z**2 - 1) * np.sqrt(8 / patches.freedom) / 6
+    moved = suitable & (patches.variance > expected + most * deviation)
     return suitable & ~moved, moved
 
 

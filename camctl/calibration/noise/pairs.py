@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.intervals import certain
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.interface.controls import ExposureSetting, Layout
@@ -22,9 +23,6 @@ from camctl.model.response.camera import FloatArray
 
 #: Samples of a patch that reach white, as a share, from which it counts as saturated.
 _SATURATED = 0.5
-#: Standard errors by which the mean of a patch differs between the frames, from which its light has
-#: changed.
-_CHANGED = 5.0
 #: Patches whose relative change has at most this standard error are asked for it.
 _CERTAIN = 0.01
 #: Relative change of a patch, beyond the whole picture, from which it has moved: bands of a
@@ -148,7 +146,7 @@ def reduce_pair(
     change = np.concatenate(changes)
     change = change[change[:, 1] < _CERTAIN]
     common = float(np.median(change[:, 0])) if change.size else 0.0
-    moved = np.abs(change[:, 0] - common) > _MOVED + _CHANGED * change[:, 1]
+    moved = np.abs(change[:, 0] - common) > _MOVED + certain(len(change)) * change[:, 1]
     return FramePair(
         setting,
         {name: PairPatches.joined(parts) for name, parts in channels.items()},
@@ -183,7 +181,7 @@ def _reduce(a: Patches, b: Patches, black: int) -> tuple[PairPatches, FloatArray
     difference -= shift[:, None]
     # A change of the light is in proportion to the brightness.
     error = np.sqrt(np.square(difference).mean(axis=1) / samples)
-    is_changed = np.abs(shift) > _CHANGED * error
+    is_changed = np.abs(shift) > certain(mean.size) * error
     difference -= (change * is_changed)[:, None] * (level - mean[:, None])
     freedom = samples - 1.0
     variance = np.square(difference).sum(axis=1) / (2 * freedom)

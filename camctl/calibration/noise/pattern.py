@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.light import spread_times
+from camctl.calibration.intervals import root_of_ratio
+from camctl.calibration.light import probes
 from camctl.errors import CaptureError, DataError
 from camctl.evidence.patches import sample_patches
 from camctl.interface.camera import Camera
@@ -35,11 +36,10 @@ _DIM, _BRIGHT = 0.15, 0.95
 _DEGREE = 2
 #: Fewest patches that are bright in both views.
 _LEAST_PATCHES = 64
-#: Parts of the picture that are left out in turn for the interval, and half the width of a 95 %
-#: interval in standard deviations that so many parts show (Student).
-_PARTS, _T_95 = 16, 2.131
-#: A sample is a hot pixel if its deviations are this many times the median ones, in both views.
-_HOT = 8.0
+HOT = 8.0
+"""A pixel is hot if it deviates by so many standard deviations of noise and pattern in both of two
+pictures: of 1e8 normal pixels none does."""
+
 #: Relative difference that half of the patches exceed where a camera was turned.
 _TURNED = 0.005
 
@@ -173,26 +173,7 @@ def _dark_covariance(first: View, second: View, noise: NoiseRecord | None) -> Fl
 def _usual(a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
     """Return which samples, (patches, samples), are no hot pixels: these are so in both views."""
     sizes = [np.median(np.abs(each), axis=1, keepdims=True) for each in (a, b)]
-    return np.asarray(np.abs(a * b) <= _HOT**2 * sizes[0] * sizes[1])
-
-
-def root_of_ratio(sums: Sequence[FloatArray]) -> Figure:
-    """Return the root of the ratio of two sums over the picture, with its interval.
-
-    Parts of the picture are left out in turn (jackknife), in all colours: they see the same scene.
-
-    Args:
-        sums: of each colour, (patches, 2), row by row
-    """
-    parts = np.zeros((_PARTS, 2))
-    for colour in sums:
-        parts += [part.sum(axis=0) for part in np.array_split(colour, _PARTS)]
-    whole = parts.sum(axis=0)
-    squared = float(whole[0] / whole[1])
-    others = (whole - parts)[:, 0] / (whole - parts)[:, 1]
-    error = math.sqrt(float(np.square(others - others.mean()).sum()) * (_PARTS - 1) / _PARTS)
-    value, low, high = (math.sqrt(max(0.0, squared + turn * _T_95 * error)) for turn in (0, -1, 1))
-    return Figure(value=value, low=low, high=high)
+    return np.asarray(np.abs(a * b) <= HOT**2 * sizes[0] * sizes[1])
 
 
 def view_settings(camera: Camera, longest_s: float) -> list[ExposureSetting]:
@@ -204,13 +185,11 @@ def view_settings(camera: Camera, longest_s: float) -> list[ExposureSetting]:
     """
     controls = camera.controls
     gain = controls.gain.nearest(1.0)
-    shortest, longest = controls.time_s.minimum, min(controls.time_s.maximum, longest_s)
-    count = 1 + math.ceil(math.log2(max(longest / shortest, 2.0)))
-    times = spread_times(controls.time_s, shortest, longest, count)
-    shares = []
-    for frame in camera.shoot([ExposureSetting(time_s, gain) for time_s in times]):
+    times, shares = [], []
+    for frame in probes(camera, longest_s, step=2.0):
         view = View(controls)
         view.add(frame.pixels, frame.applied.time_s)
+        times.append(frame.requested.time_s)
         shares.append(view.share_used)
     best = int(np.argmax(shares))
     if not shares[best]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from camctl.calibration.light import spread_times, too_bright, too_dark
+from camctl.calibration.light import LONGEST_S, probes, spread_times, too_bright, too_dark
 from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise, same_response
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Control, ExposureSetting
@@ -15,15 +15,13 @@ from camctl.model.response.camera import CameraResponse
 from camctl.profiles.noise import NoiseRecord
 
 EXPOSURES = 12
-#: Longest shutter time that is used unless another one is asked for, s.
-LONGEST_S = 2.0
 #: Factor between the gains that are measured, and how many of them at most.
 _GAIN_STEP, _MOST_GAINS = 4.0, 3
 #: Samples, about, by which the light is metered.
 _SAMPLES = 1 << 18
-#: Factor between the exposures that are tried first; the brighter parts (the brightest tenth) must
-#: reach `_TOO_DARK` of full scale, and pairs begin where they have `_FIRST`.
-_PROBE_STEP, _TOO_DARK, _FIRST = 4.0, 0.08, 0.01
+#: Shares of full scale: the brighter parts (the brightest tenth) must reach the first, and pairs
+#: begin where they have the second.
+_TOO_DARK, _FIRST = 0.08, 0.01
 
 
 def measure_noise(
@@ -57,13 +55,7 @@ def measure_noise(
     responses = same_response(response or controls.levels, controls.layout)
     if controls.responses and response is None:
         responses = dict(zip("RGB", controls.responses, strict=True))
-    frames = NoiseFrames(
-        controls.layout,
-        controls.black,
-        controls.white,
-        responses,
-        is_flat,
-    )
+    frames = NoiseFrames(controls.layout, controls.black, controls.white, responses, is_flat)
     settings = _settings(camera, exposures, longest_s)
     for done, frame in enumerate(camera.shoot([each for each in settings for _ in (0, 1)])):
         frames.add(frame.pixels, frame.requested)
@@ -78,11 +70,9 @@ def _settings(camera: Camera, count: int, longest_s: float) -> list[ExposureSett
     """Return settings from dark to saturated, at some gains."""
     controls = camera.controls
     base = controls.gain.nearest(1.0)
-    shortest, longest = controls.time_s.minimum, min(controls.time_s.maximum, longest_s)
-    probes = 1 + max(1, math.ceil(math.log(max(longest / shortest, 1.0), _PROBE_STEP)))
-    times = spread_times(controls.time_s, shortest, longest, probes)
+    shortest = controls.time_s.minimum
     middle = {}
-    for frame in camera.shoot([ExposureSetting(time_s, base) for time_s in times]):
+    for frame in probes(camera, longest_s):
         # An odd step keeps all colours of a mosaic.
         step = math.isqrt(frame.pixels.shape[0] * frame.pixels.shape[1] // _SAMPLES) | 1
         samples = frame.pixels[::step, ::step].astype(np.float64)

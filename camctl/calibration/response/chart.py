@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.intervals import certain
 from camctl.calibration.response.fit import ChartSamples
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
@@ -46,8 +47,8 @@ _DETECTED_SIZE, _ENCODINGS = 1600, (1.0, 1 / 2.2)
 _RANGE = (0.002, 0.998)
 #: Brightness, share of full scale, from which a patch is used: below, noise and clipping distort.
 _DARKEST = 0.02
-#: Errors of the reflectance from which there is a note, in standard deviations and in all.
-_NOTED_DEVIATIONS, _NOTED = 3.0, 0.1
+#: Error of the reflectance from which there is a note.
+_NOTED = 0.1
 
 
 @dataclass(frozen=True)
@@ -289,7 +290,7 @@ def chart_findings(chart: ChartSamples, errors: NDArray[np.float64], channel: st
     """Return a finding on the patch that contradicts the others most, if it does."""
     deviations = np.abs(errors) / chart.error
     worst = int(np.argmax(deviations))
-    if deviations[worst] < _NOTED_DEVIATIONS or abs(errors[worst]) < _NOTED:
+    if deviations[worst] < certain(errors.size) or abs(errors[worst]) < _NOTED:
         return []
     return [
         Finding(

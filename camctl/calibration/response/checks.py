@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.intervals import Z_95
 from camctl.calibration.response.fit import ChartSamples, ResponseFit
 from camctl.calibration.response.labels import LabelCheck, contradiction_error
 from camctl.calibration.response.matches import Matches
@@ -16,7 +17,7 @@ from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
-from camctl.profiles.response import Z_95, ResponseRecord
+from camctl.profiles.response import ResponseRecord
 
 #: A frame is black if less than this share of its pixels is above the first level, % of full scale.
 _LIT_SHARE, _LIT_LEVEL = 0.01, 0.04

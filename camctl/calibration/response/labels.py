@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.intervals import Z_95, student_95
 from camctl.calibration.response.exponent import expected_exponent
 from camctl.calibration.response.fit import ResponseFit
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.messages.calibration import contradiction_hint, exposures_contradict
 from camctl.model.response.camera import FloatArray
-from camctl.profiles.response import Z_95
 
 #: Relative errors of the exposures from which there is a note, and from which there is no result:
 #: film at long exposures (reciprocity failure) can be 25 % darker.
@@ -196,9 +196,7 @@ def _standard_error(logs: FloatArray, errors: FloatArray) -> float:
     if logs.size < 3 or spread == 0:
         return 0.0
     scatter = float(np.sum(np.square(errors - np.polyval(np.polyfit(logs, errors, 1), logs))))
-    few = max(_LEAST_FREEDOM, logs.size - 2)
-    # Student's quantile over the normal one (Cornish-Fisher).
-    wider = 1 + (Z_95**2 + 1) / (4 * few) + (5 * Z_95**4 + 16 * Z_95**2 + 3) / (96 * few**2)
+    wider = student_95(max(_LEAST_FREEDOM, logs.size - 2)) / Z_95
     return wider * math.sqrt(scatter / (logs.size - 2) / spread)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -10,7 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.light import spread_times, too_bright, too_dark
+from camctl.calibration.light import (
+    LONGEST_S,
+    PROBE_STEP,
+    probes,
+    spread_times,
+    too_bright,
+    too_dark,
+)
 from camctl.calibration.response.series import Series
 from camctl.findings import Finding
 from camctl.interface.camera import Camera
@@ -19,12 +25,9 @@ from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.profile import load_profile
 
 FRAMES = 8
-#: Longest shutter time that is used unless another one is asked for, s.
-LONGEST_S = 2.0
 #: Time for the bracket: from the first probe in which this share of the pixels reaches half of full
 #: scale, to the first in which all but this share is saturated.
 _FEW = 0.01
-_PROBE_STEP = 4.0
 
 
 def measure_response(
@@ -90,21 +93,16 @@ def _had_assumed_response(camera: Camera) -> bool:
 def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:
     """Return up to `count` shutter times from dark frames to nearly saturated ones."""
     controls = camera.controls
-    gain = controls.gain.nearest(1.0)
-    shortest = controls.time_s.minimum
-    longest = max(shortest, min(controls.time_s.maximum, longest_s))
-    probes = 1 + max(1, math.ceil(math.log(longest / shortest, _PROBE_STEP)))
-    times = spread_times(controls.time_s, shortest, longest, probes)
-    first, last = None, times[-1]
+    shortest, first, last = controls.time_s.minimum, None, 0.0
     half = controls.black + (controls.white - controls.black) / 2
-    for frame in camera.shoot([ExposureSetting(time_s, gain) for time_s in times]):
+    for frame in probes(camera, longest_s):
+        last = frame.applied.time_s
         if first is None and np.mean(frame.pixels >= half) >= _FEW:
-            first = frame.applied.time_s / _PROBE_STEP
+            first = last / PROBE_STEP
         if np.mean(frame.pixels >= controls.white) >= 1 - 2 * _FEW:
-            last = frame.applied.time_s
+            if frame.index == 0:
+                raise too_bright(last)
             break
     if first is None:
-        raise too_dark(f"it does not reach half of full scale at {times[-1]:.4g} s")
-    if last == times[0]:
-        raise too_bright(times[0])
+        raise too_dark(f"it does not reach half of full scale at {last:.4g} s")
     return spread_times(controls.time_s, max(first, shortest), last, count)

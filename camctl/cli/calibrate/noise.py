@@ -129,7 +129,8 @@ def _from_camera(
     is_flat: bool,
     response: str | None,
 ) -> tuple[CameraInfo, str, NoiseRecord]:
-    from camctl.calibration.noise.shooting import LONGEST_S, measure_noise
+    from camctl.calibration.light import LONGEST_S
+    from camctl.calibration.noise.shooting import measure_noise
     from camctl.profiles.exposures import exposure_mode
 
     with camera.open(profile="response") as opened, progress_bar("shooting pairs") as bar:

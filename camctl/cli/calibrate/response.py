@@ -306,7 +306,7 @@ def _write_curve(path: Path, record: ResponseRecord) -> None:
 
 
 def _json(record: ResponseRecord) -> dict[str, Any]:
-    from camctl.profiles.response import Z_95
+    from camctl.calibration.intervals import Z_95
 
     described = record.model_dump()
     for measured, channel in zip(record.channels, described["channels"], strict=True):
@@ -320,7 +320,7 @@ def _table(record: ResponseRecord) -> str:
     """Return one row for some brightness levels: irradiance of each channel, and its confidence."""
     import numpy as np
 
-    from camctl.profiles.response import Z_95
+    from camctl.calibration.intervals import Z_95
 
     headings = ["brightness"]
     for channel in record.channels:
