@@ -327,10 +327,9 @@ class Settings(_ValueType):
             from camctl.exposure.settings_grid import stepped
 
             return tuple(stepped(*(self._value(part.strip(), option) for part in parts)).tolist())
-        values = text.replace(",", " ").split()
-        if len(parts) != 1 or not values:
+        if len(parts) != 1:
             raise invalid_value(option, text, f"expected {self.expected}")
-        return tuple(self._value(value, option) for value in values)
+        return tuple(self._value(value, option) for value in _parts(text, option))
 
     def _value(self, text: str, option: str) -> float:
         value = self._unit.parse(text, option)
@@ -348,6 +347,14 @@ class Settings(_ValueType):
         return values
 
 
+def _parts(text: str, option: str) -> list[str]:
+    """Return the texts between commas or blanks; raise `UsageError` where one is missing."""
+    parts = re.split(r"\s*,\s*|\s+", text.strip())
+    if len(parts) > 1 and not all(parts):
+        raise invalid_value(option, text, "a value is missing beside a comma")
+    return parts
+
+
 class ListOf(_ValueType):
     """Several values of one type, separated by commas or blanks."""
 
@@ -359,8 +366,7 @@ class ListOf(_ValueType):
 
     def parse(self, text: str, option: str) -> Any:
         """Return the values as a tuple in the order given, with `unique` each once."""
-        parts = text.replace(",", " ").split() or [text]
-        values = [self._item.parse(part, option) for part in parts]
+        values = [self._item.parse(part, option) for part in _parts(text, option)]
         return tuple(dict.fromkeys(values) if self._unique else values)
 
     def shell_complete(

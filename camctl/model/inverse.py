@@ -31,7 +31,8 @@ _CELL = 2.0
 effective levels differ by at most 0.02 %."""
 
 _COARSEST = 1 / 128
-"""Largest cell of the integration over u."""
+"""Largest cell of the integration over u, as a share of 0 to 1; of the part below or above of the
+range, which a narrow range makes far longer than 1, as a share of it."""
 
 _CELLS_PER_GAP, _MOST_CELLS = 4, 1 << 15
 """Cells of a gap that is wider than the noise; fewer where there would be more than `_MOST_CELLS`
@@ -81,6 +82,12 @@ class ExtendedResponse:
             + np.where(below < 0, below, 0.0) * self.slopes[0]
             + (above * self.slopes[1])
         )
+
+    def slope(self, E: FloatArray) -> FloatArray:
+        """Return dv/dE at E >= 0."""
+        inside = self.desired.slope(np.clip(E, max(self.desired.e_min, np.finfo(float).tiny), 1.0))
+        below, above = self.desired.e_min > E, E > 1
+        return np.where(below, self.slopes[0], np.where(above, self.slopes[1], inside))
 
     def inverse(self, v: FloatArray) -> FloatArray:
         """Return E with v(E) = v."""
@@ -153,7 +160,9 @@ class Posterior:
         wide = gap > _WIDE_GAP * noise
         count = np.where(wide, float(per_gap), 0.0)  # 0 in a gap that v does not resolve
         np.divide(gap, _CELL * noise, out=count, where=~wide & (noise > 0))
-        density = np.concatenate([[0.0], np.cumsum(np.maximum(count, gap / _COARSEST))])
+        outside = np.where(v[1:] <= 0, -v[0], np.where(v[:-1] >= 1, v[-1] - 1, 1.0))
+        coarsest = _COARSEST * np.maximum(outside, 1.0)
+        density = np.concatenate([[0.0], np.cumsum(np.maximum(count, gap / coarsest))])
         steps = np.linspace(0.0, density[-1], int(np.ceil(density[-1])) + 1)
         keep = np.zeros(E.size, dtype=bool)
         keep[:-1] |= wide
@@ -199,7 +208,7 @@ class Posterior:
         """Mean square of v at each node that the sensitivities of the pixels add."""
         v, _ = self._nodes
         E = self._response.inverse(v)
-        return np.asarray((self._prnu * E * np.gradient(v, E)) ** 2)
+        return np.asarray((self._prnu * E * self._response.slope(E)) ** 2)
 
     @cached_property
     def mse(self) -> float:

@@ -164,6 +164,10 @@ RATIOS = "expected positive numbers such as 1,2,4"
         ("solve --range 0.5", "invalid value for --range: 0.5; the range must be above 1"),
         ("solve --range nan", "invalid value for --range: nan; the range must be above 1"),
         ("solve --range inf", "invalid value for --range: inf; the range must be finite"),
+        (
+            "evaluate --ratios 1,,2",
+            "invalid value for --ratios: 1,,2; a value is missing beside a comma",
+        ),
         ("solve -n 0", f"invalid value for --exposures: 0; {WHOLE_TO_16}"),
         ("solve -n 17", f"invalid value for --exposures: 17; {WHOLE_TO_16}"),
         ("solve -n three", f"invalid value for --exposures: three; {WHOLE_TO_16}"),

@@ -145,3 +145,26 @@ def test_noise_terms_beyond_use_are_refused(sigma: float, weight: float, message
 def test_the_largest_noise_term_is_finite(kind: str) -> None:
     cost = NoiseTerm(MAX_SIGMA, MAX_WEIGHT, kind).cost(np.array([[1.0, 1.0], [1.0, 1e100]]))
     assert np.all(np.isfinite(cost))
+
+
+@pytest.mark.parametrize("name", ["linear", "gamma", "log"])
+@pytest.mark.parametrize("dynamic_range", [1 + 1e-9, 1.0001, 1.5])
+def test_the_work_does_not_grow_with_the_narrowness_of_the_range(
+    name: str, dynamic_range: float
+) -> None:
+    """Outside of a narrow range v reaches far beyond 0 to 1; levels agree with simulated frames."""
+    desired = desired_response(name, dynamic_range)
+    camera = EffectiveCamera.of(EIGHT_BIT, (1, 2, 4))
+    noise = [FrameNoise(1000.0, 1.5)] * 3
+    posterior = Posterior(camera, desired, noise)
+    assert posterior._nodes[0].size < 20_000
+    rng = np.random.default_rng(3)
+    u = rng.random(400_000)
+    E = desired.inverse(u)
+    total = np.zeros(u.size, dtype=np.int64)
+    for e in camera.exposures:
+        spread = np.sqrt(1.5**2 + e * E * 256 / 1000)
+        frame = np.floor(e * E * 256 + spread * rng.standard_normal(u.size))
+        total += np.clip(frame, 0, 255).astype(np.int64)
+    simulated = (12 * np.mean((posterior.inverse.u[total] - u) ** 2)) ** -0.5
+    assert posterior.inverse.effective_levels == pytest.approx(simulated, rel=0.01)
