@@ -350,9 +350,9 @@ class Settings(_ValueType):
 def _parts(text: str, option: str) -> list[str]:
     """Return the texts between commas or blanks; raise `UsageError` where one is missing."""
     parts = re.split(r"\s*,\s*|\s+", text.strip())
-    if len(parts) > 1 and not all(parts):
+    if any(parts) and not all(parts):
         raise invalid_value(option, text, "a value is missing beside a comma")
-    return parts
+    return parts if any(parts) else [text]
 
 
 class ListOf(_ValueType):
