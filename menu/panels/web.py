@@ -12,15 +12,19 @@ import json
 import os
 import queue
 import re
+import socket
 import sys
 import threading
+import time
 from base64 import b64encode
+from contextlib import suppress
+from hashlib import sha256
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, Self
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 from camctl.errors import UsageError
 from camctl.system.interrupts import uninterrupted
@@ -34,12 +38,38 @@ SIZE = (640, 480)
 """(columns, rows) of the picture, pixels."""
 TOKEN_VARIABLE = "CAMCTL_MENU_TOKEN"
 
-_PAGE = Path(__file__).with_name("web.html")
+_PAGE = Path(__file__).with_name("web.html").read_bytes()
 _ADDRESS = re.compile(r"(?:(?P<host>[^:]+|\[[0-9a-fA-F:]+\]):)?(?P<port>\d{1,5})", re.ASCII)
 _POLL_S = 20.0
 """A request for the next screen is answered after this time, s, even if it is the same."""
 _KEYS = {key.name.lower(): key for key in Key}
 _COOKIE = "camctl_token"
+
+_MOST_CONNECTIONS = 32
+"""A browser opens six connections at most; a new one ends the one that is silent for longest."""
+
+_GUESS_S = 0.5
+"""Wrong tokens are refused one at a time, after this time each, s: two guesses a second in all."""
+
+
+def _hashes(element: bytes) -> str:
+    """Return the sources of a Content-Security-Policy that allow these elements of the page."""
+    found = re.findall(rb"<%b>(.*?)</%b>" % (element, element), _PAGE, re.DOTALL)
+    return " ".join(f"'sha256-{b64encode(sha256(text).digest()).decode()}'" for text in found)
+
+
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": (
+        f"default-src 'none'; script-src {_hashes(b'script')}; style-src {_hashes(b'style')}; "
+        "img-src data:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; "
+        "form-action 'none'"
+    ),
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+"""Sent with every answer: nothing is kept, framed, guessed or loaded from elsewhere."""
 
 
 class WebPanel:
@@ -70,7 +100,8 @@ class WebPanel:
         self._screen: Screen | None = None
         self._picture = b""
         self.is_open = False
-        self._server: ThreadingHTTPServer | None = None
+        self.guesses = threading.Lock()
+        self._server: _Server | None = None
 
     @property
     def url(self) -> str:
@@ -82,13 +113,12 @@ class WebPanel:
         """Start the server and return the panel; raises `UsageError` where it cannot listen."""
         handler = type("Handler", (_Handler,), {"server_panel": self})
         try:
-            self._server = ThreadingHTTPServer((self._host, self._port), handler)
+            self._server = _Server((self._host, self._port), handler)
         except OSError as error:
             raise UsageError(
                 f"cannot listen on {self._host}:{self._port}: {error.strerror}",
                 hint="choose another port with web:PORT",
             ) from error
-        self._server.daemon_threads = True
         self.is_open = True
         threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
@@ -132,6 +162,46 @@ class WebPanel:
             return self.version, [line.rstrip() for line in lines], self._picture
 
 
+class _Server(ThreadingHTTPServer):
+    """A thread for each connection, at most `_MOST_CONNECTIONS`."""
+
+    daemon_threads = True
+    request_queue_size = _MOST_CONNECTIONS
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self._used: dict[Any, float] = {}  # socket: time of its last request
+        self._lock = threading.Lock()
+        super().__init__(address, handler)
+
+    def note_request(self, connection: Any) -> None:
+        """Count `connection` as the one used last."""
+        with self._lock:
+            if connection in self._used:
+                self._used[connection] = time.monotonic()
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a new connection, instead of the one unused for longest where there are many."""
+        with self._lock:
+            if len(self._used) >= _MOST_CONNECTIONS:
+                oldest = min(self._used, key=self._used.__getitem__)
+                del self._used[oldest]
+                with suppress(OSError):  # it has ended by itself
+                    oldest.shutdown(socket.SHUT_RDWR)
+            self._used[request] = time.monotonic()
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        with self._lock:
+            self._used.pop(request, None)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore clients that have gone; everything else is a defect, and printed."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
 def _is_loopback(host: str) -> bool:
     if host == "localhost":
         return True
@@ -144,7 +214,9 @@ def _is_loopback(host: str) -> bool:
 class _Handler(BaseHTTPRequestHandler):
     """Answers one request; `server_panel` is the panel."""
 
+    server: _Server
     server_panel: WebPanel
+    url: SplitResult
     protocol_version = "HTTP/1.1"
     timeout = 60
     # Header and body leave in one packet, at once: a second small packet would wait until the
@@ -156,15 +228,13 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer the page, the next screen, or its picture."""
         if not self._is_allowed():
             return
-        parts = urlsplit(self.path)
-        panel = self.server_panel
-        match parts.path:
+        match self.url.path:
             case "/":
-                self._answer(_PAGE.read_bytes(), "text/html; charset=utf-8")
+                self._answer(_PAGE, "text/html; charset=utf-8")
             case "/screen":
-                after = parse_qs(parts.query).get("after", ["0"])[0]
-                known = int(after) if after.isascii() and after.isdigit() else 0
-                version, lines, picture = panel.wait_for(known)
+                after = parse_qs(self.url.query).get("after", ["0"])[0]
+                known = int(after) if re.fullmatch(r"\d{1,18}", after, re.ASCII) else 0
+                version, lines, picture = self.server_panel.wait_for(known)
                 shown = {
                     "version": version,
                     "lines": lines,
@@ -182,7 +252,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("X-Camctl") is None:
             self._refuse(HTTPStatus.FORBIDDEN, "keys are taken from the page of the menu only")
             return
-        name = urlsplit(self.path).path.removeprefix("/key/")
+        name = self.url.path.removeprefix("/key/")
         if name not in _KEYS:
             self._refuse(HTTPStatus.NOT_FOUND, f"no key is called {name[:20]!r}")
             return
@@ -196,16 +266,24 @@ class _Handler(BaseHTTPRequestHandler):
     def _is_allowed(self) -> bool:
         """Return whether the request has the token, or comes to the loopback interface by name."""
         panel = self.server_panel
+        self.server.note_request(self.connection)
+        try:
+            self.url = urlsplit(self.path)
+            host = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
+        except ValueError:
+            self._refuse(HTTPStatus.BAD_REQUEST, "the address or its host is invalid")
+            return False
         if panel.token:
-            given = parse_qs(urlsplit(self.path).query).get("token", [self._cookie()])[0]
+            given = parse_qs(self.url.query).get("token", [self._cookie()])[0]
             if hmac.compare_digest(given.encode(), panel.token.encode()):
                 return True
+            with panel.guesses:
+                time.sleep(_GUESS_S if given else 0)
             self._refuse(
                 HTTPStatus.FORBIDDEN, "the token is missing or wrong: open /?token=TOKEN once"
             )
             return False
         # A name that another site made point here would let its pages read the screen.
-        host = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
         if _is_loopback(host):
             return True
         self._refuse(HTTPStatus.FORBIDDEN, "open the page by the address 127.0.0.1")
@@ -216,7 +294,7 @@ class _Handler(BaseHTTPRequestHandler):
             found = SimpleCookie(self.headers.get("Cookie", "")).get(_COOKIE)
         except CookieError:
             return ""
-        return found.value if found is not None else ""
+        return unquote(found.value) if found is not None else ""
 
     def _answer(
         self, data: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK, *, close: bool = False
@@ -224,12 +302,13 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(data)))
-        self.send_header("Cache-Control", "no-store")
+        for name, value in _HEADERS.items():
+            self.send_header(name, value)
         if close:
             self.send_header("Connection", "close")
         token = self.server_panel.token
         if token and status is HTTPStatus.OK:
-            cookie = f"{_COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/"
+            cookie = f"{_COOKIE}={quote(token, safe='')}; HttpOnly; SameSite=Strict; Path=/"
             self.send_header("Set-Cookie", cookie)
         self.end_headers()
         self.wfile.write(data)

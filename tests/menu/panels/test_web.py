@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import socket
 import urllib.error
 import urllib.request
 from base64 import b64decode
 from collections.abc import Iterator
+from contextlib import ExitStack
+from urllib.parse import quote
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from camctl.errors import UsageError
 from camctl.system.picture_operations import png
@@ -118,3 +123,82 @@ def test_port_in_use_is_one_line(panel: WebPanel) -> None:
     port = panel.url.rstrip("/").rpartition(":")[2]
     with pytest.raises(UsageError, match=rf"cannot listen on 127.0.0.1:{port}: .* choose another"):
         WebPanel(port, token="").__enter__()
+
+
+def connect(panel: WebPanel) -> socket.socket:
+    """Return a connection to the server."""
+    host, _, port = panel.url.removeprefix("http://").rstrip("/").rpartition(":")
+    return socket.create_connection((host, int(port)), timeout=60)
+
+
+@pytest.mark.parametrize(
+    "token", ["with space", 'quote"and;semicolon', "caf\u00e9 \u0142", "a%41+b"]
+)
+def test_a_token_may_hold_any_character(token: str) -> None:
+    with WebPanel("0", token=token) as panel:
+        panel.show(SCREEN)
+        url = f"{panel.url}?token={quote(token)}"
+        with urllib.request.urlopen(url, timeout=60) as answer:
+            cookie = answer.headers["Set-Cookie"].partition(";")[0]
+        assert ask(panel, "screen?after=0", headers={"Cookie": cookie})[0] == 200
+
+
+def test_every_answer_forbids_frames_copies_and_other_sources(panel: WebPanel) -> None:
+    for path in ("", "screen?after=0", "nothing"):
+        try:
+            with urllib.request.urlopen(panel.url + path, timeout=60) as answer:
+                headers = answer.headers
+        except urllib.error.HTTPError as error:
+            with error:
+                headers = error.headers
+        policy = headers["Content-Security-Policy"]
+        assert "default-src 'none'; script-src 'sha256-" in policy
+        assert "frame-ancestors 'none'" in policy
+        assert headers["X-Frame-Options"] == "DENY"
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert headers["Cache-Control"] == "no-store"
+
+
+def test_many_silent_clients_do_not_shut_the_others_out(panel: WebPanel) -> None:
+    with ExitStack() as stack:
+        for _ in range(100):
+            stack.enter_context(connect(panel)).sendall(b"GET / HTTP/1.1\r\nHost: ")
+        assert ask(panel, "screen?after=0")[0] == 200
+        assert panel._server is not None
+        assert len(panel._server._used) <= 32
+
+
+HOSTILE = (
+    b"GET /screen?after=" + b"9" * 5000 + b" HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost: [::1\r\n\r\n",
+    b"GET //[::1 HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    b"POST /key/%00 HTTP/1.1\r\nHost: localhost\r\nX-Camctl: 1\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nCookie: =;\x00;camctl_token\r\n\r\n",
+    b"GET / HTTP/9.9\r\n\r\n",
+    b"\x16\x03\x01\x02\x00",
+)
+
+
+@pytest.mark.parametrize("token", ["", "s3cret"])
+def test_no_request_ends_in_a_traceback(token: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with WebPanel("0", token=token) as panel:
+        panel.show(SCREEN)
+
+        def send(request: bytes) -> bytes:
+            with connect(panel) as connection:
+                connection.sendall(request)
+                connection.shutdown(socket.SHUT_WR)
+                return b"".join(iter(lambda: connection.recv(1 << 16), b""))
+
+        for request in HOSTILE:
+            assert not send(request).startswith(b"HTTP/1.1 5"), request
+
+        @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+        @given(st.binary(max_size=60), st.sampled_from([b"GET /", b"POST /key/", b""]))
+        def any_request(rest: bytes, before: bytes) -> None:
+            send(before + rest + b" HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+
+        any_request()
+        headers = {"Cookie": f"camctl_token={token}"}
+        assert ask(panel, "screen?after=0", headers=headers)[0] == 200
+    assert "Traceback" not in capsys.readouterr().err
