@@ -25,8 +25,11 @@ from camctl.interface.clock import Clock
 PORT = 15740
 
 HEADER = struct.Struct("<II")  # length with this header, type
-# Above any packet: cameras send objects in pieces, or in one.
-_MAX_PACKET_BYTES = (1 << 31) + HEADER.size
+# Most bytes of a packet that is no data: the longest, Init_Command_Ack, has 24 and a name of 80
+# (CIPA DC-005, 2.3.2); cameras fill up names.
+_CONTROL_BYTES = 512
+# Bytes of a packet of data before the data: the number of its transaction.
+_NUMBER_BYTES = 4
 # Bytes of one read, at least and at most: a response often follows in the same read.
 _LEAST_READ_BYTES, _CHUNK_BYTES = 4096, 1 << 20
 # How long a host may take to accept a connection, s.
@@ -185,10 +188,14 @@ class PacketLink:
         except OSError as error:
             raise link_error(error, self.name) from None
 
-    def receive(self, silence_s: float) -> tuple[int, memoryview]:
+    def receive(self, silence_s: float, *, data_bytes: int = 0) -> tuple[int, memoryview]:
         """Return type and body of the next packet.
 
         What has arrived of a packet is kept when `CameraTimeoutError` is raised.
+
+        Args:
+            silence_s: how long nothing may come, s
+            data_bytes: most bytes of data in a packet; no memory is used for more
 
         Raises:
             CameraTimeoutError: nothing came for `silence_s`
@@ -198,7 +205,9 @@ class PacketLink:
         self._fill(HEADER.size, silence_s)
         length, kind = HEADER.unpack_from(self._received)
         known = Packet.INIT_COMMAND <= kind <= Packet.PONG
-        if not known or not HEADER.size <= length <= _MAX_PACKET_BYTES:
+        is_data = kind in (Packet.DATA, Packet.END_DATA)
+        most = HEADER.size + (_NUMBER_BYTES + data_bytes if is_data else _CONTROL_BYTES)
+        if not known or not HEADER.size <= length <= most:
             raise CameraProtocolError(
                 f"{self.name} sent bytes that are no PTP/IP packet",
                 hint="check that the address belongs to a camera, then try again",

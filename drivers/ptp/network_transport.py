@@ -91,6 +91,7 @@ class NetworkTransport:
     def _open(self) -> None:
         self._queue: deque[Container] = deque()
         self._is_valid = True
+        self._limit = 0  # bytes of data that the transaction in progress may bring
         # A missing answer to a ping means something only if the camera answers pings at all.
         self._pongs = self._unanswered = 0
         self._commands = self._link()
@@ -195,6 +196,7 @@ class NetworkTransport:
         raise self._invalid(f"an answer to transaction {container.transaction}")
 
     def _container(self, limit: int) -> Container:
+        self._limit = limit
         kind, body = self._packet()
         if kind == Packet.RESPONSE and len(body) >= 6:
             code, number = struct.unpack_from("<HI", body)
@@ -208,15 +210,13 @@ class NetworkTransport:
         parts: list[memoryview] = []
         received = 0
         while kind != Packet.END_DATA:
-            kind, body = self._packet()
+            kind, body = self._packet(limit - received)
             if kind == Packet.RESPONSE and len(body) >= 6:
                 return self._incomplete(received, size)
             if kind not in (Packet.DATA, Packet.END_DATA) or len(body) < 4:
                 raise self._invalid(f"a packet of type {kind} among data")
             parts.append(body[4:])
             received += len(body) - 4
-            if received > limit:
-                raise self._invalid(f"more than {limit} bytes of data")
         if size not in (received, _UNKNOWN_SIZE, 0xFFFF_FFFF):
             self._incomplete(received, size)
         return Container(DATA, 0, number, b"".join(parts))
@@ -226,13 +226,14 @@ class NetworkTransport:
             f"{self.name} sent {received} of {size} bytes of data", hint="try again"
         )
 
-    def _packet(self) -> tuple[int, memoryview]:
+    def _packet(self, data_bytes: int = 0) -> tuple[int, memoryview]:
         """Return the next packet of commands; meanwhile ask whether the camera is still there."""
         began_s = self._clock.now()
         while True:
             silent_s = self._clock.now() - max(began_s, self._commands.heard_s)
             try:
-                return self._commands.receive(max(min(_PING_S, self.silence_s - silent_s), _POLL_S))
+                wait_s = max(min(_PING_S, self.silence_s - silent_s), _POLL_S)
+                return self._commands.receive(wait_s, data_bytes=data_bytes)
             except CameraTimeoutError:
                 if self._clock.now() >= max(began_s, self._commands.heard_s) + self.silence_s:
                     raise
@@ -297,7 +298,7 @@ class NetworkTransport:
         deadline_s = self._clock.now() + _RECOVERY_S
         with suppress(CameraTimeoutError, CameraProtocolError):
             while (left_s := deadline_s - self._clock.now()) > 0:
-                kind, body = self._commands.receive(left_s)
+                kind, body = self._commands.receive(left_s, data_bytes=self._limit)
                 if kind == Packet.RESPONSE and body[2:6] == number:
                     return True
         return False

@@ -38,7 +38,7 @@ from camctl.interface.clock import VirtualClock
 from camctl.interface.controls import ExposureSetting
 from camctl.testing.conformance import CameraConformance
 from drivers.ptp.codes import OK, Op
-from drivers.ptp.network_link import Address, PacketLink
+from drivers.ptp.network_link import HEADER, Address, Packet, PacketLink
 from drivers.ptp.session import Session
 from drivers.ptp.transport import EVENT
 from sim.devices.ptp.network import NetworkCamera as VirtualCamera
@@ -336,6 +336,36 @@ def test_a_server_that_says_nothing_times_out() -> None:
     device.is_silent = True
     with pytest.raises(CameraTimeoutError, match="sends no PTP/IP answer"):
         transport_on(device)
+
+
+class _EndlessLink:
+    """Sends one header and then any number of zeros; counts what is taken."""
+
+    def __init__(self, header: bytes) -> None:
+        self._header, self.taken = header, 0
+
+    def send(self, data: bytes, timeout_s: float) -> None:
+        del data, timeout_s
+
+    def receive(self, size: int, timeout_s: float) -> bytes:
+        del timeout_s
+        head, self._header = self._header, b""
+        self.taken += size
+        return head + bytes(size - len(head))
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("kind", list(Packet))
+@pytest.mark.parametrize("length", [(1 << 31) + 8, (1 << 32) - 1, 100_000, 7])
+def test_no_length_is_believed_that_the_kind_of_packet_cannot_have(
+    kind: Packet, length: int
+) -> None:
+    link = _EndlessLink(HEADER.pack(length, kind))
+    with pytest.raises(CameraProtocolError, match="no PTP/IP packet"):
+        PacketLink(link, "camera", VirtualClock()).receive(1.0, data_bytes=99_000)
+    assert link.taken <= 4096
 
 
 # ---- over TCP
