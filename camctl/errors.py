@@ -28,9 +28,29 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+#: Bytes of a file name that are not UTF-8 are lone surrogates in Python: 0xff is U+DCFF.
+_FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF
+
+
+def visible(text: object) -> str:
+    r"""Return `text` on one line; characters without a shape are written as in Python.
+
+    >>> print(visible("red \x1b[31m, two\nlines, \u202edlo, a byte \udcff"))
+    red \x1b[31m, two\nlines, \u202edlo, a byte \xff
+    """
+    return "".join(map(_visible_character, str(text)))
+
+
+def _visible_character(character: str) -> str:
+    if character.isprintable():
+        return character
+    if _FIRST_BYTE <= ord(character) <= _LAST_BYTE:
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return repr(character)[1:-1]
+
 
 class CamctlError(Exception):
-    """Base of all errors of camctl; ``str(error)`` is one line.
+    """Base of all errors of camctl; ``str(error)`` is one visible line, whatever names are in it.
 
     Attributes:
         what: what went wrong, and where
@@ -44,10 +64,9 @@ class CamctlError(Exception):
     def __init__(
         self, what: str, *, hint: str = "", remedies: Mapping[str, Any] | None = None
     ) -> None:
-        self.what = what
-        self.hint = hint
+        self.what, self.hint = visible(what), visible(hint)
         self.remedies = dict(remedies or {})
-        super().__init__(f"{what}; {hint}" if hint else what)
+        super().__init__(f"{self.what}; {self.hint}" if hint else self.what)
 
 
 class UsageError(CamctlError):

@@ -20,9 +20,8 @@ from camctl.cli.output import (
     print_json,
     print_text,
     standard_streams,
-    visible,
 )
-from camctl.errors import CamctlError, StorageError, UsageError, unknown_name
+from camctl.errors import CamctlError, StorageError, UsageError, unknown_name, visible
 from camctl.system.interrupts import last_interrupt, run_interruptible, signal_handlers
 from camctl.system.system_errors import resource_error
 

@@ -9,8 +9,8 @@ from typing import Any, TypeAlias
 import click
 
 from camctl.cli.old_options import new_command, new_options
-from camctl.cli.output import logged_warnings, print_text, print_warning, visible
-from camctl.errors import UsageError, unknown_name
+from camctl.cli.output import logged_warnings, print_text, print_warning
+from camctl.errors import UsageError, unknown_name, visible
 
 DEBUG_KEY = "camctl.debug"
 """Key in a context's `meta` that is present where the user asked for tracebacks."""

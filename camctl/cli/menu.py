@@ -10,10 +10,10 @@ import click
 from camctl.cli import options
 from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions
-from camctl.cli.output import print_text, print_warning, visible
+from camctl.cli.output import print_text, print_warning
 from camctl.cli.parameter_types import PANEL, PATH
 from camctl.cli.request_options import RequestOptions, request_options
-from camctl.errors import UsageError, unknown_name
+from camctl.errors import UsageError, unknown_name, visible
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

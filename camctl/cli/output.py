@@ -1,7 +1,7 @@
 """What commands print: text or one JSON value on standard output, progress on standard error.
 
 Names in it come from files, cameras and arguments, and may hold characters that command a terminal
-(escape sequences) or turn the text around them (U+202E): see `visible`.
+(escape sequences) or turn the text around them (U+202E): see `camctl.errors.visible`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, cast
 
-from camctl.errors import StorageError
+from camctl.errors import StorageError, visible
 from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
@@ -28,27 +28,6 @@ NOISE_UNKNOWN = "noise unknown: quantisation only"
 
 class ClosedOutputError(Exception):
     """The reader of standard output has closed it, as `head` does after its last line."""
-
-
-#: Bytes of a file name that are not UTF-8 are lone surrogates in Python: 0xff is U+DCFF.
-_FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF
-
-
-def visible(text: object) -> str:
-    r"""Return `text` on one line; characters without a shape are written as in Python.
-
-    >>> print(visible("red \x1b[31m, two\nlines, \u202edlo, a byte \udcff"))
-    red \x1b[31m, two\nlines, \u202edlo, a byte \xff
-    """
-    return "".join(map(_visible_character, str(text)))
-
-
-def _visible_character(character: str) -> str:
-    if character.isprintable():
-        return character
-    if _FIRST_BYTE <= ord(character) <= _LAST_BYTE:
-        return f"\\x{ord(character) - 0xDC00:02x}"
-    return repr(character)[1:-1]
 
 
 @contextmanager

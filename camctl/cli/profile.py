@@ -17,9 +17,9 @@ from camctl.cli.output import (
     format_table,
     print_json,
     print_text,
-    visible,
 )
 from camctl.cli.parameter_types import PATH, Text
+from camctl.errors import visible
 
 if TYPE_CHECKING:
     from camctl.profiles.noise import GainNoise
@@ -235,7 +235,7 @@ def _curves(response: ResponseRecord) -> list[str]:
 @options.force
 def export(name: str, output: Path | None, force: bool) -> None:
     """Write the profile of one camera as one JSON file."""
-    from camctl.errors import StorageError
+    from camctl.errors import StorageError, visible
     from camctl.profiles.folder import find_profile
     from camctl.system.files import write_bytes
 

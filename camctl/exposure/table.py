@@ -19,7 +19,7 @@ from camctl.errors import DataError
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
 from camctl.system.files import storage_error, write_bytes
-from camctl.system.input_files import read_input, read_input_text
+from camctl.system.input_files import first_problem, read_input, read_input_text
 
 _REBUILD = "build the table again"
 _BUILD = {"table_build": None}
@@ -123,12 +123,6 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def _first_problem(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    where = ".".join(str(part) for part in first["loc"])
-    return f"{where}: {first['msg']}" if where else str(first["msg"])
-
-
 class ExposureTable:
     """Rows of exposures, found by camera, desired response and number of exposures."""
 
@@ -168,7 +162,7 @@ class ExposureTable:
         try:
             return cls(_TableFile.model_validate_json(text).entries)
         except ValidationError as error:
-            raise DataError(f"{where} is damaged: {_first_problem(error)}", hint=hint) from error
+            raise DataError(f"{where} is damaged: {first_problem(error)}", hint=hint) from error
 
     def save(self, path: str | Path) -> None:
         """Write the table; the file appears complete or not at all.
@@ -226,7 +220,7 @@ def read_entry(path: Path, matches: Callable[[TableEntry], bool]) -> TableEntry:
     try:
         entry = TableEntry.model_validate_json(read_input(path, "cached exposures"))
     except ValidationError as error:
-        raise DataError(f"cached exposures {path} are damaged: {_first_problem(error)}") from error
+        raise DataError(f"cached exposures {path} are damaged: {first_problem(error)}") from error
     if not matches(entry):
         raise DataError(f"cached exposures {path} are for another camera or desired response")
     return entry

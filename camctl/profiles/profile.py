@@ -38,7 +38,7 @@ from camctl.profiles.exposures import ExposureRecord
 from camctl.profiles.noise import NoiseRecord
 from camctl.profiles.response import ResponseRecord
 from camctl.system.files import file_lock, make_folder, storage_error, write_bytes
-from camctl.system.input_files import read_input
+from camctl.system.input_files import first_problem, read_input
 
 FORMAT_VERSION: Literal[1] = 1
 """Version of the file format; readers accept this one only."""
@@ -328,11 +328,7 @@ def parse_profile(path: Path, *, hint: str, repair: str) -> Profile:
             )
         return Profile.model_validate_json(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise DataError(
-            f"{path} is damaged at {where[:200]}: {first['msg'][:200]}", hint=repair
-        ) from error
+        raise DataError(f"{path} is damaged: {first_problem(error)}", hint=repair) from error
 
 
 class _Header(BaseModel):

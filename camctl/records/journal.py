@@ -23,7 +23,7 @@ from camctl.records.capture_plan import CapturePlan
 from camctl.records.report import CaptureReport
 from camctl.records.report_file import LOCK, REPORT, is_unused
 from camctl.system.files import storage_error, write_bytes
-from camctl.system.input_files import read_own_file
+from camctl.system.input_files import first_problem, read_own_file
 
 SERIES, GALLERY, THUMBNAILS = "series.json", "index.html", "thumbnails"
 
@@ -306,10 +306,8 @@ def read_series(directory: Path) -> SeriesJournal:
     try:
         return SeriesJournal.model_validate_json(read_own_file(path, _LARGEST_JOURNAL))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise DataError(
-            f"{path} is damaged at {where}: {first['msg']}", hint="begin a new series"
+            f"{path} is damaged: {first_problem(error)}", hint="begin a new series"
         ) from None
     except CamctlError as error:  # of the request in it
         if isinstance(error, DataError):

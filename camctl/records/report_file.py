@@ -28,7 +28,7 @@ from camctl.records.frame import StoredFrame
 from camctl.records.report import FORMAT_VERSION, CaptureReport, UnfinishedCapture
 from camctl.records.report_json import from_json
 from camctl.system.files import leftovers
-from camctl.system.input_files import read_own_file
+from camctl.system.input_files import first_problem, read_own_file
 
 FRAMES, LOCK = "frames", ".camctl.lock"
 
@@ -162,7 +162,7 @@ def read_report_file(directory: Path) -> CaptureReport | UnfinishedCapture:
             report = _ANY_CAPTURE.validate_json(content)
             problem = next(_problems(report), None)
     except ValidationError as error:
-        problem = _first_problem(error)
+        problem = first_problem(error, skipped=1)  # the first is the kind of report
     except (CamctlError, ValueError, ArithmeticError) as error:
         problem = str(error)  # the request or the plan in it is invalid
     else:
@@ -223,13 +223,6 @@ def _version_text(data: bytearray) -> str | None:
     if isinstance(header.versions, str):
         return f"{version} (written by {header.versions[:60]!r})"
     return f"{version} (written by camctl {(header.versions or _Versions()).camctl!r})"
-
-
-def _first_problem(error: ValidationError) -> str:
-    """Return what is damaged in a report, in one line."""
-    first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"][1:])  # the first is the kind of report
-    return f"{where}: {first['msg']}" if where else first["msg"]
 
 
 def _problems(report: CaptureReport | UnfinishedCapture) -> Iterator[str]:

@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import from_json
 
 from camctl.errors import DataError
-from camctl.system.input_files import read_input
+from camctl.system.input_files import first_problem, read_input
 
 RunT = TypeVar("RunT")
 
@@ -41,7 +41,5 @@ def read_runs(path: Path, kind: type[RunT]) -> tuple[RunT, ...]:
         try:
             runs.append(adapter.validate_python(row))
         except ValidationError as error:
-            first = error.errors()[0]
-            field = ".".join(str(part) for part in first["loc"])
-            raise DataError(f"{path}, row {place}: {field}: {first['msg']}") from error
+            raise DataError(f"{path}, row {place}: {first_problem(error)}") from error
     return tuple(dict.fromkeys(runs))

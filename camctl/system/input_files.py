@@ -10,8 +10,12 @@ import os
 import stat
 from io import BufferedReader
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from camctl.errors import DataError
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 MOST_TEXT_BYTES = 64 << 20
 """Largest text file (a table, curve, list or JSON file) that is read: a table of 200,000 rows."""
@@ -158,3 +162,16 @@ def read_own_file(path: Path, most_bytes: int) -> bytearray:
         except OSError as error:
             raise unreadable(path, "", error) from error
     return data
+
+
+def first_problem(error: ValidationError, *, skipped: int = 0) -> str:
+    """Return where a file does not fit its model, and why: a text of limited length.
+
+    Args:
+        error: of the model
+        skipped: so many parts of the place are not shown, such as the kind of a union
+    """
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"][skipped:])[:200]
+    reason = str(first["msg"])[:200].removeprefix("Value error, ")
+    return f"{where}: {reason}" if where else reason

@@ -14,8 +14,7 @@ import pytest
 import tifffile
 from command_line import Ran, Run
 
-from camctl.cli.output import visible
-from camctl.errors import CameraProtocolError
+from camctl.errors import CameraProtocolError, visible
 from camctl.findings import note
 from camctl.interface.backends import BackendListing
 from camctl.interface.camera import CameraBase, CameraInfo

@@ -145,12 +145,12 @@ def test_import_for_a_new_camera_asks_nothing(run: Run, own: Path) -> None:
     [
         ({"version": 2}, "is a profile of version '2', and this camctl reads version 1"),
         ({"version": "x" * 99}, "is a profile of version 'xxxxxxxxxxxxxxxxxxxx'"),
-        ({"unknown": 1}, "is damaged at unknown: Extra inputs are not permitted"),
-        ({"make": 5}, "is damaged at make"),
-        ({"serial": "x" * 2000}, "is damaged at serial"),
+        ({"unknown": 1}, "is damaged: unknown: Extra inputs are not permitted"),
+        ({"make": 5}, "is damaged: make"),
+        ({"serial": "x" * 2000}, "is damaged: serial"),
         ({"delays": {"a": {**DELAY.model_dump(), "largest": 10**9, "frames": None}}}, "delays.a"),
-        ({"delays": {str(k): DELAY.model_dump() for k in range(1001)}}, "is damaged at delays"),
-        ({"responses": {"a": {"channels": []}}}, "is damaged at responses.a"),
+        ({"delays": {str(k): DELAY.model_dump() for k in range(1001)}}, "is damaged: delays"),
+        ({"responses": {"a": {"channels": []}}}, "is damaged: responses.a"),
     ],
 )
 def test_a_bad_file_is_refused_by_name(
@@ -169,7 +169,7 @@ def test_a_bad_file_is_refused_by_name(
 def test_a_file_that_is_no_profile_is_refused(run: Run, own: Path, content: str) -> None:
     file = own / "bad.json"
     file.write_text(content)
-    assert run("profile", "import", str(file)).error.startswith(f"{file} is damaged at ")
+    assert run("profile", "import", str(file)).error.startswith(f"{file} is damaged: ")
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])

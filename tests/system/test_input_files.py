@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 from collections.abc import Callable
@@ -150,3 +151,17 @@ def test_text_must_be_utf_8(tmp_path: Path) -> None:
     path.write_bytes("Größe".encode("latin-1"))
     with pytest.raises(DataError, match=r"cannot read curve .*a.txt: it is not a text file; hint"):
         read_input_text(path, "curve", hint="hint")
+
+
+@pytest.mark.parametrize("read", [load_scene, load_sensor, ExposureTable.load])
+def test_an_error_of_a_file_is_one_visible_line_whatever_its_keys_are(
+    tmp_path: Path, read: Callable[[Path], object]
+) -> None:
+    """Keys of JSON may hold line breaks and commands for a terminal."""
+    file = tmp_path / "a.json"
+    file.write_text(json.dumps({"a\nb\x1b[31m\u202e": [{"a\nb": 1}]}))
+    with pytest.raises(DataError) as caught:
+        read(file)
+    assert str(caught.value).isprintable()
+    error = DataError("a\nb", hint="c\x07")
+    assert (error.what, error.hint, str(error)) == (r"a\nb", r"c\x07", r"a\nb; c\x07")

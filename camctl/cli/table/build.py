@@ -12,11 +12,11 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.output import print_json, print_text, print_warning, progress_bar, visible
+from camctl.cli.output import print_json, print_text, print_warning, progress_bar
 from camctl.cli.parameter_types import PATH, DynamicRange, ListOf, WholeNumber
 from camctl.cli.real_camera import RealCameraOptions, real_camera_options
 from camctl.cli.request_options import COUNT, RESPONSE
-from camctl.errors import CamctlError, StorageError
+from camctl.errors import CamctlError, StorageError, visible
 from camctl.model.response.names import RESPONSES
 
 
