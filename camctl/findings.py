@@ -108,8 +108,9 @@ class Finding(BaseModel):
         low, high: its 95 % confidence interval, where it has one
         place: where in the picture; None: everywhere
         details: what else its sentence names, by name
-        remedies: what helps: names of request fields with the value that helps, or None where any
-            other value may; and names of calibrations ("calibrate_delay") with None
+        remedies: what helps: names of request fields with the value that helps, None where any
+            other value may, False where the field is to be left out; and names of calibrations
+            ("calibrate_delay") with None
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

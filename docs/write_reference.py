@@ -51,7 +51,7 @@ output of `--json`, and `findings` of a `camctl.CaptureReport`. Each finding has
 | `low`, `high` | its 95 % confidence interval, if it has one |
 | `place` | pixels of a rectangle: `top`, `left`, `bottom`, `right`; null: the whole picture |
 | `details` | what else its sentence names |
-| `remedies` | what helps: names of fields of the request, with a value that helps or null |
+| `remedies` | what helps: fields of the request, with a value, null (another one) or false (none) |
 
 `warnings` has each finding as a plain sentence. The command line adds the options that help.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Settings:
-    """What is kept from one start to the next.
+    """What is kept from one start to the next; the defaults are those of a request.
 
     Attributes:
         response: index of the entry of `menu.entries.RESPONSES`
@@ -26,7 +26,7 @@ class Settings:
     """
 
     response: int = 0
-    range: int = 1
+    range: int = 3
     stops: int = 6
     count: int = 2
     budget: int = 3

@@ -138,7 +138,7 @@ def _metered_clip(request: CaptureRequest, plan: CapturePlan) -> float | None:
 def _shorter(request: CaptureRequest, plan: CapturePlan, controls: ExposureControls) -> _Advice:
     """Return what helps where too much is saturated."""
     if request.base_s is not None:
-        return {"base_s": None}, {}
+        return {"base_s": False}, {}
     light = plan.light
     if plan.scene is None or light is None or light.clips <= NEARLY_MUCH:
         return {}, {}
@@ -163,9 +163,9 @@ def _wider(request: CaptureRequest, plan: CapturePlan, controls: ExposureControl
     if not controls.repeatable:
         return ({"response": LOG} if plan.desired.name != LOG else {}), {}
     if request.base_s is not None:
-        return {"base_s": None, "dynamic_range": AUTO}, {}
+        return {"base_s": False, "dynamic_range": AUTO}, {}
     if request.ratios is not None:
-        return {"ratios": None}, {}
+        return {"ratios": False}, {}
     if plan.scene is not None and plan.scene.has_shadows:
         return _shown(request, plan, controls)
     return ({"dynamic_range": AUTO} if request.dynamic_range != AUTO else {}), {}
@@ -200,7 +200,7 @@ def _advice(request: CaptureRequest, best: _Tried) -> _Advice:
     """Return the changed fields, and the share that stays outside where it is still large."""
     names = [field.name for field in fields(request)]
     changed = {
-        name: getattr(best.request, name)
+        name: False if getattr(best.request, name) is None else getattr(best.request, name)
         for name in names
         if getattr(best.request, name) != getattr(request, name)
     }

@@ -24,6 +24,7 @@ from camctl.interface.clock import VirtualClock
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import FolderStore
 from camctl.records.frame_store import CaptureStore, MemoryStore
+from camctl.records.kept_light import KeptLight
 from camctl.records.report import CaptureReport, UnfinishedCapture
 from camctl.records.report_file import check_camera
 from camctl.system.number_text import range_text
@@ -94,6 +95,7 @@ def capture(
             request=request,
             plan=plan,
             frames=[None] * len(plan.settings),
+            light=None if plan.scene is None else KeptLight.of(plan.scene),
             white=controls.white,
             black_total=controls.black * len(plan.settings),
             timing={"planning_s": time.perf_counter() - started},

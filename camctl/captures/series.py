@@ -23,8 +23,9 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
+from camctl.records import SERIES
 from camctl.records.folder import CaptureFolder
-from camctl.records.journal import SERIES, SeriesJournal, SetRecord
+from camctl.records.journal import SeriesJournal, SetRecord
 from camctl.records.report import CaptureReport
 from camctl.records.report_file import LOCK
 from camctl.system.files import make_folder

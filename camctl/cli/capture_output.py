@@ -26,6 +26,7 @@ from camctl.cli.output import (
     progress_bar,
 )
 from camctl.messages.command_line import with_remedies
+from camctl.records import REPORT
 from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
@@ -236,7 +237,7 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
         ("time", _timing_text(report)),
         *_wall_rows(report),
         ("result", str(directory)),
-        *(("", name) for name in [*report.files.values(), "report.json", "frames/"]),
+        *(("", name) for name in [*report.files.values(), REPORT, "frames/"]),
     ]
     return "\n".join([*parts, format_fields(rows)])
 

@@ -17,6 +17,7 @@ from camctl.cli.parameter_types import PATH
 from camctl.cli.series_run import HookOptions, check_keys, hook_options, run_series
 from camctl.errors import DataError, UsageError
 from camctl.messages.command_line import word
+from camctl.records import REPORT, SERIES
 
 if TYPE_CHECKING:
     from camctl.interface.camera import Camera
@@ -52,7 +53,7 @@ def resume(directory: Path, camera: CameraOptions, hook: HookOptions, as_json: b
             hint=_AS_BEGUN,
         )
     hook.check()
-    if (directory / "series.json").exists():
+    if (directory / SERIES).exists():
         _go_on(directory, camera, hook, as_json=as_json)
         return
     if given & {"hook", "hook_limit_s"}:
@@ -74,7 +75,7 @@ def _completed(directory: Path, camera_options: CameraOptions, complete: Complet
             f"{directory} is no capture of a camera, but was begun by camctl merge",
             hint="merge the photographs again, with --force",
         )
-    opened = _camera(camera_options, report.source, directory, "report.json")
+    opened = _camera(camera_options, report.source, directory, REPORT)
     with opened as camera, capture_progress() as progress:
         return complete(resume(camera, directory, progress=progress))
 
@@ -83,7 +84,7 @@ def _go_on(
     directory: Path, camera_options: CameraOptions, hook: HookOptions, *, as_json: bool
 ) -> None:
     """Continue the series in a folder, and print how it ended."""
-    from camctl.records.journal import SERIES, read_series
+    from camctl.records.journal import read_series
 
     journal = read_series(directory)
     if journal.is_done():

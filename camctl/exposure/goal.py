@@ -227,7 +227,7 @@ class Goal:
             raise UsageError(
                 "an accuracy cannot be reached with the objective 'xi'",
                 hint="choose the objective 'accuracy', or leave the accuracy out",
-                remedies={"objective": ACCURACY, "accuracy": None},
+                remedies={"objective": ACCURACY, "accuracy": False},
             )
         if self.accuracy is not None or self.objective == ACCURACY:
             self._refuse_beside("a choice by accuracy", "tolerance", "levels_wanted")
@@ -334,7 +334,7 @@ class CaptureRequest(Goal):
                     raise UsageError(
                         f"{name} needs metering, and the base exposure is given",
                         hint="leave the base exposure out, or this",
-                        remedies={"base_s": None},
+                        remedies={"base_s": False},
                     )
 
 

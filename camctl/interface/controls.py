@@ -234,8 +234,8 @@ class ExposureControls:
             raise DataError(
                 "the response of the camera is only assumed, and without the true one its "
                 f"{measured} cannot be measured",
-                hint="measure it first, or give it",
-                remedies={"calibrate_response": None, "response": "NAME"},
+                hint="measure the response first, or name it if you know it",
+                remedies={"calibrate_response": None, "response": None},
             )
 
     def exposure(self, setting: ExposureSetting) -> float:

@@ -48,6 +48,37 @@ OPTIONS: Final[dict[str, str]] = {
 }
 """The option of each remedy that is one, see `camctl.findings.Finding.remedies`."""
 
+PLACEHOLDERS: Final[dict[str, str]] = {
+    "accuracy": "LEVELS",
+    "base_s": "SECONDS",
+    "black": "DN",
+    "clip_percent": "PERCENT",
+    "compensation_stops": "STOPS",
+    "count": "N",
+    "curve": "FILE",
+    "desired_curve": "FILE",
+    "directory": "PATH",
+    "dynamic_range": "NUMBER",
+    "gamma": "Q",
+    "labels": "dial|exact",
+    "levels_wanted": "G",
+    "longest_s": "SECONDS",
+    "mains_hz": "HZ",
+    "mask": "FILE",
+    "method": "NAME",
+    "methods": "NAME,...",
+    "objective": "NAME",
+    "patches": "FILE",
+    "ratios": "A,B,...",
+    "response": "NAME",
+    "table": "FILE",
+    "time_budget_s": "SECONDS",
+    "times": "SECONDS,...",
+    "tolerance": "X",
+    "white": "DN",
+}
+"""What stands for the value of these options, as in their help."""
+
 COMMANDS: Final[dict[str, str]] = {
     "calibrate_all": "camctl calibrate all --camera {}",
     "calibrate_dark": "camctl calibrate noise --dark",
@@ -101,9 +132,13 @@ def _remedy(name: str, value: Any) -> str:
             return command.partition(" --camera {}")[0]
         return command.format(word(str(value)))
     option = OPTIONS[name]
-    if value is None or value is True:
-        return option
-    return f"{option}{'' if option.endswith('=') else ' '}{word(_text(value))}"
+    if value is False:
+        return f"without {option.removesuffix('=')}"
+    if value is None:
+        text = PLACEHOLDERS.get(name, "")
+    else:
+        text = "" if value is True else word(_text(value))
+    return f"{option}{'' if option.endswith('=') else ' '}{text}".rstrip()
 
 
 def _text(value: Any) -> str:

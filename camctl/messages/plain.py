@@ -181,12 +181,12 @@ def _noise_differs(finding: Finding) -> str:
 
 _CHANGES: Final[dict[str, Callable[[Any], str]]] = {
     "accuracy": lambda levels: (
-        "ask for no accuracy" if levels is None else f"ask for {levels:g} effective levels"
+        "ask for no accuracy" if levels is False else f"ask for {levels:g} effective levels"
     ),
     "base_s": lambda _: "let the shortest exposure be metered",
     "clip_percent": lambda percent: (
         "let only lamps and reflections clip"
-        if percent is None
+        if percent is False
         else f"let the brightest {percent:g} % clip"
     ),
     "compensation_stops": lambda stops: (

@@ -1,4 +1,4 @@
 """What a capture leaves behind: request, plan, frames, report, folder and journal."""
 
-REPORT = "report.json"
-"""Name of a report in the folder of a capture."""
+REPORT, SERIES = "report.json", "series.json"
+"""Names of a report in the folder of a capture, and of a journal in the folder of a series."""

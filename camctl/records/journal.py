@@ -19,13 +19,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from camctl.errors import CamctlError, DataError, StorageError, UsageError, unknown_name
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import CameraInfo
+from camctl.records import REPORT, SERIES
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.report import CaptureReport
-from camctl.records.report_file import LOCK, REPORT, is_unused
+from camctl.records.report_file import LOCK, is_unused
 from camctl.system.files import storage_error, write_bytes
 from camctl.system.input_files import first_problem, read_own_file
 
-SERIES, GALLERY, THUMBNAILS = "series.json", "index.html", "thumbnails"
+GALLERY, THUMBNAILS = "index.html", "thumbnails"
 
 PATTERN = "set-{number}"
 """Names of the sets' folders unless others are asked for."""

@@ -32,6 +32,8 @@ FOLLOWS: Final[dict[str, str]] = {
 #: What scripts may look for, whatever its value is.
 _ALWAYS = {"format_version", "status", "trustworthy", "findings", "warnings"}
 _PLAN_NOISE = "plan.noise"
+#: Format 2 did not say that frames cannot be shot again: of photographs it named this driver.
+_BEFORE, _PHOTOGRAPHS = 2, "photographs"
 _EMPTY: Final[dict[str, tuple[str, Any]]] = {
     "movement": ("places", []),
     "simulation": ("left_out", {}),
@@ -106,6 +108,8 @@ def _completed(content: Json) -> Json:
         )
     plan = {**_from_settings(plan["settings"]), **plan}
     found = {**content, "plan": plan, "frames": frames}
+    if content.get("format_version") == _BEFORE and content["camera"]["driver"] == _PHOTOGRAPHS:
+        found["repeatable"] = False
     if isinstance(content.get("versions"), str):
         found["versions"] = dict(part.split(" ", 1) for part in content["versions"].split(", "))
     if "achieved" in content:

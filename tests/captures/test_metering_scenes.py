@@ -90,7 +90,7 @@ def follow(
         advised += changes.items()
         if not changes or len(shares) == most:
             return shares, found
-        fields = fields | changes
+        fields |= {name: None if value is False else value for name, value in changes.items()}
 
 
 @pytest.mark.parametrize(

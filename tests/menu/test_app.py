@@ -29,12 +29,12 @@ def fail_internally() -> None:
 @pytest.mark.parametrize("size", [(16, 2), (20, 4), (60, 16)])
 def test_five_keys_lead_from_the_start_to_a_finished_capture(size: tuple[int, int]) -> None:
     job = FakeJob()
-    texts = ["[Set]", "ontrast", "Medium", "3 exposures", "[Shoot]"]
+    texts = ["[Set]", "ontrast", "Auto", "3 exposures", "[Shoot]"]
     script: Script = [(text, Key.ENTER) for text in texts]
     summary = run(ScriptedPanel([*script, *quit_from("Again]")], size), lambda: job)
     assert summary is not None
     assert summary.folder == "captures/x"
-    assert job.planned == [Choice("log", 1000.0, 3)]
+    assert job.planned == [Choice("log", None, 3)]
     assert len(job.shot) == 1
     assert job.closed
 
@@ -61,8 +61,8 @@ def test_time_budget_and_accuracy_decide_the_exposures() -> None:
     script += [("Exposures", Key.EXIT), ("Dynamic", Key.EXIT), ("Desired", Key.EXIT)]
     run(ScriptedPanel([*script, *quit_from("[Set]")[1:]], (60, 16)), lambda: job)
     assert job.planned == [
-        Choice("log", 1000.0, time_budget_s=0.2),
-        Choice("log", 1000.0, accuracy=60.0),
+        Choice("log", None, time_budget_s=0.2),
+        Choice("log", None, accuracy=60.0),
     ]
 
 

@@ -79,7 +79,7 @@ def test_settings_reviewed_are_the_settings_shot(
 ) -> None:
     script: Script = [TO_REVIEW[0]]
     script += [("Desired", Key.DOWN)] * response + [("Desired", Key.ENTER)]
-    script += [("Dynamic", Key.UP)] * 2 + [("Dynamic", Key.DOWN)] * dynamic_range
+    script += [("Dynamic", Key.UP)] * 3 + [("Dynamic", Key.DOWN)] * dynamic_range
     script += [("Dynamic", Key.ENTER)]
     script += [("Exposures", Key.UP)] * 8 + [("Exposures", Key.DOWN)] * (count - 1)
     script += [("Exposures", Key.ENTER)]

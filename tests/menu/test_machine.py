@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 from panel_fakes import CAMERA, CAPTURES, COST, OTHER_CAMERA, READING, SUMMARY, plan_of
 
-from camctl.exposure.goal import AUTO
+from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.model.response.names import RANGES as DEFINED_RANGES
 from camctl.model.response.names import RESPONSES as DEFINED_RESPONSES
-from menu.data import Progress
+from menu.data import Progress, Settings
 from menu.diagram import diagram, states_page
-from menu.entries import RANGES, RESPONSES, rows
+from menu.entries import RANGES, RESPONSES, choice, rows
 from menu.machine import step
-from menu.model import Action, Model, State
+from menu.model import Action, Goal, Model, State
 from menu.ports import Key
 from menu.tables import (
     STATES,
@@ -153,6 +153,13 @@ def test_idle_screen_is_metered_again_and_again() -> None:
     assert isinstance(effect, Start)
     assert effect.work is Work.METER
     assert after.state is State.IDLE
+
+
+def test_the_menu_has_the_defaults_of_a_request() -> None:
+    asked, request = choice(Settings(), Goal.COUNT), CaptureRequest()
+    assert (asked.response, asked.dynamic_range) == (request.response, request.given_range)
+    assert asked.count == request.most_exposures
+    assert asked.mains_hz == request.mains_hz
 
 
 def test_menu_offers_all_responses_and_ranges() -> None:

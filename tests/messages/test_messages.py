@@ -70,7 +70,9 @@ def test_every_remedy_is_named_on_the_command_line() -> None:
     ("remedies", "options"),
     [
         ({}, ""),
-        ({"base_s": None}, "--base"),
+        ({"base_s": None}, "--base SECONDS"),
+        ({"base_s": False, "table": False}, "without --base, without --set table"),
+        ({"table": None}, "--set table=FILE"),
         ({"base_s": 0.004, "count": 4}, "--base 0.004, -n 4"),
         ({"dynamic_range": "auto"}, "--range auto"),
         ({"ratios": (1, 2.5)}, "--ratios 1,2.5"),

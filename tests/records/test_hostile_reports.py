@@ -18,6 +18,7 @@ from camctl.errors import (
 )
 from camctl.interface.controls import ResponseOrigin
 from camctl.records.folder_store import read_report
+from camctl.records.report import UnfinishedCapture
 from camctl.records.report_file import read_report_file
 
 # Format version
@@ -74,6 +75,39 @@ def test_sentences_of_a_report_without_findings_are_notes(tmp_path: Path) -> Non
     assert [each.code for each in report.findings] == ["note"]
     assert report.warnings == ["it is dark"]
     assert report.repeatable
+
+
+def test_photographs_of_a_report_of_format_2_are_not_repeatable(tmp_path: Path) -> None:
+    def as_before(report: dict[str, Any]) -> None:
+        report["format_version"] = 2
+        report["camera"]["driver"] = "photographs"
+
+    edit(one_of_two(tmp_path), as_before)
+    assert not read_report_file(tmp_path).repeatable
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"shares": [0.5, 0.4]},
+        {"shares": [1.0]},
+        {"irradiance": [0.5, 0.25]},
+        {"irradiance": [0.0, 0.5]},
+        {"darkest": 1e400},
+    ],
+)
+def test_light_of_an_unfinished_capture_is_possible(tmp_path: Path, change: dict[str, Any]) -> None:
+    setting = {"time_s": 0.1}
+    metering = {"limit_s": 0.1, "setting": setting, "highlight": 1, "clipped": 0, "frames": 2}
+    kept = {"metering": metering, "last": setting, "has_shadows": True}
+    kept |= {"darkest": 0.01, "brightest": 1, "irradiance": [0.25, 0.5], "shares": [0.5, 0.5]}
+    edit(one_of_two(tmp_path), lambda report: report.update(light=kept))
+    report = read_report_file(tmp_path)
+    assert isinstance(report, UnfinishedCapture)
+    assert report.light is not None
+    edit(tmp_path, lambda report: report["light"].update(change))
+    with pytest.raises(DataError, match="light"):
+        read_report_file(tmp_path)
 
 
 # A report is hostile input

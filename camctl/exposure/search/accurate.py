@@ -43,13 +43,13 @@ def objective_of(request: CaptureRequest, controls: ExposureControls, *, has_tab
         raise UsageError(
             "the noise of this camera is unknown, so that exposures cannot be chosen by accuracy",
             hint="choose them by xi, without an accuracy",
-            remedies={"objective": XI, "accuracy": None},
+            remedies={"objective": XI, "accuracy": False},
         )
     if requested == ACCURACY and has_table:
         raise UsageError(
             "a table has exposures chosen by xi, not by accuracy",
             hint="leave one of them out",
-            remedies={"table": None, "accuracy": None},
+            remedies={"table": False, "accuracy": False},
         )
     if requested is not None:
         return requested

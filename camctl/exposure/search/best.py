@@ -94,7 +94,7 @@ class Search:
                 raise UsageError(
                     "a table has no exposures for a time budget or an automatic response",
                     hint="leave the table out, or name the response",
-                    remedies={"table": None},
+                    remedies={"table": False},
                 )
         elif desired is not None and self.objective == XI:
             self._ratios = self._look_up(controls.levels, desired)
@@ -195,7 +195,7 @@ class Search:
                 f"the given table has no row for {real.name}, {desired.name}, "
                 f"{range_text(desired.dynamic_range)}, n = {count}",
                 hint="add it to the table, or leave the table out",
-                remedies={"table_build": None, "table": None},
+                remedies={"table_build": None, "table": False},
             )
         return tuple(row.exposures), row.xi
 
