@@ -6,6 +6,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.options import option
 from camctl.cli.output import format_table, print_json, print_text, print_warning
 
 UDEV_FILE = "/etc/udev/rules.d/70-camctl.rules"
@@ -22,15 +23,10 @@ UDEV_FILE = "/etc/udev/rules.d/70-camctl.rules"
         ),
     )
 )
-@click.option(
-    "--probe",
-    is_flag=True,
-    help="Also send commands to devices that may not be cameras, such as serial ports.",
-)
-@click.option(
+@option("--probe", "Also send commands to devices that may not be cameras, such as serial ports.")
+@option(
     "--udev-rules",
-    is_flag=True,
-    help="Print udev rules that give the person logged in at this computer access to USB cameras.",
+    "Print udev rules that give the person logged in at this computer access to USB cameras.",
 )
 @options.as_json
 @click.pass_context

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.options import option
 from camctl.cli.output import (
     format_effective,
     format_fields,
@@ -52,23 +51,17 @@ QUICK_LEVELS = 2**16
         ("camctl evaluate --ratios 1,9.91,88.38 --sensor webcam", "with the noise of a sensor"),
     )
 )
-@click.option(
-    "--ratios",
-    type=Ratios(),
-    required=True,
-    metavar="A,B,...",
-    help="Exposures, relative to each other.",
-)
+@option("--ratios A,B,...", "Exposures, relative to each other.", Ratios(), required=True)
 @request_options("response", "gamma", "dynamic_range", "levels_wanted")
 @real_camera_options
 @objective_options
 @noise_options
-@click.option(
+@option(
     "--sensitivity/--no-sensitivity",
-    default=None,
-    help="Show the effective levels with exposure errors, noise, and other phases of the "
+    "Show the effective levels with exposure errors, noise, and other phases of the "
     "quantiser.  [default: shown up to 65,536 levels in all frames, where it takes less than a "
     "second]",
+    default=None,
 )
 @options.as_json
 def evaluate(

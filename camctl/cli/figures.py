@@ -9,6 +9,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.options import option
 from camctl.cli.output import (
     format_fields,
     print_json,
@@ -37,44 +38,39 @@ LONGEST = ("4", "10", "8")
         ("camctl figures -o small --dpi 80", "smaller files"),
     )
 )
-@click.option(
-    "-o",
-    "--output",
-    "folder",
-    type=PATH,
+@option(
+    "-o --output DIR",
+    "Folder for the files; it is made if it does not exist.",
+    PATH,
+    field="folder",
     default="figures",
-    metavar="DIR",
-    help="Folder for the files; it is made if it does not exist.",
 )
-@click.option(
-    "--only",
-    "numbers",
-    type=ListOf(Name("figure", NUMBERS), unique=True),
+@option(
+    "--only N,...",
+    "Numbers of figures; 4 is the table 4(a).",
+    ListOf(Name("figure", NUMBERS), unique=True),
+    field="numbers",
     default=",".join(NUMBERS),
-    metavar="N,...",
-    help="Numbers of figures; 4 is the table 4(a).",
 )
-@click.option(
-    "--profile",
-    "profile_name",
-    metavar="NAME",
-    help="Draw figure 10 with the response that this profile has of the simulated camera "
+@option(
+    "--profile NAME",
+    "Draw figure 10 with the response that this profile has of the simulated camera "
     "'consumer', in place of the true one; see camctl profile list.",
+    click.STRING,
+    field="profile_name",
 )
-@click.option("--svg", is_flag=True, help="Also write SVG files.")
-@click.option(
-    "--dpi",
-    type=WholeNumber(least=30, most=600),
+@option("--svg", "Also write SVG files.")
+@option(
+    "--dpi N",
+    "Resolution of the PNG files, dots per inch.",
+    WholeNumber(least=30, most=600),
     default=150,
-    metavar="N",
-    help="Resolution of the PNG files, dots per inch.",
 )
-@click.option(
-    "--workers",
-    type=WholeNumber(least=1, most=256),
-    metavar="N",
-    help="Number of processes; the Dask cluster that $DASK_SCHEDULER_ADDRESS names takes "
+@option(
+    "--workers N",
+    "Number of processes; the Dask cluster that $DASK_SCHEDULER_ADDRESS names takes "
     "their place.  [default: one per processor]",
+    WholeNumber(least=1, most=256),
 )
 @options.force
 @options.as_json

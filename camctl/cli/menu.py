@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import CameraOptions
+from camctl.cli.options import CameraOptions, option
 from camctl.cli.output import print_text, print_warning
 from camctl.cli.parameter_types import PANEL, PATH
 from camctl.cli.request_options import RequestOptions, request_options
@@ -33,31 +31,27 @@ CAMERAS, PANELS = "camctl.cameras", "camctl.panels"
     )
 )
 @options.camera_options
-@click.option(
-    "--panel",
-    "panel_id",
-    type=PANEL,
-    default="terminal",
-    metavar="NAME[:ADDRESS]",
-    help="Panel that shows the menu: terminal (this one, with the arrow keys), "
+@option(
+    "--panel NAME[:ADDRESS]",
+    "Panel that shows the menu: terminal (this one, with the arrow keys), "
     "cfa635:/dev/ttyUSB0, framebuffer:/dev/fb0, web[:PORT], image:DIR.",
+    PANEL,
+    field="panel_id",
+    default="terminal",
 )
 @request_options("mains_hz", "use_aperture", "spend_shutter", "estimate_ratios")
-@click.option(
-    "-o",
-    "--output",
-    "parent",
-    type=PATH,
+@option(
+    "-o --output PATH",
+    "Folder in which each capture gets a folder of its own.",
+    PATH,
+    field="parent",
     default=".",
-    metavar="PATH",
-    help="Folder in which each capture gets a folder of its own.",
 )
-@click.option(
-    "--menu-settings",
-    "settings",
-    type=PATH,
-    metavar="FILE",
-    help="File in which the menu keeps what was selected; else in the user's state folder.",
+@option(
+    "--menu-settings FILE",
+    "File in which the menu keeps what was selected; else in the user's state folder.",
+    PATH,
+    field="settings",
 )
 def menu(
     camera: CameraOptions,

@@ -16,6 +16,7 @@ from camctl.cli.capture_output import (
     show_capture,
 )
 from camctl.cli.commands import command
+from camctl.cli.options import option
 from camctl.cli.output import (
     format_duration,
     format_table,
@@ -56,31 +57,28 @@ _source_options = options.option_group(
     "source",
     click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILES..."),
     options.TIMES_OPTION,
-    click.option(
-        "--labels",
-        type=Name("meaning of the times", ("auto", "dial", "exact")),
-        default="auto",
-        metavar="auto|dial|exact",
-        help="Whether the times are nominal shutter speeds (1/60 means 1/64 s); auto takes them "
+    option(
+        "--labels auto|dial|exact",
+        "Whether the times are nominal shutter speeds (1/60 means 1/64 s); auto takes them "
         "for nominal where all of them are usual ones.  Both are then corrected from the pixels; "
         "exact times are not.",
+        Name("meaning of the times", ("auto", "dial", "exact")),
+        default="auto",
     ),
     options.BLACK_OPTION,
     options.WHITE_OPTION,
-    click.option(
-        "--curve",
-        type=Text(lambda: (*STANDARDS, "linear", "power:"), files=True),
-        metavar="FILE|NAME",
-        help="Response of the camera: a file of two columns, irradiance and brightness, or linear, "
+    option(
+        "--curve FILE|NAME",
+        "Response of the camera: a file of two columns, irradiance and brightness, or linear, "
         "srgb, rec709, power:GAMMA.  [default: linear for raw, else from the profile of the "
         "camera in the EXIF data, or estimated from the photographs]",
+        Text(lambda: (*STANDARDS, "linear", "power:"), files=True),
     ),
-    click.option(
-        "--mask",
-        type=FILE,
-        metavar="FILE",
-        help="Picture of their size that is black where the photographs are not valid.  "
+    option(
+        "--mask FILE",
+        "Picture of their size that is black where the photographs are not valid.  "
         "[default: a border of one pure colour is cut off]",
+        FILE,
     ),
 )
 

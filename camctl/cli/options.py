@@ -16,6 +16,7 @@ from camctl.cli.parameter_types import (
     PATH,
     SCENE,
     SENSOR,
+    AnyType,
     KeyValue,
     ListOf,
     Seconds,
@@ -27,6 +28,31 @@ if TYPE_CHECKING:
     from camctl.interface.camera import Camera
 
 Decorator = Callable[[Any], Any]
+
+
+def option(
+    names: str, text: str, kind: AnyType | None = None, *, field: str = "", **more: Any
+) -> Decorator:
+    """Return a decorator that adds one option to a command.
+
+    Args:
+        names: its names and what stands for its value, as on the help page: "-o --output FILE"
+        text: its help
+        kind: parses the value; None: the option is a flag
+        field: the command's argument that receives the value; "": named as the option
+        more: other arguments of `click.option`
+    """
+    words = names.split()
+    flags = [word for word in words if word.startswith("-")]
+    return click.option(
+        *flags,
+        *filter(None, [field]),
+        type=kind,
+        is_flag=kind is None,
+        metavar=" ".join(words[len(flags) :]) or None,
+        help=text,
+        **more,
+    )
 
 
 def all_of(*decorators: Decorator) -> Decorator:
@@ -83,39 +109,32 @@ def refuse_together(
         raise UsageError(f"{option} cannot be combined with {', '.join(conflicts)}", hint=hint)
 
 
-seed = click.option(
-    "--seed",
-    type=WholeNumber(least=0),
+seed = option(
+    "--seed N",
+    "Seed of the random numbers; the same seed gives the same result.",
+    WholeNumber(least=0),
     default=0,
-    metavar="N",
-    help="Seed of the random numbers; the same seed gives the same result.",
 )
 
-as_json = click.option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    help="Write one JSON value to standard output and nothing else.",
+as_json = option(
+    "--json", "Write one JSON value to standard output and nothing else.", field="as_json"
 )
 
-TIMES_OPTION = click.option(
-    "--times",
-    type=ListOf(Seconds()),
-    metavar="SECONDS,...",
-    help="Shutter time of each of FILES, such as 1/30,1/15,1/8.  [default: from their EXIF data]",
+TIMES_OPTION = option(
+    "--times SECONDS,...",
+    "Shutter time of each of FILES, such as 1/30,1/15,1/8.  [default: from their EXIF data]",
+    ListOf(Seconds()),
 )
-BLACK_OPTION = click.option(
-    "--black",
-    type=WholeNumber(least=0, most=65534),
-    metavar="DN",
-    help="Black level of FILES.  [default: stated in raw files, else from the pixels]",
+BLACK_OPTION = option(
+    "--black DN",
+    "Black level of FILES.  [default: stated in raw files, else from the pixels]",
+    WholeNumber(least=0, most=65534),
 )
-WHITE_OPTION = click.option(
-    "--white",
-    type=WholeNumber(least=1, most=65535),
-    metavar="DN",
-    help="White level of FILES, such as 4095 for 12 bits in 16-bit files.  "
+WHITE_OPTION = option(
+    "--white DN",
+    "White level of FILES, such as 4095 for 12 bits in 16-bit files.  "
     "[default: stated in raw files, else from the pixels]",
+    WholeNumber(least=1, most=65535),
 )
 
 
@@ -123,65 +142,50 @@ def longest(
     help_text: str = "Longest shutter time to use.", default: str | None = "2"
 ) -> Decorator:
     """Return --longest of a command that measures a camera."""
-    return click.option(
-        "--longest",
-        "longest_s",
-        type=Seconds(),
-        metavar="SECONDS",
-        default=default,
-        help=help_text,
-    )
+    return option("--longest SECONDS", help_text, Seconds(), field="longest_s", default=default)
 
 
-force = click.option("--force", is_flag=True, help="Replace existing files.")
+force = option("--force", "Replace existing files.")
 
 
 def result_folder(kind: str) -> Decorator:
     """Return -o and --force of a command whose result is a folder of this kind."""
     return all_of(
-        click.option(
-            "-o",
-            "--output",
-            "directory",
-            type=PATH,
-            metavar="PATH",
-            help=f"Folder for the result.  [default: {kind}-DATE-TIME in the working directory]",
+        option(
+            "-o --output PATH",
+            f"Folder for the result.  [default: {kind}-DATE-TIME in the working directory]",
+            PATH,
+            field="directory",
         ),
-        click.option("--force", is_flag=True, help="Replace an earlier capture in that folder."),
+        option("--force", "Replace an earlier capture in that folder."),
     )
 
 
 def scene_option() -> Decorator:
     """Return --scene."""
-    return click.option(
-        "--scene",
-        type=SCENE,
-        metavar="NAME|FILE",
-        help="Scene before the simulated camera: a built-in one or a radiance map "
+    return option(
+        "--scene NAME|FILE",
+        "Scene before the simulated camera: a built-in one or a radiance map "
         "(.hdr, .exr, .tiff, .npy).  [default: tile-floor]",
+        SCENE,
     )
 
 
 def sensor_option(default: str = "standard") -> Decorator:
     """Return --sensor of the simulated camera."""
-    return click.option(
-        "--sensor",
-        type=SENSOR,
-        metavar="NAME|FILE.json",
-        help=f"Sensor of the simulated camera.  [default: {default}]",
+    return option(
+        "--sensor NAME|FILE.json", f"Sensor of the simulated camera.  [default: {default}]", SENSOR
     )
 
 
-camera_settings = click.option(
-    "-O",
-    "--camera-option",
-    "camera_settings",
-    type=KeyValue(),
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Option of this kind of camera, such as format=y16; may be given several times: "
+camera_settings = option(
+    "-O --camera-option NAME=VALUE",
+    "Option of this kind of camera, such as format=y16; may be given several times: "
     "profile=none leaves out what calibrations have measured; the simulated camera has "
     "size=WIDTHxHEIGHT, seed=N, time=real, tolerance=DN and faults=FAULT,...",
+    KeyValue(),
+    field="camera_settings",
+    multiple=True,
 )
 
 
@@ -243,13 +247,12 @@ def _absolute(value: str) -> str:
 camera_options = option_group(
     CameraOptions,
     "camera",
-    click.option(
-        "--camera",
-        "camera_id",
-        type=CAMERA,
+    option(
+        "--camera ID",
+        "Camera; `camctl cameras` lists the ids.",
+        CAMERA,
+        field="camera_id",
         default="sim",
-        metavar="ID",
-        help="Camera; `camctl cameras` lists the ids.",
     ),
     camera_settings,
     scene_option(),

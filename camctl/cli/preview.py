@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from camctl.cli import options
 from camctl.cli.capture_output import new_directory
 from camctl.cli.commands import command
-from camctl.cli.options import CameraOptions
+from camctl.cli.options import CameraOptions, option
 from camctl.cli.output import (
     format_duration,
     format_fields,
@@ -41,13 +39,8 @@ _SUFFIX = ".png"
 )
 @options.camera_options
 @request_options(*PICTURE_OPTIONS, "settings", has_light=True)
-@click.option(
-    "-o",
-    "--output",
-    "path",
-    type=PATH,
-    metavar="FILE.png",
-    help="The picture.  [default: preview-DATE-TIME.png]",
+@option(
+    "-o --output FILE.png", "The picture.  [default: preview-DATE-TIME.png]", PATH, field="path"
 )
 @options.force
 @options.as_json

@@ -11,6 +11,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import LazyGroup, command
+from camctl.cli.options import option
 from camctl.cli.output import (
     format_delay,
     format_fields,
@@ -106,11 +107,10 @@ def _measured(found: Profile) -> str:
     ),
 )
 @name_argument
-@click.option(
-    "--plot",
-    type=PATH,
-    metavar="FILE",
-    help="Draw the responses and the photon transfer curves, as PNG or SVG; needs matplotlib.",
+@option(
+    "--plot FILE",
+    "Draw the responses and the photon transfer curves, as PNG or SVG; needs matplotlib.",
+    PATH,
 )
 @options.force
 @options.as_json
@@ -231,7 +231,7 @@ def _curves(response: ResponseRecord) -> list[str]:
     ),
 )
 @name_argument
-@click.option("-o", "--output", type=PATH, metavar="FILE", help="File.  [default: standard output]")
+@option("-o --output FILE", "File.  [default: standard output]", PATH)
 @options.force
 def export(name: str, output: Path | None, force: bool) -> None:
     """Write the profile of one camera as one JSON file."""
@@ -258,7 +258,7 @@ def export(name: str, output: Path | None, force: bool) -> None:
     ),
 )
 @click.argument("file", type=PATH, metavar="FILE")
-@click.option("--force", is_flag=True, help="Replace the camera's profile without asking.")
+@option("--force", "Replace the camera's profile without asking.")
 @options.as_json
 def import_(file: Path, force: bool, as_json: bool) -> None:
     """Keep a profile that was exported, for the camera that it names.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from camctl.cli.options import camera_settings, given, option_group, refuse_together
+from camctl.cli.options import camera_settings, given, option, option_group, refuse_together
 from camctl.cli.output import print_finding
 from camctl.cli.parameter_types import CAMERA, SENSOR, ListOf, Number, Text, WholeNumber
 from camctl.errors import DataError, UsageError
@@ -103,34 +103,27 @@ def _is_response_model(path: Path) -> bool:
 real_camera_options = option_group(
     RealCameraOptions,
     "real_camera",
-    click.option(
-        "--bits",
-        type=WholeNumber(least=1, most=16),
-        default=8,
-        metavar="B",
-        help="Bits per sample of the real camera.",
+    option(
+        "--bits B", "Bits per sample of the real camera.", WholeNumber(least=1, most=16), default=8
     ),
-    click.option(
-        "--phase",
-        type=Number("a phase of at least 0 and below 1", least=0, below=1),
+    option(
+        "--phase PHI",
+        "Phase of its quantiser in levels, from 0 to below 1: 0 rounds down, 0.5 to nearest.",
+        Number("a phase of at least 0 and below 1", least=0, below=1),
         default="0",
-        metavar="PHI",
-        help="Phase of its quantiser in levels, from 0 to below 1: 0 rounds down, 0.5 to nearest.",
     ),
-    click.option(
-        "--curve",
-        type=Text(lambda: (*STANDARDS, "power:"), files=True),
-        metavar="FILE|NAME",
-        help="Its response: a text file of two columns, irradiance and brightness, both 0 to 1; "
+    option(
+        "--curve FILE|NAME",
+        "Its response: a text file of two columns, irradiance and brightness, both 0 to 1; "
         "srgb, rec709, or power:GAMMA for brightness = irradiance^(1/GAMMA); or with "
         "--coefficients a response model such as emor.txt.  [default: linear]",
+        Text(lambda: (*STANDARDS, "power:"), files=True),
     ),
-    click.option(
-        "--coefficients",
-        type=ListOf(Number("numbers such as 1.5,-0.3")),
-        metavar="A,B,...",
-        help="Weights of the components that are added to the mean of --curve's response model; 0 "
+    option(
+        "--coefficients A,B,...",
+        "Weights of the components that are added to the mean of --curve's response model; 0 "
         "is the mean alone.",
+        ListOf(Number("numbers such as 1.5,-0.3")),
     ),
 )
 
@@ -241,32 +234,27 @@ class NoiseOptions:
 noise_options = option_group(
     NoiseOptions,
     "noise",
-    click.option(
-        "--sensor",
-        type=SENSOR,
-        metavar="NAME|FILE.json",
-        help="Take response and noise of this sensor.  [default: noise unknown]",
+    option(
+        "--sensor NAME|FILE.json",
+        "Take response and noise of this sensor.  [default: noise unknown]",
+        SENSOR,
     ),
-    click.option(
-        "--camera",
-        "camera_id",
-        type=CAMERA,
-        metavar="ID",
-        help="Take response and noise of this camera, with what its profile knows of it.",
+    option(
+        "--camera ID",
+        "Take response and noise of this camera, with what its profile knows of it.",
+        CAMERA,
+        field="camera_id",
     ),
     camera_settings,
-    click.option(
-        "--electrons",
-        type=Number("a number of electrons of at least 0.001", least=1e-3),
-        metavar="K",
-        help="Count photon noise in: electrons per brightness level of the linear scale.  "
+    option(
+        "--electrons K",
+        "Count photon noise in: electrons per brightness level of the linear scale.  "
         "[default: no photon noise]",
+        Number("a number of electrons of at least 0.001", least=1e-3),
     ),
-    click.option(
-        "--read-noise",
-        type=Number("a noise from 0 to 64", least=0, most=64),
-        metavar="S",
-        help="Count read noise in: standard deviation of each frame in brightness levels.  "
-        "[default: 0]",
+    option(
+        "--read-noise S",
+        "Count read noise in: standard deviation of each frame in brightness levels.  [default: 0]",
+        Number("a noise from 0 to 64", least=0, most=64),
     ),
 )

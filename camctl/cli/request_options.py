@@ -10,9 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import click
-
-from camctl.cli.options import Decorator, all_of
+from camctl.cli.options import Decorator, all_of, option
 from camctl.cli.parameter_types import (
     PATH,
     AnyType,
@@ -55,13 +53,13 @@ class RequestOption:
 
     Attributes:
         help: its text on the help page
-        metavar: what stands for its value there; None: it has none
+        metavar: what stands for its value there; "": it has none
         type: parses the value; None: the option is a flag
         more: other arguments of `click.option`
     """
 
     help: str
-    metavar: str | None = None
+    metavar: str = ""
     type: AnyType | None = None
     more: dict[str, Any] = field(default_factory=dict)
 
@@ -158,7 +156,7 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
 }
 """The fields of a request; `messages.command_line.OPTIONS` has their names as options."""
 
-NAMES: Final = {"count": ("-n", "--exposures"), "mains_hz": ("--mains",)}
+NAMES: Final = {"count": "-n --exposures", "mains_hz": "--mains"}
 """Names of options that have two, or another one where they are no setting of --set."""
 
 #: Light of a scene decides the range unless it is given, and may decide the response.
@@ -189,17 +187,16 @@ SETTINGS: Final[dict[str, tuple[str, AnyType]]] = {
 }
 """Settings of --set, and the field of the request that each is."""
 
-_SET = click.option(
-    "--set",
-    "settings",
-    type=SettingOf(SETTINGS),
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Setting of the request that is needed less often; may be given several times: mains=50 "
+_SET = option(
+    "--set NAME=VALUE",
+    "Setting of the request that is needed less often; may be given several times: mains=50 "
     "or 60 prefers whole flicker periods, aperture=yes also changes the aperture, "
     "objective=xi or accuracy says what exposures are chosen by, table=FILE looks them up there, "
     "levels=G desires G brightness levels, and tolerance=X takes the fewest exposures that leave "
     "X of them out.",
+    SettingOf(SETTINGS),
+    field="settings",
+    multiple=True,
 )
 
 
@@ -324,9 +321,8 @@ def _once(settings: tuple[tuple[str, Any], ...]) -> dict[str, Any]:
     return dict(settings)
 
 
-def _option(name: str, option: RequestOption) -> Decorator:
-    names = NAMES.get(name, (OPTIONS.get(name, f"--{name.replace('_', '-')}"),))
-    kind: dict[str, Any] = {"is_flag": True} if option.type is None else {"type": option.type}
-    return click.option(
-        *names, name, **{**kind, **option.more}, metavar=option.metavar, help=option.help
+def _option(name: str, asked: RequestOption) -> Decorator:
+    names = NAMES.get(name) or OPTIONS.get(name, f"--{name.replace('_', '-')}")
+    return option(
+        f"{names} {asked.metavar}".strip(), asked.help, asked.type, field=name, **asked.more
     )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from camctl.cli import options
+from camctl.cli.options import option
 from camctl.cli.parameter_types import Name, Number, Seconds, Settings
 from camctl.cli.request_options import RequestOptions
 from camctl.errors import UsageError
@@ -97,42 +98,35 @@ TOLERANCE_HELP = (
 search_limits = options.option_group(
     SearchLimits,
     "limits",
-    click.option(
-        "--total-limit",
-        type=Number("a positive number", above=0),
-        metavar="X",
-        help="Limit the total exposure time to X times the shortest exposure, or with --settings "
+    option(
+        "--total-limit X",
+        "Limit the total exposure time to X times the shortest exposure, or with --settings "
         "to X seconds.  [default: no limit]",
+        Number("a positive number", above=0),
     ),
-    click.option(
-        "--settings",
-        type=Settings(
+    option(
+        "--settings FILE|MIN:MAX:STEP",
+        "Choose among a camera's shutter times, for the shortest exposure too: a file with "
+        "true seconds, one per line, such as 0.004 or 1/32; or even steps.  [default: any times]",
+        Settings(
             "a file of times, a list of times or MIN:MAX:STEP in seconds", unit=Seconds(), file=True
         ),
-        metavar="FILE|MIN:MAX:STEP",
-        help="Choose among a camera's shutter times, for the shortest exposure too: a file with "
-        "true seconds, one per line, such as 0.004 or 1/32; or even steps.  [default: any times]",
     ),
-    click.option(
-        "--gains",
-        type=Settings(
-            "gains such as 1,2,4, or MIN:MAX:STEP", unit=Number("a gain above 0", above=0)
-        ),
-        metavar="A,B,...|MIN:MAX:STEP",
-        help="Gains, as factors, that can be combined with each of --settings.  [default: 1]",
+    option(
+        "--gains A,B,...|MIN:MAX:STEP",
+        "Gains, as factors, that can be combined with each of --settings.  [default: 1]",
+        Settings("gains such as 1,2,4, or MIN:MAX:STEP", unit=Number("a gain above 0", above=0)),
     ),
-    click.option(
+    option(
         "--certificate",
-        is_flag=True,
-        help="Also compute how much better any other exposures could be: for two exposures of up "
+        "Also compute how much better any other exposures could be: for two exposures of up "
         "to 10 bits a proof that none are (takes seconds); for more, a lower bound.",
     ),
-    click.option(
-        "--time-limit",
-        type=Number("a time in seconds above 0", above=0),
-        metavar="SECONDS",
-        help="Stop the search after this time; with --certificate, stop bounding after about this "
+    option(
+        "--time-limit SECONDS",
+        "Stop the search after this time; with --certificate, stop bounding after about this "
         "time.  [default: no limit]",
+        Number("a time in seconds above 0", above=0),
     ),
     options.seed,
 )
@@ -165,41 +159,36 @@ class ObjectiveOptions:
 objective_options = options.option_group(
     ObjectiveOptions,
     "objective",
-    click.option(
-        "--p",
-        type=Number("a number from 1 to 16", least=1, most=16),
+    option(
+        "--p P",
+        "Power of the objective, 1 to 16; only with 1 does it count missing levels.",
+        Number("a number from 1 to 16", least=1, most=16),
         default="1",
-        metavar="P",
-        help="Power of the objective, 1 to 16; only with 1 does it count missing levels.",
     ),
-    click.option(
-        "--noise",
-        type=Number("a number from 0 to 1000", least=0, most=1e3),
-        metavar="SIGMA",
-        help="Add the cost of noise; SIGMA is its standard deviation at exposure 1 relative to "
+    option(
+        "--noise SIGMA",
+        "Add the cost of noise; SIGMA is its standard deviation at exposure 1 relative to "
         "full scale.  [default: not added]",
+        Number("a number from 0 to 1000", least=0, most=1e3),
     ),
-    click.option(
-        "--noise-weight",
-        type=Number("a number from 0 to 1e15", least=0, most=1e15),
+    option(
+        "--noise-weight C",
+        "Cost, in levels, of a noise variance of one squared full scale.",
+        Number("a number from 0 to 1e15", least=0, most=1e15),
         default="1",
-        metavar="C",
-        help="Cost, in levels, of a noise variance of one squared full scale.",
     ),
-    click.option(
-        "--noise-kind",
-        type=Name("noise term", NOISE_KINDS),
-        default="paper",
-        metavar="|".join(NOISE_KINDS),
-        help="How noise depends on exposure: as in the paper, or as read noise does where "
+    option(
+        f"--noise-kind {'|'.join(NOISE_KINDS)}",
+        "How noise depends on exposure: as in the paper, or as read noise does where "
         "exposures differ in shutter time, aperture or gain.",
+        Name("noise term", NOISE_KINDS),
+        default="paper",
     ),
-    click.option(
-        "--jitter",
-        type=Number("a fraction from 0 to 0.2", least=0, most=0.2),
-        default="0",
-        metavar="FRACTION",
-        help="Average over exposures with random errors of this relative size, up to 0.2; for "
+    option(
+        "--jitter FRACTION",
+        "Average over exposures with random errors of this relative size, up to 0.2; for "
         "example 0.01.",
+        Number("a fraction from 0 to 0.2", least=0, most=0.2),
+        default="0",
     ),
 )

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from camctl.cli import options
 from camctl.cli.capture_output import new_directory
 from camctl.cli.commands import command
-from camctl.cli.options import CameraOptions
+from camctl.cli.options import CameraOptions, option
 from camctl.cli.parameter_types import PATH, Name, Seconds, Text, WholeNumber
 from camctl.cli.request_options import RequestOptions, request_options
 from camctl.cli.series_run import HookOptions, check_keys, hook_options, run_series
@@ -63,41 +61,34 @@ class SetOptions:
 _set_options = options.option_group(
     SetOptions,
     "sets",
-    click.option(
-        "--repeat",
-        type=WholeNumber(least=1, most=_MOST_SETS),
-        metavar="N",
-        help="Number of sets.  In a terminal p pauses the series and q ends it.",
+    option(
+        "--repeat N",
+        "Number of sets.  In a terminal p pauses the series and q ends it.",
+        WholeNumber(least=1, most=_MOST_SETS),
     ),
-    click.option(
-        "--interval",
-        "interval_s",
-        type=Seconds(least=_LEAST_INTERVAL_S),
-        metavar="SECONDS",
-        help="Time from the start of one set to the start of the next; a start that has passed "
+    option(
+        "--interval SECONDS",
+        "Time from the start of one set to the start of the next; a start that has passed "
         "because the set before took longer is left out.  [default: one set after another]",
+        Seconds(least=_LEAST_INTERVAL_S),
+        field="interval_s",
     ),
-    click.option(
-        "--on-key",
-        is_flag=True,
-        help="Take a set whenever enter or space is pressed, until q is (or N are taken).",
+    option(
+        "--on-key", "Take a set whenever enter or space is pressed, until q is (or N are taken)."
     ),
-    click.option(
-        "--name",
-        type=Text(),
-        metavar="PATTERN",
-        help="Names of the sets' folders, with {number}, {date} and {time}; a name that is taken "
+    option(
+        "--name PATTERN",
+        "Names of the sets' folders, with {number}, {date} and {time}; a name that is taken "
         "gets -{number} at its end.  [default: set-{number}]",
+        Text(),
     ),
-    click.option(
-        "--meter",
-        "metering",
-        is_flag=False,
-        flag_value="once",
-        type=Name("time to meter", ("once", "each")),
-        metavar="[once|each]",
-        help="Meter with full exposures on a camera that has no preview: once for all sets (as "
+    option(
+        "--meter [once|each]",
+        "Meter with full exposures on a camera that has no preview: once for all sets (as "
         "without --meter), or each of them.",
+        Name("time to meter", ("once", "each")),
+        field="metering",
+        flag_value="once",
     ),
 )
 
@@ -115,13 +106,11 @@ _set_options = options.option_group(
 @request_options(
     *(each for each in PICTURE_OPTIONS if each != "spend_shutter"), "settings", has_light=True
 )
-@click.option(
-    "-o",
-    "--output",
-    "directory",
-    type=PATH,
-    metavar="PATH",
-    help="Folder of the series.  [default: series-DATE-TIME in the working directory]",
+@option(
+    "-o --output PATH",
+    "Folder of the series.  [default: series-DATE-TIME in the working directory]",
+    PATH,
+    field="directory",
 )
 @options.as_json
 def series(

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import click
 
 from camctl.cli.capture_output import UNTRUSTWORTHY
-from camctl.cli.options import option_group
+from camctl.cli.options import option, option_group
 from camctl.cli.output import (
     ProgressBar,
     format_duration,
@@ -60,20 +60,18 @@ class HookOptions:
 hook_options = option_group(
     HookOptions,
     "hook",
-    click.option(
-        "--hook",
-        type=Text(),
-        metavar="COMMAND",
-        help="Shell command to run after each set; $CAMCTL_FOLDER is its folder, $CAMCTL_NUMBER "
+    option(
+        "--hook COMMAND",
+        "Shell command to run after each set; $CAMCTL_FOLDER is its folder, $CAMCTL_NUMBER "
         "its number.",
+        Text(),
     ),
-    click.option(
-        "--hook-limit",
-        "hook_limit_s",
-        type=Seconds(),
-        metavar="SECONDS",
+    option(
+        "--hook-limit SECONDS",
+        "Longest time that the command may take.",
+        Seconds(),
+        field="hook_limit_s",
         default="60",
-        help="Longest time that the command may take.",
     ),
 )
 

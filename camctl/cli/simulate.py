@@ -14,6 +14,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.options import option
 from camctl.cli.output import (
     format_duration,
     format_fields,
@@ -69,24 +70,22 @@ scene_options = options.option_group(
     "scenery",
     options.scene_option(),
     options.sensor_option(DEFAULT_SENSOR),
-    click.option(
-        "--size",
-        type=FrameSize(),
-        metavar="WIDTHxHEIGHT",
-        help="Size of a frame in pixels.  [default: the sensor's, or the radiance map's]",
+    option(
+        "--size WIDTHxHEIGHT",
+        "Size of a frame in pixels.  [default: the sensor's, or the radiance map's]",
+        FrameSize(),
     ),
-    click.option(
-        "--seed",
-        type=WholeNumber(least=0),
-        metavar="N",
-        help="Seed of the simulated noise; the same seed gives the same frames.  [default: 0]",
+    option(
+        "--seed N",
+        "Seed of the simulated noise; the same seed gives the same frames.  [default: 0]",
+        WholeNumber(least=0),
     ),
-    click.option(
-        "--fault",
-        "faults",
-        metavar="FAULT,...",
-        help="Faults of the simulated camera, such as unplug@3 or wrong@1=0.5 (see "
+    option(
+        "--fault FAULT,...",
+        "Faults of the simulated camera, such as unplug@3 or wrong@1=0.5 (see "
         "docs/how-to/ci.md).  [default: none]",
+        click.STRING,
+        field="faults",
     ),
 )
 
@@ -111,33 +110,29 @@ class FrameSettings:
 frame_settings = options.option_group(
     FrameSettings,
     "settings",
-    click.option(
-        "--time",
-        "time_s",
-        type=Seconds(),
+    option(
+        "--time SECONDS",
+        "Shutter time, for example 0.01 or 1/100; the nearest that the sensor has is used.",
+        Seconds(),
+        field="time_s",
         default="1/100",
-        metavar="SECONDS",
-        help="Shutter time, for example 0.01 or 1/100; the nearest that the sensor has is used.",
     ),
-    click.option(
-        "--times",
-        "times_s",
-        type=ListOf(Seconds()),
-        metavar="S1,S2,...",
-        help="A bracket of these shutter times, instead of --time.",
+    option(
+        "--times S1,S2,...",
+        "A bracket of these shutter times, instead of --time.",
+        ListOf(Seconds()),
+        field="times_s",
     ),
-    click.option(
-        "--bracket",
-        type=Ratios(),
-        metavar="R1,R2,...",
-        help="A bracket of these exposures relative to the shortest, which has --time.",
+    option(
+        "--bracket R1,R2,...",
+        "A bracket of these exposures relative to the shortest, which has --time.",
+        Ratios(),
     ),
-    click.option(
-        "--gain",
-        type=Number("a positive gain", above=0),
+    option(
+        "--gain X",
+        "Linear gain; the nearest that the sensor has is used.",
+        Number("a positive gain", above=0),
         default="1",
-        metavar="X",
-        help="Linear gain; the nearest that the sensor has is used.",
     ),
 )
 
@@ -155,28 +150,24 @@ frame_settings = options.option_group(
 )
 @scene_options
 @frame_settings
-@click.option(
-    "--tolerance",
-    "tolerance_dn",
-    type=Number("a tolerance of at least 0 DN", least=0),
-    default=0.5,
-    metavar="DN",
-    help="Leave out effects that together change no sample by more than this, before the ADC; the "
+@option(
+    "--tolerance DN",
+    "Leave out effects that together change no sample by more than this, before the ADC; the "
     "frames of a bracket share it.  0 simulates all effects.",
+    Number("a tolerance of at least 0 DN", least=0),
+    field="tolerance_dn",
+    default=0.5,
 )
-@click.option(
+@option(
     "--explain",
-    is_flag=True,
-    help="Show each effect, its bound, its time, and why it was simulated or not; and compare the "
+    "Show each effect, its bound, its time, and why it was simulated or not; and compare the "
     "frame with one that has every effect.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=PATH,
-    metavar="FILE",
-    help="File for the frame: .tiff, .png or .npy; the frames of a bracket get -1, -2, ...  "
+@option(
+    "-o --output FILE",
+    "File for the frame: .tiff, .png or .npy; the frames of a bracket get -1, -2, ...  "
     "[default: no file]",
+    PATH,
 )
 @options.force
 @options.as_json

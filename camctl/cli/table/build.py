@@ -8,10 +8,9 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-import click
-
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.options import option
 from camctl.cli.output import print_json, print_text, print_warning, progress_bar
 from camctl.cli.parameter_types import PATH, DynamicRange, ListOf, WholeNumber
 from camctl.cli.real_camera import RealCameraOptions, real_camera_options
@@ -64,29 +63,19 @@ class TableContent:
 content_options = options.option_group(
     TableContent,
     "content",
-    click.option(
-        "--responses",
-        type=ListOf(RESPONSE, unique=True),
+    option(
+        "--responses NAME,...",
+        "Desired responses.",
+        ListOf(RESPONSE, unique=True),
         default=",".join(RESPONSES),
-        metavar="NAME,...",
-        help="Desired responses.",
     ),
-    click.option(
-        "--ranges",
-        type=ListOf(DynamicRange(), unique=True),
+    option(
+        "--ranges RANGE,...",
+        "Dynamic ranges, by name or number.",
+        ListOf(DynamicRange(), unique=True),
         default="low,medium,high",
-        metavar="RANGE,...",
-        help="Dynamic ranges, by name or number.",
     ),
-    click.option(
-        "-n",
-        "--exposures",
-        "count",
-        type=COUNT,
-        default=6,
-        metavar="N",
-        help="Numbers of exposures: 1 up to N.",
-    ),
+    option("-n --exposures N", "Numbers of exposures: 1 up to N.", COUNT, field="count", default=6),
 )
 
 
@@ -102,20 +91,12 @@ content_options = options.option_group(
 @real_camera_options
 @content_options
 @options.seed
-@click.option(
-    "--workers",
-    type=WholeNumber(least=1, most=256),
-    metavar="N",
-    help="Number of processes; the table is the same with any.  [default: one per processor]",
+@option(
+    "--workers N",
+    "Number of processes; the table is the same with any.  [default: one per processor]",
+    WholeNumber(least=1, most=256),
 )
-@click.option(
-    "-o",
-    "--output",
-    type=PATH,
-    default="exposure-table.json",
-    metavar="FILE",
-    help="File for the table.",
-)
+@option("-o --output FILE", "File for the table.", PATH, default="exposure-table.json")
 @options.force
 @options.as_json
 def build(

@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.options import option
 from camctl.cli.output import (
     NOISE_UNKNOWN,
     format_number,
@@ -46,38 +45,23 @@ if TYPE_CHECKING:
         ("camctl table show -n 3 --sensitivity", "with exposure errors and noise"),
     ),
 )
-@click.option(
-    "--table",
-    "path",
-    type=PATH,
-    metavar="FILE",
-    help="Table made by camctl table build.  [default: the built-in one]",
+@option(
+    "--table FILE",
+    "Table made by camctl table build.  [default: the built-in one]",
+    PATH,
+    field="path",
 )
-@click.option(
-    "--response",
-    type=RESPONSE,
-    metavar="linear|gamma|log",
-    help="Only this response.  [default: all]",
+@option("--response linear|gamma|log", "Only this response.  [default: all]", RESPONSE)
+@option(
+    "--range low|medium|high|NUMBER",
+    "Only this dynamic range.  [default: all]",
+    DynamicRange(),
+    field="dynamic_range",
 )
-@click.option(
-    "--range",
-    "dynamic_range",
-    type=DynamicRange(),
-    metavar="low|medium|high|NUMBER",
-    help="Only this dynamic range.  [default: all]",
-)
-@click.option(
-    "-n",
-    "--exposures",
-    "count",
-    type=COUNT,
-    metavar="N",
-    help="Only this number of exposures.  [default: all]",
-)
-@click.option(
+@option("-n --exposures N", "Only this number of exposures.  [default: all]", COUNT, field="count")
+@option(
     "--sensitivity",
-    is_flag=True,
-    help="Show the effective levels with exposure errors of 0.01, 0.1 and 1 %, with noise of 0.1, "
+    "Show the effective levels with exposure errors of 0.01, 0.1 and 1 %, with noise of 0.1, "
     "0.5 and 2 brightness levels, and over all phases of the quantiser.  Takes about 0.1 s per row "
     "of 8 bits.",
 )
