@@ -65,7 +65,7 @@ def test_a_constant_delay_is_predicted_exactly_in_virtual_time(sensor: str, coun
 def test_no_capture_waits_for_the_long_exposures_before_it(sensor: str) -> None:
     """Metering of a dark scene ends with an exposure of seconds, as does the capture before."""
     with camctl.open_camera("sim", sensor=sensor, scene="night-street", size="64x48") as camera:
-        request = camctl.CaptureRequest("log", 256.0, 2)
+        request = camctl.CaptureRequest("log", 256.0, ratios=(1.0, 20.0))
         for _ in range(2):
             began_s = camera.clock.now()
             plan = camctl.plan_capture(camera, request)

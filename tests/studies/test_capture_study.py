@@ -10,6 +10,7 @@ import pytest
 from cells import CELLS
 
 import camctl
+from camctl.captures import outputs
 from camctl.studies.bracket_methods import METHODS, NEED_NOISE, Bracket, bracket_settings, offers
 from camctl.studies.capture_rows import CaptureStudy, knee, pareto_front
 from camctl.studies.capture_study import (
@@ -63,8 +64,12 @@ def test_mosaics_and_curved_responses_are_measured_on_their_own_samples(sensor: 
 
 
 @pytest.mark.parametrize("sensor", ["webcam", "consumer"])
-def test_the_stated_time_is_that_of_a_capture_after_metering(sensor: str) -> None:
+def test_the_stated_time_is_that_of_a_capture_after_metering(
+    sensor: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The stream of `consumer` waits for frames as long as the last metering frame."""
+    # The room is darker than the range: planning what would help takes a minute, and no frame.
+    monkeypatch.setattr(outputs, "range_findings", lambda *args, **kwargs: [])
     options = {"sensor": sensor, "scene": "room", "size": "64x48"}
     run = replace(RUN, method="accuracy", n=2, seeds=tuple(range(8)))
     run = replace(run, sensor=sensor, scene=options["scene"], size=options["size"])
