@@ -179,13 +179,12 @@ def _ascending_path(counts: FloatArray) -> FloatArray:
     near = _smoothed(_smoothed(counts).T).T
     total = [near.sum(axis=axis) + _FEW for axis in (1, 0)]
     implied = near**2 / total[0][:, None] / total[1]
-    best = np.zeros(size)
-    came_from = np.zeros((size, size), np.intp)
+    highest, best = np.empty((size, size)), np.zeros(size)
     for level, gain in enumerate(implied):
-        highest = np.maximum.accumulate(best)
-        is_first = np.append(True, highest[1:] > highest[:-1])
-        came_from[level] = np.maximum.accumulate(np.where(is_first, np.arange(size), 0))
-        best = highest + gain
+        best = np.maximum.accumulate(best, out=highest[level]) + gain
+    is_first = np.ones((size, size), np.bool_)
+    is_first[:, 1:] = highest[:, 1:] > highest[:, :-1]
+    came_from = np.maximum.accumulate(np.where(is_first, np.arange(size), 0), axis=1)
     path = np.zeros(size, np.intp)
     place = int(best.argmax())
     for level in range(size - 1, -1, -1):

@@ -137,9 +137,6 @@ def kind(option: click.Parameter) -> tuple[object, ...]:
     return option.opts[-1], option.nargs, type(option.type), str(vars(option.type))
 
 
-DIFFERENT = {kind(option): (name, option) for name, option in CASES}
-"""A command and its option, for each option that is not like another one."""
-
 RUN_BY_DEFAULT = {
     "calibrate response files",
     "evaluate --noise",
@@ -154,6 +151,19 @@ RUN_BY_DEFAULT = {
 }
 """Options whose values are tried with the whole command; the others are only parsed by default, and
 run in slow tests."""
+
+DIFFERENT = {kind(option): (name, option) for name, option in CASES}
+"""A command and its option, for each option that is not like another one."""
+
+
+def case(name: str, option: click.Parameter) -> str:
+    return f"{name} {option.opts[-1]}"
+
+
+IN_FULL = [each for each in CASES if each in DIFFERENT.values() or case(*each) in RUN_BY_DEFAULT]
+SHARED = [each for each in CASES if each not in IN_FULL]
+SOME = 8
+"""Every eighth of the values of an option in `SHARED`."""
 
 
 @pytest.fixture
@@ -215,7 +225,7 @@ def problem(run: Run, *arguments: str) -> str:
 
 def test_every_command_is_tried() -> None:
     assert set(BASES) == set(COMMANDS)
-    assert {f"{name} {option.opts[-1]}" for name, option in CASES} >= RUN_BY_DEFAULT
+    assert {case(*each) for each in CASES} >= RUN_BY_DEFAULT
 
 
 @pytest.mark.parametrize("name", sorted(set(BASES) - REFUSED))
@@ -268,22 +278,26 @@ def test_hostile_values_are_parsed_or_refused_in_one_line(
     ("name", "option"),
     [
         pytest.param(
-            name,
-            option,
-            id=(case := f"{name} {option.opts[-1]}"),
-            marks=() if case in RUN_BY_DEFAULT else pytest.mark.slow,
+            *each, id=case(*each), marks=() if case(*each) in RUN_BY_DEFAULT else pytest.mark.slow
         )
-        for name, option in CASES
+        for each in IN_FULL
     ],
 )
 def test_hostile_values_are_refused_in_one_line(
     run: Run, tmp_path: Path, places: tuple[str, ...], name: str, option: click.Parameter
 ) -> None:
-    """One command with an option has all values, and the others that share it a quarter each."""
-    lines = list(lines_with(name, option, places, tmp_path))
-    if DIFFERENT[kind(option)] != (name, option) and len(lines) > 8:
-        lines = lines[sorted(COMMANDS).index(name) % 4 :: 4]
-    assert problems(run, lines) == []
+    assert problems(run, lines_with(name, option, places, tmp_path)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted({name for name, _ in SHARED}))
+def test_hostile_values_of_shared_options_are_refused_in_one_line(
+    run: Run, tmp_path: Path, places: tuple[str, ...], name: str
+) -> None:
+    """Another command has all values of each; this one has some of them, others for each option."""
+    for place, option in enumerate(option for command, option in SHARED if command == name):
+        lines = list(lines_with(name, option, places, tmp_path))
+        assert problems(run, lines[place % SOME :: SOME] or lines[:1]) == []
 
 
 EDGES = ("0", "1", "1e-12", "1e12", "1e7", "1e15", "0.01", "100", "1.0000000000000002", "16", "2.5")
@@ -310,6 +324,7 @@ def command_lines(draw: st.DrawFn) -> list[str]:
     return line
 
 
+@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(line=command_lines())
 def test_hostile_values_together_are_refused_in_one_line(run: Run, line: list[str]) -> None:
