@@ -74,6 +74,7 @@ CODES: Final[dict[str, str]] = {
     "levels_found": "black or white level in the pixels, DN",
     "chart_contradicts": "relative error of the reflectance of a patch of a chart",
     "profile_not_used": "nothing: exposures in the profile were measured without a response",
+    "response_doubtful": "nothing: checks of the frames refuse it, and it is kept on request",
     "response_inexact": "half of the widest 95 % interval of the irradiance, relative",
     "noise_misfit": "mean square deviation of the noise from its fit, over its expectation",
     "noise_filtered": "correlation of the noise of neighbouring pixels; null: JPEG compression",

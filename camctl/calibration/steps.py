@@ -143,7 +143,7 @@ class _Calibration:
                 raise reason from None
         for finding in estimate.findings:
             options.warn(finding)
-        self._residual = estimate.residual or 0.0
+        self._residual = estimate.residual
         self._first = self._first or estimate.record
         return _response_found(camera, estimate)
 

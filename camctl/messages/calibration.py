@@ -160,6 +160,9 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
         "the exposures in the camera's profile were measured while its response was not known: "
         "they are not used, and no longer kept once the response is; measure them again"
     ),
+    "response_doubtful": lambda finding: (
+        f"the response may be wrong, and is kept all the same: {finding.details['why']}"
+    ),
     "response_inexact": _response_inexact,
     "noise_misfit": lambda finding: (
         f"the noise does not follow the response of the camera (misfit {finding.value:.1f}): the "

@@ -144,7 +144,7 @@ def _maker(make: str) -> str:
 def _fit_error(series: Series, controls: ExposureControls) -> float:
     """Return the `disagreement` of the photographs by the exposures that are stated."""
     responses = (controls.responses or (controls.levels,) * 3)[-len(series.channels) :]
-    lights = [SensorModel(each, series.black).light for each in responses]
+    lights = [SensorModel(each, series.black).light[series.black :] for each in responses]
     return disagreement(series, lights, (series.exposures,) * len(lights))
 
 

@@ -25,11 +25,10 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
-from opencv_levels import levels_of
+from opencv_levels import levels_of, opencv_curves
 
 from camctl.calibration.intervals import Z_95
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
-from camctl.calibration.response.opencv import opencv_curves
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.interface.controls import Layout

@@ -15,10 +15,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
-from opencv_levels import levels_of
+from opencv_levels import levels_of, opencv_curves
 
 from camctl.calibration.response.estimate import estimate_response
-from camctl.calibration.response.opencv import opencv_curves
 from camctl.calibration.response.series import Series
 from camctl.interface.controls import Layout
 from camctl.messages.plain import sentence

@@ -135,12 +135,52 @@ def test_flicker_is_called_flicker_and_widens_the_interval() -> None:
 def test_times_that_are_wrong_throughout_are_refused(
     count: int, labels: Callable[[float, float, int], FloatArray]
 ) -> None:
+    """Where no camera has the response that they give; a finding says where few cameras have it."""
     true = np.geomspace(1, 16, count) / 4
     frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(true)]
     with pytest.raises(DataError, match=r"contradict the pixels, which say about 1, .*") as caught:
-        estimate_response(series_of(frames, tuple(labels(1, 3, count))))
+        estimate_response(series_of(frames, tuple(labels(1, 1.5, count))))
     assert caught.value.remedies == {"estimate_ratios": True}
     assert "\n" not in str(caught.value)
+    flat = estimate_response(series_of(frames, tuple(np.geomspace(1, 3, count))))
+    assert [each.details.get("kind") for each in flat.findings] == ["trend"]
+
+
+def test_what_is_refused_is_kept_on_request_with_a_finding() -> None:
+    true = np.geomspace(1, 16, 4) / 4
+    frames = [shoot(shades(), exposure, k) for k, exposure in enumerate(true)]
+    kept = estimate_response(series_of(frames, tuple(np.geomspace(1, 1.5, 4))), is_kept=True)
+    assert [each.code for each in kept.findings] == ["response_doubtful"]
+    moved = [
+        np.roll(shoot(room(), exposure, k), (7 * k, -11 * k), (0, 1))
+        for k, exposure in enumerate(STOPS)
+    ]
+    found = estimate_response(series_of(moved), is_kept=True).findings
+    assert "response_doubtful" in [each.code for each in found]
+
+
+@pytest.mark.parametrize("flatness", [0.7, 3.9])
+def test_steep_and_flat_cameras_before_edges_are_measured(flatness: float) -> None:
+    """An S curve as steep or as flat as a measured one, before blocks with sharp edges."""
+    rng = np.random.default_rng(7)
+    light = np.full((240, 320), np.exp(-6.0))
+    for _ in range(400):
+        row, column = rng.integers(0, 240), rng.integers(0, 320)
+        height, width = rng.integers(3, 50, 2)
+        light[row : row + height, column : column + width] = np.exp(rng.uniform(-6, 0))
+    frames = []
+    for exposure in STOPS:
+        charge = 2e4 * light * exposure
+        charge = charge + np.sqrt(charge + 25) * rng.normal(size=light.shape)
+        x = np.clip(charge / 2e4, 0, 1) ** (flatness / 1.85)
+        frames.append(np.clip(np.floor((0.5 * x + 1.5 * x**2 - x**3) * 256), 0, 255))
+    estimate = estimate_response(series_of([each.astype(np.uint8) for each in frames]))
+    (channel,) = estimate.record.channels
+    x = np.linspace(0.1, 0.95, 50)
+    true = x ** (1.85 / flatness)
+    found = np.interp(0.5 * x + 1.5 * x**2 - x**3, channel.brightness, channel.irradiance)
+    errors = np.log(found / true)
+    assert np.std(errors) < 0.03
 
 
 def test_a_curve_that_is_known_no_better_than_without_a_measurement_is_refused() -> None:

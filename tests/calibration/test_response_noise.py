@@ -35,8 +35,8 @@ def matches_of(full_well_e: float, read_e: float, slope: float) -> tuple[Matches
     counts = series.counts_between("Y", EDGES)
     matches = match_levels(lambda *pair: counts[list(pair)], STOPS, EDGES)
     irradiance: FloatArray = EDGES / 1024
-    fit = ResponseFit(irradiance, np.zeros(EDGES.size), np.array(STOPS), 0.0, np.zeros(0))
-    return matches, correct_matches(matches, series, "Y", EDGES, fit)
+    fit = ResponseFit(EDGES, irradiance, np.zeros(EDGES.size), np.array(STOPS), 0.0, np.zeros(0))
+    return matches, correct_matches(matches, series, "Y", fit)
 
 
 def error(matches: Matches) -> float:

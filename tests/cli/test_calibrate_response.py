@@ -91,23 +91,6 @@ def test_ten_bits_in_files_of_sixteen(run: Run) -> None:
     assert stated.json["channels"][0]["irradiance"] == found.json["channels"][0]["irradiance"]
 
 
-def test_the_methods_of_opencv_are_there_for_comparison(run: Run) -> None:
-    line = ("calibrate", "response", *write(pictures()), "--times", "1,4,16", "--method")
-    ran = run(*line, "debevec", "--json")
-    assert ran.status == 0, ran.err
-    (channel,) = ran.json["channels"]
-    assert channel["confidence"] is None
-    assert np.all(np.diff(channel["irradiance"]) > 0)
-    # Robertson's method has no value for a brightness that no pixel of these frames has.
-    assert "Robertson returned a curve with NaN or infinity" in run(*line, "robertson").error
-    write(pictures(12))
-    for method in ("debevec", "robertson"):
-        deep = run(*line, method)
-        assert deep.status == 2
-        assert "takes 8-bit mono and RGB frames only" in deep.error
-        assert deep.error.endswith("(--method camctl)")
-
-
 def test_estimated_exposures_are_printed(run: Run) -> None:
     paths = write(pictures())
     ran = run("calibrate", "response", *paths, "--times", "1,4.6,16", "--estimate-ratios", "--json")
@@ -204,8 +187,6 @@ def test_patches_of_a_file_are_measured(run: Run) -> None:
     assert "--patches cannot be combined with --chart" in both.error
     missing = run("calibrate", "response", "chart.png", "--patches", "none.txt")
     assert "cannot read patches none.txt: No such file" in missing.error
-    other = run(*line, "--method", "debevec")
-    assert "--method debevec cannot use a chart; use --method camctl" in other.error
 
 
 def test_what_is_not_exact_enough_is_kept_on_request_only(run: Run) -> None:
@@ -222,9 +203,20 @@ def test_what_is_not_exact_enough_is_kept_on_request_only(run: Run) -> None:
     assert ", and +-7% is needed; add frames of exposure " in ran.err
     assert run(*line, "--keep").json["file"] is not None
     assert len(list_profiles()) == 1
-    photographs = run("calibrate", "response", *write(pictures()), "--times", "1,4,16", "--keep")
-    assert photographs.status == 2
-    assert "--keep: photographs name no camera" in photographs.error
+
+
+def test_a_curve_from_frames_that_contradict_their_exposures_is_written_on_request(
+    run: Run,
+) -> None:
+    line = ("calibrate", "response", *write(pictures()), "--times", "1,1.1,1.2", "-o", "c.txt")
+    refused = run(*line)
+    assert refused.status == 1
+    assert "contradict the pixels" in refused.error
+    assert not Path("c.txt").exists()
+    kept = run(*line, "--keep", "--json")
+    assert kept.status == 0, kept.err
+    assert "response_doubtful" in [each["code"] for each in kept.json["findings"]]
+    assert Path("c.txt").exists()
 
 
 def test_photographs_without_times_are_measured_with_a_warning(run: Run) -> None:

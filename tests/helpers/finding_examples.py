@@ -166,6 +166,7 @@ _CALIBRATIONS = (
     Finding(code="levels_found", value=17, details={"level": "black", "largest": 255}),
     Finding(code="chart_contradicts", value=-0.12, details={"patch": 4, "channel": "G"}),
     Finding(code="profile_not_used", remedies={"calibrate_exposure": None}),
+    Finding(code="response_doubtful", details={"why": "the camera or the scene moved"}),
     Finding(
         code="response_inexact",
         value=0.11,

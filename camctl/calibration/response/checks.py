@@ -13,7 +13,7 @@ from camctl.calibration.intervals import Z_95
 from camctl.calibration.response.fit import ChartSamples, ResponseFit
 from camctl.calibration.response.labels import LabelCheck, contradiction_error
 from camctl.calibration.response.matches import Matches
-from camctl.calibration.response.series import Series
+from camctl.calibration.response.series import DIM, Series
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
@@ -21,12 +21,9 @@ from camctl.profiles.response import ResponseRecord
 
 #: A frame is black if less than this share of its pixels is above the first level, % of full scale.
 _LIT_SHARE, _LIT_LEVEL = 0.01, 0.04
-#: Brightness, as shares of full scale, between which a response must be measured, and the widest
-#: gap in between.
-_BOTTOM, _TOP, _WIDEST_GAP = 0.15, 0.85, 0.15
-#: The same of patches of a chart: N 9.5 and N 8 of a linear camera are 0.33 apart, and the darkest
-#: patch has brightness 0.2 in sRGB.
-_BOTTOM_PATCH, _TOP_PATCH, _WIDEST_PATCHES = 0.3, 0.7, 0.35
+#: Distance from both ends, share of full scale, up to which a response must be measured, and the
+#: same with a chart, whose darkest patch has brightness 0.2 in sRGB.
+_ENDS, _ENDS_OF_CHART = 0.15, 0.3
 #: Brightness, shares of full scale, between which the 95 % interval of a response is judged.
 _JUDGED = (0.05, 0.95)
 #: Half the 95 % interval of irradiance, relative, up to which a response is kept: it changes a
@@ -37,24 +34,22 @@ KEPT = 0.07
 REFUSED = 0.4
 #: Steps of exposures, as factors, that are wide; and exposures in between that are proposed.
 _WIDE_STEP, _MOST_ADDED = 2.5, 4
-#: A frame's exposure is judged if this share of its pixels is between `_COMPARED`: errors of the
-#: darkest levels would count as errors of the exposure of a frame that is nearly black.
+#: A frame's exposure is judged if this share of its pixels is well exposed: errors of the darkest
+#: levels would count as errors of the exposure of a frame that is nearly black.
 _JUDGED_SHARE = 0.02
 #: Patches that deviate by this much have moved, and the share of moved ones that is tolerated.
 _MOVED, _MOST_MOVED = 0.12, 0.25
-#: Whatever the response, patches keep their order of brightness from frame to frame.  Difference of
-#: two patches that is beyond noise, as a share of full scale; share of such pairs of patches in
-#: reversed order from which something moved; fewest pairs; and most patches that are compared.
-_DIFFERENT, _MOST_REVERSED, _LEAST_PAIRS, _MOST_PATCHES = 0.08, 0.05, 100, 600
-#: Brightness of patches that are compared, as a share of full scale.
-_COMPARED = (0.1, 0.9)
+#: Share of the pairs of patches in reversed order from which the scene moved: a thing that covers
+#: this share of the picture reverses about as many.  Fewest pairs that say so; most patches that
+#: are compared, and fewest.
+_MOST_REVERSED, _LEAST_PAIRS, _MOST_PATCHES, _LEAST_PATCHES = 0.05, 100, 600, 20
 _HELD = "put the camera on a tripod before a scene that does not move"
 
 
-def check_frames(series: Series, *, has_chart: bool = False, is_scene_checked: bool = True) -> None:
+def check_frames(series: Series, *, has_chart: bool = False) -> None:
     """Check that there are different frames with different exposures and something to see.
 
-    With a chart a single frame is enough.  With `is_scene_checked` they must show the same scene.
+    With a chart a single frame is enough.
 
     Raises:
         DataError: there are not
@@ -96,8 +91,6 @@ def check_frames(series: Series, *, has_chart: bool = False, is_scene_checked: b
             Finding(code="left_out", frames=(first, second), details={"what": "copy", **names})
         )
     _check_order(series, exposures)
-    if is_scene_checked:
-        _check_order_of_patches(series)
 
 
 def _check_order(series: Series, exposures: FloatArray) -> None:
@@ -126,7 +119,9 @@ def _check_order(series: Series, exposures: FloatArray) -> None:
 def check_range(
     series: Series, channel: str, matches: Matches, chart: ChartSamples | None = None
 ) -> None:
-    """Check that the matches, and the patches of a chart, reach from dark to bright without a gap.
+    """Check that the matches, and the patches of a chart, reach from dark to bright.
+
+    The fit knows how certain the curve is in a gap between them.
 
     Raises:
         DataError: they do not; says which exposures would help
@@ -137,9 +132,7 @@ def check_range(
         [matches.low, matches.high] if chart is None else [matches.low, matches.high, chart.level]
     )
     found = np.unique(np.concatenate(levels)) / (series.white - series.black)
-    bottom, top, widest_gap = _BOTTOM, _TOP, _WIDEST_GAP
-    if chart is not None:
-        bottom, top, widest_gap = _BOTTOM_PATCH, _TOP_PATCH, _WIDEST_PATCHES
+    ends = _ENDS if chart is None else _ENDS_OF_CHART
     where = f"channel {channel}: " if len(series.channels) > 1 else ""
     if found.size == 0:
         ordered = np.unique(exposures)
@@ -149,25 +142,17 @@ def check_range(
             hint=f"add a frame of exposure {np.sqrt(ordered[widest] * ordered[widest + 1]):.3g}, "
             "and use a scene with many shades",
         )
-    if found[-1] < top:
+    if found[-1] < 1 - ends:
         raise DataError(
             f"{where}the frames show the response only up to {found[-1]:.0%} of full scale",
             hint=f"add frames of exposure {2 * longest:.3g} and {4 * longest:.3g}, or a brighter "
             "object",
         )
-    if found[0] > bottom:
+    if found[0] > ends:
         raise DataError(
             f"{where}the frames show the response only from {found[0]:.0%} of full scale on",
             hint=f"add frames of exposure {shortest / 2:.3g} and {shortest / 4:.3g}, or a darker "
             "object",
-        )
-    gaps = np.diff(found)
-    if gaps.max(initial=0.0) > widest_gap:
-        at = int(np.argmax(gaps))
-        raise DataError(
-            f"{where}no brightness between {found[at]:.0%} and {found[at + 1]:.0%} of full scale "
-            "occurs in two frames",
-            hint=f"use a scene with many shades, or add frames of {_between(exposures)}",
         )
 
 
@@ -239,56 +224,40 @@ def helpful_exposures(exposures: Sequence[float], brightness: float) -> str:
 
 def shows_exposure(series: Series, channel: str) -> NDArray[np.bool_]:
     """Return whether enough samples of a channel are well exposed in each frame, (J,)."""
-    shares = [_well_exposed(series, k, channel) for k in range(len(series.exposures))]
+    least = series.black + DIM * (series.white - series.black)
+    shares = []
+    for position in range(len(series.exposures)):
+        samples = series.channel_patches(position, channel)
+        shares.append(np.mean((samples > least) & (samples <= series.highest)))
     return np.array(shares) >= _JUDGED_SHARE
 
 
-def _well_exposed(series: Series, position: int, channel: str) -> float:
-    """Return the share of the samples of a frame that are well exposed."""
-    span = series.white - series.black
-    low, high = (series.black + share * span for share in _COMPARED)
-    samples = series.channel_patches(position, channel)
-    return float(np.mean((samples > low) & (samples < high)))
-
-
-def _check_order_of_patches(series: Series) -> None:
+def check_order_of_patches(series: Series) -> None:
     """Check that the scene stood still, whatever the response and the exposures are.
 
+    Every response keeps the order of quantiles: a patch whose lower quartile is above the upper one
+    of another patch is the brighter one in every frame.
+
     Raises:
-        DataError: bright patches of one frame are dark in the next one
+        DataError: such patches have another order in the next frame
     """
-    order = np.argsort(series.exposures).tolist()
-    for short, long in pairwise(order):
-        for channel in series.channels:
-            levels = np.stack(_common_patches(series, channel, short, long))
+    for channel in series.channels:
+        for pair in series.neighbours(channel):
             # Of many patches some are taken.
-            levels = levels[:, :: 1 + levels.shape[1] // _MOST_PATCHES]
-            means = levels.mean(axis=2) / (series.white - series.black)
-            apart = means[:, :, None] - means[:, None, :]
-            is_certain = np.all(np.abs(apart) > _DIFFERENT, axis=0)
-            pairs = max(int(np.count_nonzero(is_certain)), 2 * _LEAST_PAIRS)  # each counts twice
-            turned = np.count_nonzero(is_certain & (apart[0] * apart[1] < 0))
-            if turned > _MOST_REVERSED * pairs:
+            levels = pair.levels[:, :: 1 + pair.levels.shape[1] // _MOST_PATCHES]
+            low, high = np.quantile(levels, (0.25, 0.75), axis=2)
+            brighter = low[:, :, None] > high[:, None, :]
+            certain = np.all(brighter | brighter.transpose(0, 2, 1), axis=0)
+            turned = np.count_nonzero(brighter[0] & brighter[1].T)
+            if turned > _MOST_REVERSED * max(np.count_nonzero(certain) / 2, _LEAST_PAIRS):
                 raise DataError(
-                    f"{series.names[short]} and {series.names[long]} do not show the same: the "
-                    "camera or the scene moved",
+                    f"{series.names[pair.short]} and {series.names[pair.long]} do not show the "
+                    "same: the camera or the scene moved",
                     hint=_HELD,
                 )
 
 
-def _common_patches(series: Series, channel: str, short: int, long: int) -> list[FloatArray]:
-    """Return the levels of patches that two frames expose well, each (patches, samples)."""
-    span = series.white - series.black
-    levels = [
-        series.channel_patches(k, channel).astype(np.float64) - series.black for k in (short, long)
-    ]
-    means = np.array([each.mean(axis=1) for each in levels]) / span
-    used = np.all((means > _COMPARED[0]) & (means < _COMPARED[1]), axis=0)
-    used &= np.all([each.max(axis=1) < span for each in levels], axis=0)
-    return [each[used] for each in levels]
-
-
-def check_patches(series: Series, channel: str, edges: FloatArray, fit: ResponseFit) -> None:
+def check_patches(series: Series, channel: str, fit: ResponseFit) -> None:
     """Check that the scene stood still, by the light of patches in neighbouring exposures.
 
     A factor that all patches have does not count: it is one of the exposure or of the light.
@@ -296,23 +265,20 @@ def check_patches(series: Series, channel: str, edges: FloatArray, fit: Response
     Args:
         series: the frames
         channel: name of the channel
-        edges: levels of the fit
         fit: the response when the exposures are estimated, too
 
     Raises:
         DataError: scene or camera moved
     """
-    order = np.argsort(series.exposures).tolist()
-    for short, long in pairwise(order):
-        levels = _common_patches(series, channel, short, long)
-        if len(levels[0]) < 20:
+    for pair in series.neighbours(channel):
+        if pair.levels.shape[1] < _LEAST_PATCHES:
             continue
-        light = [np.interp(each, edges - 0.5, fit.irradiance).mean(axis=1) for each in levels]
-        errors = np.log(light[1] / light[0] * fit.exposures[short] / fit.exposures[long])
+        light = fit.light[pair.levels].mean(axis=2)
+        errors = np.log(light[1] / light[0])
         moved = float(np.mean(np.abs(errors - np.median(errors)) > _MOVED))
         if moved > _MOST_MOVED:
             raise DataError(
-                f"{moved:.0%} of the picture differs between {series.names[short]} and "
-                f"{series.names[long]}: the camera or the scene moved",
+                f"{moved:.0%} of the picture differs between {series.names[pair.short]} and "
+                f"{series.names[pair.long]}: the camera or the scene moved",
                 hint=_HELD,
             )

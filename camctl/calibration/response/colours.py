@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
@@ -17,9 +16,6 @@ from camctl.model.response.camera import FloatArray
 
 AS_WELL = 1.2
 """A simpler response explains frames as well up to this multiple of the other's disagreement."""
-
-#: Mean brightness of the patches that are compared, as shares of full scale.
-_DARKEST, _BRIGHTEST = 0.1, 0.9
 
 
 def disagreement(
@@ -32,19 +28,15 @@ def disagreement(
 
     Args:
         series: patches of the frames
-        lights: of each channel, (white + 1,) light of each brightness, in any unit
+        lights: of each channel, (M + 1,) light of each brightness above black, in any unit
         exposures: of the frames by each channel, in any unit
     """
-    order = np.argsort(series.exposures).tolist()
-    span, errors = series.white - series.black, [np.zeros(0)]
+    errors = [np.zeros(0)]
     for name, light, exposure in zip(series.channels, lights, exposures, strict=True):
-        for short, long in pairwise(order):
-            frames = [series.channel_patches(k, name) for k in (short, long)]
-            means = [(each.mean(axis=1) - series.black) / span for each in frames]
-            used = (np.minimum(*means) > _DARKEST) & (np.maximum(*means) < _BRIGHTEST)
-            used &= frames[1].max(axis=1) < series.white
-            found = [light[np.minimum(each[used], series.white)].mean(axis=1) for each in frames]
-            errors.append(np.abs(np.log(found[1] / found[0] * exposure[short] / exposure[long])))
+        for pair in series.neighbours(name):
+            found = light[pair.levels].mean(axis=2)
+            ratio = exposure[pair.short] / exposure[pair.long]
+            errors.append(np.abs(np.log(found[1] / found[0] * ratio)))
     together = np.concatenate(errors)
     return float(np.median(together)) if together.size else math.inf
 

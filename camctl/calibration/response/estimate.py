@@ -7,8 +7,8 @@ channel is estimated by `camctl.calibration.response.fit`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -20,6 +20,7 @@ from camctl.calibration.response.chart import ChartPatch, chart_findings, chart_
 from camctl.calibration.response.checks import (
     check_frames,
     check_interval,
+    check_order_of_patches,
     check_patches,
     check_range,
     shows_exposure,
@@ -43,7 +44,7 @@ from camctl.calibration.response.labels import LabelCheck, check_labels
 from camctl.calibration.response.matches import Matches, match_levels
 from camctl.calibration.response.noise import correct_matches
 from camctl.calibration.response.series import Series
-from camctl.calibration.response.spill import below_saturation, spills_over
+from camctl.calibration.response.spill import spills_over
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
@@ -65,8 +66,7 @@ class ResponseEstimate:
     Attributes:
         record: for the camera's profile
         exposures: of the frames relative to the first, as given or as estimated
-        residual: root mean square error of matched irradiances, relative; None where it is
-            unknown
+        residual: root mean square error of matched irradiances, relative
         exponent_error: relative standard deviation of an exponent of the whole curve; None where it
             is unknown
         findings: what the user should know
@@ -75,7 +75,7 @@ class ResponseEstimate:
 
     record: ResponseRecord
     exposures: tuple[float, ...]
-    residual: float | None
+    residual: float
     exponent_error: float | None = None
     findings: tuple[Finding, ...] = ()
     is_doubtful: bool = False
@@ -100,6 +100,7 @@ def estimate_response(
     estimate_ratios: bool = False,
     chart: Chart | None = None,
     is_scene_checked: bool = True,
+    is_kept: bool = False,
 ) -> ResponseEstimate:
     """Return the response of each channel from an exposure series, or from frames of a chart.
 
@@ -111,6 +112,8 @@ def estimate_response(
             a series that does not state them always are
         chart: adds the brightness of its patches to what the frames say
         is_scene_checked: False: the caller checks exposures and movement itself
+        is_kept: frames that seem to have moved, or to contradict their exposures, are not refused:
+            a finding says so
 
     Raises:
         DataError: the frames are not suitable; says why and what to do
@@ -119,10 +122,13 @@ def estimate_response(
     if not series.exposures_are_stated:
         series.guess_exposures()
         estimate_ratios = True
-    check_frames(series, has_chart=chart is not None, is_scene_checked=is_scene_checked)
+    check_frames(series, has_chart=chart is not None)
     exposures = np.array(series.exposures)
     edges = _edges(series.white - series.black)
     findings = list(series.findings)
+    if is_scene_checked:
+        with _noted(findings, is_kept=is_kept):
+            check_order_of_patches(series)
     still, is_doubtful = _still_evidence(series, edges, chart, findings)
     channels = _without_spill(series, edges, still, findings)
     exponent = None
@@ -144,24 +150,32 @@ def estimate_response(
     if not estimate_ratios:
         if is_scene_checked:
             names = [each.name for each in channels]
-            labels = _check_scene(series, edges, exposures, names, fits)
+            for name, fit in zip(names, fits, strict=True):
+                with _noted(findings, is_kept=is_kept):
+                    check_patches(series, name, fit)
+            judged = np.array([shows_exposure(series, name) for name in names])
+            with _noted(findings, is_kept=is_kept):
+                labels = check_labels(
+                    series.names, exposures, names, fits, judged, is_shot=series.is_shot
+                )
         if labels.finding is not None:
             findings.append(labels.finding)
         pairs = zip(channels, labels.corrections, strict=True)
         fits = [
             each.fit(exposures * factors, edges, series.phase, STATED) for each, factors in pairs
         ]
-        fits = [with_exponent_error(fit, edges, labels.exponent_error) for fit in fits]
+        fits = [with_exponent_error(fit, labels.exponent_error) for fit in fits]
     for each, fit in zip(channels, fits, strict=True):
         if each.samples is not None:
             findings += chart_findings(each.samples, fit.patch_errors, each.name)
     if exponent is not None:
-        fits = [with_exponent_error(fit, edges, exponent.error) for fit in fits]
+        fits = [with_exponent_error(fit, exponent.error) for fit in fits]
     if estimate_ratios:
         exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0))
     record = _record(series, edges, channels, fits, saturating)
     if is_scene_checked and not estimate_ratios:
-        check_interval(record, series.exposures, labels)
+        with _noted(findings, is_kept=is_kept):
+            check_interval(record, series.exposures, labels)
     return ResponseEstimate(
         record=record,
         exposures=tuple((exposures / exposures[0]).tolist()),
@@ -199,7 +213,7 @@ def _without_noise(
 ) -> _Evidence:
     """Return the evidence with its matches corrected for noise."""
     first = evidence.fit(exposures, edges, series.phase, error)
-    matches = correct_matches(evidence.matches, series, evidence.name, edges, first)
+    matches = correct_matches(evidence.matches, series, evidence.name, first)
     return dataclasses.replace(evidence, matches=matches)
 
 
@@ -210,25 +224,21 @@ def _needed(
     fits = [each.fit(exposures, edges, series.phase, ROUGH) for each in channels]
     if len(channels) == 1 or channels[0].samples is not None:  # a chart shows each colour
         return channels, fits
-    brightness = np.arange(series.white + 1) - series.black
-    lights = [np.interp(brightness, edges - 0.5, fit.irradiance) for fit in fits]
-    if green_explains_all(series, lights, [fit.exposures.tolist() for fit in fits]):
+    exposures_of = [fit.exposures.tolist() for fit in fits]
+    if green_explains_all(series, [fit.light for fit in fits], exposures_of):
         return channels[1:2], fits[1:2]
     return channels, fits
 
 
-def _check_scene(
-    series: Series,
-    edges: FloatArray,
-    exposures: FloatArray,
-    names: Sequence[str],
-    fits: Sequence[ResponseFit],
-) -> LabelCheck:
-    """Check that nothing moved, and the stated exposures, by fits that estimate them, too."""
-    for name, fit in zip(names, fits, strict=True):
-        check_patches(series, name, edges, fit)
-    judged = np.array([shows_exposure(series, name) for name in names])
-    return check_labels(series.names, exposures, edges, names, fits, judged, is_shot=series.is_shot)
+@contextmanager
+def _noted(findings: list[Finding], *, is_kept: bool) -> Iterator[None]:
+    """Turn an error of the block into a finding where the user keeps the result all the same."""
+    try:
+        yield
+    except DataError as error:
+        if not is_kept:
+            raise
+        findings.append(Finding(code="response_doubtful", details={"why": error.what}))
 
 
 def _kept(edges: FloatArray) -> NDArray[np.intp]:
@@ -271,8 +281,8 @@ class _Evidence:
         without = dataclasses.replace(self, samples=None)
         fit = without.fit(exposures, edges, phase, ROUGH)
         if self.samples is None:
-            return expected_exponent(fit, edges)
-        return exponent_of_chart(fit, edges, self.samples)
+            return expected_exponent(fit)
+        return exponent_of_chart(fit, self.samples)
 
     def response(self, fit: ResponseFit, series: Series, edges: FloatArray) -> ChannelResponse:
         levels = series.white - series.black
@@ -349,7 +359,9 @@ def _without_spill(
 
     def clean(each: _Evidence) -> _Evidence:
         matches = _matches(series, each.name, edges, spill=False)
-        return dataclasses.replace(each, matches=below_saturation(matches, float(edges[-1])))
+        # Above, the noise of samples decides which ones are near saturation.
+        below = matches.part(matches.high <= series.highest - series.black)
+        return dataclasses.replace(each, matches=below)
 
     found = [clean(each) for each in channels]
     pairs = zip(channels, found, strict=True)

@@ -21,7 +21,7 @@ from camctl.calibration.response.fit import (
     ResponseFit,
     light_terms,
 )
-from camctl.model.response.camera import FloatArray, srgb_to_linear
+from camctl.model.response.camera import srgb_to_linear
 
 #: Brightness, share of full scale, at which the steepness is compared with sRGB, and the
 #: relative standard deviation of the exponent (tests/bench/bench_response.py).
@@ -38,26 +38,20 @@ class Exponent:
     error: float
 
 
-def expected_exponent(fit: ResponseFit, edges: FloatArray) -> Exponent:
-    """Return the exponent that makes a response about as steep as sRGB.
-
-    Args:
-        fit: the response for some exponent
-        edges: (K,) its levels; the last is M
-    """
-    found = np.interp(_STEEP * (edges[-1] + 1), edges, np.log(fit.irradiance))
-    return Exponent(math.log(srgb_to_linear(np.array(_STEEP))) / float(found), _STEEP_ERROR)
+def expected_exponent(fit: ResponseFit) -> Exponent:
+    """Return the exponent that makes the response of a fit about as steep as sRGB."""
+    srgb = math.log(srgb_to_linear(np.array(_STEEP)))
+    return Exponent(srgb / fit.log_at(_STEEP), _STEEP_ERROR)
 
 
-def exponent_of_chart(fit: ResponseFit, edges: FloatArray, chart: ChartSamples) -> Exponent:
+def exponent_of_chart(fit: ResponseFit, chart: ChartSamples) -> Exponent:
     """Return the exponent that explains the patches of a chart under slightly uneven light.
 
     Args:
         fit: the response and the exposures for some exponent
-        edges: (K,) the levels of the response
         chart: patches, at least three
     """
-    logs = np.interp(chart.level, edges, np.log(fit.irradiance))
+    logs = np.interp(chart.level, fit.edges, np.log(fit.irradiance))
     logs -= np.log(fit.exposures)[chart.frame]
     seen = np.unique(chart.patch)
     light = np.array([logs[chart.patch == each].mean() for each in seen])
@@ -86,15 +80,8 @@ def common_exponent(found: Sequence[Exponent]) -> Exponent:
     return Exponent(float(value), float(errors.min()))
 
 
-def with_exponent_error(fit: ResponseFit, edges: FloatArray, error: float) -> ResponseFit:
-    """Return a fit whose standard deviations include the error of the exponent.
-
-    Args:
-        fit: the response
-        edges: (K,) its levels; the last is M
-        error: relative standard deviation of the exponent
-    """
-    logs = np.log(fit.irradiance)
-    reference = np.interp(REFERENCE * (edges[-1] + 1), edges, logs)
-    deviation = np.hypot(fit.deviation, error * (logs - reference))
+def with_exponent_error(fit: ResponseFit, error: float) -> ResponseFit:
+    """Return a fit whose deviations include `error`, the relative one of the exponent."""
+    distance = np.log(fit.irradiance) - fit.log_at(REFERENCE)
+    deviation = np.hypot(fit.deviation, error * distance)
     return dataclasses.replace(fit, deviation=deviation)

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -100,6 +101,7 @@ class ResponseFit:
     """An estimated response.
 
     Attributes:
+        edges: (K,) levels above black, ascending; the last is M, white level minus black level
         irradiance: (K,) of each edge, ascending, 1 at level M + 1
         deviation: (K,) standard deviation of its logarithm, relative to the level at `REFERENCE`
         exposures: (J,) relative exposures of the frames, as given and corrected by the fit
@@ -108,11 +110,21 @@ class ResponseFit:
             to the given one
     """
 
+    edges: FloatArray
     irradiance: FloatArray
     deviation: FloatArray
     exposures: FloatArray
     residual: float
     patch_errors: FloatArray
+
+    @cached_property
+    def light(self) -> FloatArray:
+        """(M + 1,) irradiance in the middle of each brightness above black, M included."""
+        return np.interp(np.arange(self.edges[-1] + 1) + 0.5, self.edges, self.irradiance)
+
+    def log_at(self, share: float) -> float:
+        """Return ln(irradiance) at a brightness, a share of full scale."""
+        return float(np.interp(share * (self.edges[-1] + 1), self.edges, np.log(self.irradiance)))
 
 
 def light_terms(across: FloatArray, down: FloatArray) -> FloatArray:
@@ -192,6 +204,7 @@ def fit_response(
     # Noise shifts a level by half its variance times the slope of ln(number of pixels), about 1/x.
     shift = (1 / NOISE_STEPS / np.maximum(x_known, 1 / NOISE_STEPS)) ** 2 / 2
     return ResponseFit(
+        edges=edges,
         irradiance=np.exp(log_E),
         deviation=np.sqrt(_DEVIATION**2 * np.maximum(spread, 0.0) + shift**2),
         exposures=np.exp(logs + found[system.frames]),

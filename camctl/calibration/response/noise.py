@@ -13,7 +13,6 @@ ones, by 1 % where a level has 100 electrons.
 from __future__ import annotations
 
 import dataclasses
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,9 @@ from camctl.calibration.response.matches import Matches
 from camctl.calibration.response.series import Series
 from camctl.model.response.camera import FloatArray
 
-#: Brightness of patches in which noise is measured, as shares of full scale, and how many are
-#: needed.
-_COMPARED, _LEAST_PATCHES = (0.02, 0.95), 50
+#: Brightness from which noise is measured, share of full scale: read noise shows in dark patches;
+#: and the number of patches that are needed.
+_DARKEST, _LEAST_PATCHES = 0.02, 50
 #: Rounds of a fit that leaves out patches whose noise is larger by this factor: something moved.
 _ROUNDS, _MOVED = 8, 2.0
 #: Width over which the density of ln(light) is smoothed.
@@ -36,24 +35,23 @@ _NEAR_SATURATION = 0.4
 _MOST = 0.05
 
 
-def correct_matches(
-    matches: Matches, series: Series, channel: str, edges: FloatArray, fit: ResponseFit
-) -> Matches:
+def correct_matches(matches: Matches, series: Series, channel: str, fit: ResponseFit) -> Matches:
     """Return the matches with what noise shifts them by; unchanged where noise cannot be measured.
 
     Args:
         matches: of one channel
         series: the frames, of a scene that did not move
         channel: its name
-        edges: levels of the fit
         fit: a first estimate of the response
     """
-    photon, read = _light_noise(series, channel, edges, fit)
+    photon, read = _light_noise(series, channel, fit)
     if not photon + read > 0:
         return matches
-    low, high = (np.interp(level, edges, fit.irradiance) for level in (matches.low, matches.high))
+    low, high = (
+        np.interp(level, fit.edges, fit.irradiance) for level in (matches.low, matches.high)
+    )
     slope = np.zeros(low.size)
-    counts = series.counts_between(channel, series.black + edges)
+    counts = series.counts_between(channel, series.black + fit.edges)
     for frame in range(len(series.exposures)):
         at_high = (matches.long == frame) & (high < _NEAR_SATURATION)
         at_low = (matches.short == frame) & (high >= _NEAR_SATURATION)
@@ -75,46 +73,21 @@ def _slope(counts: NDArray[np.int64], irradiance: FloatArray, at: FloatArray) ->
     return np.asarray((weight * away).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9) / _WIDTH)
 
 
-def _light_noise(
-    series: Series, channel: str, edges: FloatArray, fit: ResponseFit
-) -> tuple[float, float]:
+def _light_noise(series: Series, channel: str, fit: ResponseFit) -> tuple[float, float]:
     """Return a and b of the variance of the light, 1 at full scale; 0 where they are unknown.
 
     The light of patches in neighbouring exposures differs by noise alone, and by rounding.
     """
-    order = np.argsort(series.exposures).tolist()
-    span = float(series.white - series.black)
-    middle = np.interp(np.arange(span + 1) + 0.5, edges, fit.irradiance)
     rows, measured = [], []
-    for short, long in pairwise(order):
-        levels = [
-            np.maximum(series.channel_patches(k, channel).astype(np.intp) - series.black, 0)
-            for k in (short, long)
-        ]
-        used = np.all(
-            [
-                (each.mean(axis=1) > _COMPARED[0] * span) & (each.max(axis=1) < _COMPARED[1] * span)
-                for each in levels
-            ],
-            axis=0,
-        )
-        light = [middle[each[used]] for each in levels]
-        ratio = fit.exposures[short] / fit.exposures[long]
-        difference = light[0] - ratio * light[1]
-        rounding = sum(
-            scale**2 * np.square(np.gradient(middle)[each[used]]).mean(axis=1) / 12
-            for scale, each in zip((1.0, ratio), levels, strict=True)
-        )
-        rows.append(
-            np.stack(
-                [
-                    light[0].mean(axis=1) + ratio**2 * light[1].mean(axis=1),
-                    np.full(used.sum(), 1 + ratio**2),
-                ],
-                axis=1,
-            )
-        )
-        measured.append(difference.var(axis=1, ddof=1) - rounding)
+    steps = np.gradient(fit.light)
+    for pair in series.neighbours(channel, _DARKEST):
+        light = fit.light[pair.levels]
+        ratio = fit.exposures[pair.short] / fit.exposures[pair.long]
+        scales = np.array([1.0, ratio])[:, None]
+        rounding = (np.square(scales[..., None] * steps[pair.levels]).mean(axis=2) / 12).sum(axis=0)
+        both = (scales**2 * light.mean(axis=2)).sum(axis=0)
+        rows.append(np.stack([both, np.full(both.size, 1 + ratio**2)], axis=1))
+        measured.append((light[0] - ratio * light[1]).var(axis=1, ddof=1) - rounding)
     design, variance = np.concatenate(rows), np.concatenate(measured)
     if variance.size < _LEAST_PATCHES:
         return 0.0, 0.0

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from camctl.evidence.moved_parts import moved_samples
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.findings import Finding
 from camctl.interface.controls import Layout
-from camctl.model.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray, linear_response
+from camctl.model.sensor import SensorModel
 
 #: Rows of a histogram that are counted at once, so that little memory is needed.
 _PIXELS_AT_ONCE = 1 << 20
@@ -32,6 +33,24 @@ _DARK_SHARE = 0.02
 _LITTLE = 0.1
 #: Black levels that are looked for, as shares of full scale: cameras have 1/64 to 1/16.
 _LEAST_BLACK, _MOST_BLACK = 1 / 128, 1 / 8
+
+
+DIM = 0.1
+"""Mean of a patch, share of full scale, below which errors of the black level and of the dark end
+of a response count more than light: an error of a level of 256 is 4 % there."""
+
+
+class Neighbours(NamedTuple):
+    """Patches of two frames of neighbouring exposure.
+
+    Attributes:
+        short, long: positions of the frames
+        levels: (2, patches, samples) brightness above black in both
+    """
+
+    short: int
+    long: int
+    levels: NDArray[np.intp]
 
 
 @dataclass(eq=False)
@@ -187,6 +206,25 @@ class Series:
     def moved_share(self) -> float:
         """The largest share of a frame in which something moved before it or after it."""
         return max((float(each.mean()) for each in self._moved.values()), default=0.0)
+
+    @property
+    def highest(self) -> int:
+        """The largest brightness that is certainly not saturated, DN; of no known response."""
+        levels = linear_response(self.bits, levels=self.white - self.black)
+        return SensorModel(levels, self.black).highest(None)
+
+    def neighbours(self, channel: str, darkest: float = DIM) -> Iterator[Neighbours]:
+        """Yield the patches of a channel that two frames of neighbouring exposure expose well.
+
+        Their samples are not saturated, and their means above the share `darkest` of full scale.
+        """
+        order = np.argsort(self.exposures, kind="stable").tolist()
+        for short, long in pairwise(order):
+            patches = np.stack([self.channel_patches(k, channel) for k in (short, long)])
+            levels = patches.astype(np.intp) - self.black
+            used = levels.mean(axis=2) > darkest * (self.white - self.black)
+            used &= patches.max(axis=2) <= self.highest
+            yield Neighbours(short, long, np.maximum(levels[:, used.all(axis=0)], 0))
 
     def channel_patches(self, position: int, channel: str) -> Patches:
         """Return the patches of one channel of a frame."""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.intervals import certain
 from camctl.calibration.response.matches import Matches
 from camctl.interface.controls import Layout
 
@@ -25,13 +26,12 @@ _GRID = 512
 #: reaches is filled in part, and neighbouring columns share a little.
 _ROWS_NEAR, _COLUMNS_NEAR = 2, 1
 #: What spills over: a pair of frames whose levels match otherwise without samples near saturation,
-#: by this much, relative, and by so many standard errors.
-_LEAST_SPILLED, _CERTAIN = 0.003, 5.0
+#: certainly, and by this much, relative.
+_LEAST_SPILLED = 0.003
 #: Neighbouring matches have pixels in common: so many count as one.
 _ALIKE = 5.0
-#: Matches that are compared in a pair of frames, at least, and the brightness, as a share of full
-#: scale, up to which they are: above it noise decides which samples are saturated.
-_LEAST_MATCHES, _BRIGHTEST = 10, 0.95
+#: Matches that are compared in a pair of frames, at least.
+_LEAST_MATCHES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,16 +117,6 @@ def grid_counts(
     return np.asarray(np.add.reduceat(counts, places, axis=1))
 
 
-def below_saturation(matches: Matches, levels: float) -> Matches:
-    """Return the matches that do not depend on the noise of samples near saturation.
-
-    Args:
-        matches: of pairs of frames
-        levels: full scale above black
-    """
-    return matches.part(matches.high < _BRIGHTEST * levels)
-
-
 def spills_over(everywhere: Matches, clean: Matches) -> bool:
     """Return whether levels match otherwise without samples near saturation.
 
@@ -134,13 +124,15 @@ def spills_over(everywhere: Matches, clean: Matches) -> bool:
         everywhere: matches of all samples
         clean: matches without samples near saturation
     """
-    for place in np.unique(clean.pairs):
+    pairs = np.unique(clean.pairs)
+    for place in pairs:
         all_, some = (each.part(each.pairs == place) for each in (everywhere, clean))
         _, left, right = np.intersect1d(all_.high, some.high, return_indices=True)
         if left.size < _LEAST_MATCHES:
             continue
         weight = some.low[right] ** 2 / (some.low_variance[right] + all_.low_variance[left])
         shift = float(np.average(np.log(all_.low[left] / some.low[right]), weights=weight))
-        if abs(shift) > max(_LEAST_SPILLED, _CERTAIN * float(np.sqrt(_ALIKE / weight.sum()))):
+        error = float(np.sqrt(_ALIKE / weight.sum()))
+        if abs(shift) > max(_LEAST_SPILLED, certain(pairs.size) * error):
             return True
     return False

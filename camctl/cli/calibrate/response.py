@@ -21,7 +21,7 @@ from camctl.cli.output import (
     without_stage,
 )
 from camctl.cli.parameter_types import PATH, Name, WholeNumber
-from camctl.errors import DataError, UsageError
+from camctl.errors import DataError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from camctl.interface.camera import CameraInfo
     from camctl.profiles.response import ResponseRecord
 
-_METHODS = ("camctl", "debevec", "robertson")
 _CHARTS = ("macbeth",)
 
 
@@ -40,15 +39,9 @@ _CHARTS = ("macbeth",)
 class EstimateOptions:
     """How the response is estimated."""
 
-    method: str
     estimate_ratios: bool
     chart: str | None
     patches: Path | None
-
-    @property
-    def keeps_frames(self) -> bool:
-        """Whether the frames are needed, beside what a series keeps of them."""
-        return self.method != "camctl" or self.has_chart
 
     @property
     def has_chart(self) -> bool:
@@ -59,13 +52,6 @@ class EstimateOptions:
 _estimate_options = option_group(
     EstimateOptions,
     "how",
-    click.option(
-        "--method",
-        type=Name("method", _METHODS),
-        metavar="|".join(_METHODS),
-        default="camctl",
-        help="Method; the others are OpenCV's, take 8-bit FILES and are for comparison.",
-    ),
     click.option(
         "--estimate-ratios",
         is_flag=True,
@@ -114,7 +100,8 @@ _estimate_options = option_group(
 @click.option(
     "--keep",
     is_flag=True,
-    help="Keep the result in the camera's profile though it is not exact enough.",
+    help="Keep the result though it is not exact enough, or though frames seem to show movement or "
+    "wrong exposures.",
 )
 @click.option("-o", "output", type=PATH, metavar="FILE", help="Write the curve for --curve.")
 @options.as_json
@@ -144,21 +131,14 @@ def response(
         others = names & (options.CAMERA_PARAMETERS | {"count", "longest_s"})
         options.refuse_together(context, "FILES", others)
         info, mode, series, frames = series_of_files(
-            source, keep=how.keeps_frames, needs_times=_needs_times(source, how)
+            source, keep=how.has_chart, needs_times=_needs_times(source, how)
         )
     else:
         hint = "name the files, or leave it out"
         options.refuse_together(context, "--camera", names & {"times", "black", "white"}, hint)
-        if how.method != "camctl":
-            raise UsageError(f"--method {how.method} needs FILES", hint="name photographs")
         info, mode, series, frames = _from_camera(camera, count, longest_s, how)
-    if keep and (info is None or how.method != "camctl"):
-        raise UsageError(
-            "--keep: photographs name no camera whose profile could keep the response",
-            hint="give the folder of a capture, or a camera; or write the curve with -o",
-        )
     try:
-        estimate = _estimate(series, frames, how)
+        estimate = _estimate(series, frames, how, keep)
     except DataError as error:
         if series.measured_exposures != "used":
             raise
@@ -170,7 +150,7 @@ def response(
     findings = [*estimate.findings]
     record = estimate.record
     file = None
-    if info is not None and how.method == "camctl":
+    if info is not None:
         inexact = None if keep else _inexact(series, record)
         if inexact is None:
             file = _keep(info, mode, record, series)
@@ -185,7 +165,6 @@ def response(
         "exponent_error": estimate.exponent_error,
         "residual": estimate.residual,
         "findings": [each.model_dump() for each in findings],
-        "method": how.method,
     }
     result = Result(info, mode, file)
     if as_json:
@@ -196,9 +175,10 @@ def response(
 
 
 def _rows(estimate: ResponseEstimate, how: EstimateOptions) -> list[tuple[str, str]]:
-    rows = [("frames", str(estimate.record.frames)), ("method", how.method)]
-    if estimate.residual is not None:
-        rows.append(("agreement of the frames", format_percent(estimate.residual)))
+    rows = [
+        ("frames", str(estimate.record.frames)),
+        ("agreement of the frames", format_percent(estimate.residual)),
+    ]
     if how.estimate_ratios:
         ratios = ", ".join(f"{each:.4g}" for each in estimate.exposures)
         rows.append(("estimated exposures", ratios))
@@ -227,37 +207,24 @@ def _from_camera(
             opened,
             count=count,
             longest_s=longest_s,
-            frames=frames if how.keeps_frames else None,
+            frames=frames if how.has_chart else None,
             progress=without_stage(bar),
         )
         return opened.info, exposure_mode(opened.controls), series, frames
 
 
-def _estimate(series: Series, frames: list[NDArray[Any]], how: EstimateOptions) -> ResponseEstimate:
-    from camctl.calibration.response.estimate import Chart, ResponseEstimate, estimate_response
+def _estimate(
+    series: Series, frames: list[NDArray[Any]], how: EstimateOptions, keep: bool
+) -> ResponseEstimate:
+    from camctl.calibration.response.chart import find_macbeth, read_patches
+    from camctl.calibration.response.estimate import Chart, estimate_response
 
-    if how.method == "camctl":
-        chart = None
-        if how.has_chart:
-            from camctl.calibration.response.chart import find_macbeth, read_patches
-
-            found = (
-                find_macbeth(frames, series.layout)
-                if how.patches is None
-                else read_patches(how.patches)
-            )
-            chart = Chart(found, frames)
-        return estimate_response(series, estimate_ratios=how.estimate_ratios, chart=chart)
-    from camctl.calibration.response.checks import check_frames
-    from camctl.calibration.response.opencv import opencv_response
-
-    if how.estimate_ratios or how.has_chart:
-        what = "use a chart" if how.has_chart else "estimate exposures"
-        raise UsageError(f"--method {how.method} cannot {what}", hint="use --method camctl")
-    check_frames(series)
-    record = opencv_response(frames, series.exposures, series.layout, how.method)
-    relative = tuple(each / series.exposures[0] for each in series.exposures)
-    return ResponseEstimate(record=record, exposures=relative, residual=None)
+    chart = None
+    if how.patches is not None:
+        chart = Chart(read_patches(how.patches), frames)
+    elif how.has_chart:
+        chart = Chart(find_macbeth(frames, series.layout), frames)
+    return estimate_response(series, estimate_ratios=how.estimate_ratios, chart=chart, is_kept=keep)
 
 
 def _inexact(series: Series, record: ResponseRecord) -> Finding | None:
