@@ -48,9 +48,9 @@ def option(
         *flags,
         *filter(None, [field]),
         type=kind,
-        is_flag=kind is None,
         metavar=" ".join(words[len(flags) :]) or None,
         help=text,
+        **({"is_flag": True} if kind is None else {}),
         **more,
     )
 

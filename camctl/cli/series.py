@@ -88,6 +88,7 @@ _set_options = options.option_group(
         "without --meter), or each of them.",
         Name("time to meter", ("once", "each")),
         field="metering",
+        is_flag=False,
         flag_value="once",
     ),
 )
