@@ -44,13 +44,14 @@ def option(
     """
     words = names.split()
     flags = [word for word in words if word.startswith("-")]
+    if kind is None:
+        more["is_flag"] = True
     return click.option(
         *flags,
         *filter(None, [field]),
         type=kind,
         metavar=" ".join(words[len(flags) :]) or None,
         help=text,
-        **({"is_flag": True} if kind is None else {}),
         **more,
     )
 
