@@ -115,15 +115,12 @@ class Panel(Protocol):
         It is called when the screen changes; a panel that changes its size shows the last screen
         again by itself.
         """
-        ...
 
     def key(self, timeout_s: float) -> Key | None:
         """Return the next key; None after `timeout_s` without one, or earlier."""
-        ...
 
     def __enter__(self) -> Self:
         """Open the panel and return it."""
-        ...
 
     def __exit__(
         self,
@@ -132,7 +129,6 @@ class Panel(Protocol):
         trace: TracebackType | None,
     ) -> None:
         """Close the panel."""
-        ...
 
 
 class Job(Protocol):
@@ -144,31 +140,24 @@ class Job(Protocol):
 
     def load(self) -> Loaded:
         """Return the settings that were kept, or defaults and why."""
-        ...
 
     def save(self, settings: Settings) -> None:
         """Keep the settings, durably."""
-        ...
 
     def find_cameras(self) -> tuple[CameraEntry, ...]:
         """Return the cameras that can be opened."""
-        ...
 
     def open(self, camera_id: str) -> CameraEntry:
         """Open a camera, "" for the camera of the command line; the camera before is closed."""
-        ...
 
     def meter(self) -> Reading:
         """Return what the exposure meter shows now, within a second or so."""
-        ...
 
     def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
         """Yield the cost of each choice; end early where `cancelled` returns True."""
-        ...
 
     def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
         """Return the exact settings that will be shot for `choice`, metered where needed."""
-        ...
 
     def shoot(
         self,
@@ -181,7 +170,6 @@ class Job(Protocol):
         Once `cancelled` returns True, stop, keep the frames shot so far, and raise
         `camctl.InterruptedCaptureError` with one line that states where they are.
         """
-        ...
 
     def resume(
         self,
@@ -190,16 +178,12 @@ class Job(Protocol):
         cancelled: Callable[[], bool],
     ) -> Summary:
         """Shoot the missing frames of a capture, as `shoot` does."""
-        ...
 
     def captures(self) -> tuple[Past, ...]:
         """Return the captures in the folder, the newest first."""
-        ...
 
     def look(self, past: Past) -> Summary:
         """Return the result of a complete capture."""
-        ...
 
     def close(self) -> None:
         """Close the camera, if one is open."""
-        ...

@@ -19,7 +19,6 @@ class Keys(Protocol):
 
     def read(self, timeout_s: float) -> str | None:
         """Return the next key; None where none was pressed within `timeout_s`."""
-        ...
 
 
 class SetTaker(Protocol):
@@ -30,19 +29,15 @@ class SetTaker(Protocol):
 
         Return the time that the first set is planned to take, s; None: it is not known.
         """
-        ...
 
     def least_bytes(self) -> int:
         """Return how much space a set takes at least, as it is planned; 0 where it is not known."""
-        ...
 
     def take(self, directory: Path) -> CaptureReport:
         """Take a set into a folder, or complete one that is there."""
-        ...
 
     def reconnect(self) -> None:
         """Open the camera again after it has failed."""
-        ...
 
 
 @dataclass(frozen=True)

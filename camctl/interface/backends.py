@@ -95,7 +95,6 @@ class CameraBackend(Protocol):
         `probe` allows sending data to devices that may be no cameras, such as whatever is connected
         to a serial port; without it nothing is sent to them.
         """
-        ...
 
     def open(self, address: str, options: Mapping[str, Any]) -> Camera:
         """Return the camera at `address`, opened.
@@ -107,7 +106,6 @@ class CameraBackend(Protocol):
             UsageError: an option that the backend does not have, or an invalid value
             CameraNotFoundError, CameraBusyError: the camera cannot be opened
         """
-        ...
 
 
 def _entry_points(group: str) -> dict[str, EntryPoint]:

@@ -90,7 +90,6 @@ class FrameStream(Iterator[Frame], Protocol):
 
     def close(self) -> None:
         """Cancel the remaining exposures."""
-        ...
 
 
 @runtime_checkable
@@ -104,17 +103,14 @@ class Camera(Protocol):
     @property
     def info(self) -> CameraInfo:
         """The identity of the camera."""
-        ...
 
     @property
     def controls(self) -> ExposureControls:
         """What can be set, and the format of the frames."""
-        ...
 
     @property
     def clock(self) -> Clock:
         """The clock of the timestamps."""
-        ...
 
     def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
         """Shoot the settings in their order; return an iterator with one frame for each.
@@ -129,15 +125,12 @@ class Camera(Protocol):
             RefusedSettingError: a setting cannot be met
             CameraBusyError, CameraDisconnectedError, CameraTimeoutError, CameraProtocolError
         """
-        ...
 
     def close(self) -> None:
         """Disconnect from the camera; a second call does nothing."""
-        ...
 
     def __enter__(self) -> Self:
         """Open the camera where it is not open, and return it."""
-        ...
 
     def __exit__(
         self,
@@ -146,7 +139,6 @@ class Camera(Protocol):
         trace: TracebackType | None,
     ) -> None:
         """Close the camera."""
-        ...
 
 
 @runtime_checkable
@@ -155,7 +147,6 @@ class PreviewingCamera(Camera, Protocol):
 
     def preview(self, setting: ExposureSetting) -> Frame:
         """Return one frame at `setting`, for metering; raises as `shoot` does."""
-        ...
 
 
 @runtime_checkable
@@ -165,7 +156,6 @@ class StreamingCamera(Camera, Protocol):
     @property
     def mode(self) -> str:
         """Pixel format, size and frame rate in one word; each mode has its own control delay."""
-        ...
 
     def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> Sequence[Frame]:
         """Settle at `before`, set `after`, and return the next `frames` frames of the stream.
@@ -175,7 +165,6 @@ class StreamingCamera(Camera, Protocol):
         frame had: `requested` and `applied` are `after` in all of them, and `index` counts from 0.
         Raises as `shoot` does.
         """
-        ...
 
 
 class CameraBase(ABC):

@@ -15,11 +15,9 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """Return the time, s."""
-        ...
 
     def sleep_until(self, deadline_s: float) -> None:
         """Return when `now()` has reached `deadline_s`, immediately if it already has."""
-        ...
 
 
 class RealClock:

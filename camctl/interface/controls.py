@@ -84,17 +84,14 @@ class ExposureCorrection(Protocol):
     @property
     def factor(self) -> float:
         """True over stated exposure."""
-        ...
 
     @property
     def low(self) -> float:
         """Lower end of the interval."""
-        ...
 
     @property
     def high(self) -> float:
         """Upper end of the interval."""
-        ...
 
 
 class TrueExposures(Protocol):
@@ -102,7 +99,6 @@ class TrueExposures(Protocol):
 
     def correction(self, setting: ExposureSetting) -> ExposureCorrection | None:
         """Return the correction of a setting; None where it was not measured."""
-        ...
 
 
 _FIXED_GAIN = Choices((1.0,))

@@ -40,6 +40,14 @@ _LARGE = 4_000_000
 
 SUM, IMAGE, RADIANCE = "sum.tiff", "image.tiff", "radiance.exr"
 PREVIEW, CONTACT = "preview.png", "contact.png"
+PICTURE_FILES = {
+    "sum": SUM,
+    "image": IMAGE,
+    "radiance": RADIANCE,
+    "preview": PREVIEW,
+    "contact": CONTACT,
+}
+"""Names of the picture files by kind."""
 
 #: Bytes of a preview at most: three for each pixel, and what a PNG file adds where noise makes it
 #: impossible to compress.
@@ -58,8 +66,8 @@ def write_picture_files(
     rendering: Rendering,
     details: PictureDetails,
     directory: Path,
-) -> dict[str, str]:
-    """Write all five files from one pass over the sum; return their names by kind.
+) -> None:
+    """Write all five files from one pass over the sum.
 
     Raises:
         StorageError: one of them could not be written; a file is complete or missing
@@ -88,13 +96,6 @@ def write_picture_files(
     write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))
     sheet = contact_sheet(light, preview, details, rendering.movement)
     write_bytes(directory / CONTACT, png_with_metadata(png(sheet), details))
-    return {
-        "sum": SUM,
-        "image": IMAGE,
-        "radiance": RADIANCE,
-        "preview": PREVIEW,
-        "contact": CONTACT,
-    }
 
 
 def _written(

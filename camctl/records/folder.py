@@ -20,12 +20,12 @@ import numpy as np
 
 from camctl.errors import StorageError
 from camctl.interface.camera import Pixels
+from camctl.pictures.files import PICTURE_FILES
 from camctl.records.report_file import (
     FRAME_FILE,
     FRAMES,
     LEFTOVER,
     LOCK,
-    PICTURE_FILES,
     REPORT,
     STAGED_FILE,
 )

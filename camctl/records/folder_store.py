@@ -13,9 +13,10 @@ power fails, the report is never behind the frames, and `FolderStore.reopen` doe
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pydantic_core
@@ -26,6 +27,10 @@ from camctl.findings import note
 from camctl.interface.camera import Frame, Pixels
 from camctl.pictures.details import PictureDetails
 from camctl.pictures.files import (
+    IMAGE,
+    PICTURE_FILES,
+    RADIANCE,
+    SUM,
     load_libraries,
     read_deviation,
     read_mask,
@@ -40,7 +45,6 @@ from camctl.records.frame_store import AfterFailure, KeptFiles
 from camctl.records.report import CaptureReport, UnfinishedCapture
 from camctl.records.report_file import (
     LOCK,
-    PICTURE_FILES,
     REPORT,
     clean_suffix,
     frame_file,
@@ -52,6 +56,13 @@ from camctl.records.report_file import (
 from camctl.records.report_json import to_json
 from camctl.system.files import make_folder, npy_parts, write_bytes
 
+_READERS: Final[dict[str, tuple[str, Callable[[Path], NDArray[Any]]]]] = {
+    "sum": (SUM, read_tiff),
+    "image": (IMAGE, read_tiff),
+    "radiance": (RADIANCE, read_radiance),
+    "deviation": (RADIANCE, read_deviation),
+    "mask": (RADIANCE, read_mask),
+}
 #: How often one exposure can be rejected; far more than happens.
 _MOST_REJECTED = 99
 
@@ -260,25 +271,10 @@ class FolderStore:
         except (DataError, StorageError) as error:
             raise DataError(error.what, hint=hint) from error
 
-    def sum(self) -> NDArray[np.unsignedinteger]:
-        """Read sum.tiff."""
-        return read_tiff(self.directory / PICTURE_FILES["sum"])
-
-    def image(self) -> NDArray[np.uint16]:
-        """Read image.tiff."""
-        return read_tiff(self.directory / PICTURE_FILES["image"])
-
-    def radiance(self) -> NDArray[np.float32]:
-        """Read radiance.exr."""
-        return read_radiance(self.directory / PICTURE_FILES["radiance"])
-
-    def standard_deviation(self) -> NDArray[np.float32]:
-        """Read the standard deviation in radiance.exr."""
-        return read_deviation(self.directory / PICTURE_FILES["radiance"])
-
-    def mask(self) -> NDArray[np.uint8]:
-        """Read the masks in radiance.exr."""
-        return read_mask(self.directory / PICTURE_FILES["radiance"])
+    def picture(self, kind: str) -> NDArray[Any]:
+        """Read one of the pictures."""
+        name, read = _READERS[kind]
+        return read(self.directory / name)
 
     def _record(self, position: int) -> StoredFrame | None:
         return None if self.report is None else self.report.frames[position]

@@ -54,15 +54,12 @@ class CaptureStore(Pictures, Protocol):
 
     def keep(self, frame: Frame, position: int) -> KeptFiles:
         """Keep a frame, and return its files for the report."""
-        ...
 
     def reject(self, position: int) -> list[str]:
         """Set a frame aside that is not part of the sum; return the new names of its files."""
-        ...
 
     def save_report(self, report: UnfinishedCapture | CaptureReport) -> None:
         """Keep the report in its present state, and carry out what it says of the frames."""
-        ...
 
     def keep_pictures(
         self, total: NDArray[np.unsignedinteger], rendering: Rendering, details: PictureDetails
@@ -71,20 +68,9 @@ class CaptureStore(Pictures, Protocol):
 
         `details` is what the files say of the capture.
         """
-        ...
 
     def after_failure(self, done: int, count: int) -> AfterFailure:
         """Return what an error adds: how many frames are kept, and how to continue."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class _Arrays:
-    total: NDArray[np.unsignedinteger]
-    code: NDArray[np.uint16]
-    irradiance: NDArray[np.float32]
-    deviation: NDArray[np.float32]
-    mask: NDArray[np.uint8]
 
 
 class MemoryStore:
@@ -92,7 +78,7 @@ class MemoryStore:
 
     def __init__(self) -> None:
         self._frames: dict[int, Pixels] = {}
-        self._arrays: _Arrays | None = None
+        self._pictures: dict[str, NDArray[Any]] = {}
 
     def keep(self, frame: Frame, position: int) -> KeptFiles:
         """Keep the samples of a frame."""
@@ -112,22 +98,18 @@ class MemoryStore:
     ) -> dict[str, str]:
         """Keep the sum and render the pictures; `details` is for files only."""
         shape, row = rendering.picture_shape(total), 0
-        arrays = _Arrays(
-            total,
-            np.empty(shape, np.uint16),
-            np.empty(shape, np.float32),
-            np.empty(shape, np.float32),
-            np.empty(shape, np.uint8),
-        )
+        code, mask = np.empty(shape, np.uint16), np.empty(shape, np.uint8)
+        irradiance, deviation = np.empty(shape, np.float32), np.empty(shape, np.float32)
         for render in rendering.strips(total):
             strip = render()
             rows = slice(row, row + strip.code.shape[0])
-            arrays.code[rows] = strip.code
-            arrays.irradiance[rows] = channels_together(strip.irradiance)
-            arrays.deviation[rows] = channels_together(strip.deviation)
-            arrays.mask[rows] = channels_together(strip.mask)
+            code[rows] = strip.code
+            irradiance[rows] = channels_together(strip.irradiance)
+            deviation[rows] = channels_together(strip.deviation)
+            mask[rows] = channels_together(strip.mask)
             row = rows.stop
-        self._arrays = arrays
+        self._pictures = {"sum": total, "image": code, "radiance": irradiance}
+        self._pictures |= {"deviation": deviation, "mask": mask}
         return {}
 
     def after_failure(self, done: int, count: int) -> AfterFailure:
@@ -141,27 +123,8 @@ class MemoryStore:
         """Return the samples of a frame."""
         return self._frames[position]
 
-    def sum(self) -> NDArray[np.unsignedinteger]:
-        """Return the sum of the frames."""
-        return self._complete().total
-
-    def image(self) -> NDArray[np.uint16]:
-        """Return the image in the desired response."""
-        return self._complete().code
-
-    def radiance(self) -> NDArray[np.float32]:
-        """Return the irradiance."""
-        return self._complete().irradiance
-
-    def standard_deviation(self) -> NDArray[np.float32]:
-        """Return the standard deviation of the irradiance."""
-        return self._complete().deviation
-
-    def mask(self) -> NDArray[np.uint8]:
-        """Return the marks of what is out of range."""
-        return self._complete().mask
-
-    def _complete(self) -> _Arrays:
-        if self._arrays is None:
+    def picture(self, kind: str) -> NDArray[Any]:
+        """Return one of the pictures."""
+        if not self._pictures:
             raise DataError("the capture has no pictures yet", hint="capture all its frames first")
-        return self._arrays
+        return self._pictures[kind]

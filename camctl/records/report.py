@@ -188,20 +188,8 @@ class Pictures(Protocol):
     def frame(self, position: int) -> Pixels:
         """Return the samples of a frame."""
 
-    def sum(self) -> NDArray[np.unsignedinteger]:
-        """Return the sum of the frames."""
-
-    def image(self) -> NDArray[np.uint16]:
-        """Return the image in the desired response."""
-
-    def radiance(self) -> NDArray[np.float32]:
-        """Return the irradiance."""
-
-    def standard_deviation(self) -> NDArray[np.float32]:
-        """Return the predicted standard deviation of the irradiance."""
-
-    def mask(self) -> NDArray[np.uint8]:
-        """Return the marks of what is out of range."""
+    def picture(self, kind: str) -> NDArray[Any]:
+        """Return the "sum", the "image", the "radiance", its "deviation" or its "mask"."""
 
 
 class CaptureReport(_CaptureData):
@@ -236,7 +224,7 @@ class CaptureReport(_CaptureData):
         Raises:
             DataError: the capture's file is missing or damaged
         """
-        return self._connected().radiance()
+        return self._connected().picture("radiance")
 
     def standard_deviation(self) -> NDArray[np.float32]:
         """Return the predicted standard deviation of the radiance, float32, in its shape and unit.
@@ -247,7 +235,7 @@ class CaptureReport(_CaptureData):
         Raises:
             DataError: the capture's file is missing or damaged
         """
-        return self._connected().standard_deviation()
+        return self._connected().picture("deviation")
 
     def mask(self) -> NDArray[np.uint8]:
         """Return 0 for good samples, 1 below the range, 2 saturated, 4 frames contradict, 8 hot.
@@ -258,7 +246,7 @@ class CaptureReport(_CaptureData):
         Raises:
             DataError: the capture's file is missing or damaged
         """
-        return self._connected().mask()
+        return self._connected().picture("mask")
 
     def image(self) -> NDArray[np.uint16]:
         """Return the image in the desired response, 0 to 65,535, in the shape of the radiance.
@@ -266,7 +254,7 @@ class CaptureReport(_CaptureData):
         Raises:
             DataError: the capture's file is missing or damaged
         """
-        return self._connected().image()
+        return self._connected().picture("image")
 
     def sum(self) -> NDArray[np.unsignedinteger]:
         """Return the exact sum of the frames clipped at white, black included, a frame's shape.
@@ -274,7 +262,7 @@ class CaptureReport(_CaptureData):
         Raises:
             DataError: the capture's file is missing or damaged
         """
-        return self._connected().sum()
+        return self._connected().picture("sum")
 
     def frame(self, position: int) -> Pixels:
         """Return the samples of frame `position`, 0 first, as the camera returned them.

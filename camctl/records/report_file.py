@@ -22,7 +22,7 @@ from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import check_count
-from camctl.pictures.files import CONTACT, IMAGE, PREVIEW, RADIANCE, SUM
+from camctl.pictures.files import PICTURE_FILES
 from camctl.records import REPORT as REPORT
 from camctl.records.frame import StoredFrame
 from camctl.records.report import FORMAT_VERSION, CaptureReport, UnfinishedCapture
@@ -31,15 +31,6 @@ from camctl.system.files import leftovers
 from camctl.system.input_files import first_problem, read_own_file
 
 FRAMES, LOCK = "frames", ".camctl.lock"
-
-PICTURE_FILES = {
-    "sum": SUM,
-    "image": IMAGE,
-    "radiance": RADIANCE,
-    "preview": PREVIEW,
-    "contact": CONTACT,
-}
-"""Names of the picture files by kind."""
 
 SAMPLES = ".npy"
 """Suffix of a file with the samples of a frame."""

@@ -236,11 +236,9 @@ class TimestampedSource(Protocol[DataT_co]):
         Raises:
             CameraTimeoutError: no frame arrived within the time-out of the stream
         """
-        ...
 
     def retrieve(self) -> DataT_co | None:
         """Return the frame that was grabbed last; None where it is damaged."""
-        ...
 
     def write(self, setting: ExposureSetting) -> ExposureSetting:
         """Set the exposure and return it as read back.
@@ -248,7 +246,6 @@ class TimestampedSource(Protocol[DataT_co]):
         Raises:
             RefusedSettingError: the device applied another setting
         """
-        ...
 
 
 class TimestampedStream(Generic[DataT]):

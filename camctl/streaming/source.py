@@ -62,11 +62,9 @@ class NumberedSource(Protocol[DataT_co]):
         Raises:
             CameraTimeoutError: no frame arrived within the time-out of the stream
         """
-        ...
 
     def read(self) -> DataT_co | None:
         """Return the frame that arrived last; None where it is damaged."""
-        ...
 
     def upcoming(self, *, late: bool = False) -> int | None:
         """Return the number of the first slot that has not begun, if a setting may be written now.
@@ -77,7 +75,6 @@ class NumberedSource(Protocol[DataT_co]):
         Returns:
             None where the current slot is too far advanced: take a frame, then ask again.
         """
-        ...
 
     def write(self, setting: ExposureSetting) -> Written:
         """Set the exposure and read it back.
@@ -85,7 +82,6 @@ class NumberedSource(Protocol[DataT_co]):
         Raises:
             RefusedSettingError: the device applied another setting
         """
-        ...
 
 
 def irregular_frames() -> CameraProtocolError:

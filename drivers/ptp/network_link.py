@@ -66,7 +66,6 @@ class Link(Protocol):
 
     def receive(self, size: int, timeout_s: float) -> bytes:
         """Return up to `size` bytes; b"" if the camera has closed the connection."""
-        ...
 
     def close(self) -> None:
         """Close the connection."""

@@ -70,15 +70,12 @@ class Transport(Protocol):
             CameraTimeoutError: nothing came for `silence_s`
             CameraDisconnectedError: the camera was disconnected
         """
-        ...
 
     def event(self, wait_s: float) -> Container | None:
         """Return the next event; None if none came within `wait_s`, or if it was invalid."""
-        ...
 
     def recover(self, transaction: int) -> bool:
         """Cancel a transaction; return whether the camera is ready, else it needs `reset`."""
-        ...
 
     def reset(self) -> None:
         """Reset the connection, which closes the session."""

@@ -20,23 +20,18 @@ class Kernel(Protocol):
 
     def open(self, path: str) -> int:
         """Return a descriptor of the node."""
-        ...
 
     def ioctl(self, descriptor: int, request: Request, argument: ctypes.Structure) -> None:
         """Let the node read and change `argument`."""
-        ...
 
     def map(self, descriptor: int, offset: int, length: int) -> Memory:
         """Return the memory of a buffer; it is unmapped when the array is no longer used."""
-        ...
 
     def wait(self, descriptor: int, timeout_s: float) -> bool:
         """Wait until there is a frame or an error; return False after `timeout_s` without one."""
-        ...
 
     def close(self, descriptor: int) -> None:
         """Close the descriptor."""
-        ...
 
 
 class Linux:

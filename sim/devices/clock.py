@@ -24,7 +24,6 @@ class ScheduledCall(Protocol):
 
     def cancel(self) -> None:
         """Do not make the call, unless it has begun."""
-        ...
 
 
 class DeviceClock(Clock, Protocol):
@@ -32,11 +31,9 @@ class DeviceClock(Clock, Protocol):
 
     def call_at(self, time_s: float, action: Callable[[], None]) -> ScheduledCall:
         """Call `action` once when `now()` has reached `time_s`; returns at once."""
-        ...
 
     def wait_for(self, event: threading.Event, deadline_s: float = math.inf) -> bool:
         """Wait until `event` is set or `now()` has reached `deadline_s`; return whether it is."""
-        ...
 
 
 class RealDeviceClock(RealClock):

@@ -19,7 +19,7 @@ from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
 from camctl.pictures import render as pictures
-from camctl.pictures.files import write_picture_files
+from camctl.pictures.files import PICTURE_FILES, write_picture_files
 from camctl.pictures.render import Rendering, Tables
 from camctl.records.folder_store import FolderStore
 from camctl.records.frame_store import MemoryStore
@@ -55,29 +55,27 @@ def test_strips_leave_no_seam(
         stores.append(FolderStore(folder))
         write_picture_files(total, how, details(), folder)
     whole, strips = stores
-    assert np.array_equal(whole.image(), strips.image())
-    assert np.array_equal(whole.radiance(), strips.radiance())
-    assert np.array_equal(whole.standard_deviation(), strips.standard_deviation())
-    assert np.array_equal(whole.mask(), strips.mask())
+    for kind in ("image", "radiance", "deviation", "mask"):
+        assert np.array_equal(whole.picture(kind), strips.picture(kind))
     if not layout.is_mosaic:
-        assert np.array_equal(whole.image(), how.tables[0].code[total])
+        assert np.array_equal(whole.picture("image"), how.tables[0].code[total])
 
 
 @pytest.mark.parametrize("layout", list(Layout))
 def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -> None:
     total, how = random_sum(layout), rendering(layout)
     folder, memory = FolderStore(tmp_path), MemoryStore()
-    files = write_picture_files(total, how, details(), tmp_path)
+    write_picture_files(total, how, details(), tmp_path)
     assert memory.keep_pictures(total, how, details()) == {}
-    assert {path.name for path in tmp_path.iterdir()} == set(files.values())
+    assert {path.name for path in tmp_path.iterdir()} == set(PICTURE_FILES.values())
     shape = (37, 22) if layout is Layout.MONO else (37, 22, 3)
     for name, dtype in {"image": np.uint16, "radiance": np.float32, "mask": np.uint8}.items():
-        from_file, from_memory = getattr(folder, name)(), getattr(memory, name)()
+        from_file, from_memory = folder.picture(name), memory.picture(name)
         assert np.array_equal(from_file, from_memory)
         assert from_file.dtype == from_memory.dtype == dtype
         assert from_file.shape == shape
-    assert np.array_equal(folder.sum(), memory.sum())
-    assert np.array_equal(folder.sum(), total)
+    assert np.array_equal(folder.picture("sum"), total)
+    assert np.array_equal(memory.picture("sum"), total)
 
 
 @pytest.mark.parametrize(("full_scale", "halves"), [(2.0, True), (2e7, False), (2e-7, False)])
@@ -99,11 +97,11 @@ def test_channels_of_radiance_exr(
     for name in names:
         expected |= {name: np.float32, f"sd.{name}": deviation}
     assert types == expected
-    found = FolderStore(tmp_path).standard_deviation()
+    found = FolderStore(tmp_path).picture("deviation")
     memory = MemoryStore()
     memory.keep_pictures(total, how, details())
     assert found.dtype == np.float32
-    assert np.array_equal(found, memory.standard_deviation())
+    assert np.array_equal(found, memory.picture("deviation"))
     if not layout.is_mosaic:
         assert np.array_equal(found, how.tables[0].deviation[total])
 
@@ -123,24 +121,24 @@ def test_preview_is_made_from_reduced_light(
 
 
 @pytest.mark.parametrize(
-    ("file", "method"),
+    ("file", "kind"),
     [
         ("sum.tiff", "sum"),
         ("image.tiff", "image"),
         ("radiance.exr", "radiance"),
         ("radiance.exr", "mask"),
-        ("radiance.exr", "standard_deviation"),
+        ("radiance.exr", "deviation"),
         ("frames/frame-01.npy", "frame"),
     ],
 )
 @pytest.mark.parametrize("content", [None, b"", b"II*\0 and no more", b"v/1\x01 and no more"])
 def test_missing_or_damaged_file_is_a_data_error_that_names_it(
-    file: str, method: str, content: bytes | None, tmp_path: Path
+    file: str, kind: str, content: bytes | None, tmp_path: Path
 ) -> None:
     store = FolderStore(tmp_path / "here")
     (tmp_path / "here" / "frames").mkdir(parents=True)
     if content is not None:
         (tmp_path / "here" / file).write_bytes(content)
     with pytest.raises(DataError, match=file) as failure:
-        getattr(store, method)(*[0] if method == "frame" else [])
+        store.frame(0) if kind == "frame" else store.picture(kind)
     assert "\n" not in str(failure.value)

@@ -86,7 +86,6 @@ class Listener(Protocol):
 
     def accept(self, wire: Wire) -> Connection:
         """Return the camera's end of a new connection."""
-        ...
 
     def process(self, connection: Connection, kind: int, body: bytes) -> None:
         """Process a packet of the host."""

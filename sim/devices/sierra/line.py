@@ -35,19 +35,15 @@ class Line(Protocol):
     @property
     def host_speed(self) -> int | None:
         """The speed that the host has set, bits a second; None where it cannot be known."""
-        ...
 
     def open(self) -> None:
         """Open the camera's end (CameraNotFoundError: it cannot be opened)."""
-        ...
 
     def close(self) -> None:
         """Close the camera's end: the host's next read or write fails."""
-        ...
 
     def send(self, data: bytes, speed: int = 0) -> None:
         """Send bytes to the host at `speed` bits a second, or at once (0)."""
-        ...
 
 
 class TerminalLine(Line):

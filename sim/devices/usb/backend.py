@@ -112,7 +112,6 @@ class Described(Protocol):
     @property
     def configuration(self) -> Descriptor:
         """The configuration descriptor, parsed."""
-        ...
 
 
 class DescribedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types

@@ -68,21 +68,17 @@ class Owner(Protocol):
 
     def light(self, slot: int) -> float:
         """Return the factor on a slot's light."""
-        ...
 
     def is_skipped(self, slot: int) -> bool:
         """Return whether a slot gives no frame."""
-        ...
 
     def brightness(self) -> int:
         """Return the offset that is added to luma."""
-        ...
 
     def send_frame(
         self, stream: Stream, exposure: FrameExposure, level: float, data: bytes
     ) -> None:
         """Send a frame of mean `level`, 0 to 1."""
-        ...
 
 
 class Stream:
