@@ -151,13 +151,24 @@ def _deviates(
     errors = np.where(is_saturated, np.minimum(errors, 0.0), errors)
     mean, level = means(errors), means(after.astype(np.float64))
     band = (level // _BAND).astype(np.intp)
-    noise = np.zeros(mean.shape)
-    for each in np.unique(band):
-        noise[band == each] = float(np.median(np.abs(mean[band == each])))
+    noise = _medians(np.abs(mean), band)
     limit = _LEAST_DEVIATION + _LEAST_SHARE * means(expected)
     limit = np.maximum(limit, np.minimum(_DEVIATIONS * noise, _MOST_NOISE))
     deviates: NDArray[np.bool_] = np.abs(mean) > limit
     return deviates.astype(np.intp)
+
+
+def _medians(values: FloatArray, group: NDArray[np.intp]) -> FloatArray:
+    """Return for each value the median of the values of its group; both have the same shape."""
+    order = np.lexsort((values.ravel(), group.ravel()))
+    ascending = values.ravel()[order]
+    _, first, member, count = np.unique(
+        group.ravel()[order], return_index=True, return_inverse=True, return_counts=True
+    )
+    medians = (ascending[first + (count - 1) // 2] + ascending[first + count // 2]) / 2
+    found = np.empty(values.size)
+    found[order] = medians[member]
+    return found.reshape(values.shape)
 
 
 def _cell_means(values: FloatArray, shape: tuple[int, int]) -> FloatArray:

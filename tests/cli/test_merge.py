@@ -49,6 +49,7 @@ def test_the_choice_is_that_of_a_camera_with_these_settings(run: Run, series: Se
     assert len(few["frames"]) < len(run("merge", *line, "-o", "more", "--json").json["frames"])
 
 
+@pytest.mark.slow
 def test_colours_of_jpeg_photographs_are_those_of_the_scene(run: Run) -> None:
     """JPEG files keep half of the colours' resolution, and mix those beside saturated samples."""
     times = [2.0**k for k in range(-10, 1, 2)]
@@ -107,10 +108,9 @@ def test_json_of_the_folder_is_a_report(run: Run, series: Series) -> None:
 
 def test_as_many_photographs_as_are_asked_for_are_used(run: Run, series: Series) -> None:
     line = (*series(FEW), "--curve", "srgb")
-    for count in (4, 6):
-        ran = run("merge", *line, "-n", str(count), "-o", f"hall{count}", "--json")
-        assert ran.status == 0, ran.err
-        assert len(ran.json["frames"]) == count
+    ran = run("merge", *line, "-n", "4", "-o", "hall", "--json")
+    assert ran.status == 0, ran.err
+    assert len(ran.json["frames"]) == 4
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
@@ -146,8 +146,9 @@ def test_the_memorial_photographs_come_out_without_warnings(run: Run, real_data:
 
 
 def test_python_makes_what_the_command_makes(run: Run, series: Series) -> None:
-    names = series(TIMES[3:8])
-    ran = run("merge", *names, "--response", "log", "-o", "hall", "--json")
+    names = series(TIMES[3:6])
+    curve = ("--curve", "srgb")
+    ran = run("merge", *names, *curve, "--response", "log", "-o", "hall", "--json")
     report = merge(names[: names.index("--times")], path="again", options=options_of(names))
     assert report.plan.ratios == tuple(ran.json["plan"]["ratios"])
     assert report.source["photographs"] == ran.json["photographs"]
@@ -156,7 +157,7 @@ def test_python_makes_what_the_command_makes(run: Run, series: Series) -> None:
 
 def options_of(names: list[str]) -> PhotographOptions:
     times = names[names.index("--times") + 1].split(",")
-    return PhotographOptions(times=tuple(map(float, times)))
+    return PhotographOptions(times=tuple(map(float, times)), curve="srgb")
 
 
 def test_errors_are_json_where_that_is_asked_for(run: Run, series: Series) -> None:
@@ -177,7 +178,7 @@ def test_a_failed_merge_says_how_to_go_on(
     def fail(*arguments: Any, **named: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    line = ("merge", *series(TIMES[3:8]), "-o", "out")
+    line = ("merge", *series(TIMES[3:6]), "--curve", "srgb", "-o", "out")
     with monkeypatch.context() as patched:
         patched.setattr(tifffile, "imwrite", fail)
         ran = run(*line)

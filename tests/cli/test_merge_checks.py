@@ -45,8 +45,8 @@ def test_a_frame_that_contradicts_is_named_by_its_file(run: Run, series: Series)
 def test_a_photograph_of_something_else_does_not_spoil_the_picture(
     run: Run, series: Series
 ) -> None:
-    line = series(TIMES[1:7], change=lambda k, pixels: pixels[:, ::-1] if k == 2 else pixels)
-    ran = run("merge", *line, "-o", "hall")
+    line = series(FEW, change=lambda k, pixels: pixels[:, ::-1] if k == 2 else pixels)
+    ran = run("merge", *line, "--curve", "srgb", "-o", "hall")
     assert ran.err.splitlines() == [
         "camctl: warning: p02.png does not show what the others show (another view or scene), and "
         "is left out"
@@ -87,8 +87,8 @@ def test_a_thing_that_moved_in_one_photograph_is_no_wrong_exposure(
             changed[80:160, 200:280] = (90, 60, 40)
         return changed
 
-    line = series(TIMES[2:9], change=moved)
-    ran = run("merge", *line, "--ratios", "1,2,4,8,16", "-o", "hall")
+    line = series(TIMES[2:6], change=moved)
+    ran = run("merge", *line, "--curve", "srgb", "--ratios", "1,2,4,8", "-o", "hall")
     assert ran.status == 0
     assert "wrong" not in ran.err
     assert "trustworthy" not in ran.err
@@ -126,6 +126,7 @@ def test_a_mask_leaves_pixels_out(run: Run, series: Series) -> None:
     assert "mask mask.png has 320 x 239 pixels" in run(*line, "--force").error
 
 
+@pytest.mark.slow
 def test_a_masked_part_is_not_taken_for_a_part_of_the_scene(run: Run, series: Series) -> None:
     """Black pixels would hide the pedestal, and be the darkest light of the picture."""
     valid = np.full(SCENE.shape[:2], 255, np.uint8)
@@ -150,7 +151,7 @@ def test_a_mask_that_is_black_around_cuts(run: Run, series: Series) -> None:
     valid = np.zeros(SCENE.shape[:2], np.uint8)
     valid[20:230, 30:310] = 255
     save(Path("mask.png"), valid)
-    found = run("merge", *series(FEW), "--mask", "mask.png", "-o", "hall", "--json").json
+    found = run("merge", *series(FEW[1:4]), "--mask", "mask.png", "-o", "hall", "--json").json
     (cut,) = [each for each in found["facts"] if each["code"] == "masked"]
     assert cut["place"] == {"top": 20, "left": 30, "bottom": 230, "right": 310}
     assert error_of("hall", SCENE[20:230, 30:310]) < 0.02

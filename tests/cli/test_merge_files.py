@@ -23,13 +23,16 @@ from camctl.photographs.files import PhotographFiles
 from sim.devices.still_files import RawImage, encode
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
+@pytest.mark.parametrize(
+    "suffix", [".jpg", *(pytest.param(each, marks=pytest.mark.slow) for each in (".png", ".tif"))]
+)
 def test_photographs_of_each_format_are_read(run: Run, series: Series, suffix: str) -> None:
     ran = run("merge", *series(TIMES[::2], suffix), "-o", "hall")
     assert ran.status == 0, ran.err
     assert error_of("hall") < 0.04
 
 
+@pytest.mark.slow
 def test_linear_openexr_files_are_merged(run: Run) -> None:
     import OpenEXR
 

@@ -22,6 +22,11 @@ def codes(findings: tuple[Finding, ...]) -> list[str]:
     return [each.code for each in findings]
 
 
+def slow(*cases: tuple[Any, ...]) -> list[Any]:
+    """Return cases that are like others, for the slow tests."""
+    return [pytest.param(*case, marks=pytest.mark.slow) for case in cases]
+
+
 def test_shutters_that_are_not_exact_are_corrected_from_the_pixels(opened: Opened) -> None:
     found = opened(TIMES, labels=[each * (1.12 if k == 5 else 1) for k, each in enumerate(TIMES)])
     assert found.camera.photographs[5].time_s == pytest.approx(TIMES[5], rel=0.01)
@@ -31,7 +36,7 @@ def test_shutters_that_are_not_exact_are_corrected_from_the_pixels(opened: Opene
     assert found.notes == ()
 
 
-@pytest.mark.parametrize("pair", [(3, 4), (1, 5), (0, 6)])
+@pytest.mark.parametrize("pair", [(3, 4), *slow(((1, 5),), ((0, 6),))])
 def test_swapped_labels_are_named(opened: Opened, pair: tuple[int, int]) -> None:
     labels = list(times := TIMES[1:8])
     one, other = pair
@@ -48,7 +53,7 @@ def test_reversed_labels_are_named(opened: Opened) -> None:
         opened(TIMES, labels=TIMES[::-1])
 
 
-@pytest.mark.parametrize("place", [0, 4, 5])
+@pytest.mark.parametrize("place", [4, *slow((0,), (5,))])
 def test_one_wrong_label_is_named(opened: Opened, place: int) -> None:
     times = TIMES[1:7]
     labels = [each * (1.7 if k == place else 1) for k, each in enumerate(times)]
@@ -71,7 +76,7 @@ def test_an_exact_label_that_is_wrong_is_left_out(opened: Opened) -> None:
     assert len(found.camera.photographs) == 5
 
 
-@pytest.mark.parametrize(("place", "factor"), [(0, 1.6), (3, 0.6), (5, 1.6)])
+@pytest.mark.parametrize(("place", "factor"), [(0, 1.6), *slow((3, 0.6), (5, 1.6))])
 def test_one_wrong_label_does_not_bend_the_response(
     opened: Opened, place: int, factor: float
 ) -> None:
@@ -85,7 +90,8 @@ def test_one_wrong_label_does_not_bend_the_response(
 
 
 @pytest.mark.parametrize(
-    ("place", "factor", "curve"), [(0, 2.0, None), (2, 0.5, None), (0, 0.5, "srgb"), (5, 2, "srgb")]
+    ("place", "factor", "curve"),
+    [(0, 2.0, None), (0, 0.5, "srgb"), *slow((2, 0.5, None), (5, 2, "srgb"))],
 )
 def test_a_wrong_label_is_named_where_photographs_are_nearly_black(
     opened: Opened, place: int, factor: float, curve: str | None
@@ -142,7 +148,7 @@ def test_light_that_changed_is_no_wrong_label(opened: Opened) -> None:
     assert differs.value == pytest.approx(0.4, rel=0.05)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize("suffix", [".jpg", *slow((".png",))])
 def test_a_shifted_photograph_is_left_out(opened: Opened, suffix: str) -> None:
     def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         return np.roll(pixels, (5, -7), axis=(0, 1)) if k == 4 else pixels
@@ -187,8 +193,9 @@ def with_colours(times: tuple[float, ...], colours: Colours, curve: str | None) 
 
 @pytest.mark.usefixtures("opened")
 class TestWhiteBalance:
-    @pytest.mark.parametrize("place", [1, 3])
-    @pytest.mark.parametrize("curve", ["srgb", None])
+    @pytest.mark.parametrize(
+        ("place", "curve"), [(1, "srgb"), (3, None), *slow((3, "srgb"), (1, None))]
+    )
     def test_another_one_is_left_out(self, place: int, curve: str | None) -> None:
         colours = [(1.15, 0.9) if k == place else (1.0, 1.0) for k in range(5)]
         found = with_colours(TIMES[1:6], colours, curve)
