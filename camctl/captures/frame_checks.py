@@ -39,7 +39,10 @@ class FrameChecks:
     def __init__(self, camera: Camera, capture: UnfinishedCapture) -> None:
         self._controls, self._capture = camera.controls, capture
         self._check = NeighbourCheck(
-            self._controls.levels, self._controls.black, self._controls.layout
+            self._controls.levels,
+            self._controls.black,
+            self._controls.layout,
+            pairs=len(capture.plan.settings) - 1,
         )
         self._log = ShotLog(capture.plan.settings, self._controls)
         self._delay_of = camera.info.id if self._log.has_delay else None
@@ -51,7 +54,9 @@ class FrameChecks:
 
     def add(self, position: int, pixels: Pixels) -> None:
         """Compare the frame at `position` with its neighbours that have arrived."""
-        self._check.add(position, pixels)
+        applied, controls = self._frame(position).applied, self._controls
+        noise = controls.frame_noise([applied])[0] if controls.noise else None
+        self._check.add(position, pixels, noise)
         self.thumbnails[position] = thumbnail(pixels, self._controls)
         for later in (position, position + 1):
             if self._check.has(later):
@@ -107,7 +112,7 @@ class FrameChecks:
     @property
     def samples(self) -> list[Patches]:
         """Patches of each frame."""
-        return self._check.samples(len(self._capture.frames))
+        return [each.patches for each in self._check.samples(len(self._capture.frames))]
 
     def pairs(self, exposures: Sequence[float], noise: Sequence[FrameNoise] | None) -> list[Pair]:
         """Return the frames neighbouring in exposure, from the shortest on, to find movement.
@@ -125,14 +130,15 @@ class FrameChecks:
             for place, exposure in enumerate(exposures)
         ]
         sides.sort(key=lambda side: side.exposure)
-        samples, found = self.samples, []
+        samples, found = self._check.samples(len(sides)), []
         # Colours whose responses are not quite alike are distinguished where that is measured.
         colours = 3 if noise is None and self._controls.layout is Layout.RGB else 1
         for short, long in pairwise(sides):
             ratio = long.exposure / short.exposure
             both = samples[short.position], samples[long.position]
             check = self._check.compare(*both, ratio)
-            pair = Pair(self._check.scale, short, long, ratio, both, colours)
+            patches = both[0].patches, both[1].patches
+            pair = Pair(self._check.scale, short, long, ratio, patches, colours)
             if not check.agrees and check.measured is not None:
                 shown = replace(pair, ratio=check.measured)
                 if check.is_one_ratio or shown.contradicting < pair.contradicting / 2:

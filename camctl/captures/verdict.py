@@ -45,7 +45,7 @@ def judge(
     certain = [
         (k, check)
         for k, check in wrong
-        if check.contradicts and (exposures_exact or _is_no_movement(check))
+        if check.contradicts and _is_no_movement(check, exposures_exact=exposures_exact)
     ]
     mends: dict[str, Any] = {}
     if not capture.request.estimate_ratios:
@@ -79,12 +79,13 @@ def judge(
     ]
 
 
-def _is_no_movement(check: RatioCheck) -> bool:
+def _is_no_movement(check: RatioCheck, *, exposures_exact: bool) -> bool:
     """Return whether frames contradict each other by one ratio, or in most of the picture.
 
-    Exposures that are not exact were compared before, so that the rest is things that moved.
+    Exposures that are not exact were compared before, so that saturated samples alone are things
+    that moved.
     """
-    if check.measured is not None and check.is_of_whole_picture:
+    if check.is_of_whole_picture and (exposures_exact or check.measured is not None):
         return True
     return check.compared * check.contradicting > _MOST
 

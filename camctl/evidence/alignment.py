@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.model.sensor import JPEG_ERROR
 from camctl.system.picture_operations import required_opencv
 
 #: Blocks along each side of a picture, and contour pixels of each that are compared at most.
@@ -27,8 +28,8 @@ _BLOCKS, _POINTS = 8, 1000
 _MANY = 300_000
 #: Longest side of the copies in which every shift is tried, and the largest share of a side.
 _COARSE_SIDE, _LARGEST = 192, 0.25
-#: Brightness from which on a pixel may be saturated; below it, it is compared.
-_SATURATED = 0.94
+#: Brightness from which on a pixel of a photograph may be saturated; below it, it is compared.
+_SATURATED = 1 - JPEG_ERROR
 #: Standard deviation of the blur before differences are taken, pixels.
 _BLUR = 1.0
 #: Shifts tried, how far they are apart in small copies, and the share of a picture that remains.

@@ -1,54 +1,75 @@
 """Checks on the pixels that each frame had the exposure that the camera reported.
 
-Neighbouring frames are compared in patches of the picture, and the samples of each patch vote for
-its ratio of light.  Moving objects and blooming change some patches only; a wrong exposure changes
-all of them alike.
+The longer of two frames predicts the light of the shorter one, patch by patch, with the variance
+of the sensor model, see `camctl.evidence.patch_errors`.  The ratio of their light is the weighted
+mean of what the patches show, without those in which something moved; its interval holds the noise,
+and the errors of black level, rounding and response that patches have in common.  A frame
+contradicts its exposure where the interval, at the significance level of a capture, does not hold
+the stated ratio, and most samples differ from it to the same side.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.patch_errors import MOST_OFFSET, NORMAL_MAD, PatchErrors, weighted_median
 from camctl.evidence.patches import Patches, sample_patches
-from camctl.evidence.ratio_check import LAMP_DEPTH, LEAST_COMPARED, RatioCheck
+from camctl.evidence.ratio_check import LAMP_DEPTH, LEAST_COMPARED, SIGNIFICANCE, RatioCheck
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
+from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse
-from camctl.model.sensor import SensorModel
+from camctl.model.sensor import (
+    BLACK_ERROR_LEVELS,
+    RESPONSE_ERROR,
+    SensorModel,
+)
 
-#: Relative difference of light that may have other causes than a wrong exposure.
-TOLERANCE = 0.015
 MOST_CHANGE = 1.1
 """Factor by which lamps may change a ratio before the picture is not trustworthy, either."""
 #: Slowest usual flicker, Hz: twice the frequency of the mains.
 _FLICKER_HZ = 100.0
-#: Tolerance of a comparison that was not made, and the largest contribution of scatter to one.
-LARGEST_TOLERANCE = 0.5
-#: Fewer samples give no ratio; where fewer than the second number vote, dimmer ones do, too.
-_LEAST_SAMPLES, _FEW_SAMPLES = 32, 128
-#: Samples above this share of full scale are not compared: noise saturates some of them.
-_HIGHEST = 0.9
-#: Share of the light beyond saturation that flows to other samples (blooming), at most.
-_SPILLED = 0.05
-#: Share of the samples of a bright patch that must be compared: without a tenth of them, the mean
-#: of the others lies 0.2 standard deviations of their noise too low; without 2 %, 0.05.
-_WHOLE = 0.98
-#: A saturated sample contradicts if its expected light is below this share of full scale.
-_CERTAIN = 0.7
-#: Error of a patch besides rounding (black level, non-linearity, light of other frames): in levels
-#: at least, and as a share of full scale where there are many levels.
-_OFFSET_LEVELS, _OFFSET_SHARE = 0.5, 1 / 4000
-#: Standard errors of the median that are allowed, about.
-_SIGMAS = 3.0
-#: Only patches vote that reach this number of levels in the shorter exposure, of 1,000 levels at
-#: most: the first number for which enough samples vote, since the brightest are measured best.
-_LEAST_LEVELS, _LEVELS = (32, 16, 8, 4, 1), 1000
+#: Fewer samples give no ratio: half of a patch.
+_LEAST_SAMPLES = 32
+#: Logarithm of a ratio from which the prediction is made again with what was found.
+_FAR = 0.1
+#: Logarithm of a ratio that says nothing where it is the half of an interval: a factor of 2.
+_WIDEST = math.log(2.0)
+#: Rounds of the fit: the tolerance changes by less than a tenth after these.
+_ROUNDS = 5
 
 _Floats = NDArray[np.float64]
+
+
+class FrameSample(NamedTuple):
+    """Patches of a frame, and its noise; None where it is unknown."""
+
+    patches: Patches
+    noise: FrameNoise | None
+
+
+class _Votes(NamedTuple):
+    """What patches show of the ratio of two frames; arrays are (patches,).
+
+    Attributes:
+        logs: logarithm of the light in the shorter frame over the prediction
+        sigmas: standard deviation of it in a patch
+        counts: samples
+        tolerance: error of their mean that noise and common errors make at the significance level
+        mean: weighted mean, without what moved
+    """
+
+    logs: _Floats
+    sigmas: _Floats
+    counts: _Floats
+    tolerance: float
+    mean: float
 
 
 class NeighbourCheck:
@@ -58,21 +79,23 @@ class NeighbourCheck:
         real: the camera's response as levels
         black: brightness without light, DN
         layout: pixel layout of a frame
+        pairs: of frames in a capture, over which the significance level is divided
 
     Attributes:
         scale: irradiance of each brightness
     """
 
-    def __init__(self, real: CameraResponse, black: int, layout: Layout = Layout.MONO) -> None:
+    def __init__(
+        self, real: CameraResponse, black: int, layout: Layout = Layout.MONO, pairs: int = 1
+    ) -> None:
         self.scale = SensorModel(real, black)
         self._layout = layout
-        self._dark = self.scale.full / min(real.M, _LEVELS)
-        self._offset = max(_OFFSET_LEVELS * self.scale.level, _OFFSET_SHARE * self.scale.full)
-        self._samples: dict[int, Patches] = {}
+        self._sigmas = -NormalDist().inv_cdf(SIGNIFICANCE / 2 / max(pairs, 1))
+        self._samples: dict[int, FrameSample] = {}
 
-    def add(self, position: int, pixels: Pixels) -> None:
+    def add(self, position: int, pixels: Pixels, noise: FrameNoise | None = None) -> None:
         """Keep a sample of the frame at `position` of the sequence."""
-        self._samples[position] = self.sample(pixels)
+        self._samples[position] = self.sample(pixels, noise)
 
     def remove(self, position: int) -> None:
         """Forget the frame at `position`: it will be shot again."""
@@ -99,166 +122,181 @@ class NeighbourCheck:
             mains_hz: frequency of the mains that feeds the lamps; None: unknown
             most: factor by which lamps may change the ratio at most
         """
-        return self.compare(
-            self._samples[position - 1],
-            self._samples[position],
-            expected,
-            lamp_factor(times_s, mains_hz),
-            most,
-        )
+        lamps = min(lamp_factor(times_s, mains_hz), most)
+        return self.compare(self._samples[position - 1], self._samples[position], expected, lamps)
 
-    def sample(self, pixels: Pixels) -> Patches:
-        """Return the patches of a frame."""
-        return sample_patches(self._layout.planes(pixels), self.scale.white)
+    def sample(self, pixels: Pixels, noise: FrameNoise | None = None) -> FrameSample:
+        """Return the patches of a frame with its noise."""
+        return FrameSample(sample_patches(self._layout.planes(pixels), self.scale.white), noise)
 
-    def samples(self, count: int) -> list[Patches]:
+    def samples(self, count: int) -> list[FrameSample]:
         """Return the patches of the frames 0 to `count` - 1."""
         return [self._samples[position] for position in range(count)]
 
     def compare(
-        self,
-        before: Patches,
-        after: Patches,
-        expected: float,
-        lamps: float = 1.0,
-        most: float = math.inf,
+        self, before: FrameSample, after: FrameSample, expected: float, lamps: float = 1.0
     ) -> RatioCheck:
         """Compare two samples on what is unsaturated in both, and not dark.
 
         Args:
-            before: brightness in the patches of one frame
-            after: brightness in the patches of the next frame
+            before: of one frame
+            after: of the next frame
             expected: ratio of their exposures, after over before
             lamps: factor by which lamps may change it; see `lamp_factor`
-            most: factor by which they may before the picture is not trustworthy
         """
-        light, then = self.scale.light[before], self.scale.light[after]
-        usable = np.maximum(light, then) <= _HIGHEST * self.scale.full
-        count = np.count_nonzero(usable, axis=1).astype(np.float64)
-        first, second = _means(light, usable), _means(then, usable)
-        # Where noise pushes some samples of a bright patch over the limit, the rest are too dark.
-        is_cut = (count < _WHOLE * usable.shape[1]) & (
-            np.maximum(first, second) > self.scale.full / 2
-        )
-        count[is_cut] = 0.0
-        too_bright = self._wrongly_saturated(light, then, expected)
-        too_dark = self._wrongly_saturated(then, light, 1 / expected)
-        if self.scale.is_coarse:
-            count[:] = too_bright = too_dark = 0.0
-        # The geometric mean of both frames: neither alone decides which patches vote.
-        darkest = self._dark / 2
-        both = np.maximum(first, darkest) * np.maximum(second / expected, darkest)
-        reached = np.sqrt(both) * min(1.0, expected) / self._dark
-        steps = [reached >= least for least in _LEAST_LEVELS]
-        sizes = [float(count[step].sum()) + too_bright + too_dark for step in steps]
-        limits = (LEAST_COMPARED * usable.size, _FEW_SAMPLES, _LEAST_SAMPLES)
-        found = [k for limit in limits for k, size in enumerate(sizes) if size >= limit]
-        if not found:
-            return RatioCheck(
-                expected=expected,
-                measured=None,
-                tolerance=LARGEST_TOLERANCE,
-                agrees=True,
-                moved=0.0,
-            )
-        use, compared = steps[found[0]], sizes[found[0]] / usable.size
-        is_certain = compared >= LEAST_COMPARED
-        least = self.scale.level / 100  # black in one frame is a very large or small ratio
-        ratios = np.maximum(second[use], least) / np.maximum(first[use], least)
-        tolerance = self._tolerance(
-            first[use], second[use] / expected, expected, _spread(ratios, count[use]) * is_certain
-        )
-        votes, weights = np.append(ratios, (math.inf, 0.0)), np.append(count[use], (0.0, 0.0))
+        is_longer = expected >= 1
+        short, long = (before, after) if is_longer else (after, before)
+        ratio = max(expected, 1 / expected)
+        votes = self._votes(short, long, ratio)
+        if abs(votes.mean) > _FAR:  # its errors are those of another ratio
+            off = votes.mean
+            votes = self._votes(short, long, ratio / math.exp(off))
+            votes = votes._replace(logs=votes.logs + off, mean=votes.mean + off)
+        logs, counts = votes.logs, votes.counts
         # Blooming and smear saturate parts of a picture whose other parts have the right light.
-        enough = weights.sum() >= _FEW_SAMPLES
-        if not (enough and _share_outside(votes, weights, expected, 1 + tolerance) <= 0.5):
-            weights[-2:] = too_bright, too_dark
-        measured = _quantile(votes, weights, 0.5)
-        share = _share_outside(votes, weights, expected, 1 + tolerance)
-        beyond_lamps = _share_outside(votes, weights, expected, (1 + tolerance) * min(lamps, most))
+        if not counts.sum() or _share_outside(logs, counts, votes.tolerance) > 0.5:
+            white = self._saturated_votes(short, long, ratio)
+            darker = self._saturated_votes(long, short, 1 / ratio)
+            logs = np.concatenate((logs, -white[0], darker[0]))
+            counts = np.concatenate((counts, white[1], darker[1]))
+        compared = counts.sum() / short.patches.size
+        is_unknown = counts.sum() < _LEAST_SAMPLES or votes.tolerance > _WIDEST
+        if is_unknown or self.scale.is_coarse:
+            return RatioCheck(
+                expected=expected, measured=None, tolerance=1.0, agrees=True, moved=0.0
+            )
+        share = _share_outside(logs, counts, votes.tolerance)
+        agrees = share <= 0.5 or abs(votes.mean) <= votes.tolerance
+        is_measured = votes.counts.sum() >= counts.sum() / 2
+        found = ratio / math.exp(votes.mean)
         return RatioCheck(
             expected=expected,
-            measured=measured if 0 < measured < math.inf else None,
-            tolerance=tolerance,
-            agrees=share <= 0.5,
-            moved=self._moved(light[use], then[use], usable[use], measured),
+            measured=(found if is_longer else 1 / found) if is_measured else None,
+            tolerance=math.expm1(votes.tolerance),
+            agrees=agrees,
+            moved=self._moved(votes) / float(counts.sum()),
             compared=compared,
             contradicting=share,
-            contradicts=is_certain and beyond_lamps > 0.5,
+            contradicts=(
+                not agrees
+                and compared >= LEAST_COMPARED
+                and _share_outside(logs, counts, votes.tolerance + math.log(lamps)) > 0.5
+            ),
         )
 
-    def _wrongly_saturated(self, dim: _Floats, bright: _Floats, ratio: float) -> float:
-        """Return how many samples are saturated in `bright`, though `dim` x `ratio` is not.
+    def _votes(self, short: FrameSample, long: FrameSample, ratio: float) -> _Votes:
+        """Return what the patches of two frames show of this ratio of their exposures."""
+        sensor = self.scale
+        prediction = sensor.neighbour(ratio, short.noise, long.noise)
+        limits = [sensor.highest(each.noise) + 1 for each in (short, long)]
+        rests = ~np.logical_or.reduce(
+            [
+                _is_cut(each.patches, limit, sensor.white)
+                for each, limit in zip((short, long), limits, strict=True)
+            ]
+        )
+        part = PatchErrors.of(
+            sensor, prediction, limits, short.patches, long.patches, rests, least=0.0
+        )
+        own = part.own
+        if short.noise is None or long.noise is None:
+            own = np.maximum(own, part.variance)
+        response = np.square(RESPONSE_ERROR * part.light)
+        sigmas = np.sqrt(own / part.count + part.shared + response)
+        # Of light that is added to samples the largest size is known: 12^-0.5 of it is the standard
+        # deviation of what is uniform up to it.
+        added = 12**-0.5 * MOST_OFFSET * sensor.full
+        added = math.hypot(added, BLACK_ERROR_LEVELS * sensor.level * (1 - 1 / ratio))
+        seen, least = part.light + part.error, np.hypot(sigmas, added)
+        # The geometric mean of both frames: neither alone decides which patches count.
+        product = np.maximum(part.light, least) * np.maximum(seen, least)
+        used = np.sqrt(product) >= self._sigmas * least
+        light, seen = np.maximum(part.light, least)[used], np.maximum(seen, least / 100)[used]
+        logs, counts = np.log(seen / light), part.count[used]
+        if not logs.size:
+            return _Votes(logs, logs, counts, 0.0, 0.0)
+        relative, added = sigmas[used] / light, added / light
+        # Errors of rounding, and parts of a picture that differ, are alike where brightness is.
+        different = np.unique(np.rint(part.brightness[used])).size
+        shared = np.sqrt(part.shared[used]) / light
+        mean, extra, weights = _fitted(logs, np.hypot(relative, added), self._sigmas)
+        total = float(weights.sum())
+        added, shared = (float((weights * each).sum()) / total for each in (added, shared))
+        rest = math.hypot(shared, extra) / math.sqrt(different)
+        error = math.hypot(RESPONSE_ERROR, added, rest, 1 / math.sqrt(total))
+        return _Votes(logs, relative, counts, self._sigmas * error, mean)
 
-        None is where light that flows out of others, saturated rightly, is enough for it.
+    def _saturated_votes(
+        self, dim: FrameSample, bright: FrameSample, ratio: float
+    ) -> tuple[_Floats, _Floats]:
+        """Return votes of samples that are saturated, though `dim` x `ratio` is not.
+
+        Returns:
+            logarithm of the factor by which the light is larger at least, and samples, (patches,);
+            none where light that flows out of others, saturated rightly, is enough for it
         """
-        full = self.scale.full
-        is_white = bright >= full
-        only = (dim <= _HIGHEST * full) & is_white
-        expected = ratio * (_means(dim, only) + 2 * self._offset)
-        wrong = expected <= _CERTAIN * full
-        number = np.count_nonzero(only[wrong])
-        needed = float(np.sum((full - expected) * np.count_nonzero(only, axis=1), where=wrong))
+        sensor = self.scale
+        light = sensor.light[dim.patches]
+        is_white = bright.patches >= sensor.white
+        only = (dim.patches <= sensor.highest(dim.noise)) & is_white
+        count = np.count_nonzero(only, axis=1)
+        mean = np.where(only, light, 0.0).sum(axis=1) / np.maximum(count, 1)
+        variance = np.square(sensor.step(mean)) / 12 + np.square(BLACK_ERROR_LEVELS * sensor.level)
+        if dim.noise is not None:
+            variance += sensor.variance(mean, dim.noise) / np.maximum(count, 1)
+        expected = ratio * (mean + self._sigmas * np.sqrt(variance)) * (1 + 3 * RESPONSE_ERROR)
+        limit = sensor.light[sensor.highest(bright.noise)]
+        wrong = (count > 0) & (expected < limit)
+        needed = float(((sensor.full - expected) * count)[wrong].sum())
         right = is_white & ~wrong[:, np.newaxis]
-        beyond = float(np.sum(np.maximum(ratio * dim - full, 0.0), where=right))
-        return float(number) if needed > _SPILLED * beyond else 0.0
+        beyond = float(np.sum(np.maximum(ratio * light - sensor.full, 0.0), where=right))
+        if needed <= beyond:  # charge is conserved
+            wrong[:] = False
+        factor = np.log(limit / np.maximum(expected[wrong], sensor.level / 100))
+        return factor, count[wrong].astype(np.float64)
 
-    def _tolerance(self, first: _Floats, second: _Floats, expected: float, spread: float) -> float:
-        """Return the relative error that the median of the patches' ratios may have.
-
-        Where few samples vote, `spread` is 0: what scatters is a reason for a warning.
-        """
-        if not first.size:
-            return TOLERANCE
-        light = max(float(np.median(np.maximum(first, second))), self._dark)
-        # Rounding errors average out over patches of different brightness, and so does noise.
-        different = np.unique(np.rint(first / self.scale.level)).size
-        error = self._offset + self.scale.level / 2 / math.sqrt(different)
-        scatter = min(_SIGMAS * spread / math.sqrt(different), LARGEST_TOLERANCE)
-        return TOLERANCE + error / light * (1 + 1 / expected) + scatter
-
-    def _moved(
-        self, light: _Floats, then: _Floats, usable: NDArray[np.bool_], ratio: float
-    ) -> float:
-        """Return the share of the samples in patches whose ratio differs from most."""
-        count = np.count_nonzero(usable, axis=1)
-        if not count.any() or not 0 < ratio < math.inf:
-            return 0.0
-        change = then - ratio * light
-        mean = _means(change, usable)
-        variance = _means(np.square(change - mean[:, None]), usable)
-        allowed = (
-            TOLERANCE * _means(then, usable)
-            + (self._offset + self.scale.level / 2) * (1 + ratio)
-            + _SIGMAS * np.sqrt(variance / np.maximum(count, 1))
-        )
-        return float(count[np.abs(mean) > allowed].sum() / count.sum())
+    def _moved(self, votes: _Votes) -> float:
+        """Return how many samples are in patches whose ratio differs from most."""
+        differs = np.abs(votes.logs - votes.mean) > self._sigmas * votes.sigmas
+        return float(votes.counts[differs].sum())
 
 
-def _means(values: _Floats, mask: NDArray[np.bool_]) -> _Floats:
-    """Return the mean of each row over its mask; 0 where the mask is empty."""
-    sums = np.where(mask, values, 0.0).sum(axis=1)
-    return np.asarray(sums / np.maximum(np.count_nonzero(mask, axis=1), 1))
+def _fitted(logs: _Floats, sigmas: _Floats, limit: float) -> tuple[float, float, _Floats]:
+    """Return the weighted mean of logarithms, what they scatter beyond `sigmas`, and the weights.
+
+    The scatter comes from parts of the picture that differ, as by light that spreads: a random
+    effect (DerSimonian and Laird, 1986).  What is beyond `limit` standard deviations has moved, and
+    has no weight.
+    """
+    mean = weighted_median(logs, 1 / np.square(sigmas))
+    for _ in range(_ROUNDS):
+        scatter = float(np.median(np.abs(logs - mean))) / NORMAL_MAD
+        extra = max(scatter**2 - float(np.median(sigmas)) ** 2, 0.0)
+        weights = 1 / (np.square(sigmas) + extra)
+        kept = np.where(np.square(logs - mean) * weights <= limit**2, weights, 0.0)
+        if kept.any():
+            weights = kept
+        mean = float((weights * logs).sum() / weights.sum())
+    return mean, math.sqrt(extra), weights
 
 
-def _quantile(values: _Floats, weights: _Floats, share: float) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, share * total[-1])])
+def _is_cut(patches: Patches, limit: int, white: int) -> NDArray[np.bool_]:
+    """Return in which patches noise saturates some samples of a brightness, and not others.
+
+    The mean of the others is too small: it is as near to the limit as the limit to saturation.
+    """
+    inside = patches < limit
+    count = np.maximum(np.count_nonzero(inside, axis=1), 1)
+    mean = np.where(inside, patches, 0).sum(axis=1) / count
+    return np.asarray(~inside.all(axis=1) & (mean >= 2 * limit - white))
 
 
-def _spread(ratios: _Floats, weights: _Floats) -> float:
-    """Return the interquartile range of ratios relative to their median."""
-    if not weights.any():
+def _share_outside(logs: _Floats, counts: _Floats, limit: float) -> float:
+    """Return the larger share of the votes: above a limit, or below its negative."""
+    if not counts.size:
         return 0.0
-    low, middle, high = (_quantile(ratios, weights, share) for share in (0.25, 0.5, 0.75))
-    return (high - low) / middle
-
-
-def _share_outside(votes: _Floats, weights: _Floats, expected: float, factor: float) -> float:
-    """Return the larger share of the votes: above expected x factor, or below expected / factor."""
-    above, below = votes > expected * factor, votes < expected / factor
-    return float(max(weights[above].sum(), weights[below].sum()) / weights.sum())
+    sides = (float(counts[side].sum()) for side in (logs > limit, logs < -limit))
+    return max(sides) / float(counts.sum())
 
 
 def lamp_factor(times_s: Iterable[float], mains_hz: float | None) -> float:

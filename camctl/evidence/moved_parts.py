@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from camctl.evidence.patches import Patches
 from camctl.model.response.camera import FloatArray
+from camctl.model.sensor import JPEG_ERROR
 
 #: Brightness levels that are distinguished; of more bits than eight, equal steps of the square root
 #: of the brightness, as photon noise has them, and of a share of full scale more: as read noise.
@@ -32,8 +33,8 @@ _SIDE = 4
 #: Levels on each side that count as one in the joint histogram (noise), and samples that a level
 #: needs to say where the other frame is.
 _NEAR, _FEW = 2, 30.0
-#: Levels from which on a sample may be a saturated one: JPEG changes them by several.
-_SATURATED = 240
+#: Level from which on a sample may be a saturated one, as JPEG changes it.
+_SATURATED = round((1 - JPEG_ERROR) * (_LEVELS - 1))
 #: Deviation of a cell from the curve that is no noise: levels, a share of its brightness, and
 #: median deviations of all cells of about its brightness, which is a band of so many levels (a
 #: thing may be most of them: up to so many levels are noise).

@@ -24,7 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.edges import edge_levels, local_ranges, ranges_at
-from camctl.evidence.residual import MEAN_RADIUS, Limits, Pair
+from camctl.evidence.patch_errors import MEAN_RADIUS
+from camctl.evidence.ratio_check import SIGNIFICANCE
+from camctl.evidence.residual import Limits, Pair
 from camctl.evidence.spill import LightSpread, Lines, only_beside_white
 from camctl.findings import Place
 from camctl.interface.camera import Pixels
@@ -34,10 +36,6 @@ from camctl.system.threads import in_threads
 FALSE_ALARMS = 0.002
 """Share of the samples of a scene without movement that noise marks, at most: the promise of the
 mask.  Half of it is for single samples and half for means, and each is divided by the pairs."""
-
-SIGNIFICANCE = 0.01
-"""Probability that noise alone reports a place in a capture in which nothing moves, at most: it is
-divided by the number of means that are tested (Bonferroni)."""
 
 NOTABLE_SPREAD = 1e-4
 """Share of light that spread that is named: twice the least that a picture of 24 MP shows as one

@@ -23,12 +23,11 @@ from camctl.model.inverse import Posterior
 from camctl.model.noise import FrameNoise, MeasuredNoise
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
+from camctl.model.sensor import SensorModel
 
 #: Patches with a mean below this level are not used: clipping at black lessens their noise, and
 #: with little noise many of their samples are alike.
 _LEAST_LEVEL = 4.0
-#: Samples above this share of full scale are not used: clipping at white lessens their noise.
-_HIGHEST = 0.9
 #: Share of the samples of a patch that must be usable, and the fewest patches for a measurement.
 _LEAST_USABLE, _LEAST_PATCHES = 0.75, 48
 #: Patches of more contrast are not used: an error of the exposures would add to their difference.
@@ -170,23 +169,15 @@ def measure_noise(
     """
     if len(exposures) < 2:
         return None
-    black = noise[0].black
-    full = response.M + 1.0
     order = np.argsort(exposures, kind="stable")
-    low, high = response.gaps
-    light, width = (low + high) / 2 * full, (high - low) * full
-    if black:  # samples below the first level continue its distance
-        step = width[min(1, response.M)]
-        light = np.concatenate(
-            [high[0] * full - (np.arange(black, -1, -1) + 0.5) * step, light[1:]]
-        )
-        width = np.concatenate([np.full(black + 1, step), width[1:]])
+    sensor = SensorModel(response, noise[0].black)
     found = [
         _pair(
             [samples[k] for k in pair],
             [exposures[k] for k in pair],
             [gains[k] for k in pair],
-            (light, width**2),
+            sensor,
+            response.M + 1.0,
         )
         for pair in zip(order[:-1].tolist(), order[1:].tolist(), strict=True)
     ]
@@ -247,17 +238,17 @@ def _pair(
     samples: Sequence[Patches],
     exposures: Sequence[float],
     gains: Sequence[float],
-    tables: tuple[_Floats, _Floats],
+    sensor: SensorModel,
+    full: float,
 ) -> _Patches:
     """Return the patches of a shorter and a longer frame that are in range in both.
 
-    Differences are in levels of the shorter frame; `tables` has light in levels and the squared
-    step for each brightness.
+    Differences are in levels of the shorter frame, of which full scale has `full`.
     """
-    light, squared_step = tables
+    light, squared_step = sensor.light * full, np.square(sensor.gap * full)
     ratio = exposures[1] / exposures[0]
     short, long = light[samples[0]], light[samples[1]] / ratio
-    usable = np.maximum(short, long * ratio) <= _HIGHEST * light[-1]
+    usable = np.maximum(samples[0], samples[1]) <= sensor.highest(None)
     count = np.count_nonzero(usable, axis=1)
 
     def mean(values: _Floats) -> _Floats:

@@ -13,6 +13,10 @@ class ReportModel(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
+SIGNIFICANCE = 0.01
+"""Probability that noise alone makes a capture a finding of one kind, at most: it is divided over
+the tests of a capture (Bonferroni)."""
+
 #: Share of the compared samples that may have changed by another ratio than most, for a wrong
 #: exposure; with more, only parts of the picture disagree.
 _MOST_MOVED = 0.5

@@ -4,7 +4,7 @@ The logarithm of the light in patch p of frame k is x_k + z_p + b / L_kp: the lo
 exposure, that of the patch's irradiance, and the error b of the black level.  All frames in which a
 patch is well exposed count, not only neighbours.  The model is fitted by weighted least squares;
 patches in which something moved lose their weight (Tukey's biweight).  A patch counts in a frame if
-its mean is away from black and from saturation by four times the scatter of its samples: choosing
+its mean is away from black and from saturation by the scatter of its samples: choosing
 by the noisy value of a single sample would bias the ratio.  The exponent of a measured response has
 an error that no frame shows: it stretches all x alike.
 """
@@ -23,12 +23,8 @@ from camctl.evidence.patches import Patches, shared_rounding
 from camctl.evidence.ratio_fit import RatioFit
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import FloatArray
-from camctl.model.sensor import SensorModel
+from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 
-#: Standard deviations of a sample by which a patch keeps away from black and from saturation.
-_MARGIN = 4.0
-#: Largest share of full scale that counts as unsaturated.
-_HIGHEST = 0.97
 #: Largest relative error of a patch from rounding in a curved response.
 _LARGEST_BIAS = 5e-4
 #: Fewer common patches do not connect two frames.
@@ -193,6 +189,7 @@ class _Observations:
     ) -> _Observations:
         """Return the light of all patches."""
         columns, photons = [], []
+        limit = scale.light[scale.highest(None)] if noise is None else scale.full
         for frame, each in zip(frames, noise or [_UNKNOWN_NOISE] * len(frames), strict=True):
             values, mean = scale.light[frame], frame.mean(axis=1)
             light = values.mean(axis=1)
@@ -201,15 +198,15 @@ class _Observations:
             read = (each.read_noise_levels * scale.level) ** 2
             photons.append(scale.level / each.electrons_per_level)
             sample = read + photons[-1] * np.maximum(light, 0.0)
-            margin = _MARGIN * np.maximum(values.std(axis=1), np.sqrt(sample))
+            margin = CLIPPING_SIGMAS * np.maximum(values.std(axis=1), np.sqrt(sample))
             curved = scale.curvature[middle] * (sample / gap**2 + 1 / 12) / 2
             least = np.full(len(light), 4 * scale.level)
             if not scale.black:
                 least = margin + 1.5 * scale.gap[1]
             usable = (
-                (light + margin <= _HIGHEST * scale.full)
+                (light + margin <= limit)
                 & (light >= least / 2)
-                & (mean - _MARGIN * frame.std(axis=1) > 0)
+                & (mean - CLIPPING_SIGMAS * frame.std(axis=1) > 0)
                 & (curved <= _LARGEST_BIAS * light)
             )
             fixed = (read + gap**2 / 12) / frame.shape[1]
@@ -238,7 +235,7 @@ def _check_light(frames: Sequence[Patches], weights: FloatArray, scale: SensorMo
     darkest = min(float(frame.mean()) for frame in frames)
     if (brightest - scale.black) < 0.01 * (scale.white - scale.black):
         raise DataError("the frames are black", hint="take the lens cap off, or expose longer")
-    if (darkest - scale.black) > 0.9 * (scale.white - scale.black):
+    if darkest > scale.highest(None):
         raise DataError(
             "the frames are saturated everywhere", hint="expose shorter, or close the aperture"
         )

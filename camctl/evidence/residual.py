@@ -13,7 +13,7 @@ weight by iterated trimming.  Photographs have errors at edges besides: see `cam
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -21,44 +21,21 @@ from numpy.typing import NDArray
 
 from camctl.evidence.edges import Ranges, edge_levels, ranges_at
 from camctl.evidence.moved_parts import moved_patches
+from camctl.evidence.patch_errors import (
+    LEAST_PATCHES,
+    MEAN_SAMPLES,
+    PatchErrors,
+    fitted_model,
+    fitted_tables,
+)
 from camctl.evidence.patches import Patches
 from camctl.interface.camera import Pixels
 from camctl.model.noise import FrameNoise
-from camctl.model.sensor import JPEG_BLOCK_ERROR, Prediction, SensorModel
+from camctl.model.sensor import JPEG_BLOCK_ERROR, RESPONSE_ERROR, Prediction, SensorModel
 from camctl.system.picture_operations import opencv
-
-MEAN_RADIUS = 2
-"""Half the side, without the middle, of the squares whose mean is tested: 5 x 5 samples."""
-
-MEAN_SAMPLES = (2 * MEAN_RADIUS + 1) ** 2
 
 #: Standard deviations beyond which 1 of 2,000 samples is by noise.
 _USUAL_SIGMAS = 3.5
-#: Standard deviation of the relative error of a response: twice the linearity error (EMVA 1288)
-#: that data sheets of machine-vision cameras state, 0.2 to 0.3 %.
-_RESPONSE_ERROR = 0.005
-#: Share of the samples of a patch that must be in range in both frames.
-_LEAST_USABLE = 0.75
-#: Patches of one measured value, at least: its standard error is then 20 % of their scatter.
-_LEAST_PATCHES = 32
-#: Bins of brightness in which unknown noise is measured, at most: as many values as a fit of photon
-#: noise, read noise and the processing of photographs has bends.
-_MOST_BINS = 24
-#: Rounds of trimming, and standard deviations from which a patch is left out.
-_ROUNDS, _TRIM = 6, 4.0
-#: Median absolute deviation of a normal variable, standard deviations.
-_NORMAL_MAD = 0.6745
-#: Error of a response that mean errors of photographs may show, as a share of the light: beyond it
-#: all samples of a brightness have moved.
-_MOST_BIAS = 0.25
-#: Largest factor of the variance by which patches at rest show a known noise too small: beyond it
-#: most of what can be compared moves.
-_MOST_FACTOR = 2.0
-#: Largest light that is added to all samples, as a share of full scale: smear of a CCD without a
-#: shutter, of which data sheets state -60 dB at most.
-_MOST_OFFSET = 0.001
-#: Largest correction of a ratio that agrees, relative: see `camctl.evidence.light_ratio`.
-_MOST_CORRECTION = 0.02
 
 _Floats = NDArray[np.float64]
 
@@ -132,13 +109,13 @@ class Pair:
     @cached_property
     def is_measured(self) -> bool:
         """Whether the variance is known, or enough patches at rest have shown it."""
-        return self.is_known or all(part.size >= _LEAST_PATCHES for part in self._parts)
+        return self.is_known or all(part.size >= LEAST_PATCHES for part in self._parts)
 
     @cached_property
     def tables(self) -> Tables:
         """Mean and standard deviations, fitted to the patches at rest."""
         prediction = self.sensor.neighbour(self.ratio, self.short.noise, self.long.noise)
-        fit = _fitted_model if self.is_known else _fitted_tables
+        fit = fitted_model if self.is_known else fitted_tables
         fits = [fit(part, prediction) for part in self._parts]
         fits = fits * (self.colours // len(fits))
         mean, own, shared, skewness = (
@@ -147,14 +124,14 @@ class Pair:
         if self.is_processed:
             block = JPEG_BLOCK_ERROR / 255 * self.sensor.white * self.sensor.step(mean)
             shared = np.maximum(shared, np.square(block))
-        shared = shared + np.square(_RESPONSE_ERROR * mean)
+        shared = shared + np.square(RESPONSE_ERROR * mean)
         squares = own + MEAN_SAMPLES * shared
         for table in (mean, own, shared, squares):  # of saturated samples: at least
             table[:, self.saturated :] = table[:, [self.saturated - 1]]
         return Tables(mean, np.sqrt(own + shared), np.sqrt(squares), skewness)
 
     @cached_property
-    def _parts(self) -> list[_Part]:
+    def _parts(self) -> list[PatchErrors]:
         """Patches in range in both frames: of all colours together if the noise is known."""
         prediction = self.sensor.neighbour(self.ratio, self.short.noise, self.long.noise)
         before, after = self.samples
@@ -164,7 +141,7 @@ class Pair:
             sensor = self.sensor
             rests = ~moved_patches(before, after, self.colours, sensor.black, sensor.white)
         return [
-            _Part.of(self.sensor, prediction, self.saturated, *each)
+            PatchErrors.of(self.sensor, prediction, (self.saturated,) * 2, *each)
             for each in zip(
                 *(np.array_split(a, count) for a in (before, after, rests)), strict=True
             )
@@ -202,144 +179,6 @@ class Pair:
             for k, (before, after) in enumerate(zip(*parts, strict=True))
         ]
         return float(np.mean(np.concatenate(found)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """Patches of one or all colours in range in both frames, one row for each.
-
-    Attributes:
-        brightness: mean brightness in the longer frame
-        light: mean of the prediction
-        error: mean of the light beyond it
-        variance: of the light beyond it, within the patch
-        own, shared: means of the predicted variances
-        count: samples in range
-    """
-
-    brightness: _Floats
-    light: _Floats
-    error: _Floats
-    variance: _Floats
-    own: _Floats
-    shared: _Floats
-    count: _Floats
-
-    @property
-    def size(self) -> int:
-        """Number of patches."""
-        return self.count.size
-
-    @classmethod
-    def of(
-        cls,
-        sensor: SensorModel,
-        prediction: Prediction,
-        saturated: int,
-        before: Patches,
-        after: Patches,
-        rests: NDArray[np.bool_],
-    ) -> _Part:
-        """Compare patches, and keep those that rest and are in range."""
-        usable = (after < saturated) & (before < saturated)
-        kept = rests & (np.count_nonzero(usable, axis=1) >= _LEAST_USABLE * usable.shape[1])
-        before, after, usable = before[kept], after[kept], usable[kept]
-        count = np.maximum(np.count_nonzero(usable, axis=1), 2).astype(np.float64)
-
-        def mean(values: _Floats) -> _Floats:
-            return np.asarray(np.where(usable, values, 0.0).sum(axis=1) / count)
-
-        errors = sensor.light[before] - prediction.mean[after]
-        error = mean(errors)
-        variance = mean(np.square(errors - error[:, None])) * count / (count - 1)
-        tables = (prediction.mean, prediction.own, prediction.shared)
-        light, own, shared = (mean(table[after]) for table in tables)
-        return cls(mean(after.astype(np.float64)), light, error, variance, own, shared, count)
-
-
-def _trimmed_median(values: _Floats, spread: float) -> float:
-    """Return the median of positive values, without those above by `_TRIM` times `spread` of it."""
-    found = float(np.median(values))
-    for _ in range(_ROUNDS):
-        found = float(np.median(values[values <= found * (1 + _TRIM * spread)]))
-    return found
-
-
-def _trimmed_mean(values: _Floats) -> float:
-    """Return the mean of positive values without those above `_TRIM` squared times the median.
-
-    Blocks of JPEG files have such variances: many are smooth and some are not.
-    """
-    return float(np.mean(values[values <= _TRIM**2 * max(float(np.median(values)), 1e-12)]))
-
-
-def _fitted_model(part: _Part, prediction: Prediction) -> Prediction:
-    """Return the prediction of a noise model, with what the patches show beyond it."""
-    if part.size < _LEAST_PATCHES:
-        return prediction
-    scatter = float(np.sqrt(2 / part.count.mean()))
-    factor = _trimmed_median(part.variance / (part.own + part.shared), scatter)
-    factor = min(max(factor, 1.0), _MOST_FACTOR)
-    variance = factor * part.own / part.count + part.shared
-    # Dark patches show light that is added to all, as smear and stray light are; bright ones show
-    # the ratio.
-    offset = _within(_weighted_median(part.error, 1 / variance), _MOST_OFFSET)
-    lit = part.light > 0
-    ratios = (part.error - offset)[lit] / part.light[lit]
-    correction = _within(
-        _weighted_median(ratios, np.square(part.light[lit]) / variance[lit]), _MOST_CORRECTION
-    )
-    errors = part.error - offset - correction * part.light
-    variance = variance + offset**2 + np.square(_RESPONSE_ERROR * part.light)
-    more = (float(np.median(np.abs(errors) / np.sqrt(variance))) / _NORMAL_MAD) ** 2
-    more = min(max(more, 1.0), _MOST_FACTOR)
-    own, shared = factor * prediction.own, prediction.shared + offset**2
-    # What means scatter more is shared by neighbours, as the noise of a row is.
-    shared = shared + (more - 1) * (own / MEAN_SAMPLES + shared)
-    mean = prediction.mean * (1 + correction) + offset
-    return replace(prediction, mean=mean, own=own, shared=shared)
-
-
-def _within(value: float, most: float) -> float:
-    """Return a value within -most and most."""
-    return min(max(value, -most), most)
-
-
-def _fitted_tables(part: _Part, prediction: Prediction) -> Prediction:
-    """Return mean and variance by brightness, measured in patches; rounding is the least."""
-    if part.size < _LEAST_PATCHES:
-        return prediction
-    order = np.argsort(part.brightness, kind="stable")
-    bins = np.array_split(order, min(_MOST_BINS, part.size // _LEAST_PATCHES))
-    places, rows = [], []
-    for number, middle in enumerate(bins):
-        # Those beside it, too: a band of a smooth sky has one error of its own in JPEG files.
-        each = np.concatenate(bins[max(0, number - 1) : number + 2])
-        least = part.own[each] + part.shared[each]
-        own = _trimmed_mean(part.variance[each] / least)
-        unit = np.maximum(part.light[each], np.sqrt(least))
-        bias = _within(float(np.median(part.error[each] / unit)), _MOST_BIAS)
-        errors = np.square(part.error[each] - bias * unit) / least
-        shared = max(_trimmed_mean(errors) - own / part.count[each].mean(), 0.0)
-        places.append(float(np.median(part.brightness[middle])))
-        rows.append((bias, own, shared))
-    at = np.arange(prediction.mean.size)
-    bias, own, shared = (np.interp(at, places, column) for column in zip(*rows, strict=True))
-    least = prediction.own + prediction.shared
-    return replace(
-        prediction,
-        mean=prediction.mean + bias * np.maximum(prediction.mean, np.sqrt(least)),
-        own=np.maximum(own * least, prediction.own),
-        shared=np.maximum(shared * least, prediction.shared),
-    )
-
-
-def _weighted_median(values: _Floats, weights: _Floats) -> float:
-    if not values.size:
-        return 0.0
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
 @dataclass(frozen=True, eq=False)

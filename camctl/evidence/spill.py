@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.edges import Ranges
-from camctl.evidence.residual import MEAN_RADIUS, Limits, Pair
+from camctl.evidence.patch_errors import MEAN_RADIUS
+from camctl.evidence.residual import Limits, Pair
 from camctl.interface.camera import Pixels
 from camctl.system.picture_operations import connected_parts, dilated
 

@@ -29,8 +29,6 @@ from camctl.records.capture_plan import CapturePlan
 _WORTH = 0.05
 #: Share of the light of a scene that is below its range: the deepest dark.
 _SHADOWS = 0.005
-#: A photograph shows light up to this share of its full scale.
-_WELL = 0.9
 #: Dynamic ranges that a picture gets without being asked for.
 _LEAST_RANGE, _MOST_RANGE = 16.0, 1e6
 
@@ -51,8 +49,9 @@ def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float
         parts = [np.array_split(each, len(scales))[plane] for each in patches]
         light = np.full(parts[0].size, np.nan)
         for position in np.argsort(times)[::-1].tolist():
-            seen = scale.light[np.minimum(parts[position], scale.white)].ravel()
-            use = np.isnan(light) & (seen <= _WELL * scale.full)
+            brightness = np.minimum(parts[position], scale.white).ravel()
+            seen = scale.light[brightness]
+            use = np.isnan(light) & (brightness <= scale.highest(None))
             light[use] = np.maximum(seen[use], scale.level / 2) / times[position]
         light[np.isnan(light)] = scale.full / min(times)
         found.append(light / scale.full)

@@ -14,8 +14,6 @@ from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph, detailed
 from camctl.system.picture_operations import AREA, HEIGHT, LEFT, TOP, WIDTH, connected_parts
 
-#: A patch is compared below this share of full scale, where no sample of it is saturated.
-_BRIGHTEST = 0.95
 #: Errors of a patch's mean brightness, as shares of full scale and of the brightness.
 _ERROR, _RELATIVE_ERROR = 0.008, 0.04
 #: A prediction is known where its error is at most this share of full scale.
@@ -74,7 +72,7 @@ def _odd_ones(
     """Return (photographs, patches): where one contradicts others that agree."""
     count, size = len(photographs), len(patches[0])
     means = [each.mean(axis=1) for each in patches]
-    usable = [each.max(axis=1) < _BRIGHTEST * scale.white for each in patches]
+    usable = [each.max(axis=1) <= scale.highest(None) for each in patches]
     # Of each photograph and patch: how many others it is brighter than, darker than, and like.
     counts = np.zeros((3, count, size), np.int64)
     for one, other in permutations(range(count), 2):
@@ -117,7 +115,7 @@ def _compared(
     # Each plane has a response of its own.
     plane = np.arange(seen.size) // (seen.size // planes)
     bins = np.minimum(middle / scale.white * _BINS, _BINS - 1).astype(int) + _BINS * plane
-    known = (high - low < _KNOWN * 2 * scale.white) & (middle < _BRIGHTEST * scale.white) & usable
+    known = (high - low < _KNOWN * 2 * scale.white) & (middle <= scale.highest(None)) & usable
     difference = seen - middle
     for k in np.unique(bins[known]):
         members = bins == k

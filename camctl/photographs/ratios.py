@@ -25,8 +25,6 @@ from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph
 
-#: Patches are compared up to this share of full scale.
-_HIGHEST = 0.95
 #: Brightness that a patch has at least in the darker photograph, as shares of full scale: the first
 #: one that leaves so large a share of the patches as one of the second numbers; and fewest patches.
 _BRIGHT, _SHARES, _LEAST = (1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 100), (0.1, 0.03, 0.005), 12
@@ -74,7 +72,7 @@ def pair_ratio(first: Patches, second: Patches, scale: SensorModel) -> PairRatio
     logs: NDArray[np.float64] = np.zeros(len(first))
     errors = np.zeros(len(first))
     for patches, sign in ((first, -1), (second, 1)):
-        is_whole = patches.max(axis=1) <= scale.black + _HIGHEST * span
+        is_whole = patches.max(axis=1) <= scale.highest(None)
         mean = patches.mean(axis=1)
         dim = np.where(is_whole, np.minimum(dim, (mean - scale.black) / span), -1.0)
         light = np.maximum(scale.light[patches].mean(axis=1), scale.level / 1000)

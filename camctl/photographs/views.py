@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from camctl.evidence.moved_parts import deviating_patches
 from camctl.evidence.patches import Patches
 from camctl.findings import Finding
+from camctl.model.sensor import JPEG_ERROR
 
-#: Brightness from which on a sample may be saturated, and up to which it may be black, as shares
-#: of full scale.
-_SATURATED, _BLACK = 0.92, 0.01
+#: Brightness from which on a sample of a photograph may be saturated, and up to which it may be
+#: black, as shares of full scale.
+_SATURATED, _BLACK = 1 - JPEG_ERROR, 0.01
 #: Samples on each side of a square that is averaged, against noise.
 _POOLED = 2
 #: Standard deviation of the brightness within a patch that is structure, share of full scale, and

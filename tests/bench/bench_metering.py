@@ -56,7 +56,7 @@ def print_movement(megapixels: float) -> None:
     light = np.exp(random.uniform(-6, 0, (rows, rows * 3 // 2, 1))).astype(np.float32)
     frames = [np.minimum(255, light * (exposure * 256)).astype(np.uint8) for exposure in EXPOSURES]
     check = NeighbourCheck(linear_response(8), 0)
-    samples = [check.sample(frame[..., 0]) for frame in frames]
+    samples = [check.sample(frame[..., 0]).patches for frame in frames]
     sides = [Side(k, each, FrameNoise(39.0, 0.1)) for k, each in enumerate(EXPOSURES)]
     pairs = [
         Pair(

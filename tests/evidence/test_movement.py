@@ -181,7 +181,7 @@ def compressed(picture: Floats, quality: int) -> NDArray[Any]:
 def movement_of(frames: list[Pixels], exposures: tuple[float, ...]) -> Movement:
     """Return what moved in photographs in sRGB, whose noise is not known."""
     check = NeighbourCheck(standard_response("srgb", 8), 0, camctl.Layout.RGB)
-    samples = [check.sample(frame) for frame in frames]
+    samples = [check.sample(frame).patches for frame in frames]
     sides = [Side(k, exposure, None) for k, exposure in enumerate(exposures)]
     pairs = [
         Pair(check.scale, short, long, long.exposure / short.exposure, both, 3)
@@ -251,7 +251,7 @@ def test_a_thing_of_sixty_pixels_is_found_whether_noise_is_known_or_not(
             E[thing] *= contrast
         E = E + np.hypot(np.sqrt(E / 39 / 256), 0.1 / 256) * rng.normal(size=E.shape)
         frames.append(np.clip(E * 256, 0, 255).astype(np.uint8))
-    samples = check.sample(frames[0]), check.sample(frames[1])
+    samples = check.sample(frames[0]).patches, check.sample(frames[1]).patches
     pair = Pair(check.scale, Side(0, 0.25, noise), Side(1, 1.0, noise), 4.0, samples)
     movement = find_movement(frames.__getitem__, [pair])
     assert movement is not None

@@ -1,0 +1,201 @@
+"""Patches of two frames compared with the prediction of the sensor model, and the fits to them.
+
+A fit measures at rest what the model lacks: with a known noise one factor for the variance of
+samples and one for the variance of means; without one, variance and mean error as functions of
+brightness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.evidence.patches import Patches
+from camctl.model.sensor import RESPONSE_ERROR, Prediction, SensorModel
+
+MEAN_RADIUS = 2
+"""Half the side, without the middle, of the squares whose mean is tested: 5 x 5 samples."""
+
+MEAN_SAMPLES = (2 * MEAN_RADIUS + 1) ** 2
+
+LEAST_PATCHES = 32
+"""Patches of one measured value, at least: its standard error is then 20 % of their scatter."""
+
+NORMAL_MAD = 0.6745
+"""Median absolute deviation of a normal variable, standard deviations."""
+
+MOST_OFFSET = 0.001
+"""Largest light that is added to all samples, as a share of full scale: smear of a CCD without a
+shutter, of which data sheets state -60 dB at most."""
+
+#: Share of the samples of a patch that must be in range in both frames.
+_LEAST_USABLE = 0.75
+#: Bins of brightness in which unknown noise is measured, at most: as many values as a fit of photon
+#: noise, read noise and the processing of photographs has bends.
+_MOST_BINS = 24
+#: Rounds of trimming, and standard deviations from which a patch is left out.
+_ROUNDS, _TRIM = 6, 4.0
+#: Error of a response that mean errors of photographs may show, as a share of the light: beyond it
+#: all samples of a brightness have moved.
+_MOST_BIAS = 0.25
+#: Largest factor of the variance by which patches at rest show a known noise too small: beyond it
+#: most of what can be compared moves.
+_MOST_FACTOR = 2.0
+#: Largest correction of a ratio that agrees, relative: see `camctl.evidence.light_ratio`.
+_MOST_CORRECTION = 0.02
+
+_Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PatchErrors:
+    """Patches of one or all colours in range in both frames, one row for each.
+
+    Attributes:
+        brightness: mean brightness in the longer frame
+        light: mean of the prediction
+        error: mean of the light beyond it
+        variance: of the light beyond it, within the patch
+        own, shared: means of the predicted variances
+        count: samples in range
+    """
+
+    brightness: _Floats
+    light: _Floats
+    error: _Floats
+    variance: _Floats
+    own: _Floats
+    shared: _Floats
+    count: _Floats
+
+    @property
+    def size(self) -> int:
+        """Number of patches."""
+        return self.count.size
+
+    @classmethod
+    def of(
+        cls,
+        sensor: SensorModel,
+        prediction: Prediction,
+        saturated: Sequence[int],
+        before: Patches,
+        after: Patches,
+        rests: NDArray[np.bool_],
+        least: float = _LEAST_USABLE,
+    ) -> PatchErrors:
+        """Compare patches, and keep those that rest and are in range.
+
+        Args:
+            sensor: light of each brightness
+            prediction: of the shorter frame by the longer one
+            saturated: brightness from which samples of both may be saturated ones
+            before: patches of the shorter frame
+            after: of the longer one
+            rests: patches that count, (patches,)
+            least: share of the samples of a patch that must be in range in both
+        """
+        usable = (before < saturated[0]) & (after < saturated[1])
+        number = np.count_nonzero(usable, axis=1)
+        kept = rests & (number >= max(least * usable.shape[1], 1))
+        before, after, usable = before[kept], after[kept], usable[kept]
+        count = np.maximum(number[kept], 2).astype(np.float64)
+
+        def mean(values: _Floats) -> _Floats:
+            return np.asarray(np.where(usable, values, 0.0).sum(axis=1) / count)
+
+        errors = sensor.light[before] - prediction.mean[after]
+        error = mean(errors)
+        variance = mean(np.square(errors - error[:, None])) * count / (count - 1)
+        tables = (prediction.mean, prediction.own, prediction.shared)
+        light, own, shared = (mean(table[after]) for table in tables)
+        return cls(mean(after.astype(np.float64)), light, error, variance, own, shared, count)
+
+
+def _trimmed_median(values: _Floats, spread: float) -> float:
+    """Return the median of positive values, without those above by `_TRIM` times `spread` of it."""
+    found = float(np.median(values))
+    for _ in range(_ROUNDS):
+        found = float(np.median(values[values <= found * (1 + _TRIM * spread)]))
+    return found
+
+
+def _trimmed_mean(values: _Floats) -> float:
+    """Return the mean of positive values without those above `_TRIM` squared times the median.
+
+    Blocks of JPEG files have such variances: many are smooth and some are not.
+    """
+    return float(np.mean(values[values <= _TRIM**2 * max(float(np.median(values)), 1e-12)]))
+
+
+def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
+    """Return the prediction of a noise model, with what the patches show beyond it."""
+    if part.size < LEAST_PATCHES:
+        return prediction
+    scatter = float(np.sqrt(2 / part.count.mean()))
+    factor = _trimmed_median(part.variance / (part.own + part.shared), scatter)
+    factor = min(max(factor, 1.0), _MOST_FACTOR)
+    variance = factor * part.own / part.count + part.shared
+    # Dark patches show light that is added to all, as smear and stray light are; bright ones show
+    # the ratio.
+    offset = _within(weighted_median(part.error, 1 / variance), MOST_OFFSET)
+    lit = part.light > 0
+    ratios = (part.error - offset)[lit] / part.light[lit]
+    correction = _within(
+        weighted_median(ratios, np.square(part.light[lit]) / variance[lit]), _MOST_CORRECTION
+    )
+    errors = part.error - offset - correction * part.light
+    variance = variance + offset**2 + np.square(RESPONSE_ERROR * part.light)
+    more = (float(np.median(np.abs(errors) / np.sqrt(variance))) / NORMAL_MAD) ** 2
+    more = min(max(more, 1.0), _MOST_FACTOR)
+    own, shared = factor * prediction.own, prediction.shared + offset**2
+    # What means scatter more is shared by neighbours, as the noise of a row is.
+    shared = shared + (more - 1) * (own / MEAN_SAMPLES + shared)
+    mean = prediction.mean * (1 + correction) + offset
+    return replace(prediction, mean=mean, own=own, shared=shared)
+
+
+def _within(value: float, most: float) -> float:
+    """Return a value within -most and most."""
+    return min(max(value, -most), most)
+
+
+def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
+    """Return mean and variance by brightness, measured in patches; rounding is the least."""
+    if part.size < LEAST_PATCHES:
+        return prediction
+    order = np.argsort(part.brightness, kind="stable")
+    bins = np.array_split(order, min(_MOST_BINS, part.size // LEAST_PATCHES))
+    places, rows = [], []
+    for number, middle in enumerate(bins):
+        # Those beside it, too: a band of a smooth sky has one error of its own in JPEG files.
+        each = np.concatenate(bins[max(0, number - 1) : number + 2])
+        least = part.own[each] + part.shared[each]
+        own = _trimmed_mean(part.variance[each] / least)
+        unit = np.maximum(part.light[each], np.sqrt(least))
+        bias = _within(float(np.median(part.error[each] / unit)), _MOST_BIAS)
+        errors = np.square(part.error[each] - bias * unit) / least
+        shared = max(_trimmed_mean(errors) - own / part.count[each].mean(), 0.0)
+        places.append(float(np.median(part.brightness[middle])))
+        rows.append((bias, own, shared))
+    at = np.arange(prediction.mean.size)
+    bias, own, shared = (np.interp(at, places, column) for column in zip(*rows, strict=True))
+    least = prediction.own + prediction.shared
+    return replace(
+        prediction,
+        mean=prediction.mean + bias * np.maximum(prediction.mean, np.sqrt(least)),
+        own=np.maximum(own * least, prediction.own),
+        shared=np.maximum(shared * least, prediction.shared),
+    )
+
+
+def weighted_median(values: _Floats, weights: _Floats) -> float:
+    """Return the median of values, (N,), with weights >= 0; 0 of none."""
+    if not values.size:
+        return 0.0
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
