@@ -16,7 +16,7 @@ from pathlib import Path
 import camctl
 from camctl.exposure.accuracy_lookup import accuracy_jobs
 from camctl.exposure.build import build_table
-from camctl.exposure.search.accurate import accuracy_problem
+from camctl.exposure.search.front import accuracy_problem
 from camctl.model.response.desired import desired_response
 from camctl.model.response.names import RANGES, RESPONSES
 

@@ -16,25 +16,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from time import process_time
 
 from camctl.errors import UsageError
 from camctl.exposure.accurate_sets import AccurateSets
 from camctl.exposure.evaluation import evaluate
-from camctl.exposure.exposure_choices import AccuracyProblem, Rated, TimeCosts
+from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated
 from camctl.exposure.solver import Progress, Solution
-from camctl.model.effective import check_count
+from camctl.model.effective import MAX_EXPOSURES, check_count
 
 NEAR_TIE = 0.005
 """Relative difference in effective levels up to which the shorter set is preferred."""
 
-NEAR_TIME = 1.03
-"""Ratio of times up to which sets of different numbers of exposures are all improved."""
-
-EFFORT_OF_EACH = 0.5
-"""Effort for each of several numbers of exposures, which differ by more than it gains."""
-
-COUNTS: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+COUNTS: tuple[int, ...] = tuple(range(1, MAX_EXPOSURES + 1))
 """Numbers of exposures to choose from where none is given."""
 
 
@@ -73,6 +68,7 @@ def solve_accuracy(
     total_limit: float = math.inf,
     accuracy: float | None = None,
     near_tie: float = NEAR_TIE,
+    recommended: bool = False,
     progress: Progress | None = None,
 ) -> AccuracySolution:
     """Return the exposures of the most effective levels, or the shortest that reach `accuracy`.
@@ -87,6 +83,8 @@ def solve_accuracy(
             the available times
         accuracy: effective levels, noise included, to reach in the least time
         near_tie: relative difference in effective levels up to which the shorter set is preferred
+        recommended: return the set beyond which more time brings no more than averaging does: the
+            shortest whose levels^2 / time is within 2 % of the largest, instead of the best
         progress: called with the completed share, 0 to 1
 
     Raises:
@@ -107,91 +105,71 @@ def solve_accuracy(
     if accuracy is not None and not 0 < accuracy < math.inf:
         raise UsageError(f"invalid accuracy {accuracy:g}: expected a positive number of levels")
     started = process_time()
-    search = AccurateSets(problem, 1.0 if len(set(counts)) == 1 else EFFORT_OF_EACH)
     limit = total_limit - problem.available.costs.fixed
-    possible = [n for n in sorted(set(counts)) if search.least_time(n) <= limit]
-    if not possible:
-        fewest, text = min(counts), problem.available.duration
-        least = text(search.least_time(fewest))
-        raise UsageError(
-            f"{f'{fewest} exposures take' if fewest > 1 else 'one exposure takes'} {least} at "
-            f"least, more than the {text(limit)} allowed",
-            hint="allow more time" + (", or take fewer exposures" if fewest > 1 else ""),
-        )
+    search = sets_within(problem, counts, limit)
     report = progress or (lambda _: None)
-    if accuracy is None:
-        chosen = _most_accurate(search, possible, limit, near_tie, report)
+    report(0.2)
+    if recommended:
+        chosen = search.recommended()
+    elif accuracy is None:
+        chosen = _most_accurate(search, limit, near_tie)
     else:
-        chosen = _least_time(search, possible, limit, accuracy, report)
+        chosen = _least_time(search, limit, accuracy)
     report(1.0)
-    found = _solution(problem, chosen)
     return replace(
-        found,
+        _solution(problem, chosen),
         seconds=process_time() - started,
-        evaluations=search.evaluations,
-        enumerated=all(search.enumerates(n) for n in possible),
+        evaluations=search.judge.ratings,
+        enumerated=search.enumerated,
     )
 
 
-def estimate_levels(
-    problem: AccuracyProblem, counts: Sequence[int] = COUNTS, *, total_limit: float = math.inf
-) -> float | None:
-    """Return about the most effective levels that `solve_accuracy` can find, in much less time.
+def accurate_sets(problem: AccuracyProblem, counts: Sequence[int]) -> AccurateSets:
+    """Return the search for sets of `counts` exposures; what it has found is kept for a while."""
+    return _kept_sets(problem, (min(counts), max(counts)))
 
-    They are within a few per cent.  None where no set is short enough, or where the camera has so
-    little noise that there is no fast estimate.
+
+@lru_cache(maxsize=8)
+def _kept_sets(problem: AccuracyProblem, counts: tuple[int, int]) -> AccurateSets:
+    return AccurateSets(problem, counts)
+
+
+def sets_within(problem: AccuracyProblem, counts: Sequence[int], limit: float) -> AccurateSets:
+    """Return the search for sets of `counts` exposures of which some take `limit` at most.
+
+    Raises:
+        UsageError: even the fewest exposures take longer
     """
-    search = AccurateSets(problem)
-    limit = total_limit - problem.available.costs.fixed
-    possible = [n for n in set(counts) if search.least_time(n) <= limit]
-    if problem.available.costs == TimeCosts():
-        possible = possible and [max(possible)]  # more exposures are never worse then
-    estimates = [search.estimated(n, limit) for n in possible]
-    return max((levels for levels in estimates if levels is not None), default=None)
+    fewest = min(counts)
+    search = accurate_sets(problem, counts)
+    least = search.least_time(fewest)
+    if least > limit * (1 + SAME):
+        text = problem.available.duration
+        raise UsageError(
+            f"{f'{fewest} exposures take' if fewest > 1 else 'one exposure takes'} {text(least)} "
+            f"at least, more than the {text(limit)} allowed",
+            hint="allow more time" + (", or take fewer exposures" if fewest > 1 else ""),
+        )
+    return search
 
 
-def _most_accurate(
-    search: AccurateSets, counts: list[int], limit: float, near_tie: float, progress: Progress
-) -> Rated:
-    """Return the shortest set within `near_tie` of the most accurate one."""
-    found: list[Rated] = []
-    # The most accurate number by the estimate comes first: what is far from it is not improved.
-    in_order = sorted(counts, key=lambda n: (-(search.estimated(n, limit) or 0.0), -n))
-    for done, n in enumerate(in_order):
-        least = max((each.levels for each in found), default=0.0)
-        if search.may_reach(n, least, limit):
-            found.append(search.most_accurate(n, limit, least=least))
-        progress((done + 1) / (len(counts) + 1))
-    best = max(found, key=lambda each: each.levels)
-    if not near_tie:
+def _most_accurate(search: AccurateSets, limit: float, near_tie: float) -> Rated:
+    """Return the most accurate set; where time does not bind, the shortest nearly as accurate."""
+    best = search.within(limit)
+    if not near_tie or (limit < search.longest_of_use and not search.enumerated):
         return best
-    least = (1 - near_tie) * best.levels
-    near = [len(each.shots) for each in found if each.levels >= least]
-    return min([best, *_quickest(search, near, least, limit)], key=_time_then_count)
+    near = search.reaching((1 - near_tie) * best.levels, best.time)
+    return best if near is None else min(best, near, key=_time_then_count)
 
 
-def _quickest(search: AccurateSets, counts: list[int], levels: float, limit: float) -> list[Rated]:
-    """Return the quickest sets of `levels` with those numbers of exposures that need least time."""
-    reached: list[Rated] = []
-    least = limit / NEAR_TIME
-    for n in counts:
-        found = search.quickest(n, levels, min(limit, NEAR_TIME * least))
-        if found is not None:
-            reached.append(found)
-            least = min(least, found.time)
-    return [search.shortened(each, levels) for each in reached if each.time <= NEAR_TIME * least]
-
-
-def _least_time(
-    search: AccurateSets, counts: list[int], limit: float, accuracy: float, progress: Progress
-) -> Rated:
+def _least_time(search: AccurateSets, limit: float, accuracy: float) -> Rated:
     """Return the shortest set that has `accuracy` effective levels."""
-    possible = [n for n in counts if search.may_reach(n, accuracy, limit)]
-    progress(0.2)
-    if found := _quickest(search, possible, accuracy, limit):
-        return min(found, key=_time_then_count)
-    best = _most_accurate(search, counts, limit, 0.0, progress)
-    numbers = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    found = search.reaching(accuracy, limit)
+    if found is not None:
+        return found
+    best = search.within(limit)
+    fewest, most = search.counts
+    numbers = f"{fewest}" if fewest == most else f"{fewest} to {most}"
     raise TooInaccurateError(
         f"no set of {numbers} exposures has {accuracy:.6g} effective levels with this camera's "
         "noise",

@@ -18,9 +18,6 @@ from camctl.exposure.table import TableEntry, accuracy_rows
 VERSION = 2
 """Part of the key of a row; it changes where the search finds other exposures."""
 
-_LIMIT_DIGITS = 3
-"""Digits of a time limit, so that limits that hardly differ share a row."""
-
 
 @dataclass(frozen=True, eq=False)
 class AccuracyJob:
@@ -31,12 +28,14 @@ class AccuracyJob:
         counts: numbers of exposures to choose from
         total_limit: longest time of a set, in the unit of the available times
         accuracy: effective levels to reach in the least time; None: as many as possible
+        recommended: the set beyond which more time brings no more than averaging does
     """
 
     problem: AccuracyProblem
     counts: tuple[int, ...]
     total_limit: float = math.inf
     accuracy: float | None = None
+    recommended: bool = False
 
     @property
     def name(self) -> str:
@@ -69,6 +68,7 @@ class AccuracyJob:
             self.total_limit,
             self.accuracy,
             *([] if available.costs == TimeCosts() else [available.costs]),
+            *(["recommended"] if self.recommended else []),
         )
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
@@ -80,6 +80,7 @@ class AccuracyJob:
             self.counts,
             total_limit=self.total_limit,
             accuracy=self.accuracy,
+            recommended=self.recommended,
             progress=progress,
         )
         return TableEntry(
@@ -126,23 +127,18 @@ def look_up_accurate(
     *,
     total_limit: float = math.inf,
     accuracy: float | None = None,
+    recommended: bool = False,
     progress: Progress | None = None,
 ) -> AccuracySolution:
     """Return the exposures that `solve_accuracy` finds, solved once and then kept.
 
-    Limits that do not bind, and a dark current that hardly adds to the read noise, are left out
-    first, and a time limit is rounded down to `_LIMIT_DIGITS` digits, so that captures of the same
-    scene share a row.  Arguments and errors as in `solve_accuracy`.
+    Where shutter time alone counts, limits that do not bind, and a dark current that hardly adds to
+    the read noise, are left out first, so that captures share a row.  Arguments and errors as in
+    `solve_accuracy`.
     """
-    problem = without_idle_limits(problem)
-    available = problem.available
-    if accuracy is None and available.times is None and math.isfinite(total_limit):
-        digits = _LIMIT_DIGITS - 1 - math.floor(math.log10(total_limit))
-        rounded = math.floor(total_limit * 10.0**digits) / 10.0**digits
-        shortest = max(available.shortest, min(available.gains) / max(available.gains))
-        if rounded >= available.costs.total([shortest] * min(counts)) + available.costs.fixed:
-            total_limit = rounded
-    job = AccuracyJob(problem, tuple(sorted(set(counts))), total_limit, accuracy)
+    if problem.available.costs == TimeCosts():
+        problem = without_idle_limits(problem)
+    job = AccuracyJob(problem, tuple(sorted(set(counts))), total_limit, accuracy, recommended)
     entry = accuracy_rows().get(job.key) or cached_row(job, progress)
     assert entry.effective_levels_noise_free is not None  # rows of this key have it
     return AccuracySolution(

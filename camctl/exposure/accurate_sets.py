@@ -1,313 +1,205 @@
-"""Sets of exposures rated by the exact prediction, found from the fast estimate.
+"""The most accurate sets of exposures of one camera, for each time.
 
-The estimate ranks sets, but takes no account of how the levels of nearly equal exposures
-interleave, nor that noise far below a level leaves quantisation steps.  So the best sets of the
-estimate, and for a camera of little noise the sets of least quantisation error, are rated by the
-exact distribution, and their neighbours too.
+The estimate (`camctl.exposure.design`) finds the sets, the exact distribution of their sum judges
+them.  Where noise is so low that it does not dither the quantiser, the gaps between the levels
+decide, and sets of least quantisation error within the same time are judged, too.  Of short lists
+of settings all sets are considered.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 
-from camctl.exposure.enumerated_sets import MAX_ENUMERATED, EnumeratedSets, number_of_sets
-from camctl.exposure.exchange_search import ExchangeSearch, Set
-from camctl.exposure.exposure_choices import (
-    AccuracyProblem,
-    Rated,
-    ShotChoices,
-    Shots,
-    shot_choices,
-)
-from camctl.exposure.least_quantisation import LeastQuantisation
-from camctl.exposure.noise import noisy_effective_levels
-from camctl.exposure.set_moves import INTERLEAVES, SetMoves
+from camctl.exposure.design import Design, DesignSearch
+from camctl.exposure.estimate import FrameAccuracy
+from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, bases
+from camctl.exposure.judge import Judge
+from camctl.exposure.least_quantisation import least_quantisation
+from camctl.exposure.listed_sets import ListedSets
 from camctl.model.distribution import deviation
-from camctl.model.effective import EffectiveCamera
-from camctl.model.response.camera import FloatArray
 
-EXACT_RATINGS = 70
-"""Exact predictions while a set is improved, for 8 bits; fewer for finer cameras, which take longer
-and whose noise dithers the quantiser."""
+DITHERING = 0.3
+"""Noise in levels from which the quantiser counts as dithered: the estimate is then within 3 %."""
 
-DITHERING, HIDING = 0.3, 0.5
-"""Noise in levels from which the quantiser counts as dithered, and from which distances of less
-than a level between equal exposures change nothing (the levels by less than 0.1 %)."""
+NEAR_BEST = 0.98
+"""Share of the estimated levels of the best set from which a set is judged: the errors of the
+estimates of similar sets differ by less."""
 
-DARK_TO_BRIGHT = np.geomspace(1e-6, 1.0, 25)
-"""Irradiances at which the noise is compared with `HIDING`."""
+KNEE = 0.97
+"""Share of the largest levels^2 / time from which more time counts as no better than averaging.
+Predictions and an independent simulator differ by up to 1.05 % (42 cells), so that levels^2 of two
+sets can be told apart from 2 sqrt(2) x 1.05 % on."""
 
-CORRECTIONS = 8
-"""Attempts to reach a number of levels exactly by asking the estimate for more or fewer."""
+NEARLY = 0.98
+"""Share of this from which a traced set is refined: that changes the levels by less than 1 %."""
 
-MOST_STARTS, MOST_IMPROVED = 2, 1
-"""Best sets of the estimate that are rated exactly, and sets that are then improved."""
+MOST_POLISHED = 40
+"""Exact ratings beside that of a set, divided by the number of its exposures: 0.1 s for 8 bits."""
 
-IMPROVABLE = 0.98
-"""Share of the effective levels of a better set from which improving a set is worth the time."""
+POLISHED_SHARES = (0.1, 0.05, 0.05, 0.03, 0.03, 0.02)
+"""Shares by which one exposure after the other is changed there."""
 
-CLOSE = 1.0015
+CORRECTIONS = 6
+"""Attempts to reach an accuracy by another time; each leaves about a tenth of what was missing."""
+
+CLOSE = 1.001
 """Ratio of effective levels up to which a set has not more of them than asked for."""
 
-CORRECTION = 1.001
-"""Factor by which a correction exceeds what was missing, so that the next attempt succeeds."""
+NEAR_TIME = 1.003
+"""Ratio of times within which the shortest time for an accuracy is found."""
 
-BINDING = 0.95
-"""Share of the time limit from which the limit is what keeps a set from being better."""
-
-SHORTER, SHORTEST = 0.8, 0.94
-"""Factor by which the time is reduced step by step where the estimate does not apply; it rises to
-the second one as this fails."""
-
-MARGIN, ROUGH = 0.96, 0.93
-"""Share of the effective levels that an estimate must reach for the set to be rated exactly, and
-the same where noise does not dither the quantiser."""
-
-
-Better: TypeAlias = Callable[[Rated, Rated], bool]
-
-
-def _levels(error: float) -> float:
-    return float((12 * error) ** -0.5)
+WEIGHT_LIMITS = 0.02, 10.0
+"""Least and largest weight of time (see `camctl.exposure.design`) that is believed there."""
 
 
 class AccurateSets:
-    """Finds sets for one problem; each exact rating is made once.
+    """Finds sets of exposures for one problem; each is judged once.
 
     Args:
         problem: the camera, its noise and the desired response
-        effort: share of `EXACT_RATINGS` that are made
+        counts: fewest and most exposures of a set
+
+    Raises:
+        UsageError: no setting can be the shortest exposure
     """
 
-    def __init__(self, problem: AccuracyProblem, effort: float = 1.0) -> None:
-        self.problem = problem
-        self.choices = list(shot_choices(problem))
-        self._searches: dict[int, list[ExchangeSearch]] = {}
-        self._estimated: dict[tuple[int, float], list[tuple[float, ShotChoices, Set]]] = {}
-        self._best: dict[tuple[int, float], Rated] = {}
-        self._enumerated: dict[int, EnumeratedSets | None] = {}
-        self._rated: dict[Shots, Rated] = {}
-        self._quantisation = LeastQuantisation(problem)
-        self.moves = SetMoves(problem)
-        M = problem.response.M
-        self._ratings = max(2, int(effort * EXACT_RATINGS * 255) // max(M, 255))
+    def __init__(self, problem: AccuracyProblem, counts: tuple[int, int]) -> None:
+        self.problem, self.counts = problem, counts
+        noise = problem.noise.frame(gain=min(problem.available.gains), time_s=0.0)
+        at = np.array([1 / 16])  # a frame that is exposed to 1/16 of full scale
+        self.dithered = float(deviation(problem.response, at, noise)[0]) >= DITHERING
+        frames = FrameAccuracy(problem)
+        self.searches = [DesignSearch(frames, base, counts) for base in bases(problem)]
+        self.judge = Judge(frames, dithered=self.dithered)
+        self._listed = ListedSets(self.searches, counts, self.dithered, self.judge)
 
     @property
-    def evaluations(self) -> int:
-        """Sets estimated or rated so far."""
-        searches = [each for found in self._searches.values() for each in found]
-        estimated = sum(search.evaluations for search in searches)
-        return estimated + self._quantisation.evaluations + len(self._rated)
-
-    def enumerates(self, n: int) -> bool:
-        """Return whether all sets of n exposures are considered."""
-        return self._all(n) is not None
+    def enumerated(self) -> bool:
+        """Whether all sets are considered, so that none is better."""
+        return self._listed.is_complete
 
     def least_time(self, n: int) -> float:
-        """Return the shortest total time of n exposures, as `TimeCosts.total` counts it."""
-        return min(search.least_time for search in self._searches_for(n))
+        """Return the shortest time of n exposures, without the fixed time of a set."""
+        return min(search.least_time(n) for search in self.searches)
 
-    def may_reach(self, n: int, levels: float, limit: float) -> bool:
-        """Return whether the estimate leaves it possible that n exposures reach `levels`."""
-        if not self._best_estimated(n, limit):
-            return False
-        estimate = self.estimated(n, limit)
-        return estimate is None or estimate >= (MARGIN if self._dithered else ROUGH) * levels
+    @property
+    def longest_of_use(self) -> float:
+        """The time of the most accurate set: longer ones are no better."""
+        return max(search.most_accurate.time for search in self.searches)
 
-    def estimated(self, n: int, limit: float) -> float | None:
-        """Return about the most effective levels of n exposures, within a few per cent.
+    def estimated(self, limit: float) -> float:
+        """Return about the most effective levels within a time; within a few per cent."""
+        return max(search.within(limit).levels for search in self._possible(limit))
 
-        None where the quantiser is not dithered and no set without noise was found, so that the
-        estimate says little.
+    def _possible(self, limit: float) -> list[DesignSearch]:
+        fewest, limit = self.counts[0], limit * (1 + SAME)
+        return [search for search in self.searches if search.least_time(fewest) <= limit]
+
+    def within(self, limit: float, *, polished: bool = True) -> Rated:
+        """Return the most accurate set that takes `limit` at most (>= the least time).
+
+        With `polished` sets of few exposures, whose levels interleave in ways that the estimate
+        does not see, are improved by exact ratings of their neighbours.
         """
-        best = self._best_estimated(n, limit)
-        estimate = _levels(best[0][0]) if best else None
-        if estimate is None or self._dithered:
-            return estimate
-        noise_free = self._quantisation.estimated(n, limit)
-        return None if noise_free is None else max(estimate, noise_free)
+        listed = self._listed.most_accurate(limit) if self._listed.numbers else None
+        found = [] if listed is None else [listed]
+        possible = [] if self.enumerated else self._possible(limit)
+        designs = [(search.within(limit), search) for search in possible]
+        most = max((design.levels for design, _ in designs), default=0.0)
+        for design, search in designs:
+            if design.levels < NEAR_BEST * most:
+                continue
+            found.append(self.judge(search.shots(design)))
+            if self.dithered and polished:
+                found.append(self._polished(search, design, limit))
+            if not self.dithered and not search.is_list and design.n > 1:
+                found += [self.judge(each) for each in least_quantisation(search, design, limit)]
+        return max(found, key=lambda each: (each.levels, -each.time))
 
-    def most_accurate(self, n: int, limit: float, *, least: float = 0.0) -> Rated:
-        """Return the set of n exposures of most effective levels within `limit` (>= least time).
-
-        It is improved by exact ratings only if it has nearly `least` levels before.
-        """
-        if (every := self._all(n)) is not None:
-            return every.most_accurate(limit)
-        if (n, limit) not in self._best:
-            self._best[n, limit] = self._search_most_accurate(n, limit, least)
-        return self._best[n, limit]
-
-    def _search_most_accurate(self, n: int, limit: float, least: float) -> Rated:
-        starts = [
-            (choices, self._interleaved_best(choices, choices.shots(found)))
-            for _, choices, found in self._best_estimated(n, limit)
-        ]
-        starts += [(self.choices[0], rated) for rated in self._least_quantisation(n, limit)]
-        starts.sort(key=lambda start: -start[1].levels)
-        improved = [starts[0][1]]
-
-        def better(one: Rated, other: Rated) -> bool:
-            return one.levels > other.levels and one.time <= limit
-
-        for choices, start in starts[:MOST_IMPROVED]:
-            total = limit if start.time > BINDING * limit and not choices.is_list else None
-            if start.levels >= IMPROVABLE * max(least, starts[0][1].levels):
-                improved.append(self._improved(choices, start, better, total=total))
-        return max(improved, key=lambda each: each.levels)
-
-    def quickest(self, n: int, levels: float, limit: float) -> Rated | None:
-        """Return the shortest set of n exposures found that has `levels`, or None.
-
-        `shortened` improves it further.
-        """
-        if (every := self._all(n)) is not None:
-            return every.quickest(levels, limit)
-        if self.least_time(n) > limit:
-            return None
-        if not self._dithered and not self.may_reach(n, levels, limit):
-            return None
-        estimated = self._quickest_estimated(n, levels)
-        found = [each for each in estimated if each.time <= limit]
-        if not estimated or not self._dithered:
-            found += [each for each in [self.most_accurate(n, limit)] if each.levels >= levels]
-        if not found:
-            return None
-        start = min(found, key=lambda each: each.time)
-        share = SHORTER
-        while share < SHORTEST and not self._dithered:
-            reached = self._least_quantisation(n, share * start.time, levels)
-            if reached and reached[0].levels >= levels:
-                start = reached[0]
-            else:
-                share = math.sqrt(share)
-        return start
-
-    def shortened(self, rated: Rated, levels: float) -> Rated:
-        """Return the shortest of a set and its neighbours that have `levels`."""
-        if self._all(len(rated.shots)) is not None:
-            return rated
-
-        def better(one: Rated, other: Rated) -> bool:
-            return one.levels >= levels and one.time < other.time
-
-        return self._improved(self.choices[0], rated, better)
-
-    def _quickest_estimated(self, n: int, levels: float) -> list[Rated]:
-        """Return sets of `levels` that the estimate finds, corrected by exact ratings."""
-        wanted, found = levels, []
-        for _ in range(CORRECTIONS):
-            quick = [
-                (search.choices.time(chosen), choices, chosen)
-                for search, choices in zip(self._searches_for(n), self.choices, strict=True)
-                if (chosen := search.shortest((12 * wanted**2) ** -1)) is not None
-            ]
-            if not quick:
-                break
-            _, choices, chosen = min(quick, key=lambda each: each[0])
-            rated = self._interleaved_best(choices, choices.shots(chosen))
-            found.append(rated)
-            if levels <= rated.levels <= CLOSE * levels:
-                break
-            wanted *= CORRECTION * levels / rated.levels
-        return [each for each in found if each.levels >= levels]
-
-    def rate(self, shots: Shots) -> Rated:
-        """Return the set with its effective levels by the exact prediction."""
-        if shots not in self._rated:
-            problem = self.problem
-            camera = EffectiveCamera.of(problem.response, [shot.exposure for shot in shots])
-            noise = [problem.frame_noise(shot) for shot in shots]
-            levels = noisy_effective_levels(camera, problem.desired, noise)
-            time = problem.available.costs.total([shot.time for shot in shots])
-            self._rated[shots] = Rated(shots, levels, time)
-        return self._rated[shots]
-
-    @cached_property
-    def _dithered(self) -> bool:
-        """Whether noise dithers the quantiser: in a frame that is exposed to 1/16 of full scale."""
-        return self._least_noise(np.array([1 / 16])) >= DITHERING
-
-    @cached_property
-    def _hides_levels(self) -> bool:
-        """Whether noise hides how the levels of nearly equal exposures interleave."""
-        return self._least_noise(DARK_TO_BRIGHT) >= HIDING
-
-    def _least_noise(self, E: FloatArray) -> float:
-        """Return the least noise of a frame at these irradiances, in levels."""
-        noise = self.problem.noise.frame(gain=min(self.problem.available.gains), time_s=0.0)
-        return float(deviation(self.problem.response, E, noise).min())
-
-    def _all(self, n: int) -> EnumeratedSets | None:
-        """Return all sets of a list of settings; None where they are too many, or not a list."""
-        if n not in self._enumerated:
-            is_short = number_of_sets(self.choices, n) <= MAX_ENUMERATED
-            self._enumerated[n] = (
-                EnumeratedSets(self.problem, self.choices, n, self._dithered, self.rate)
-                if self.choices[0].is_list and is_short
-                else None
-            )
-        return self._enumerated[n]
-
-    def _searches_for(self, n: int) -> list[ExchangeSearch]:
-        if n not in self._searches:
-            self._searches[n] = [ExchangeSearch(choices.choices, n) for choices in self.choices]
-        return self._searches[n]
-
-    def _best_estimated(self, n: int, limit: float) -> list[tuple[float, ShotChoices, Set]]:
-        """Return the best sets by the estimate: their error, their choices and their indices."""
-        if (n, limit) not in self._estimated:
-            found = []
-            for search, choices in zip(self._searches_for(n), self.choices, strict=True):
-                if search.least_time <= limit:
-                    sets = search.most_accurate(limit)
-                    found += [(search.choices.mse(chosen), choices, chosen) for chosen in sets]
-            self._estimated[n, limit] = sorted(found, key=lambda each: each[0])[:MOST_STARTS]
-        return self._estimated[n, limit]
-
-    def _least_quantisation(self, n: int, limit: float, least: float = 0.0) -> list[Rated]:
-        """Return the set of least quantisation error, if it may have `least` levels.
-
-        It is of use for a camera whose noise does not dither.
-        """
-        if self._dithered:
-            return []
-        estimate = self._quantisation.estimated(n, limit)
-        if estimate is None or estimate < ROUGH * least:
-            return []
-        found = self._quantisation.best(n, limit)
-        return [] if found is None else [self.rate(found)]
-
-    def _interleaved_best(self, choices: ShotChoices, shots: Shots) -> Rated:
-        """Return the set, or the best one with its nearly equal exposures spread."""
-        tried = [shots]
-        if not (choices.is_list or self._hides_levels):
-            tried += [self.moves.interleaved(distance, shots) for distance in INTERLEAVES]
-        return max((self.rate(each) for each in tried), key=lambda rated: rated.levels)
-
-    def _improved(
-        self, choices: ShotChoices, start: Rated, better: Better, *, total: float | None = None
-    ) -> Rated:
-        """Return the best of a set and its neighbours, step by step, by exact ratings.
-
-        With `total` the longest exposure is changed so that this is the total time.
-        """
-        best = start
-        last = len(self._rated) + self._ratings
-        improved = True
-        while improved:
-            improved = False
-            for move in self.moves.of(choices, len(start.shots)):
-                trial = move(best.shots)
-                if total is not None and trial is not None:
-                    trial = self.moves.filled(trial, total)
-                if len(self._rated) >= last:
+    def _polished(self, search: DesignSearch, design: Design, limit: float) -> Rated:
+        best = self.judge(search.shots(design))
+        remaining = MOST_POLISHED // design.n
+        for share in POLISHED_SHARES:
+            for trial in search.neighbours(design, limit, share):
+                if not remaining:
                     return best
-                if trial is not None and better(rated := self.rate(trial), best):
-                    best, improved = rated, True
+                rated, remaining = self.judge(search.shots(trial)), remaining - 1
+                if rated.levels > best.levels:
+                    best, design = rated, trial
+                    break
         return best
+
+    def reaching(self, levels: float, limit: float) -> Rated | None:
+        """Return the shortest set found within `limit` that has `levels`, or None."""
+        best = self._listed.quickest(levels, limit) if self._listed.numbers else None
+        if self.enumerated:
+            return best
+        fixed, low = self.problem.available.costs.fixed, self.least_time(self.counts[0])
+        limit = min(limit, max(low, self.longest_of_use))
+        time = max(low, min(self._estimated_time(levels), limit))
+        # Near a time the levels grow as its power w/2; `missed` is the longest time that failed.
+        weight, missed, last = 1.0, low, None
+        for _ in range(CORRECTIONS):
+            found = self.within(time)
+            if found.levels >= levels and (best is None or found.time < best.time):
+                best = found
+            elif found.levels < levels:
+                missed = max(missed, time)
+            if last is not None and abs(found.time - last.time) > SAME * found.time:
+                change = math.log((last.time + fixed) / (found.time + fixed))
+                weight = 2 * math.log(last.levels / found.levels) / change
+            last, weight = found, min(max(weight, WEIGHT_LIMITS[0]), WEIGHT_LIMITS[1])
+            goal = math.log(levels * (1 + CLOSE) / 2 / found.levels)
+            time = (found.time + fixed) * math.exp(2 * goal / weight) - fixed
+            top = limit if best is None else best.time
+            if top + fixed <= (missed + fixed) * NEAR_TIME:
+                break
+            if not missed < time < top:
+                middle = math.sqrt((missed + fixed) * (top + fixed)) - fixed
+                time = top if best is None else middle
+        return best
+
+    def _estimated_time(self, levels: float) -> float:
+        """Return about the time at which a set has `levels`, along the traced front."""
+        times = []
+        for search in self.searches:
+            front = [*search.trace(), search.most_accurate]
+            rising = np.maximum.accumulate([design.levels for design in front])
+            times.append(float(np.interp(levels, rising, [design.time for design in front])))
+        return min(times)
+
+    @cached_property
+    def _recommended(self) -> tuple[Design, DesignSearch]:
+        fixed = self.problem.available.costs.fixed
+
+        def rate(design: Design) -> float:
+            return design.levels**2 / (design.time + fixed)
+
+        both = [(search.at_weight(1.0), search) for search in self.searches]
+        chosen, search = max(both, key=lambda pair: rate(pair[0]))
+        least = KNEE * rate(chosen)
+        for design in search.trace():
+            if design.time < chosen.time and rate(design) >= NEARLY * least:
+                refined = search.within(design.time)
+                if rate(refined) >= least:
+                    return refined, search
+        return chosen, search
+
+    def recommended(self) -> Rated:
+        """Return the set beyond which more time brings no more than averaging does.
+
+        Levels of averages grow as the square root of the time.  It is the shortest set whose
+        levels^2 / time, the fixed time counted in, is within `KNEE` of the largest.
+        """
+        design, search = self._recommended
+        if self.dithered and not self.enumerated:
+            return self.judge(search.shots(design))
+        return self.within(design.time)
+
+    @property
+    def estimated_recommended(self) -> float:
+        """About the effective levels of the recommended set."""
+        return self._recommended[0].levels

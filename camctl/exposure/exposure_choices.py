@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
@@ -11,14 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camctl.errors import DataError, UsageError
-from camctl.exposure.exchange_search import Choices
-from camctl.exposure.frame_accuracy import FrameTable
 from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.desired import DesiredResponse
-
-STEP = 0.04
-"""Step of the exposures in ln(exposure) where any time can be set."""
 
 MAX_CHOICES = 600
 """Exposures of a list that a search chooses from, at most; longer lists are thinned out."""
@@ -144,14 +139,6 @@ class AvailableExposures:
                 "shortest exposure, 1, between them"
             )
 
-    def shots(self) -> FloatArray:
-        """Return all settings of a list, (S, 2): time and gain, by their product, then by time."""
-        times = np.unique(np.asarray(self.times, dtype=np.float64))
-        gains = np.unique(self.gains)
-        pairs = np.stack(np.meshgrid(times, gains, indexing="ij"), axis=-1).reshape(-1, 2)
-        product = np.round(np.log(pairs.prod(axis=1)), 9)
-        return np.asarray(pairs[np.lexsort((pairs[:, 0], product))])
-
     def without_idle_limits(self, reach: float, noise: NoiseModel) -> AvailableExposures:
         """Return the same with limits left out that do not bind, and the longest time rounded down.
 
@@ -214,101 +201,30 @@ class AccuracyProblem:
         return self.noise.frame(gain=shot.gain, time_s=time_s, black=self.black)
 
 
-@dataclass(frozen=True, eq=False)
-class ShotChoices:
-    """The choices of a search, and what they are on the camera.
-
-    Attributes:
-        choices: their exposures, the time that each takes, and contributions to the accuracy
-        times: (K,) shutter time of each
-        gains: (K,) gain of each
-        is_list: whether they are settings of a list, so that nothing lies between them
-    """
-
-    choices: Choices
-    times: FloatArray
-    gains: FloatArray
-    is_list: bool
-
-    def shots(self, chosen: tuple[int, ...]) -> Shots:
-        """Return the shots of a set of indices, ascending in exposure."""
-        found = [
-            Shot(
-                float(self.choices.exposures[index]),
-                float(self.times[index]),
-                float(self.gains[index]),
-            )
-            for index in chosen
-        ]
-        return tuple(sorted(found))
-
-
-def shot_choices(problem: AccuracyProblem) -> Iterator[ShotChoices]:
-    """Yield the choices for each shortest exposure to try.
-
-    Raises:
-        UsageError: no setting can be the shortest exposure
-    """
-    response, desired, available = problem.response, problem.desired, problem.available
-    reach = problem.reach
-    if available.times is None:
-        pairs = _any_times(available, reach)
-        bases = [min(available.gains)]
-    else:
-        pairs = available.shots()
-        bases = _bases(available, pairs)
-    for base in bases:
-        exposures = pairs.prod(axis=1) / base
-        kept = np.flatnonzero((exposures >= 1 - SAME) & (exposures <= reach * (1 + SAME)))
-        if kept.size > MAX_CHOICES and available.times is not None:
-            kept = kept[_thinned(exposures[kept])]
-        chosen = np.maximum(exposures[kept], 1.0)
-        times, gains = pairs[kept, 0], pairs[kept, 1]
-        shots = zip(chosen.tolist(), times.tolist(), gains.tolist(), strict=True)
-        frames = [problem.frame_noise(Shot(*values)) for values in shots]
-        table = FrameTable.of(response, desired, chosen, frames)
-        is_base = chosen <= 1 + SAME
-        choices = Choices(chosen, available.costs.each(times), is_base, table)
-        yield ShotChoices(choices, times, gains, available.times is not None)
-
-
-def _any_times(available: AvailableExposures, reach: float) -> FloatArray:
-    """Return time and gain of exposures in equal ratios from the shortest, for each gain."""
-    exposures = np.exp(np.arange(0.0, math.log(reach) + STEP, STEP))
-    gains = np.unique(available.gains)
-    first = float(gains[0])
-    pairs = np.array(
-        [(e * first / gain, gain) for gain in gains.tolist() for e in exposures.tolist()]
-    )
-    low, high = available.shortest * (1 - SAME), available.longest * (1 + SAME)
-    return np.asarray(pairs[(pairs[:, 0] >= low) & (pairs[:, 0] <= high)])
-
-
 def _rounded_down(value: float) -> float:
     """Return a positive number rounded down to two digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return math.floor(value / unit * (1 + SAME)) * unit
 
 
-def _bases(available: AvailableExposures, pairs: FloatArray) -> list[float]:
-    """Return products time x gain that may be the shortest exposure, the largest first."""
-    products = pairs.prod(axis=1)
+def bases(problem: AccuracyProblem) -> list[float]:
+    """Return the products time x gain that may be the shortest exposure, the largest first.
+
+    Raises:
+        UsageError: no setting can be the shortest exposure
+    """
+    available = problem.available
+    if available.times is None:
+        return [min(available.gains)]
+    times = np.unique(np.asarray(available.times, dtype=np.float64))
+    products = np.unique(times[:, np.newaxis] * np.unique(available.gains))
     low, high = (0.0, math.inf) if available.base is None else available.base
     allowed = products[(products >= low * (1 - SAME)) & (products <= high * (1 + SAME))]
     if not allowed.size:
-        least, most = (products.min(), products.max()) if products.size else (math.nan, math.nan)
         raise UsageError(
             f"no setting between {low:g} and {high:g} can be the shortest exposure",
-            hint=f"the settings go from {least:.6g} to {most:.6g}",
+            hint=f"the settings go from {products.min():.6g} to {products.max():.6g}",
         )
-    allowed = np.sort(allowed)
     different = allowed[np.append(True, np.diff(np.log(allowed)) > SAME)]
     places = np.unique(np.linspace(0, different.size - 1, MAX_BASES).astype(np.intp))
     return [float(base) for base in different[places][::-1]]
-
-
-def _thinned(exposures: FloatArray) -> np.ndarray:
-    """Return indices of `MAX_CHOICES` exposures, evenly over ln(exposure)."""
-    order = np.argsort(exposures, kind="stable")
-    targets = np.linspace(0.0, math.log(float(exposures.max())), MAX_CHOICES)
-    return np.unique(order[np.searchsorted(np.log(exposures[order]), targets - SAME)])

@@ -1,87 +1,84 @@
 """Sets of least quantisation error, for cameras whose noise does not dither the quantiser.
 
-Without noise the accuracy follows from the gaps between the levels.  The search for the paper's
-objective minimises them as well; the fast estimate of `camctl.exposure.frame_accuracy` takes no
-account of them.  A quick search shows about what can be reached, so that the long one is made only
-where it pays.
+Without noise the accuracy follows from the gaps between the levels, which the estimate of
+`camctl.exposure.estimate` takes no account of: levels of several exposures can interleave.
 """
 
 from __future__ import annotations
 
-from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Shot, Shots
-from camctl.exposure.objective import Objective
-from camctl.exposure.solver import SearchOptions, Solution, coarse_camera, solve
+import math
 
-SEARCH, SEARCH_OF_FEW = (SearchOptions(effort=effort, refinement=0.1) for effort in (0.05, 0.15))
-"""The search for a set, and the search for a camera of at most `FEW_LEVELS`, which takes less time;
-neighbours of what it finds are rated exactly afterwards."""
+import numpy as np
 
-FEW_LEVELS = 63
+from camctl.exposure.candidates import BatchScore
+from camctl.exposure.design import Design, DesignSearch
+from camctl.exposure.exposure_choices import SAME, Shot, Shots
+from camctl.exposure.objective import ExposureProblem, Objective
+from camctl.exposure.random_sets import RandomSets
+from camctl.model.response.camera import FloatArray, every_nth_level
 
-QUICK_SEARCH = SearchOptions(effort=0.01, refinement=0.0)
-"""The search for an estimate: its levels are within about 5 % of the result of `SEARCH`."""
+STARTS, KEPT, MOVES, ROUNDS = 48, 8, 24, 12
+"""Random sets, sets that are improved, changes of each, and rounds: the result is within about 1 %
+of a long search."""
 
-SHORTENINGS = 6
-"""Attempts to fit exposures into a time in which short ones take as long as a frame."""
+MAX_LEVELS = 511
+"""Cameras of more levels are searched by every second, fourth, ... of them; the distances between
+levels that interleave are then reduced as much."""
+
+BEST = 2
+"""Best sets that are returned."""
 
 
-class LeastQuantisation:
-    """Finds sets of least quantisation error, at the smallest gain and where any time can be set.
+def least_quantisation(search: DesignSearch, design: Design, limit: float) -> list[Shots]:
+    """Return sets of little quantisation error that take `limit` at most, at the lowest gain.
 
     Args:
-        problem: the camera and the desired response; noise is left out
+        search: for one shortest exposure, where any time can be set
+        design: a set that the estimate found; the result has as many exposures
+        limit: longest time of the sets, without their fixed time
     """
+    problem = search.problem
+    finer = 2 ** max(0, math.ceil(math.log2((problem.response.M + 1) / (MAX_LEVELS + 1))))
+    response = every_nth_level(problem.response, finer)
+    objective = Objective(kind="levels")
+    score = BatchScore(ExposureProblem(response, problem.desired, design.n, objective))
+    reach = float(search.limits(np.zeros(1, dtype=np.intp))[1][0])
+    moves = RandomSets(np.random.default_rng(0), design.n, response, reach)
+    spread = moves.interleave * np.arange(design.n) * np.array([[0.0], [0.5], [1.0]])
+    starts = np.concatenate([moves.starts(STARTS), design.log_exposure + spread])
+    sets = _in_time(search, moves.normalised(starts), limit)
+    scores = score(np.exp(sets))
+    for _ in range(ROUNDS):
+        best = np.argsort(scores, kind="stable")[:KEPT]
+        changed = moves.around(sets[best], MOVES).reshape(-1, design.n)
+        changed = _in_time(search, changed, limit)
+        sets = np.concatenate([sets[best], changed])
+        scores = np.concatenate([scores[best], score(np.exp(changed))])
+    found = sets[np.argsort(scores, kind="stable")[:BEST]]
+    if finer > 1:
+        steps = np.diff(found, axis=1, prepend=0.0)
+        reduced = np.where(steps < 4 * moves.interleave, steps / finer, steps).cumsum(axis=1)
+        found = np.concatenate([found, reduced])
+    gain = float(search.gains[0])
+    shots = (
+        tuple(Shot(e, e * search.base / gain, gain) for e in row) for row in np.exp(found).tolist()
+    )
+    costs = search.costs
+    return [s for s in shots if costs.total([shot.time for shot in s]) <= limit * (1 + SAME)]
 
-    def __init__(self, problem: AccuracyProblem) -> None:
-        self.problem = problem
-        self.evaluations = 0
-        self._estimates: dict[tuple[int, float], float | None] = {}
-        self._totals: dict[tuple[int, float], float] = {}
-        self._search = SEARCH if problem.response.M > FEW_LEVELS else SEARCH_OF_FEW
-        self._coarse, self._finer = coarse_camera(problem.response)
 
-    def estimated(self, n: int, limit: float) -> float | None:
-        """Return about the most effective levels of n exposures within `limit`; None: no set."""
-        if (n, limit) not in self._estimates:
-            found = self._within(n, limit, QUICK_SEARCH)
-            levels = None if found is None else found.effective_levels * self._finer
-            self._estimates[n, limit] = levels
-        return self._estimates[n, limit]
+def _in_time(search: DesignSearch, sets: FloatArray, limit: float) -> FloatArray:
+    """Return sets of ln(exposure), scaled towards 0 until they take `limit` at most."""
+    unit = search.base / float(search.gains[0])
+    low, high = np.zeros((len(sets), 1)), np.ones((len(sets), 1))
 
-    def best(self, n: int, limit: float) -> Shots | None:
-        """Return the set of least quantisation error of a time up to `limit`, or None."""
-        if self.estimated(n, limit) is None:
-            return None
-        found = self._within(n, limit, self._search)
-        return None if found is None else self._shots(found)
+    def is_long(factor: FloatArray | float) -> np.ndarray:
+        cost = search.costs.each(np.exp(sets * factor) * unit)
+        return np.asarray(cost.sum(axis=1, keepdims=True) > limit)
 
-    def _within(self, n: int, limit: float, search: SearchOptions) -> Solution | None:
-        available = self.problem.available
-        costs = available.costs
-        total = costs.shutter(limit, n) - max(0.0, costs.least - 1)
-        total = self._totals.get((n, limit), total)
-        for _ in range(SHORTENINGS):
-            if available.times is not None or not total >= n:
-                return None
-            found = solve(
-                self._coarse if search is QUICK_SEARCH else self.problem.response,
-                self.problem.desired,
-                n,
-                objective=Objective(kind="levels"),
-                total_limit=total,
-                search=search,
-            )
-            self.evaluations += found.evaluations
-            if found.exposures[-1] > available.longest:
-                return None
-            # Exposures shorter than a frame take more time than their shutter times.
-            over = costs.total([shot.time for shot in self._shots(found)]) - limit
-            if over <= SAME * limit:
-                self._totals[n, limit] = total
-                return found
-            total = min(total, found.total_exposure) - over / costs.factor
-        return None
-
-    def _shots(self, found: Solution) -> Shots:
-        gain = min(self.problem.available.gains)
-        return tuple(Shot(e, e, gain) for e in found.exposures)
+    over = is_long(1.0)
+    for _ in range(30):
+        middle = (low + high) / 2
+        long = is_long(middle)
+        high, low = np.where(long, middle, high), np.where(long, low, middle)
+    return np.where(over, sets * low, sets)

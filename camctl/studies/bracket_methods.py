@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.build import look_up
 from camctl.exposure.goal import ACCURACY, CaptureRequest
-from camctl.exposure.search.accurate import accurate_settings, gain_choices
+from camctl.exposure.search.front import Front, gain_choices
 from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.noise import NoiseModel
@@ -71,9 +71,8 @@ class Bracket:
         """Return the most accurate settings with the camera's noise, in no more than `budget_s`."""
         assert self.noise  # or it raises
         request = replace(self.request, base_s=None, objective=ACCURACY, time_budget_s=budget_s)
-        return accurate_settings(
-            self.controls, request, self.desired, self.base_s, None, before=self.before
-        )[0]
+        front = Front(self.controls, self.desired, self.base_s, request=request, before=self.before)
+        return front.chosen.settings
 
     def at_gain(self, exposures: tuple[float, ...]) -> tuple[ExposureSetting, ...]:
         """Return settings at gain 1 for relative exposures; gain extends the longest time."""

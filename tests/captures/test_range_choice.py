@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
 import camctl
 from camctl.exposure.goal import CaptureRequest
-from camctl.exposure.search import best
-from camctl.exposure.search.accurate import accurate_settings
+from camctl.exposure.search.front import Front, FrontPoint
 from camctl.exposure.search.ranges import STOPS
-from camctl.interface.controls import ExposureControls
-from camctl.model.response.desired import DesiredResponse
 from camctl.records.capture_plan import CapturePlan
 from sim.camera import SimulatedCamera
 from sim.scenes.scene import load_scene
@@ -31,7 +27,7 @@ def test_an_accuracy_is_reached_over_the_largest_range_that_has_it() -> None:
     plan = planned(request)
     assert plan.effective_levels >= 90.0 * (1 - 1e-6)
     larger = replace(request, dynamic_range=STOPS[STOPS.index(plan.dynamic_range) + 1])
-    with pytest.raises(camctl.UsageError, match="no set of 1 to 6 exposures has 90 effective"):
+    with pytest.raises(camctl.UsageError, match="no set of 1 to 16 exposures has 90 effective"):
         planned(larger)
 
 
@@ -71,18 +67,13 @@ def _numbers(hint: str) -> tuple[str, str]:
 def test_exposures_are_solved_for_one_range_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Solving for all ranges from the largest to the chosen one took 11 s of processor time."""
     solved: list[float] = []
+    at_time = Front.at_time
 
-    def counted(
-        controls: ExposureControls,
-        request: CaptureRequest,
-        desired: DesiredResponse,
-        *more: Any,
-        **named: Any,
-    ) -> Any:
-        solved.append(desired.dynamic_range)
-        return accurate_settings(controls, request, desired, *more, **named)
+    def counted(front: Front, budget_s: float) -> FrontPoint:
+        solved.append(front.desired.dynamic_range)
+        return at_time(front, budget_s)
 
-    monkeypatch.setattr(best, "accurate_settings", counted)
+    monkeypatch.setattr(Front, "at_time", counted)
     plan = planned(CaptureRequest(dynamic_range="auto", time_budget_s=0.5))
     assert solved == [plan.dynamic_range]
 

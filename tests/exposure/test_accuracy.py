@@ -11,12 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camctl.errors import DataError, UsageError
-from camctl.exposure import accurate_sets
+from camctl.exposure import judge
 from camctl.exposure.accuracy import NEAR_TIE, AccuracySolution, solve_accuracy
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
-from camctl.exposure.least_quantisation import LeastQuantisation
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.model.effective import EffectiveCamera, effective_levels
+from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response
 from camctl.model.response.desired import DesiredResponse, desired_response
@@ -205,20 +204,6 @@ def test_without_noise_the_levels_interleave() -> None:
     assert found.total_time < 2.01
 
 
-def test_without_noise_the_quick_search_tells_what_the_long_one_finds() -> None:
-    problem = problem_of("log", noise=NOISELESS)
-    search = LeastQuantisation(problem)
-    for n in (2, 4):
-        estimate, found = search.estimated(n, 60.0), search.best(n, 60.0)
-        assert estimate is not None
-        assert found is not None
-        camera = EffectiveCamera.of(problem.response, [shot.exposure for shot in found])
-        assert sum(shot.time for shot in found) <= 60 * (1 + 1e-9)
-        assert estimate == pytest.approx(effective_levels(camera, problem.desired), rel=0.05)
-    assert search.estimated(4, 3.0) is None
-    assert search.best(4, 3.0) is None
-
-
 def test_few_sets_are_rated_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
     """An exact rating takes up to 0.05 s of processor time for 10 bits, and a user waits for it."""
     rated: list[int] = []
@@ -229,7 +214,7 @@ def test_few_sets_are_rated_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
         rated.append(len(noise))
         return noisy_effective_levels(camera, desired, noise)
 
-    monkeypatch.setattr(accurate_sets, "noisy_effective_levels", counted)
+    monkeypatch.setattr(judge, "noisy_effective_levels", counted)
     noise = NoiseModel(6.0, ((1.0, 5.0),))
     problem = problem_of("log", response=linear_response(10), noise=noise)
     solve_accuracy(problem, total_limit=50.0)

@@ -1,7 +1,7 @@
 """The search for the settings of a capture: controls, a request and light in, settings out.
 
-Exposures are chosen by accuracy, with the camera's noise (`accurate`), or by xi: ratios from a
-table or solved, then the settings near them (`settings`).  Where the light decides the range of the
+Exposures are chosen by accuracy, with the camera's noise (`front`), or by xi: ratios from a table
+or solved, then the settings near them (`settings`).  Where the light decides the range of the
 picture, several ranges are compared (`ranges`).
 """
 
@@ -11,14 +11,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.build import look_up
 from camctl.exposure.goal import ACCURACY, AUTO, RANGE_WITHOUT_LIGHT, XI, CaptureRequest
 from camctl.exposure.light import Light
 from camctl.exposure.objective import Objective, xi
-from camctl.exposure.search.accurate import accurate_settings, estimated_levels, objective_of
+from camctl.exposure.search.front import Front
 from camctl.exposure.search.ranges import Chosen, choose_range
 from camctl.exposure.search.settings import (
     SettingChooser,
@@ -87,6 +87,7 @@ class Search:
             request = replace(request, dynamic_range=RANGE_WITHOUT_LIGHT)
         self.request, self._table, self._progress = request, table, progress
         self.objective = objective_of(request, controls, has_table=table is not None)
+        self._fronts: list[tuple[tuple[Any, ...], Front]] = []
         self._ratios: tuple[float, ...] | None = None
         desired = request.desired
         if request.ratios is None and (desired is None or request.time_budget_s is not None):
@@ -120,12 +121,32 @@ class Search:
                 given = light.desired(request, request.given_range)
             return choose(given)
         assert light is not None  # with a base exposure there is a range
-        by_accuracy = None
-        if self.objective == ACCURACY:
-            by_accuracy = partial(
-                estimated_levels, controls, request, limit_s=limit_s, before=before
-            )
-        return choose_range(controls, request, light, limit_s, choose, by_accuracy)
+        if self.objective != ACCURACY:
+            return choose_range(controls, request, light, limit_s, choose)
+
+        def estimate(desired: DesiredResponse) -> float | None:
+            return self._front(controls, desired, limit_s, before).estimated_levels
+
+        return choose_range(controls, request, light, limit_s, choose, estimate)
+
+    def _front(
+        self,
+        controls: ExposureControls,
+        desired: DesiredResponse,
+        limit_s: float,
+        before: ExposureSetting | None,
+    ) -> Front:
+        """Return the front for a desired response; of each response only one is made."""
+        key = controls, desired.key, desired.dynamic_range, limit_s, before
+        for known, front in self._fronts:
+            if known[0] is controls and known[1:] == key[1:]:
+                return front
+        request = self.request
+        if request.time_budget_s is None and request.accuracy is None:
+            request = replace(request, count=request.most_exposures)
+        front = Front(controls, desired, limit_s, request=request, before=before)
+        self._fronts.append((key, front))
+        return front
 
     def _over(
         self,
@@ -139,22 +160,21 @@ class Search:
         request = self.request
 
         def within(allowed: CaptureRequest) -> Found:
-            if self.objective == ACCURACY:
-                return accurate_settings(
-                    controls, allowed, desired, limit_s, self._progress, before=before
-                )
             ratios = self._ratios or self._solve(controls, allowed, desired, limit_s)
             return _settings_by_xi(controls, allowed, desired, ratios, limit_s), ratios
 
-        allowed = request
-        if self.objective == XI:
+        if self.objective == ACCURACY:
+            front = self._front(controls, desired, limit_s, before)
+            point = front.chosen
+            chosen = Chosen(desired, point.settings, point.ratios, front=front)
+        else:
             allowed = _shutter_budget(controls, request, limit_s, before)
-        wall_s = partial(predicted_wall_s, controls, before=before)
-        chosen = Chosen(desired, *within_budget(request, allowed, within, wall_s))
+            wall_s = partial(predicted_wall_s, controls, before=before)
+            chosen = Chosen(desired, *within_budget(request, allowed, within, wall_s))
         if request.given_range is not None or request.ratios is not None:
             return chosen
         longer = reach_shadows(controls, request, desired, chosen.settings)
-        return chosen if longer is None else Chosen(desired, *longer)
+        return chosen if longer is None else Chosen(desired, *longer, front=chosen.front)
 
     def _look_up(self, real: CameraResponse, desired: DesiredResponse) -> tuple[float, ...]:
         """Return ratios given or looked up, ascending and relative to the smallest.
@@ -228,6 +248,42 @@ class Search:
             search=SearchOptions(effort=_QUICK_EFFORT if allowed.response == AUTO else 1.0),
             progress=self._progress,
         ).exposures
+
+
+def objective_of(request: CaptureRequest, controls: ExposureControls, *, has_table: bool) -> str:
+    """Return by what the exposures are chosen: "accuracy" or "xi".
+
+    Where the request leaves it open it is accuracy if the camera's noise is known, unless the
+    request is one that only xi can answer: a tolerance, a number of levels, a table, the aperture.
+
+    Raises:
+        UsageError: accuracy is requested of a camera whose noise is unknown
+    """
+    requested = request.objective
+    if request.accuracy is not None:
+        requested = ACCURACY
+    if requested == ACCURACY and controls.noise is None:
+        raise UsageError(
+            "the noise of this camera is unknown, so that exposures cannot be chosen by accuracy",
+            hint="choose them by xi, without an accuracy",
+            remedies={"objective": XI, "accuracy": False},
+        )
+    if requested == ACCURACY and has_table:
+        raise UsageError(
+            "a table has exposures chosen by xi, not by accuracy",
+            hint="leave one of them out",
+            remedies={"table": False, "accuracy": False},
+        )
+    if requested is not None:
+        return requested
+    only_xi = (
+        request.tolerance is not None
+        or request.levels_wanted is not None
+        or request.ratios is not None
+        or request.use_aperture
+        or has_table
+    )
+    return XI if controls.noise is None or only_xi else ACCURACY
 
 
 def longest_base_s(request: CaptureRequest, light: Light | None) -> float:

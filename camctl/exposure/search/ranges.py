@@ -12,6 +12,7 @@ from camctl.exposure.accuracy import TooInaccurateError
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.light import LEAST_RANGE, Light
+from camctl.exposure.search.front import Front
 from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
@@ -46,12 +47,14 @@ class Chosen:
         settings: in ascending order of exposure
         ratios: the exposures that were asked of the camera, relative to the shortest
         needed_levels: effective levels of a larger range that would hold the scene
+        front: the front that the settings are a point of; None where they are chosen by xi
     """
 
     desired: DesiredResponse
     settings: tuple[ExposureSetting, ...]
     ratios: tuple[float, ...]
     needed_levels: float | None = None
+    front: Front | None = None
 
 
 def choose_range(

@@ -152,6 +152,13 @@ def linear_response(
     return CameraResponse(irradiance, quantiser_name("linear", bits, phase, count))
 
 
+def every_nth_level(response: CameraResponse, step: int) -> CameraResponse:
+    """Return a camera with each `step`-th level of a finer one."""
+    if step == 1:
+        return response
+    return CameraResponse(response.levels[step - 1 :: step], f"{response.name}, 1/{step}")
+
+
 STANDARDS: tuple[str, ...] = ("linear", "srgb", "rec709", "power")
 
 

@@ -1,0 +1,74 @@
+"""The exact prediction of the accuracy of sets of exposures, each computed once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from camctl.exposure.estimate import FrameAccuracy
+from camctl.exposure.exposure_choices import AccuracyProblem, Rated, Shot, Shots
+from camctl.exposure.noise import noisy_effective_levels
+from camctl.model.effective import EffectiveCamera
+from camctl.model.response.camera import every_nth_level
+
+MAX_JUDGED_LEVELS = 2047
+"""Cameras of more levels are judged by every second, fourth, ... of them, corrected by the ratio of
+the estimates: within 0.3 % of the result with all of them, for two and more frames of a sensor
+whose noise dithers the quantiser (12 and 14 bits, 1:256 to 1:16,000)."""
+
+
+class Judge:
+    """Rates sets of exposures by the exact distribution of their sum.
+
+    Args:
+        frames: what frames contribute by the estimate
+        dithered: whether noise dithers the quantiser; if not, all levels are used
+    """
+
+    def __init__(self, frames: FrameAccuracy, *, dithered: bool) -> None:
+        self._rated: dict[Shots, Rated] = {}
+        self._frames = self._coarse = frames
+        step = math.ceil(math.log2((frames.problem.response.M + 1) / (MAX_JUDGED_LEVELS + 1)))
+        if dithered and step > 0:
+            self._coarse = FrameAccuracy(_coarser(frames.problem, 2**step))
+
+    @property
+    def ratings(self) -> int:
+        """Sets rated so far."""
+        return len(self._rated)
+
+    def __call__(self, shots: Shots) -> Rated:
+        """Return the set with its effective levels, noise included."""
+        if shots not in self._rated:
+            time = self._frames.problem.available.costs.total([shot.time for shot in shots])
+            self._rated[shots] = Rated(shots, self._levels(shots), time)
+        return self._rated[shots]
+
+    def _levels(self, shots: Shots) -> float:
+        problem = self._coarse.problem
+        camera = EffectiveCamera.of(problem.response, [shot.exposure for shot in shots])
+        noise = [problem.frame_noise(shot) for shot in shots]
+        levels = noisy_effective_levels(camera, problem.desired, noise)
+        if self._coarse is self._frames:
+            return levels
+        return levels * _estimate(self._frames, shots) / _estimate(self._coarse, shots)
+
+
+def _coarser(problem: AccuracyProblem, step: int) -> AccuracyProblem:
+    """Return the problem for a camera with each `step`-th level."""
+    response = every_nth_level(problem.response, step)
+    finer = (problem.response.M + 1) / (response.M + 1)
+    noise = replace(problem.noise, conversion_e_per_dn=problem.noise.conversion_e_per_dn * finer)
+    return replace(problem, response=response, noise=noise, black=round(problem.black / finer))
+
+
+def _estimate(frames: FrameAccuracy, shots: Sequence[Shot]) -> float:
+    """Return the estimated effective levels of a set."""
+    parts = np.zeros((3, frames.log_E.size))
+    for shot in shots:
+        time = np.array([shot.time])
+        parts += frames.parts(np.log([shot.exposure]), shot.gain, time)[:, 0]
+    return float((12 * frames.mse(parts)) ** -0.5)

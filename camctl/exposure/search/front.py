@@ -1,0 +1,370 @@
+"""What accuracy costs in time: the front of one camera for one desired response.
+
+Each point has the settings that give the most effective levels in its time, over all sets of
+settings of the camera: its times, gains, frame interval, readout and control delay, and its noise.
+Where the noise is unknown, quantisation alone decides (`Front.has_noise`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from camctl.errors import CaptureError, UsageError
+from camctl.exposure.accuracy import COUNTS, TooInaccurateError, accurate_sets
+from camctl.exposure.accuracy_lookup import look_up_accurate
+from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
+from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.noise import noisy_effective_levels
+from camctl.exposure.search.settings import BASE_SLACK_STOPS, at_most, given_base
+from camctl.exposure.search.wall_time import predicted_wall_s, time_costs
+from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
+from camctl.model.effective import EffectiveCamera
+from camctl.model.noise import NoiseModel
+from camctl.model.response.desired import DesiredResponse
+
+POINTS = 12
+"""Points of a front, evenly over the logarithm of the time."""
+
+NO_NOISE = NoiseModel(1.0, photon_noise=False)
+"""What is assumed of a camera whose noise is unknown."""
+
+#: Whole flicker periods that are tried as shutter times, at most.
+_PERIODS = 200
+#: Factors on the effective levels asked of the search until the camera's own steps reach them.
+_MORE_LEVELS = (1.0, 1.002, 1.006, 1.02)
+#: Relative change of the exposures that changes the effective levels by less than 0.1 %.
+_SAME_LEVELS = 2e-3
+#: Attempts to fit the camera's own steps into a time budget.
+_ATTEMPTS = 6
+#: Relative difference up to which two times are the same, in float64.
+_SAME = 1e-8
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class FrontPoint:
+    """The most accurate settings within a time.
+
+    Attributes:
+        settings: by ascending exposure
+        ratios: the exposures before they were rounded to the camera's steps, relative to the
+            shortest
+        time_s: predicted time from the request until the last frame is here, s
+        levels: predicted effective levels, the noise counted in
+    """
+
+    settings: tuple[ExposureSetting, ...]
+    ratios: tuple[float, ...]
+    time_s: float
+    levels: float
+
+    @property
+    def n(self) -> int:
+        """Number of exposures."""
+        return len(self.settings)
+
+
+class Front:
+    """The settings of most effective levels for each time.
+
+    What is asked of it is computed when it is asked for, and then kept.
+
+    Args:
+        controls: of the camera
+        desired: the desired response; its E = 1 is full scale of the shortest exposure
+        limit_s: longest shutter time of the shortest exposure, s
+        request: what else the user asks for: the number of exposures, a given base exposure, the
+            frequency of the mains; None: nothing
+        before: the setting of the frame before, such as the metering frame
+
+    Attributes:
+        has_noise: whether the camera's noise is known and counted in
+
+    Raises:
+        CaptureError: the given base exposure is beyond the camera's shutter times
+    """
+
+    def __init__(
+        self,
+        controls: ExposureControls,
+        desired: DesiredResponse,
+        limit_s: float,
+        *,
+        request: CaptureRequest | None = None,
+        before: ExposureSetting | None = None,
+    ) -> None:
+        self.controls, self.desired, self._before = controls, desired, before
+        self._request = request or CaptureRequest()
+        self.has_noise = controls.noise is not None
+        count = self._request.count
+        self._counts = COUNTS if count is None else (count,)
+        self._problem = self._timed_problem(limit_s)
+        self._unit_s = self._problem.available.unit_s
+        self._at_times: dict[float, FrontPoint] = {}
+
+    @cached_property
+    def points(self) -> tuple[FrontPoint, ...]:
+        """Points from the fastest set to the most accurate one, ascending in time and levels."""
+        sets = accurate_sets(self._problem, self._counts)
+        fixed = self._problem.available.costs.fixed
+        first, last = sets.least_time(min(self._counts)), sets.longest_of_use
+        times = np.geomspace(first + fixed, max(first, last) + fixed, POINTS) - fixed
+        rated = [sets.within(time, polished=False) for time in times.tolist()]
+        found = [
+            self._point_of(
+                [shot.time for shot in each.shots], [shot.gain for shot in each.shots], each.levels
+            )
+            for each in rated
+        ]
+        found.append(self.recommended)
+        found.sort(key=lambda point: (point.time_s, -point.levels))
+        front: list[FrontPoint] = []
+        for point in found:
+            if not front or point.levels > front[-1].levels:
+                front.append(point)
+        return tuple(front)
+
+    @cached_property
+    def recommended(self) -> FrontPoint:
+        """The point beyond which more time brings no more than averaging does.
+
+        It is the fastest one whose levels^2 / time is within 2 % of the largest: effective levels
+        of averages grow as the square root of the time.
+        """
+        return self._found(recommended=True)
+
+    @cached_property
+    def most_accurate(self) -> FrontPoint:
+        """The fastest point within 0.5 % of the most effective levels, shutter times counted."""
+        problem = self._without_costs
+        found = look_up_accurate(problem, self._counts)
+        return self._point_of(found.times, found.gains)
+
+    def at_time(self, budget_s: float) -> FrontPoint:
+        """Return the most accurate settings that take a time budget at most.
+
+        Raises:
+            UsageError: no settings are over as soon as that; says the least time
+            CaptureError: with the camera's own steps none fit
+        """
+        if budget_s not in self._at_times:
+            self._at_times[budget_s] = self._within(budget_s)
+        return self._at_times[budget_s]
+
+    @property
+    def chosen(self) -> FrontPoint:
+        """What the request asks for: an accuracy, a time, a number, or the recommended point.
+
+        Raises what `at_time` and `at_accuracy` raise.
+        """
+        request = self._request
+        if request.accuracy is not None:
+            budget_s = math.inf if request.time_budget_s is None else request.time_budget_s
+            return self.at_accuracy(request.accuracy, budget_s=budget_s)
+        if request.time_budget_s is not None:
+            return self.at_time(request.time_budget_s)
+        return self.recommended if request.count is None else self.most_accurate
+
+    def _within(self, budget_s: float) -> FrontPoint:
+        allowed_s = budget_s
+        for _ in range(_ATTEMPTS):
+            try:
+                point = self._found(total_limit=allowed_s / self._unit_s * (1 + _SAME / 10))
+            except UsageError:
+                if allowed_s == budget_s:
+                    raise
+                break
+            over_s = point.time_s - budget_s
+            if over_s <= _SAME * budget_s:
+                return point
+            allowed_s = min(allowed_s - over_s, allowed_s * (1 - 1e-3))
+        rounded = self._shortest_steps(point)
+        if rounded.time_s <= budget_s * (1 + _SAME):
+            return rounded
+        raise CaptureError(
+            f"no settings of this camera were found that fit into {budget_s:.4g} s",
+            hint="allow more time, or take fewer exposures",
+        )
+
+    def _shortest_steps(self, point: FrontPoint) -> FrontPoint:
+        """Return a point with its times rounded down to the camera's steps."""
+        least = min(self.controls.exposure(setting) for setting in point.settings)
+        shorter = []
+        for setting in point.settings:
+            is_base = self.controls.exposure(setting) <= least * (1 + _SAME)
+            below = self.controls.time_s.between(
+                self.controls.time_s.minimum, setting.time_s * (1 - _SAME), 1
+            )
+            shorter.append(setting if is_base or not below else replace(setting, time_s=below[0]))
+        time_s = predicted_wall_s(self.controls, shorter, before=self._before)
+        return replace(point, settings=tuple(shorter), time_s=time_s)
+
+    def at_accuracy(self, levels: float, *, budget_s: float = math.inf) -> FrontPoint:
+        """Return the settings that have so many effective levels in the least time.
+
+        Args:
+            levels: effective levels, the noise counted in
+            budget_s: time that they may take at most
+
+        Raises:
+            TooInaccurateError: none have; says the most levels that there are, and their time
+        """
+        limit, best = budget_s / self._unit_s * (1 + _SAME / 10), None
+        for factor in _MORE_LEVELS:
+            try:
+                best = self._found(total_limit=limit, accuracy=levels * factor)
+            except TooInaccurateError:
+                if best is None:
+                    raise
+                break
+            if best.levels >= levels and best.time_s <= budget_s * (1 + _SAME):
+                return best
+        assert best is not None  # the first attempt found it, or raised
+        if budget_s < math.inf and best.time_s > budget_s:
+            best = self.at_time(budget_s)
+        return best
+
+    @property
+    def estimated_levels(self) -> float | None:
+        """About the effective levels of `chosen`, in less time and within a few per cent.
+
+        Where an accuracy is asked for, the most that there are; None: no set is short enough.
+        """
+        request, sets = self._request, accurate_sets(self._problem, self._counts)
+        limit = math.inf
+        if request.time_budget_s is not None:
+            limit = request.time_budget_s / self._unit_s - self._problem.available.costs.fixed
+        elif request.accuracy is None and request.count is None:
+            return sets.estimated_recommended
+        if sets.least_time(min(self._counts)) > limit:
+            return None
+        return sets.estimated(limit)
+
+    def _found(
+        self,
+        *,
+        total_limit: float = math.inf,
+        accuracy: float | None = None,
+        recommended: bool = False,
+    ) -> FrontPoint:
+        found = look_up_accurate(
+            self._problem,
+            self._counts,
+            total_limit=total_limit,
+            accuracy=accuracy,
+            recommended=recommended,
+        )
+        levels = None if accuracy is not None else found.effective_levels
+        return self._point_of(found.times, found.gains, levels)
+
+    def _point_of(
+        self, times: Sequence[float], gains: Sequence[float], levels: float | None = None
+    ) -> FrontPoint:
+        """Return the point of shutter times in the unit of the problem and their gains.
+
+        Args:
+            times: shutter times
+            gains: their gains
+            levels: effective levels before the times are rounded to the camera's steps; they hold
+                for exposures within `_SAME_LEVELS`; None: unknown
+        """
+        controls, settings, asked = self.controls, [], []
+        for time, gain in zip(times, gains, strict=True):
+            gain = controls.gain.nearest(gain)
+            time_s = controls.nearest_time(time * self._unit_s, gain)
+            settings.append(ExposureSetting(time_s, gain))
+            asked.append(time * gain)
+        pairs = sorted(zip(settings, asked, strict=True), key=lambda pair: pair[0].exposure)
+        settings = [setting for setting, _ in pairs]
+        exposures = controls.relative_exposures(settings)
+        ratios = tuple(exposure / min(asked) for exposure in sorted(asked))
+        changed = max(abs(math.log(a / b)) for a, b in zip(exposures, ratios, strict=True))
+        if levels is None or changed > _SAME_LEVELS:
+            camera = EffectiveCamera.of(controls.levels, exposures)
+            levels = noisy_effective_levels(camera, self.desired, controls.frame_noise(settings))
+        time_s = predicted_wall_s(controls, settings, before=self._before)
+        return FrontPoint(tuple(settings), ratios, time_s, levels)
+
+    def _timed_problem(self, limit_s: float) -> AccuracyProblem:
+        """Return the problem of choosing settings, with what they take in a capture."""
+        controls, request = self.controls, self._request
+        time, base_s = controls.time_s, _base(controls, request, limit_s)
+        times = _times(controls, request, base_s)
+        gains = gain_choices(controls.gain)
+        unit_s = base_s if times is None else 1.0
+        costs = time_costs(controls, before=self._before, shortest_s=base_s).in_unit(unit_s)
+        available = AvailableExposures(
+            times,
+            gains,
+            shortest=min(1.0, time.minimum / base_s),
+            longest=max(1.0, time.maximum / base_s),
+            base=(base_s * gains[0], base_s * gains[0]),
+            unit_s=unit_s,
+            costs=costs,
+        )
+        return accuracy_problem(controls, self.desired, available)
+
+    @property
+    def _without_costs(self) -> AccuracyProblem:
+        """The problem where shutter time alone counts, at the lowest gain if that is enough."""
+        available, e_min = self._problem.available, self.desired.e_min
+        is_limited = self.controls.time_s.maximum * e_min < available.unit_s
+        if self._problem.available.times is not None:
+            is_limited = self.controls.time_s.maximum * e_min < (available.base or (0.0,))[0]
+        gains = available.gains if is_limited else available.gains[:1]
+        available = replace(available, gains=gains, costs=TimeCosts())
+        return replace(self._problem, available=available)
+
+
+def gain_choices(gain: Control) -> tuple[float, ...]:
+    """Return gains to choose from: factors of two from the one nearest to 1, ascending."""
+    first = gain.nearest(1.0)
+    doublings = range(max(0, math.floor(math.log2(gain.maximum / first) + _SAME)) + 1)
+    return tuple(sorted({gain.nearest(first * 2.0**power) for power in doublings}))
+
+
+def accuracy_problem(
+    controls: ExposureControls,
+    desired: DesiredResponse,
+    available: AvailableExposures | None = None,
+) -> AccuracyProblem:
+    """Return the problem of choosing exposures for a camera; unknown noise counts as none.
+
+    Without `available`: any time at the gain nearest to 1, as is chosen where nothing limits time.
+    """
+    if available is None:
+        available = AvailableExposures(gains=(controls.gain.nearest(1.0),))
+    noise = NO_NOISE if controls.noise is None else controls.noise
+    return AccuracyProblem(controls.levels, desired, noise, available, controls.black)
+
+
+def _base(controls: ExposureControls, request: CaptureRequest, limit_s: float) -> float:
+    """Return the shutter time of the shortest exposure at the smallest gain, s."""
+    if request.base_s is not None:
+        return given_base(controls.time_s, limit_s)
+    base_s = at_most(controls.time_s, limit_s)
+    if request.mains_hz is not None:
+        period_s = 0.5 / request.mains_hz
+        whole_s = at_most(controls.time_s, math.floor(base_s / period_s + _SAME) * period_s)
+        if base_s * 2.0**-BASE_SLACK_STOPS <= whole_s:
+            return whole_s
+    return base_s
+
+
+def _times(
+    controls: ExposureControls, request: CaptureRequest, base_s: float
+) -> tuple[float, ...] | None:
+    """Return the shutter times to choose from where they are a list; None: any time."""
+    time = controls.time_s
+    if request.mains_hz is None:
+        return time.values if isinstance(time, Choices) else None
+    period_s = 0.5 / request.mains_hz
+    counts = np.unique(np.geomspace(1, max(1.0, time.maximum / period_s), _PERIODS).astype(int))
+    whole = {time.nearest(count * period_s) for count in counts.tolist()}
+    return tuple(sorted({base_s, *(t for t in whole if t >= base_s)}))
