@@ -165,7 +165,8 @@ def run(directory: Path, config: Path, stop: threading.Event) -> None:
         part = directory / f".{CONTROL}.part"
         part.unlink(missing_ok=True)
         with _Server(part, devices) as server:
-            threading.Thread(target=server.serve_forever, name="hub", daemon=True).start()
+            poll = {"poll_interval": 0.05}
+            threading.Thread(target=server.serve_forever, kwargs=poll, daemon=True).start()
             part.rename(path)
             stop.wait()
             path.unlink(missing_ok=True)

@@ -61,7 +61,7 @@ def check_constant_delay(delay: int, sensor: str, scene: str) -> None:
     assert record.trials == 12
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("sensor", SENSORS[:-1])  # "mobile" is slow: below, with all of them
 def test_constant_delay_is_measured_with_every_sensor(sensor: str) -> None:
     """Each delay before one of the scenes, another one for the next sensor."""
     for delay in range(6):
@@ -84,7 +84,7 @@ def test_constant_delay_is_measured_before_every_scene(sensor: str) -> None:
     gain=st.sampled_from([1.0, 8.0]),
     seed=st.integers(0, 1000),
 )
-@settings(max_examples=20)
+@settings(max_examples=12)
 def test_measured_delay_is_within_the_true_bounds(
     delay: int, jitter: int, sensor: str, level: float, noise: float, gain: float, seed: int
 ) -> None:

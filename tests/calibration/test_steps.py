@@ -96,6 +96,7 @@ def test_effective_levels_are_those_that_a_calibrated_camera_promises(
     assert report.achieved.effective_levels == pytest.approx(measured, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("results")
 def test_an_earlier_result_stays_where_a_step_fails() -> None:
     before = kept()[0].responses
@@ -189,6 +190,7 @@ def test_the_pattern_of_the_dark_current_is_distinguished_from_that_of_the_offse
     assert model.dcnu_e_s == dark.dcnu_e_s.value
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own_profiles")
 def test_a_lens_that_is_not_covered_is_said_to_be_open() -> None:
     given = {**UNKNOWN, "sensor": "mobile", "scene": "tile-floor"}

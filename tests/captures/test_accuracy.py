@@ -50,9 +50,8 @@ def test_intervals_contain_the_irradiance_as_often_as_they_state(name: str) -> N
         if name == "interior"
         else load_scene(name, (160, 200))
     )
-    errors = radiance_errors(
-        scene, load_sensor("standard"), CaptureRequest("log", 1000.0, 3), [0.0, 0.1, 0.2]
-    )
+    request = CaptureRequest("log", 1000.0, ratios=(1.0, 9.0, 90.0))
+    errors = radiance_errors(scene, load_sensor("standard"), request, [0.0, 0.1, 0.2])
     for part, where in errors.parts().items():
         samples = np.count_nonzero(where)
         assert samples > 4000

@@ -60,6 +60,6 @@ def test_no_crash_loses_a_saved_frame_or_spoils_the_sum(
 
 @pytest.mark.parametrize("scenario", ["force", "retry"])
 def test_some_crash_points(folder: Path, scenario: str) -> None:
-    checks = sweep(folder, scenario, 23)
+    checks = sweep(folder, scenario, 31)
     assert [check for check in checks if check["wrong"]] == []
     assert len(checks) >= 8

@@ -64,6 +64,7 @@ def test_metering_costs_few_actuations_and_finds_the_highlights(
     assert longest / 2 <= plan.base_s <= longest
 
 
+@pytest.mark.slow
 @given(
     response=st.sampled_from(["log", "linear", "gamma"]),
     dynamic_range=st.sampled_from([256.0, 1000.0, 16000.0]),

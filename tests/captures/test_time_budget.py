@@ -54,9 +54,9 @@ CAMERAS = {
     [
         ("webcam", 5 / 30, "accuracy"),  # the least: three frames after a control delay of two
         pytest.param("webcam", 5 / 30, "xi", marks=pytest.mark.slow),
-        ("webcam", 0.3, "accuracy"),
+        pytest.param("webcam", 0.3, "accuracy", marks=pytest.mark.slow),
         pytest.param("standard", 0.3, "xi", marks=pytest.mark.slow),
-        ("consumer", 1.6, "xi"),
+        pytest.param("consumer", 1.6, "xi", marks=pytest.mark.slow),
         ("consumer", 3.0, "accuracy"),
     ],
 )

@@ -82,10 +82,15 @@ def test_menu_ends_when_its_terminal_is_closed(
 @pytest.mark.parametrize(
     ("end_with", "status", "err"),
     [
-        ("closed terminal, SIGHUP ignored", 1, "the terminal was closed"),
         ("closed terminal", 129, "interrupted by SIGHUP"),
-        ("SIGTERM", 143, "interrupted by SIGTERM"),
-        ("SIGINT", 130, "interrupted"),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (
+                ("closed terminal, SIGHUP ignored", 1, "the terminal was closed"),
+                ("SIGTERM", 143, "interrupted by SIGTERM"),
+                ("SIGINT", 130, "interrupted"),
+            )
+        ),
     ],
 )
 def test_menu_that_ends_during_a_capture_keeps_the_frames(

@@ -252,6 +252,7 @@ def test_keys_of_a_terminal_take_sets_and_end_the_series(tmp_path: Path) -> None
         terminal.close()
 
 
+@pytest.mark.slow
 def test_a_series_on_a_terminal_pauses_and_says_when_it_will_end(tmp_path: Path) -> None:
     folder = tmp_path / "day"
     terminal = on_terminal(folder, "--repeat", "3", "--interval", "0.7", "-O", "time=real")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from sim.sensors.sensor import load_sensor
 SIZE = "320x240"
 
 
+@cache
 def shot(sensor: str, scene: str, request: camctl.CaptureRequest) -> camctl.CaptureReport:
     with camctl.open_camera("sim", scene=scene, sensor=sensor, seed=1, size=SIZE) as camera:
         return camctl.capture(camera, request)

@@ -91,7 +91,7 @@ class _Handler(BaseHTTPRequestHandler):
 def network_camera() -> Iterator[NetworkCamera]:
     """Run a network camera."""
     with NetworkCamera() as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
         thread.start()
         try:
             yield server

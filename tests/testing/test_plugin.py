@@ -107,7 +107,14 @@ def test_unknown_fault(camctl_camera): ...
 """
 
 
-def test_fixture_gives_the_camera_of_the_marker_as_documented(pytester: pytest.Pytester) -> None:
+def test_fixture_gives_the_camera_of_the_marker(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(test_uses=USES)
+    result = pytester.runpytest_subprocess("-q", "--strict-markers", "-W", "error")
+    result.assert_outcomes(passed=12)
+
+
+@pytest.mark.slow
+def test_examples_of_the_page_work(pytester: pytest.Pytester) -> None:
     page = Path(__file__).parents[2] / "docs/how-to/ci.md"
     first, second = [
         block.partition("```")[0]
@@ -115,14 +122,14 @@ def test_fixture_gives_the_camera_of_the_marker_as_documented(pytester: pytest.P
         if "camctl_camera" in block
     ]
     assert 8 <= len(first.splitlines()) <= 12
-    pytester.makepyfile(test_uses=USES, test_first=first, test_second=second)
+    pytester.makepyfile(test_first=first, test_second=second)
     result = pytester.runpytest_subprocess("-q", "--strict-markers", "-W", "error")
-    result.assert_outcomes(passed=17)
+    result.assert_outcomes(passed=5)
 
 
 def test_invalid_options_are_errors_of_one_line(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(MISUSES)
-    result = pytester.runpytest_subprocess("-q")
+    result = pytester.runpytest_inprocess("-q", "-p", "no:cacheprovider")
     result.assert_outcomes(errors=3)
     result.stdout.fnmatch_lines(
         [

@@ -68,12 +68,17 @@ def test_a_mode_dial_that_forbids_manual_exposure(vendor: str) -> None:
     ("vendor", "state", "message"),
     [
         ("nikon", "playback", "does not accept a setting .*leave playback, menus and"),
-        ("nikon", "no card", "has no card .*put a card in"),
-        ("nikon", "lens", "has its lens covered or not in working position"),
-        ("canon", "movie", "cannot do that in its present mode .*movie mode on the camera"),
         ("canon", "lens", "has its lens covered or not in working position .*lens cap off"),
-        ("canon", "no card", "has no card .*put a card in"),
-        ("canon", "retracted lens", "general error.*lens on manual focus"),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (
+                ("nikon", "no card", "has no card .*put a card in"),
+                ("nikon", "lens", "has its lens covered or not in working position"),
+                ("canon", "movie", "cannot do that in its present mode .*movie mode on the camera"),
+                ("canon", "no card", "has no card .*put a card in"),
+                ("canon", "retracted lens", "general error.*lens on manual focus"),
+            )
+        ),
     ],
 )
 def test_the_reason_that_libgphoto2_gives_says_what_to_do(

@@ -42,7 +42,7 @@ SLOW = pytest.mark.slow  # an answer that is lost is waited for in real time
     ("loss", "damage"),
     [
         (0.0, 0.0),
-        (0.04, 0.04),
+        pytest.param(0.04, 0.04, marks=SLOW),
         pytest.param(0.1, 0.0, marks=SLOW),
         pytest.param(0.0, 0.2, marks=SLOW),
         pytest.param(0.08, 0.08, marks=SLOW),
