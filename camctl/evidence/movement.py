@@ -248,6 +248,7 @@ class _FramePair:
         self._short, self._long, self._ranges = short, long, ranges
         self._has_means = limits.pair.is_measured and not limits.pair.sensor.is_coarse
         self._tables = _residual_tables(limits.pair, short.dtype)
+        self._nearest = _nearest_outside(limits, *self._tables)
 
     def areas(self) -> list[tuple[slice, slice]]:
         """Return the rows and columns of the parts that are compared at a time."""
@@ -274,14 +275,17 @@ class _FramePair:
             for part, length, start in zip(area, shape, first, strict=False)
         )
         short, long = self._short[outer], self._long[outer]
-        found = self._limits.outside(short, long, self._ranges, first)
         comparable = long < self._limits.pair.saturated
+        residuals = self._residuals(short, long, comparable) if self._has_means else None
+        found = self._outside(short, long, residuals, first)
         spilled = free = None
         if self._spread.is_any:
             found, free = self._spread.separated(self._limits, found, comparable, short, long)
             spilled, found, comparable = found & ~free, found & free, comparable & free
-        if self._has_means:
-            places, sizes = self._contradicting_means(short, long, free, first)
+        if residuals is not None:
+            if free is not None:
+                residuals *= free
+            places, sizes = self._contradicting_means(residuals, long, first)
             found[places] = True
             self._add_cells(area, first, places, sizes > self._total.significant)
         _pack(self._total.marks, found[inner], area)
@@ -289,24 +293,41 @@ class _FramePair:
             _pack(self._total.spilled, spilled[inner], area)
         return int(np.count_nonzero(comparable[inner]))
 
+    def _outside(
+        self, short: Pixels, long: Pixels, residuals: _Levels | None, first: tuple[int, int]
+    ) -> _Marks:
+        """Return which samples contradict by themselves.
+
+        Those whose residual is as far from 0 as the nearest that may contradict are looked at one
+        by one, if they are few.
+        """
+        limits = self._limits
+        if residuals is not None:
+            below, above = self._nearest
+            near = (residuals <= below) | (residuals >= above)
+            places = np.unravel_index(np.flatnonzero(near), near.shape)
+            if places[0].size <= near.size // 16:
+                near[places] = limits.outside_at(
+                    places, short[places], long[places], self._ranges, first
+                )
+                return near
+        return limits.outside(short, long, self._ranges, first)
+
     def _contradicting_means(
-        self, short: Pixels, long: Pixels, free: _Marks | None, first: tuple[int, int]
+        self, residuals: _Levels, long: Pixels, first: tuple[int, int]
     ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
         """Return the places of samples whose mean contradicts, and the size of its residual.
 
         Args:
-            short: a part of the shorter frame
-            long: the same of the longer one
-            free: pixels that count; None: all
+            residuals: of the samples of a part, 0 where one does not count
+            long: the same part of the longer frame
             first: row and column where the part begins
         """
         side, pair = 2 * MEAN_RADIUS + 1, self._limits.pair
-        residuals = self._residuals(short, long)
-        if free is not None:
-            residuals *= free
         sums = box_sums(residuals, MEAN_RADIUS)
         limit = int(self._total.sigmas * side * _STEPS)
-        contradict = (sums > limit) | (sums < -limit)
+        # As numbers without a sign those below -limit are large.
+        contradict = (sums + np.int16(limit)).view(np.uint16) > 2 * limit
         # Most areas have none; numpy's nonzero is five times as slow as this.
         places = np.unravel_index(np.flatnonzero(contradict), contradict.shape)
         # A sample beside what moved is in its mean, and does not differ by itself: it has to by as
@@ -326,15 +347,16 @@ class _FramePair:
             places, sizes = tuple(each[used] for each in places), sizes[used]
         return places, sizes
 
-    def _residuals(self, short: Pixels, long: Pixels) -> NDArray[np.int16]:
+    def _residuals(self, short: Pixels, long: Pixels, comparable: _Marks) -> _Levels:
         """Return the normalised residual of each sample, in `_STEPS` of a standard deviation.
 
         It is within `_MOST_SIGMAS`, and not above 0 where the longer frame is saturated.
         """
-        lights, means, most = self._tables
+        lights, means = self._tables
         found = _looked_up(lights, short)
         found -= _looked_up(means, long)
-        np.minimum(found, _looked_up(most, long), out=found)
+        most = np.multiply(comparable, np.int16(_MOST_SIGMAS * _STEPS), dtype=np.int16)
+        np.minimum(found, most, out=found)
         # numpy is six times as fast with a row as with a number.
         least = np.full(found.shape[1:], -_MOST_SIGMAS * _STEPS, np.int16)
         return np.maximum(found, least, out=found)
@@ -356,8 +378,8 @@ class _FramePair:
 
 def _residual_tables(
     pair: Pair, dtype: np.dtype[np.uint8] | np.dtype[np.uint16]
-) -> tuple[_Levels, _Levels, _Levels]:
-    """Return tables by the value of a sample: light, its mean, and the largest residual.
+) -> tuple[_Levels, _Levels]:
+    """Return tables by the value of a sample: its light, and the light that it predicts.
 
     Light is counted in standard deviations of the mean of a square, which makes the variance of
     photon noise one everywhere (Anscombe, 1948), and in `_STEPS` of them.  (colours, values of the
@@ -365,7 +387,7 @@ def _residual_tables(
     """
     sensor, white = pair.sensor, pair.sensor.white
     codes = np.minimum(np.arange(np.iinfo(dtype).max + 1), white)
-    tables = np.empty((3, len(pair.tables.mean), white + 1))
+    tables = np.empty((2, len(pair.tables.mean), white + 1))
     for k, (mean, square) in enumerate(zip(pair.tables.mean, pair.tables.square, strict=True)):
         # The response may be flat, and measured errors not quite ascending.
         light, first = np.unique(np.maximum.accumulate(mean[: pair.saturated]), return_index=True)
@@ -375,10 +397,24 @@ def _residual_tables(
             inside = np.interp(each, light, scale)
             inside += np.minimum(each - light[0], 0.0) * density[0]
             tables[number, k] = inside + np.maximum(each - light[-1], 0.0) * density[-1]
-    tables[2] = np.where(np.arange(white + 1) < pair.saturated, _MOST_SIGMAS, 0.0)
     # The difference of two fits into 16 bits.
     found = np.rint(np.clip(tables * _STEPS, -16000, 16000)).astype(np.int16)[..., codes]
-    return found[0], found[1], found[2]
+    return found[0], found[1]
+
+
+def _nearest_outside(limits: Limits, lights: _Levels, means: _Levels) -> tuple[int, int]:
+    """Return the residuals nearest to 0, below and above it, that samples outside limits have."""
+    most = int(_MOST_SIGMAS * _STEPS)
+    below, above = -most, most
+    white = limits.low.shape[1] - 1
+    for low, high, light, mean in zip(limits.low, limits.high, lights, means, strict=True):
+        predicted = mean[: white + 1].astype(np.int32)
+        under, over = low > 0, high < white
+        if under.any():
+            below = max(below, int((light[low[under] - 1] - predicted[under]).max()))
+        if over.any():
+            above = min(above, int((light[high[over] + 1] - predicted[over]).min()))
+    return below, above
 
 
 def _looked_up(tables: _Levels, samples: Pixels) -> _Levels:

@@ -38,6 +38,7 @@ from camctl.system.picture_operations import opencv
 _USUAL_SIGMAS = 3.5
 
 _Floats = NDArray[np.float64]
+_Places = tuple[NDArray[np.intp], ...]
 
 
 @dataclass(frozen=True)
@@ -219,16 +220,45 @@ class Limits:
         places = np.nonzero(found)
         if places[0].size:
             around = ranges_at(ranges, places, first, every)
-            colour = places[2] if len(self.low) > 1 else np.zeros_like(places[0])
-            found[places] = self._outside_edges(colour, short[places], long[places], around)
+            found[places] = self._outside_edges(places, short[places], long[places], around)
         return found
 
+    def outside_at(
+        self,
+        places: _Places,
+        short: Pixels,
+        long: Pixels,
+        ranges: Ranges | None,
+        first: tuple[int, int],
+    ) -> NDArray[np.bool_]:
+        """Return which of some samples, (N,), contradict.
+
+        Args:
+            places: of the samples in their part of the frame
+            short: brightness of the samples in the shorter frame
+            long: in the longer one
+            ranges: `local_ranges` of the longer frame, for limits at edges
+            first: row and column of the frame where the part begins
+        """
+        white = self.low.shape[1] - 1
+        before, after = np.minimum(short, white), (self._colour(places), np.minimum(long, white))
+        found = (before < self.low[after]) | (before > self.high[after])
+        if ranges is not None and found.any():
+            some = tuple(each[found] for each in places)
+            around = ranges_at(ranges, some, first)
+            found[found] = self._outside_edges(some, short[found], long[found], around)
+        return np.asarray(found)
+
+    def _colour(self, places: _Places) -> NDArray[np.intp]:
+        """Return the row of the tables for samples at places."""
+        return places[2] if len(self.low) > 1 else np.zeros_like(places[0])
+
     def _outside_edges(
-        self, colour: NDArray[np.intp], short: Pixels, long: Pixels, ranges: Ranges
+        self, places: _Places, short: Pixels, long: Pixels, ranges: Ranges
     ) -> NDArray[np.bool_]:
         """Return which samples, (N,), contradict with these ranges of brightness around them."""
         sensor, tables = self.pair.sensor, self.pair.tables
-        after = colour, np.minimum(long, sensor.white)
+        after = self._colour(places), np.minimum(long, sensor.white)
         mean = tables.mean[after]
         edges = edge_levels(ranges, sensor.white) * sensor.step(mean)
         error = np.abs(sensor.light[np.minimum(short, sensor.white)] - mean)
