@@ -46,9 +46,11 @@ CODES: Final[dict[str, str]] = {
     "picture_black": "nothing: the picture is black in every exposure",
     "picture_white": "share of the samples that are saturated in every exposure",
     # The picture: movement, light that spread, noise.
+    "moved": "share of the samples that contradict others: from `low`, without those that noise"
+    " marks at most; `place` is the one with most of them",
     "light_spread": "share of the samples that are too bright by light that spread, or that moved",
     "noise_differs": "effective levels that the pixels show; the known noise predicts others",
-    # Photographs already taken; `frames` are positions of the files as they were given.
+    # Photographs already taken; `details` name the files, which need not be frames of the picture.
     "blurred": "contrast over the contrast in the other photographs",
     "copy": "nothing: the second of its frames is the same photograph",
     "damaged": "nothing: the detail `what` says what is wrong with the file",
@@ -104,7 +106,8 @@ class Finding(BaseModel):
 
     Attributes:
         code: of `CODES`, which says what `value` is
-        frames: positions of the frames it is about, 0 first; empty: all of them
+        frames: positions of the frames of the capture that it is about, 0 first; empty: it is about
+            all of them, or about a photograph that is none of them and named in `details`
         value: what was measured
         low, high: its 95 % confidence interval, where it has one
         place: where in the picture; None: everywhere

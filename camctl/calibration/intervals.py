@@ -8,7 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from camctl.evidence.movement import SIGNIFICANCE
+from camctl.evidence.ratio_check import SIGNIFICANCE
 from camctl.evidence.ratio_fit import BLOCKS
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.noise import Figure

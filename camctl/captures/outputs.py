@@ -120,9 +120,7 @@ def complete(
                 *unfinished.plan.findings,
                 *unfinished.findings,
                 *_light_findings(unfinished, total, controls, achieved),
-                *_evidence_findings(
-                    unfinished, details.spread, achieved, repeatable=controls.repeatable
-                ),
+                *_evidence_findings(unfinished, movement, achieved, repeatable=controls.repeatable),
             ],
             "taken_at": details.taken_at,
             "timing": {**unfinished.timing, "writing_s": writing_s},
@@ -317,10 +315,18 @@ def _light_findings(
 
 
 def _evidence_findings(
-    unfinished: UnfinishedCapture, spread: float, achieved: Achieved, *, repeatable: bool
+    unfinished: UnfinishedCapture,
+    movement: Movement | None,
+    achieved: Achieved,
+    *,
+    repeatable: bool,
 ) -> list[Finding]:
-    """Return what the frames say of light that spread, and of the noise known of the camera."""
-    found = spread_findings(unfinished.request, unfinished.plan, spread, repeatable=repeatable)
+    """Return what the frames say of movement, light that spread, and the camera's known noise."""
+    found = []
+    if movement is not None:
+        found = movement.found.findings
+        spread = movement.found.spread
+        found += spread_findings(unfinished.request, unfinished.plan, spread, repeatable=repeatable)
     measured, predicted = achieved.measured, achieved.effective_levels
     if achieved.noise and measured is not None and measured.contradicts(predicted):
         value = measured.effective_levels

@@ -28,7 +28,7 @@ from camctl.evidence.patch_errors import MEAN_RADIUS
 from camctl.evidence.ratio_check import SIGNIFICANCE
 from camctl.evidence.residual import Limits, Pair
 from camctl.evidence.spill import LightSpread, Lines, only_beside_white
-from camctl.findings import Place
+from camctl.findings import Finding, Place
 from camctl.interface.camera import Pixels
 from camctl.system.picture_operations import box_sums, connected_parts, dilated, opencv
 from camctl.system.threads import in_threads
@@ -98,6 +98,23 @@ class FoundMovement:
     def is_local(self) -> bool:
         """Whether things moved in a part of the picture, and most of it is at rest."""
         return bool(self.places) and self.area < _MOST_LOCAL
+
+    @property
+    def findings(self) -> list[Finding]:
+        """One finding where it is no noise, else none."""
+        if not self.places:
+            return []
+        low = max(self.share - self.false_alarms, 0.0)
+        return [
+            Finding(
+                code="moved",
+                value=self.share,
+                low=low,
+                high=self.share,
+                place=self.places[0],
+                details={"area": self.area},
+            )
+        ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from camctl.system.number_text import percent_text, time_text
 
 
 def _tags_differ(finding: Finding) -> str:
-    details = finding.details
+    details: dict[str, Any] = finding.details
     if details["what"] == "camera":
         return (
             f"the photographs were taken by different cameras ({details['whose']}), whose "
@@ -21,7 +21,7 @@ def _tags_differ(finding: Finding) -> str:
             f"{details['file']} states another orientation than {details['other']}: it is taken "
             "to lie as that photograph does"
         )
-    more = f" (and {len(finding.frames) - 1} more)" if len(finding.frames) > 1 else ""
+    more = f" (and {details['count'] - 1} more)" if details["count"] > 1 else ""
     value = f"ISO {finding.value:g}" if details["what"] == "ISO" else f"f/{finding.value:g}"
     what = "ISO speed" if details["what"] == "ISO" else details["what"]
     return f"{details['file']}{more} states no {what}, and others do: {value} is assumed"
@@ -135,7 +135,7 @@ def _light_differs(finding: Finding) -> str:
     details = finding.details
     if "flash_fired" in details:
         verb = "fired" if details["flash_fired"] else "did not fire"
-        them = "it" if len(finding.frames) == 1 else "them"
+        them = "it" if details["count"] == 1 else "them"
         return (
             f"the flash {verb} in {details['files']} only, where the light is another: leave "
             f"{them} out"
@@ -150,7 +150,7 @@ def _light_differs(finding: Finding) -> str:
 def _use(finding: Finding) -> str:
     """Return what is done where pixels say other exposures than files."""
     if finding.details["left_out"]:
-        return "it is left out" if len(finding.frames) == 1 else "they are left out"
+        return "it is left out" if finding.details["count"] == 1 else "they are left out"
     return "what the pixels say is used"
 
 
@@ -170,7 +170,7 @@ def _masked(finding: Finding) -> str:
 
 
 def _label_unchecked(finding: Finding) -> str:
-    if not finding.frames:
+    if "file" not in finding.details:
         return (
             "three photographs or fewer do not always show that an exposure is wrong while the "
             "response is not known"

@@ -171,6 +171,17 @@ def _light_spread(finding: Finding) -> str:
     )
 
 
+def _moved(finding: Finding) -> str:
+    place = finding.place
+    assert place is not None  # as where the finding was made
+    return (
+        f"something moved, or its light changed, in {finding.details['area']:.1%} of the picture, "
+        f"most of it in columns {place.left} to {place.right - 1} and rows {place.top} to "
+        f"{place.bottom - 1}: {finding.value:.2%} of the samples contradict other frames (mask bit "
+        "4, marked in the contact sheet)"
+    )
+
+
 def _noise_differs(finding: Finding) -> str:
     return (
         f"the frames show {finding.value:.4g} effective levels instead of the "
@@ -241,6 +252,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "light_below_range": _light_below_range,
     "light_changed": _light_changed,
     "light_spread": _light_spread,
+    "moved": _moved,
     "noise_differs": _noise_differs,
     "picture_black": lambda _: (
         "the picture is black in every exposure; take the lens cap off, or expose longer"

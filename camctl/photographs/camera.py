@@ -160,7 +160,8 @@ def flashes(photographs: Sequence[Photograph]) -> list[Finding]:
 def named(finding: Finding, photographs: Sequence[Photograph]) -> Finding:
     """Return a finding with the names of its photographs, which are at its frames' positions."""
     names = [photographs[k].name for k in finding.frames]
-    details = dict(zip(("file", "other"), names, strict=False)) | {"files": ", ".join(names)}
+    details: dict[str, Detail] = dict(zip(("file", "other"), names, strict=False))
+    details |= {"files": ", ".join(names), "count": len(names)}
     return detailed(finding, **(details | finding.details))
 
 

@@ -46,8 +46,8 @@ class MergePlan:
     @property
     def photographs(self) -> list[dict[str, Any]]:
         """Exposure of each photograph, whether it is used, and why not."""
-        camera = self.opened.camera
-        used, reasons = camera.chosen(self.plan.settings), why_unused(camera, self.plan)
+        camera, used = self.opened.camera, self._used
+        reasons = why_unused(camera, self.plan)
         return [
             {
                 "file": each.name,
@@ -62,20 +62,32 @@ class MergePlan:
 
     @property
     def notes(self) -> list[Finding]:
-        """Findings that are warnings; frames are positions of the files as they were given."""
-        used = [k for k, each in enumerate(self.photographs) if each["used"]]
-        return [
-            *self.opened.notes,
-            *(
-                detailed(each, summed=k in used and len(used) > 1, used=k in used)
-                for k, each in self.opened.displaced.items()
-            ),
-        ]
+        """Findings that are warnings."""
+        used = self._used
+        displaced = (
+            detailed(each, summed=k in used and len(used) > 1, used=k in used)
+            for k, each in self.opened.displaced.items()
+        )
+        return [self._of_frames(each) for each in (*self.opened.notes, *displaced)]
 
     @property
     def facts(self) -> tuple[Finding, ...]:
-        """Findings that are no warnings; frames likewise."""
-        return self.opened.facts
+        """Findings that are no warnings."""
+        return tuple(map(self._of_frames, self.opened.facts))
+
+    @property
+    def _used(self) -> list[int]:
+        """Positions of the photographs that are used, frame by frame."""
+        return self.opened.camera.chosen(self.plan.settings)
+
+    def _of_frames(self, finding: Finding) -> Finding:
+        """Return a finding about files, given by their positions, as one about frames.
+
+        A file that is no frame of the picture is named in its details alone.
+        """
+        files = [self.opened.positions[k] for k in self._used]
+        frames = tuple(files.index(k) for k in finding.frames if k in files)
+        return finding.model_copy(update={"frames": frames})
 
     @property
     def source(self) -> dict[str, Any]:

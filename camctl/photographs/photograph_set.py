@@ -76,6 +76,7 @@ class OpenedPhotographs:
     Attributes:
         camera: of which they are the frames
         patches: samples of each of them, see `sample_patches`
+        positions: of its photographs among the files as they were given
         response: where the response is from
         facts: findings that are no warnings
         notes: findings that are; in both, frames are positions of the files as they were given
@@ -85,6 +86,7 @@ class OpenedPhotographs:
 
     camera: PhotographCamera
     patches: tuple[Patches, ...]
+    positions: tuple[int, ...]
     response: str
     facts: tuple[Finding, ...]
     notes: tuple[Finding, ...]
@@ -145,6 +147,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     return OpenedPhotographs(
         camera,
         tuple(patches),
+        tuple(positions),
         response,
         tuple(named(each, given) for each in facts),
         tuple(named(each, given) for each in notes),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,10 @@ import pytest
 from bracketed_photographs import SCENE, TIMES, film, photograph, save
 from numpy.typing import NDArray
 
-from camctl import DataError, PhotographOptions
+from camctl import CaptureRequest, DataError, PhotographOptions
 from camctl.findings import Finding
 from camctl.messages.plain import sentence
+from camctl.photographs.merge import plan_merge
 from camctl.photographs.photograph_set import open_photographs
 
 from .conftest import Opened
@@ -229,6 +231,13 @@ def test_copies_are_left_out_or_refused(opened: Opened) -> None:
     found = open_photographs(files, known)
     assert [(each.code, each.frames) for each in found.notes] == [("copy", (4, 2))]
     assert len(found.camera.photographs) == 4
+    known_again = replace(known, times=(*times[:2], times[2], *times[2:]))
+    # In a merge frames are the frames of its picture; the copy is none of them.
+    merged = plan_merge([*files[:2], files[4], *files[2:4]], CaptureRequest(count=3), known_again)
+    (copy,) = [each for each in merged.notes if each.code == "copy"]
+    used = [each["file"] for each in merged.photographs if each["used"]]
+    assert copy.details["file"] == "p02.png"
+    assert [used[k] for k in copy.frames] == ["copy.png"]
     with pytest.raises(DataError, match=r"^p02.png and copy.png are the same photograph, but"):
         open_photographs(files, PhotographOptions(times=(*times, 2.0), curve="srgb"))
 
