@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from camctl.calibration.light import too_bright
+from camctl.calibration.light import metered, too_bright
 from camctl.calibration.timing import measure_stream_timing
 from camctl.errors import CameraProtocolError, CaptureError, UsageError
 from camctl.findings import Finding
@@ -37,17 +37,12 @@ _LEAST_STEP = 0.02
 #: The bright setting is the longest with at most this mean brightness, as a share of that range:
 #: few samples are saturated then.
 _BRIGHT = 0.6
-#: Mean brightness above which two equally bright settings mean too much light rather than too
-#: little.
-_SATURATED = 0.5
 #: Frames after a step that are looked at first, and at most, for cameras with a longer delay.
 FIRST_FRAMES, MOST_FRAMES = 8, 64
 #: Consecutive frames with the new exposure after which it counts as settled.
 _SETTLED_AFTER = 2
 #: Frames of which the settled brightness of a setting is the mean.
 _SETTLED_FRAMES = 4
-#: Samples of which the brightness of a frame is the mean, about.
-_SAMPLES = 1 << 16
 #: Longest exposure, s, where the camera does not report its frame interval: 15 frames a second
 #: are a usual lowest rate.
 _LONGEST_S = 1 / 15
@@ -236,15 +231,12 @@ class _Stepper:
 
 def _brightness(frame: Frame) -> float:
     """Return the mean brightness of a frame, from 0 at black to 1 at white."""
-    rows, columns = frame.pixels.shape[:2]
-    step = max(1, math.isqrt(rows * columns // _SAMPLES))
-    samples = np.clip(frame.pixels[::step, ::step].astype(np.float64), frame.black, frame.white)
-    return float((samples.mean() - frame.black) / (frame.white - frame.black))
+    return float(metered(frame).mean())
 
 
 def _invisible_step(light: float, dark: ExposureSetting, bright: ExposureSetting) -> CaptureError:
     """Return the error for two settings with equal brightness, `light`."""
-    if light > _SATURATED:
+    if light > _BRIGHT:
         return too_bright(dark.time_s)
     return CaptureError(
         f"the scene is too dark: it is black even at {bright.time_s:.4g} s with gain "

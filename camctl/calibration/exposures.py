@@ -14,6 +14,7 @@ import numpy as np
 
 from camctl.calibration.intervals import student_95
 from camctl.calibration.light import LONGEST_S, spread_times, too_bright, too_dark
+from camctl.calibration.limits import DIM
 from camctl.errors import CaptureError
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.ratios import RatioEstimates, comparable_frames, estimate_ratios
@@ -27,8 +28,8 @@ from camctl.profiles.exposures import Correction, ExposureRecord
 REPEATS = 3
 #: Shutter times in a stop, on a camera that has any.
 _TIMES_PER_STOP = 2
-#: A frame is worth comparing if this share of its samples lies between these shares of full scale.
-_LEAST_SHARE, _DIMMEST, _BRIGHTEST = 0.05, 0.08, 0.9
+#: A frame is worth comparing if this share of its samples is well exposed.
+_LEAST_SHARE = 0.05
 #: Standard deviation of frames with one setting, relative: above the first the light or the shutter
 #: is not steady and nothing is measured, above the second there is a warning.
 _UNSTEADY, _UNEVEN = 0.02, 0.003
@@ -209,13 +210,14 @@ def _useful_times(camera: Camera, times: Sequence[float], scale: SensorModel) ->
     for frame in camera.shoot([ExposureSetting(time_s, gain) for time_s in tried]):
         values = scale.light[sample_patches(controls.layout.planes(frame.pixels), scale.white)]
         light[tried[frame.index]] = values / scale.full
+    brightest = scale.light[scale.highest(None)] / scale.full
     good = [
         time_s
         for time_s, values in light.items()
-        if np.mean((values >= _DIMMEST) & (values <= _BRIGHTEST)) >= _LEAST_SHARE
+        if np.mean((values >= DIM) & (values <= brightest)) >= _LEAST_SHARE
     ]
     if not good:
-        raise _unsuitable_light(light)
+        raise _unsuitable_light(light, brightest)
     first = max((t for t in tried if t < good[0]), default=times[0])
     last = min((t for t in tried if t > good[-1]), default=times[-1])
     # Times next to a good one are good where the light changes by the same factor as the time.
@@ -229,11 +231,11 @@ def _useful_times(camera: Camera, times: Sequence[float], scale: SensorModel) ->
     return useful
 
 
-def _unsuitable_light(light: Mapping[float, FloatArray]) -> CaptureError:
+def _unsuitable_light(light: Mapping[float, FloatArray], brightest: float) -> CaptureError:
     shortest, longest = min(light), max(light)
-    if np.mean(light[shortest]) > _BRIGHTEST:
+    if np.mean(light[shortest]) > brightest:
         return too_bright(shortest)
-    if np.mean(light[longest]) < _DIMMEST:
+    if np.mean(light[longest]) < DIM:
         return too_dark(f"it is nearly black even at {longest:.4g} s")
     return CaptureError(
         "no shutter time exposes a twentieth of the picture well",

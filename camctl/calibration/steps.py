@@ -19,6 +19,7 @@ from typing import TypeAlias
 import numpy as np
 
 from camctl.calibration.exposures import measure_exposures
+from camctl.calibration.limits import FEW
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
 from camctl.calibration.response.series import Series
 from camctl.calibration.response.shooting import measure_response
@@ -45,13 +46,10 @@ from camctl.profiles.response import ResponseRecord
 #: until they change by less than the second number: each round about halves the errors that wrong
 #: labels leave in both, and the irradiance of dark levels has ten times the errors of exposures.
 _NOTABLE_CHANGE, _SETTLED, _MOST_ROUNDS = 0.005, 0.001, 5
-#: Factor of the disagreement of the frames from which measured exposures are worse than stated, and
-#: the factor up to which a change may repeat the round before: else the response is wrong.
-_WORSE, _SHRINKS = 1.25, 1.0
+#: Factor of the disagreement of the frames from which measured exposures are worse than stated.
+_WORSE = 1.25
 #: Frames for the response in a second try.
 _MORE_FRAMES = 16
-#: A frame counts as one without saturation up to this share of saturated samples.
-_FEW_SATURATED = 0.01
 #: Factors of the longest time of such frames, one after another where these do not reach bright
 #: levels: the fewer samples are saturated, the less spills over.
 _LONGER = (1.0, 1.5, 3.0, 8.0)
@@ -102,7 +100,7 @@ class _Calibration:
                 yield from self._step("exposures", "none", self._withdraw_exposures)
                 break
             yield from self._step(f"exposures, round {number}", RESPONSE, self._measure_exposures)
-            if self._change > max(_NOTABLE_CHANGE, _SHRINKS * change):
+            if self._change > max(_NOTABLE_CHANGE, change):
                 yield from self._step("exposures", "none", self._withdraw_exposures)
                 break
         short = list(self._step("response without highlights", EXPOSURES, self._check_highlights))
@@ -235,7 +233,7 @@ def _unsaturated(camera: Camera, series: Series) -> float:
     times = [
         exposure / gain
         for exposure, patches in zip(series.exposures, series.patches, strict=True)
-        if np.mean(patches >= series.white) <= _FEW_SATURATED
+        if np.mean(patches >= series.white) <= FEW
     ]
     return max(times, default=0.0)
 

@@ -219,7 +219,6 @@ def test_a_file_of_patches_is_read(tmp_path: Path) -> None:
         ("1 2 3 1e400 .5\n", "line 1: invalid rectangle"),
         ("1 2 3 4 0\n", "line 1: invalid reflectance 0; give numbers from 0 to 1"),
         ("1 2 3 4 nan\n", "line 1: invalid reflectance nan"),
-        ("1 2 3 4 .5\n" * 1001, "has more than 1000 patches"),
     ],
 )
 def test_invalid_files_of_patches_are_refused(tmp_path: Path, text: str, message: str) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import root_of_ratio, student_95
+from camctl.calibration.limits import DIM, FEW
 from camctl.calibration.noise.pattern import HOT
 from camctl.errors import DataError
 from camctl.interface.camera import Camera
@@ -32,12 +33,10 @@ from camctl.profiles.noise import (
 
 #: Shutter times, and the longest one unless another is asked for, s.
 TIMES, LONGEST_S = 5, 4.0
-#: Share of full scale above black that the frames have at most without light, up to this quantile:
-#: above it are hot pixels.
-_MOST_LIGHT, _BRIGHT = 0.1, 0.95
-#: Noise of a sample, with rounding, that the frames need, DN; samples at 0, as a share, from which
-#: noise is cut.
-_LEAST_NOISE, _MOST_CUT = 0.4, 0.01
+#: Share of the samples of a frame without light that are not hot.
+_NOT_HOT = 0.95
+#: Noise of a sample, with rounding, that the frames need, DN.
+_LEAST_NOISE = 0.4
 #: Median of the absolute deviation of normal numbers of standard deviation 1.
 _MEDIAN_SHARE = 0.6745
 
@@ -69,8 +68,8 @@ class DarkFrames:
                 f"and the first one {first.shape[1]} x {first.shape[0]}",
                 hint="give frames of one size and format",
             )
-        light = float(np.quantile(pixels, _BRIGHT) - self.black) / (self.white - self.black)
-        if light > _MOST_LIGHT:
+        light = float(np.quantile(pixels, _NOT_HOT) - self.black) / (self.white - self.black)
+        if light > DIM:
             raise DataError(
                 f"the frame of {time_s:.4g} s is not dark: the brightest twentieth of it has "
                 f"{light:.0%} of full scale or more",
@@ -98,7 +97,7 @@ def estimate_dark(frames: DarkFrames, at: GainNoise) -> DarkRecord:
             hint="give two frames of each of two or more times, the longest at least twice the "
             "shortest",
         )
-    if np.mean(frames.frames[times[0]][0] == 0) > _MOST_CUT:
+    if np.mean(frames.frames[times[0]][0] == 0) > FEW:
         raise DataError(
             "the camera has no black level: the noise around black is cut at 0, so that dark "
             "current and offsets do not show",

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import certain, root_of_ratio
+from camctl.calibration.limits import DIM, FEW, LEAST_PATCHES, MOST_MOVED
 from camctl.calibration.noise.curve import NoiseCurve
 from camctl.calibration.noise.fit import NoiseFit, combine_fits, fit_noise
 from camctl.calibration.noise.pairs import FramePair, PairPatches, channel_names, reduce_pair
@@ -25,16 +26,11 @@ from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.model.response.camera import CameraResponse
+from camctl.model.sensor import SensorModel
 from camctl.profiles.noise import CurvePoint, Figure, GainNoise, NoiseRecord
 
 #: A change of the light within a pair that is noted, and one from which a pair is not used.
 _NOTED_CHANGE, _MOST_CHANGE = 0.02, 0.2
-#: Share of moved patches, in the median pair, from which nothing is measured.
-_MOST_MOVED = 0.25
-#: Share of saturated patches from which a pair shows nothing, and that counts as clipping seen.
-_ALL, _SOME = 0.98, 0.01
-#: A pair whose patches are all below this share of full scale is black.
-_BLACK = 0.01
 #: Misfit of the photon transfer curve that is noted.
 _NOTED_MISFIT = 3.0
 #: Correlation of neighbouring samples from which the camera is said to filter its pictures.
@@ -45,8 +41,6 @@ _APART_SHARE = 0.03
 #: spread over a level, DN: where it is not, as on a flat field with little noise, the variance
 #: depends on where in a level the light is.
 _LEAST_SPREAD = 0.65
-#: Brightness, as shares of full scale, between which the PRNU is measured, and the fewest patches.
-_PRNU_RANGE, _LEAST_FLAT = (0.2, 0.8), 64
 
 
 @dataclass(eq=False)
@@ -143,7 +137,7 @@ def estimate_noise(frames: NoiseFrames) -> NoiseRecord:
     if (misfit := max(each.misfit for each in measured)) > _NOTED_MISFIT:
         remedies = {"calibrate_response": None}
         findings.append(Finding(code="noise_misfit", value=misfit, remedies=remedies))
-    saturates = max(pair.saturated_share for pair in frames.pairs) > _SOME
+    saturates = max(pair.saturated_share for pair in frames.pairs) > FEW
     lowest = measured[0]
     response = frames.responses[channel or channel_names(frames.layout)[-1]]
     return NoiseRecord(
@@ -165,17 +159,17 @@ def _usable_pairs(frames: NoiseFrames) -> list[FramePair]:
             f"no two of the {frames.unpaired} frames have the same exposure",
             hint="give two frames of each exposure: the noise is what differs between them",
         )
-    pairs = [pair for pair in frames.pairs if pair.saturated_share < _ALL]
+    pairs = [pair for pair in frames.pairs if pair.saturated_share < 1 - 2 * FEW]
     if not pairs:
         raise DataError(
             "all frames are saturated everywhere", hint="expose shorter, or close the aperture"
         )
     span = frames.white - frames.black
     bright = [
-        max(float(np.quantile(each.mean, 0.99)) for each in pair.channels.values())
+        max(float(np.quantile(each.mean, 1 - FEW)) for each in pair.channels.values())
         for pair in pairs
     ]
-    if max(bright) < _BLACK * span:
+    if max(bright) < FEW * span:
         raise DataError(
             "all frames are black",
             hint="take the lens cap off, light the scene, or expose longer; frames without light "
@@ -189,7 +183,7 @@ def _usable_pairs(frames: NoiseFrames) -> list[FramePair]:
                 hint="give two separate frames; a camera whose noise is far below one level shows "
                 "none: raise its gain",
             )
-    if (moved := float(np.median([pair.moved_share for pair in pairs]))) > _MOST_MOVED:
+    if (moved := float(np.median([pair.moved_share for pair in pairs]))) > MOST_MOVED:
         raise DataError(
             f"{moved:.0%} of the picture differs between the two frames of a pair: the camera or "
             "the scene moved",
@@ -291,22 +285,23 @@ def _prnu(frames: NoiseFrames, pairs: Sequence[FramePair]) -> Figure | None:
 
     The sum over pairs of a patch is one observation, since its pixels are the same in all of them.
     """
-    low, high = (share * (frames.white - frames.black) for share in _PRNU_RANGE)
+    low = DIM * (frames.white - frames.black)
     sums = []
     for name, response in frames.responses.items():
         full = response.M + 1.0
+        highest = SensorModel(response, frames.black).highest(None) - frames.black
         height = np.arange(1.0, full)
         total: NDArray[np.float64] | float = 0.0
         for pair in pairs:
             patches = pair.channels[name]
             light = np.interp(patches.mean + 0.5, height, response.levels) * full
-            used = (patches.mean > low) & (patches.mean < high)
+            used = (patches.mean > low) & (patches.mean < highest)
             slope = response.slope(light / full) / full
             total = total + np.stack(
                 [np.where(used, patches.pattern / slope**2, 0), np.where(used, light**2, 0)]
             )
         sums.append(total)
     colours = [np.atleast_2d(each).T for each in sums]
-    if sum(np.count_nonzero(each[:, 1]) for each in colours) < _LEAST_FLAT:
+    if sum(np.count_nonzero(each[:, 1]) for each in colours) < LEAST_PATCHES:
         return None
     return root_of_ratio(colours)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import Z_95, certain
+from camctl.calibration.limits import LEAST_PATCHES
 from camctl.calibration.noise.curve import LEAST_VARIANCE, NoiseCurve, TransferCurve
 from camctl.calibration.noise.pairs import PairPatches
 from camctl.errors import DataError
@@ -27,8 +28,8 @@ _BRIGHT = 0.7
 #: Where a response is curved or noise is cut at black, patches with contrast that would change the
 #: variance by this share are not used, nor those with a contrast above this share of their mean.
 _MOST_CURVED, _MOST_CONTRAST = 0.03, 0.06
-#: Fewest patches for a fit, and the least ratio of the brightest to the darkest tenth of them.
-_LEAST_PATCHES, _LEAST_RANGE = 100, 3.0
+#: Least ratio of the brightest to the darkest tenth of the patches.
+_LEAST_RANGE = 3.0
 #: Groups of brightness in which the fit is compared with the measured variance.
 _GROUPS = 20
 #: Mean square deviation of the groups, over its expectation, from which the intervals are widened.
@@ -239,7 +240,7 @@ def _round(
 def _start(curve: NoiseCurve, patches: PairPatches, white: float) -> tuple[float, float]:
     """Return a start: photon noise alone, which half of the brighter patches exceed."""
     bright = patches.part((patches.mean > white / 16) & (patches.mean < _BRIGHT * white))
-    if bright.mean.size < _LEAST_PATCHES:
+    if bright.mean.size < LEAST_PATCHES:
         raise DataError(
             f"only {bright.mean.size} patches are between 6 % and 70 % of full scale",
             hint="add pairs of frames with exposures between, or use a scene with more shades",
@@ -257,14 +258,14 @@ def _check(
 ) -> None:
     """Raise `DataError` unless the patches that are used suffice for a fit."""
     count = int(np.count_nonzero(used))
-    if np.count_nonzero(moved) > max(count, _LEAST_PATCHES):
+    if np.count_nonzero(moved) > max(count, LEAST_PATCHES):
         raise DataError(
             f"{np.count_nonzero(moved) / np.count_nonzero(used | moved):.0%} of the picture "
             "differs between the two frames of a pair by more than noise: the camera or the scene "
             "moved",
             hint="put the camera on a tripod before a scene that does not move",
         )
-    if count < _LEAST_PATCHES:
+    if count < LEAST_PATCHES:
         raise DataError(
             f"the noise can be measured in {count} of {patches.mean.size} patches: the others are "
             "black, saturated, or have less noise than rounding shows",

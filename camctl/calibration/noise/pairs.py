@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import certain
+from camctl.calibration.limits import MOST_MOVED
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.interface.controls import ExposureSetting, Layout
@@ -25,9 +26,6 @@ from camctl.model.response.camera import FloatArray
 _SATURATED = 0.5
 #: Patches whose relative change has at most this standard error are asked for it.
 _CERTAIN = 0.01
-#: Relative change of a patch, beyond the whole picture, from which it has moved: bands of a
-#: lamp under a rolling shutter change less.
-_MOVED = 0.25
 #: Noise that leaves at least this variance is looked at for correlation, DN squared.
 _LEAST_VARIANCE = 0.5
 #: Fewest rows and columns of a colour: patches have two samples on a side then.
@@ -146,7 +144,7 @@ def reduce_pair(
     change = np.concatenate(changes)
     change = change[change[:, 1] < _CERTAIN]
     common = float(np.median(change[:, 0])) if change.size else 0.0
-    moved = np.abs(change[:, 0] - common) > _MOVED + certain(len(change)) * change[:, 1]
+    moved = np.abs(change[:, 0] - common) > MOST_MOVED + certain(len(change)) * change[:, 1]
     return FramePair(
         setting,
         {name: PairPatches.joined(parts) for name, parts in channels.items()},

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from camctl.calibration.intervals import root_of_ratio
 from camctl.calibration.light import probes
+from camctl.calibration.limits import DIM, LEAST_PATCHES
 from camctl.errors import CaptureError, DataError
 from camctl.evidence.patches import sample_patches
 from camctl.interface.camera import Camera
@@ -30,12 +31,8 @@ from camctl.profiles.noise import DarkRecord, Figure, NoiseRecord
 
 #: Frames of a view with each time, and the number of times, a factor of 2 apart.
 _REPEATS, _TIMES = 4, 3
-#: Light, as shares of full scale, between which patches count.
-_DIM, _BRIGHT = 0.15, 0.95
 #: Smooth shades of a patch: terms of a polynomial along rows and columns, up to this degree.
 _DEGREE = 2
-#: Fewest patches that are bright in both views.
-_LEAST_PATCHES = 64
 HOT = 8.0
 """A pixel is hot if it deviates by so many standard deviations of noise and pattern in both of two
 pictures: of 1e8 normal pixels none does."""
@@ -69,10 +66,11 @@ class View:
             [scale.light[part] / scale.full for scale, part in zip(scales, patches, strict=True)]
         )
         mean = light.mean(axis=1)
-        is_used = (mean > _DIM) & (light.max(axis=1) < _BRIGHT)
+        highest = scales[0].highest(None)
+        is_used = (mean > DIM) & (np.concatenate(patches).max(axis=1) <= highest)
         # Photon noise, relative to the light, has a variance in inverse proportion to it.
         weight = np.where(is_used, mean, 0.0)
-        relative = light / np.maximum(mean, _DIM)[:, None] * weight[:, None]
+        relative = light / np.maximum(mean, DIM)[:, None] * weight[:, None]
         self._sum = relative if self._sum is None else self._sum + relative
         self._weight = weight if self._weight is None else self._weight + weight
         self._mean = self._mean + mean
@@ -97,7 +95,7 @@ class View:
             dark: of the camera
             full_e: electrons of full scale in the frames
         """
-        light_e = np.maximum(np.asarray(self._weight), _DIM) * full_e
+        light_e = np.maximum(np.asarray(self._weight), DIM) * full_e
         rate = 0.0 if dark.dcnu_e_s is None else dark.dcnu_e_s.value
         return dark.dsnu_e.value * self._frames / light_e, rate * self._time_s / light_e
 
@@ -105,7 +103,7 @@ class View:
         """Return relative deviations from smooth shades, (patches, samples), and which count."""
         assert self._sum is not None
         assert self._weight is not None
-        relative = self._sum / np.maximum(self._weight, _DIM)[:, None]
+        relative = self._sum / np.maximum(self._weight, DIM)[:, None]
         smooth = _smooth_shades(math.isqrt(relative.shape[1]))
         return relative - (relative @ smooth) @ smooth.T, self._weight > 0
 
@@ -124,7 +122,7 @@ def sensitivity_pattern(first: View, second: View, noise: NoiseRecord | None = N
     """
     (a, in_a), (b, in_b) = first.deviations(), second.deviations()
     both = in_a & in_b
-    if np.count_nonzero(both) < _LEAST_PATCHES:
+    if np.count_nonzero(both) < LEAST_PATCHES:
         raise DataError(
             f"only {np.count_nonzero(both)} of {both.size} parts of the picture are well exposed "
             "in both views",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 
-from camctl.calibration.light import LONGEST_S, probes, spread_times, too_bright, too_dark
+from camctl.calibration.light import LONGEST_S, metered, probes, spread_times, too_bright, too_dark
+from camctl.calibration.limits import DIM, FEW
 from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise, same_response
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Control, ExposureSetting
@@ -17,11 +17,6 @@ from camctl.profiles.noise import NoiseRecord
 EXPOSURES = 12
 #: Factor between the gains that are measured, and how many of them at most.
 _GAIN_STEP, _MOST_GAINS = 4.0, 3
-#: Samples, about, by which the light is metered.
-_SAMPLES = 1 << 18
-#: Shares of full scale: the brighter parts (the brightest tenth) must reach the first, and pairs
-#: begin where they have the second.
-_TOO_DARK, _FIRST = 0.08, 0.01
 
 
 def measure_noise(
@@ -73,23 +68,18 @@ def _settings(camera: Camera, count: int, longest_s: float) -> list[ExposureSett
     shortest = controls.time_s.minimum
     middle = {}
     for frame in probes(camera, longest_s):
-        # An odd step keeps all colours of a mosaic.
-        step = math.isqrt(frame.pixels.shape[0] * frame.pixels.shape[1] // _SAMPLES) | 1
-        samples = frame.pixels[::step, ::step].astype(np.float64)
-        inside = np.clip(samples, frame.black, frame.white)
-        middle[frame.requested.time_s] = float(
-            (np.quantile(inside, 0.9) - frame.black) / (frame.white - frame.black)
-        )
-        if np.quantile(inside, 0.02) >= frame.white:
+        samples = metered(frame)
+        middle[frame.requested.time_s] = float(np.quantile(samples, 0.9))
+        if np.quantile(samples, 2 * FEW) >= 1:
             break
     seen = list(middle)
     if middle[seen[0]] >= 1 and len(seen) == 1:
         raise too_bright(seen[0])
-    if middle[seen[-1]] < _TOO_DARK:
+    if middle[seen[-1]] < DIM:
         raise too_dark(
             f"its brighter parts have {middle[seen[-1]]:.0%} of full scale at {seen[-1]:.4g} s"
         )
-    first = next(time_s for time_s in seen if middle[time_s] >= _FIRST)
+    first = next(time_s for time_s in seen if middle[time_s] >= FEW)
     found = []
     for gain in _gains(controls.gain, base):
         scale = base / gain

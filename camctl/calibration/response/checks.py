@@ -10,17 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import Z_95
+from camctl.calibration.limits import DIM, FEW, LEAST_PATCHES, MOST_MOVED
 from camctl.calibration.response.fit import ChartSamples, ResponseFit
 from camctl.calibration.response.labels import LabelCheck, contradiction_error
 from camctl.calibration.response.matches import Matches
-from camctl.calibration.response.series import DIM, Series
+from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import ResponseRecord
 
-#: A frame is black if less than this share of its pixels is above the first level, % of full scale.
-_LIT_SHARE, _LIT_LEVEL = 0.01, 0.04
+#: Share of full scale from which a pixel is lit: ten levels of 256.
+_LIT = 0.04
 #: Distance from both ends, share of full scale, up to which a response must be measured, and the
 #: same with a chart, whose darkest patch has brightness 0.2 in sRGB.
 _ENDS, _ENDS_OF_CHART = 0.15, 0.3
@@ -32,17 +33,13 @@ KEPT = 0.07
 #: Root mean square of these from which a response is refused: random film and camera responses
 #: differ by as much from sRGB (root mean square over 3000), which needs no measurement.
 REFUSED = 0.4
-#: Steps of exposures, as factors, that are wide; and exposures in between that are proposed.
-_WIDE_STEP, _MOST_ADDED = 2.5, 4
-#: A frame's exposure is judged if this share of its pixels is well exposed: errors of the darkest
-#: levels would count as errors of the exposure of a frame that is nearly black.
-_JUDGED_SHARE = 0.02
-#: Patches that deviate by this much have moved, and the share of moved ones that is tolerated.
-_MOVED, _MOST_MOVED = 0.12, 0.25
+#: Factor between exposures that is wide: larger ones show less of the curve (bench_response.py).
+_WIDE_STEP = 2.5
+#: Patches whose light deviates by this much have moved, relative.
+_MOVED = 0.12
 #: Share of the pairs of patches in reversed order from which the scene moved: a thing that covers
-#: this share of the picture reverses about as many.  Fewest pairs that say so; most patches that
-#: are compared, and fewest.
-_MOST_REVERSED, _LEAST_PAIRS, _MOST_PATCHES, _LEAST_PATCHES = 0.05, 100, 600, 20
+#: this share of the picture reverses about as many.  Most patches that are compared.
+_MOST_REVERSED, _MOST_PATCHES = 0.05, 600
 _HELD = "put the camera on a tripod before a scene that does not move"
 
 
@@ -64,12 +61,12 @@ def check_frames(series: Series, *, has_chart: bool = False) -> None:
             "one before",
         )
     span = series.white - series.black
-    lit = [np.mean(each > series.black + _LIT_LEVEL * span) for each in series.patches]
-    if max(lit) < _LIT_SHARE:
+    lit = [np.mean(each > series.black + _LIT * span) for each in series.patches]
+    if max(lit) < FEW:
         raise DataError(
             "all frames are black", hint="take the lens cap off, light the scene, or expose longer"
         )
-    if min(np.mean(each >= series.white) for each in series.patches) > 1 - _LIT_SHARE:
+    if min(np.mean(each >= series.white) for each in series.patches) > 1 - FEW:
         raise DataError(
             "all frames are saturated everywhere", hint="expose shorter, or close the aperture"
         )
@@ -135,12 +132,9 @@ def check_range(
     ends = _ENDS if chart is None else _ENDS_OF_CHART
     where = f"channel {channel}: " if len(series.channels) > 1 else ""
     if found.size == 0:
-        ordered = np.unique(exposures)
-        widest = int(np.argmax(ordered[1:] / ordered[:-1]))
         raise DataError(
             f"{where}no brightness occurs in two frames",
-            hint=f"add a frame of exposure {np.sqrt(ordered[widest] * ordered[widest + 1]):.3g}, "
-            "and use a scene with many shades",
+            hint=f"{helpful_exposures(series.exposures, 1.0)}, and use a scene with many shades",
         )
     if found[-1] < 1 - ends:
         raise DataError(
@@ -154,16 +148,6 @@ def check_range(
             hint=f"add frames of exposure {shortest / 2:.3g} and {shortest / 4:.3g}, or a darker "
             "object",
         )
-
-
-def _between(exposures: FloatArray) -> str:
-    """Return exposures between those of a series, the widest steps first."""
-    ordered = np.unique(exposures)
-    if ordered.size < 2:
-        return f"exposure {ordered[0] / 2:.3g}, {ordered[0] * 2:.3g}"
-    widest = np.argsort(ordered[:-1] / ordered[1:], kind="stable")[:_MOST_ADDED]
-    steps = np.sqrt(ordered[1:] * ordered[:-1])[np.sort(widest)]
-    return f"exposure {', '.join(f'{each:.3g}' for each in steps)}"
 
 
 class Intervals(NamedTuple):
@@ -215,8 +199,11 @@ def check_interval(record: ResponseRecord, exposures: Sequence[float], labels: L
 def helpful_exposures(exposures: Sequence[float], brightness: float) -> str:
     """Return which exposures would make a response better known at a brightness, a share."""
     ordered = np.unique(exposures)
-    if ordered.size < 2 or np.max(ordered[1:] / ordered[:-1]) > _WIDE_STEP:
-        return f"add frames of {_between(ordered)}"
+    if ordered.size < 2:
+        return f"add frames of exposure {ordered[0] / 2:.3g} and {ordered[0] * 2:.3g}"
+    widest = int(np.argmax(ordered[1:] / ordered[:-1]))
+    if ordered[widest + 1] > _WIDE_STEP * ordered[widest]:
+        return f"add a frame of exposure {np.sqrt(ordered[widest] * ordered[widest + 1]):.3g}"
     if brightness > 1 / 2:
         return f"add a frame of exposure {2 * ordered[-1]:.3g}, or a brighter object"
     return f"add a frame of exposure {ordered[0] / 2:.3g}, or a darker object"
@@ -229,7 +216,7 @@ def shows_exposure(series: Series, channel: str) -> NDArray[np.bool_]:
     for position in range(len(series.exposures)):
         samples = series.channel_patches(position, channel)
         shares.append(np.mean((samples > least) & (samples <= series.highest)))
-    return np.array(shares) >= _JUDGED_SHARE
+    return np.array(shares) >= FEW
 
 
 def check_order_of_patches(series: Series) -> None:
@@ -249,7 +236,7 @@ def check_order_of_patches(series: Series) -> None:
             brighter = low[:, :, None] > high[:, None, :]
             certain = np.all(brighter | brighter.transpose(0, 2, 1), axis=0)
             turned = np.count_nonzero(brighter[0] & brighter[1].T)
-            if turned > _MOST_REVERSED * max(np.count_nonzero(certain) / 2, _LEAST_PAIRS):
+            if turned > _MOST_REVERSED * max(np.count_nonzero(certain) / 2, LEAST_PATCHES):
                 raise DataError(
                     f"{series.names[pair.short]} and {series.names[pair.long]} do not show the "
                     "same: the camera or the scene moved",
@@ -271,12 +258,12 @@ def check_patches(series: Series, channel: str, fit: ResponseFit) -> None:
         DataError: scene or camera moved
     """
     for pair in series.neighbours(channel):
-        if pair.levels.shape[1] < _LEAST_PATCHES:
+        if pair.levels.shape[1] < LEAST_PATCHES:
             continue
         light = fit.light[pair.levels].mean(axis=2)
         errors = np.log(light[1] / light[0])
         moved = float(np.mean(np.abs(errors - np.median(errors)) > _MOVED))
-        if moved > _MOST_MOVED:
+        if moved > MOST_MOVED:
             raise DataError(
                 f"{moved:.0%} of the picture differs between {series.names[pair.short]} and "
                 f"{series.names[pair.long]}: the camera or the scene moved",

@@ -6,16 +6,17 @@ channel is estimated by `camctl.calibration.response.fit`.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.limits import FEW
 from camctl.calibration.response.chart import ChartPatch, chart_findings, chart_samples
 from camctl.calibration.response.checks import (
     check_frames,
@@ -50,12 +51,8 @@ from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import ChannelResponse, ResponseRecord
 
-#: Share of the samples from which some are saturated.
-_FEW = 0.01
-#: Levels at which a response is estimated, beside the first ones; the number up to which a record
-#: keeps all, and of how many it keeps otherwise, at equal steps and at equal factors: lines between
-#: these are within 0.01 % of a power.
-_LEVELS, _FIRST_LEVELS = 4096, 256
+#: Levels up to which a record keeps all, and of how many it keeps otherwise, at equal steps and at
+#: equal factors: lines between these are within 0.01 % of a power.
 _ALL_KEPT, _KEPT, _KEPT_BY_FACTOR = 512, 200, 500
 
 
@@ -124,63 +121,50 @@ def estimate_response(
         estimate_ratios = True
     check_frames(series, has_chart=chart is not None)
     exposures = np.array(series.exposures)
-    edges = _edges(series.white - series.black)
     findings = list(series.findings)
+    noted = partial(_noted, findings, is_kept=is_kept)
     if is_scene_checked:
-        with _noted(findings, is_kept=is_kept):
+        with noted():
             check_order_of_patches(series)
-    still, is_doubtful = _still_evidence(series, edges, chart, findings)
-    channels = _without_spill(series, edges, still, findings)
-    exponent = None
+    still, is_doubtful = _still_evidence(series, chart, findings)
+    channels = _without_spill(series, still, findings)
+    exponent = Exponent(1.0, 0.0)
     if estimate_ratios and exposures.size > 1 and not (series.exposures_are_stated and not chart):
-        exponent = common_exponent(
-            [each.exponent(exposures, edges, series.phase) for each in channels]
-        )
+        exponent = common_exponent([each.exponent(exposures) for each in channels])
         exposures = exposures**exponent.value
         if chart is None:
             findings.append(
                 Finding(code="exponent_unknown", value=exponent.error, remedies={"times": None})
             )
     saturating = {each.name: each.saturates for each in channels}
-    start = ROUGH if estimate_ratios else STATED
     if exposures.size > 1:
-        channels = [_without_noise(each, series, edges, exposures, start) for each in channels]
-    channels, fits = _needed(series, edges, channels, exposures)
+        start = ROUGH if estimate_ratios else STATED
+        channels = [each.without_noise(exposures, start) for each in channels]
+    channels, fits = _needed(channels, exposures)
     labels = LabelCheck(np.ones((len(channels), exposures.size)))
     if not estimate_ratios:
         if is_scene_checked:
             names = [each.name for each in channels]
-            for name, fit in zip(names, fits, strict=True):
-                with _noted(findings, is_kept=is_kept):
-                    check_patches(series, name, fit)
-            judged = np.array([shows_exposure(series, name) for name in names])
-            with _noted(findings, is_kept=is_kept):
-                labels = check_labels(
-                    series.names, exposures, names, fits, judged, is_shot=series.is_shot
-                )
+            labels = _checked_scene(series, exposures, names, fits, labels, noted)
         if labels.finding is not None:
             findings.append(labels.finding)
         pairs = zip(channels, labels.corrections, strict=True)
-        fits = [
-            each.fit(exposures * factors, edges, series.phase, STATED) for each, factors in pairs
-        ]
-        fits = [with_exponent_error(fit, labels.exponent_error) for fit in fits]
+        fits = [each.fit(exposures * factors, STATED) for each, factors in pairs]
     for each, fit in zip(channels, fits, strict=True):
         if each.samples is not None:
             findings += chart_findings(each.samples, fit.patch_errors, each.name)
-    if exponent is not None:
-        fits = [with_exponent_error(fit, exponent.error) for fit in fits]
+    fits = [with_exponent_error(fit, exponent.error + labels.exponent_error) for fit in fits]
     if estimate_ratios:
         exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0))
-    record = _record(series, edges, channels, fits, saturating)
+    record = _record(series, channels, fits, saturating)
     if is_scene_checked and not estimate_ratios:
-        with _noted(findings, is_kept=is_kept):
+        with noted():
             check_interval(record, series.exposures, labels)
     return ResponseEstimate(
         record=record,
         exposures=tuple((exposures / exposures[0]).tolist()),
         residual=max(fit.residual for fit in fits),
-        exponent_error=None if exponent is None else exponent.error,
+        exponent_error=exponent.error or None,
         findings=tuple(each for k, each in enumerate(findings) if each not in findings[:k]),
         is_doubtful=is_doubtful,
     )
@@ -188,13 +172,12 @@ def estimate_response(
 
 def _record(
     series: Series,
-    edges: FloatArray,
     channels: Sequence[_Evidence],
     fits: Sequence[ResponseFit],
     saturating: dict[str, bool],
 ) -> ResponseRecord:
     """Return the record of the fits; one fit is for all channels in `saturating`."""
-    found = [each.response(fit, series, edges) for each, fit in zip(channels, fits, strict=True)]
+    found = [each.response(fit) for each, fit in zip(channels, fits, strict=True)]
     if len(found) < len(saturating):
         found *= len(saturating)
     return ResponseRecord(
@@ -208,26 +191,38 @@ def _record(
     )
 
 
-def _without_noise(
-    evidence: _Evidence, series: Series, edges: FloatArray, exposures: FloatArray, error: float
-) -> _Evidence:
-    """Return the evidence with its matches corrected for noise."""
-    first = evidence.fit(exposures, edges, series.phase, error)
-    matches = correct_matches(evidence.matches, series, evidence.name, first)
-    return dataclasses.replace(evidence, matches=matches)
-
-
 def _needed(
-    series: Series, edges: FloatArray, channels: list[_Evidence], exposures: FloatArray
+    channels: list[_Evidence], exposures: FloatArray
 ) -> tuple[list[_Evidence], list[ResponseFit]]:
     """Return the evidence and the fit of each channel; of green alone where it explains all."""
-    fits = [each.fit(exposures, edges, series.phase, ROUGH) for each in channels]
+    fits = [each.fit(exposures, ROUGH) for each in channels]
     if len(channels) == 1 or channels[0].samples is not None:  # a chart shows each colour
         return channels, fits
     exposures_of = [fit.exposures.tolist() for fit in fits]
-    if green_explains_all(series, [fit.light for fit in fits], exposures_of):
+    if green_explains_all(channels[0].series, [fit.light for fit in fits], exposures_of):
         return channels[1:2], fits[1:2]
     return channels, fits
+
+
+def _checked_scene(
+    series: Series,
+    exposures: FloatArray,
+    names: Sequence[str],
+    fits: Sequence[ResponseFit],
+    labels: LabelCheck,
+    noted: Callable[[], AbstractContextManager[None]],
+) -> LabelCheck:
+    """Check that nothing moved, and the stated exposures, by fits that estimate them, too.
+
+    `labels` are returned where contradictions are kept.
+    """
+    for name, fit in zip(names, fits, strict=True):
+        with noted():
+            check_patches(series, name, fit)
+    judged = np.array([shows_exposure(series, name) for name in names])
+    with noted():
+        return check_labels(series.names, exposures, names, fits, judged, is_shot=series.is_shot)
+    return labels
 
 
 @contextmanager
@@ -250,47 +245,68 @@ def _kept(edges: FloatArray) -> NDArray[np.intp]:
     return np.unique(np.concatenate([even, dark]))
 
 
-def _edges(levels: int) -> FloatArray:
-    first = np.arange(1.0, min(levels, _FIRST_LEVELS) + 1)
-    return np.unique(np.concatenate([first, np.round(np.linspace(1, levels, _LEVELS))]))
-
-
 @dataclass(frozen=True, eq=False)
 class _Evidence:
     """What the frames say about one channel."""
 
+    series: Series
     name: str
     saturates: bool
     matches: Matches
     samples: ChartSamples | None
 
-    def fit(
-        self, exposures: FloatArray, edges: FloatArray, phase: float, exposure_error: float
-    ) -> ResponseFit:
+    @classmethod
+    def of(cls, series: Series, name: str, chart: Chart | None) -> _Evidence:
+        """Return the evidence of a channel; raise `DataError` where it shows too little."""
+        counts = series.counts_between(name, series.black + series.edges)
+        matches = _matches(series, name)
+        samples = None
+        if chart is not None:
+            samples = chart_samples(chart.frames, series, chart.patches, name)
+        check_range(series, name, matches, samples)
+        saturates = bool(counts[:, -1].max() > FEW * counts[0].sum())
+        return cls(series, name, saturates, matches, samples)
+
+    def fit(self, exposures: FloatArray, exposure_error: float) -> ResponseFit:
         return fit_response(
             self.matches,
             exposures.tolist(),
-            edges,
-            phase=phase,
+            self.series.edges,
+            phase=self.series.phase,
             exposure_error=exposure_error,
             chart=self.samples,
         )
 
-    def exponent(self, exposures: FloatArray, edges: FloatArray, phase: float) -> Exponent:
+    def without_noise(self, exposures: FloatArray, error: float) -> _Evidence:
+        """Return the evidence with its matches corrected for noise."""
+        first = self.fit(exposures, error)
+        return replace(self, matches=correct_matches(self.matches, self.series, self.name, first))
+
+    def without_spill(self) -> _Evidence:
+        """Return the evidence without samples near saturated ones."""
+        matches = _matches(self.series, self.name, spill=False)
+        # Above, the noise of samples decides which ones are near saturation.
+        below = matches.high <= self.series.highest - self.series.black
+        return replace(self, matches=matches.part(below))
+
+    def exponent(self, exposures: FloatArray) -> Exponent:
         """Return the exponent of exposures that are known up to one."""
-        without = dataclasses.replace(self, samples=None)
-        fit = without.fit(exposures, edges, phase, ROUGH)
+        fit = replace(self, samples=None).fit(exposures, ROUGH)
         if self.samples is None:
             return expected_exponent(fit)
         return exponent_of_chart(fit, self.samples)
 
-    def response(self, fit: ResponseFit, series: Series, edges: FloatArray) -> ChannelResponse:
+    def response(self, fit: ResponseFit) -> ChannelResponse:
+        series, kept = self.series, _kept(fit.edges)
         levels = series.white - series.black
-        kept = _kept(edges)
-        brightness = (edges[kept] - series.phase) / (levels + 1)
         found = [self.matches.low, self.matches.high]
         found += [] if self.samples is None else [self.samples.level]
-        seen = (np.concatenate(found) - series.phase) / (levels + 1)
+        seen = np.concatenate(found)
+        brightness, measured = (
+            (each - series.phase) / (levels + 1)
+            for each in (fit.edges[kept], np.array([seen.min(), seen.max()]))
+        )
+        deviation = fit.deviation[kept].tolist()
         return ChannelResponse(
             name=self.name,
             black=series.black,
@@ -298,31 +314,18 @@ class _Evidence:
             saturates=self.saturates,
             irradiance=(0.0, *fit.irradiance[kept].tolist(), 1.0),
             brightness=(0.0, *brightness.tolist(), 1.0),
-            deviation=(
-                float(fit.deviation[0]),
-                *fit.deviation[kept].tolist(),
-                float(fit.deviation[-1]),
-            ),
-            measured=(float(seen.min()), float(seen.max())),
+            deviation=(deviation[0], *deviation, deviation[-1]),
+            measured=tuple(measured.tolist()),
         )
 
 
-def _matches(series: Series, name: str, edges: FloatArray, *, spill: bool = True) -> Matches:
+def _matches(series: Series, name: str, *, spill: bool = True) -> Matches:
+    edges = series.edges
+
     def counts(*pair: int) -> NDArray[np.int64]:
         return series.counts_of_pair(name, series.black + edges, (pair[0], pair[1]), spill=spill)
 
     return match_levels(counts, series.exposures, edges)
-
-
-def _evidence(series: Series, name: str, edges: FloatArray, chart: Chart | None) -> _Evidence:
-    counts = series.counts_between(name, series.black + edges)
-    matches = _matches(series, name, edges)
-    samples = None
-    if chart is not None:
-        samples = chart_samples(chart.frames, series, chart.patches, name)
-    check_range(series, name, matches, samples)
-    saturates = bool(counts[:, -1].max() > _FEW * counts[0].sum())
-    return _Evidence(name, saturates, matches, samples)
 
 
 def _left_out(what: str, share: float | None = None) -> Finding:
@@ -330,7 +333,7 @@ def _left_out(what: str, share: float | None = None) -> Finding:
 
 
 def _still_evidence(
-    series: Series, edges: FloatArray, chart: Chart | None, findings: list[Finding]
+    series: Series, chart: Chart | None, findings: list[Finding]
 ) -> tuple[list[_Evidence], bool]:
     """Return the evidence of each channel without what moved, if the rest shows the response.
 
@@ -341,29 +344,22 @@ def _still_evidence(
     if is_doubtful:
         share = series.moved_share
         with suppress(DataError):
-            found = [_evidence(series, name, edges, chart) for name in series.channels]
+            found = [_Evidence.of(series, name, chart) for name in series.channels]
             findings.append(_left_out("movement", share))
             return found, False
         series.forget_moved()
         findings.append(_left_out("none", share))
-    return [_evidence(series, name, edges, chart) for name in series.channels], is_doubtful
+    return [_Evidence.of(series, name, chart) for name in series.channels], is_doubtful
 
 
 def _without_spill(
-    series: Series, edges: FloatArray, channels: list[_Evidence], findings: list[Finding]
+    series: Series, channels: list[_Evidence], findings: list[Finding]
 ) -> list[_Evidence]:
     """Return the evidence without samples near saturated ones, where charge spills over.
 
     Where none does, or where the rest does not show the response, all samples count.
     """
-
-    def clean(each: _Evidence) -> _Evidence:
-        matches = _matches(series, each.name, edges, spill=False)
-        # Above, the noise of samples decides which ones are near saturation.
-        below = matches.part(matches.high <= series.highest - series.black)
-        return dataclasses.replace(each, matches=below)
-
-    found = [clean(each) for each in channels]
+    found = [each.without_spill() for each in channels]
     pairs = zip(channels, found, strict=True)
     if not any(spills_over(before.matches, after.matches) for before, after in pairs):
         return channels

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from camctl.calibration.limits import OUTLIER
 from camctl.calibration.response.fit import (
     CHART_LIGHT,
     REFERENCE,
@@ -26,8 +27,8 @@ from camctl.model.response.camera import srgb_to_linear
 #: Brightness, share of full scale, at which the steepness is compared with sRGB, and the
 #: relative standard deviation of the exponent (tests/bench/bench_response.py).
 _STEEP, _STEEP_ERROR = 0.05, 0.2
-#: Errors from which patches lose weight, in standard deviations, and the number of rounds.
-_OUTLIER, _ROUNDS = 2.0, 20
+#: Rounds of the robust fit; 20 change nothing after about ten.
+_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,8 @@ def exponent_of_chart(fit: ResponseFit, chart: ChartSamples) -> Exponent:
         square = (rows.T * weights) @ rows + known
         found = np.linalg.solve(square, rows.T @ (weights * wanted))
         deviations = np.abs(rows @ found - wanted) / chart.error[seen]
-        weights = chart.error[seen] ** -2.0 / np.maximum(1.0, deviations / _OUTLIER)
-    misfit = max(1.0, float(np.mean(np.minimum(deviations, _OUTLIER) ** 2)))
+        weights = chart.error[seen] ** -2.0 / np.maximum(1.0, deviations / OUTLIER)
+    misfit = max(1.0, float(np.mean(np.minimum(deviations, OUTLIER) ** 2)))
     error = math.sqrt(float(np.linalg.inv(square)[0, 0]) * misfit)
     return Exponent(float(found[0]), error / max(float(found[0]), 1e-9))
 

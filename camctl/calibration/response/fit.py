@@ -30,35 +30,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.limits import OUTLIER
 from camctl.calibration.response.matches import LEAST_PIXELS, NOISE_STEPS, Matches
 from camctl.calibration.response.spline import COEFFICIENTS, Knots, ascending
 from camctl.errors import DataError
 from camctl.model.response.camera import FloatArray
 
-#: Weight of what makes knots close at the shoulder.
-_SHOULDER = 0.5
-#: Fewer levels show no shoulder.
-_LEAST_LEVELS = 60
-#: Weight of the integral of the squared third derivative of h; of the second one where only a chart
-#: says something about it; and the size of a difference (in standard deviations of the prior) from
-#: which it counts as a bend.  A ripple has a larger third derivative, beside its second one, than a
-#: bend has.
-_SMOOTHNESS, _SMOOTHNESS_OF_CHART, _BEND = 0.1, 1.0, 2.0
-#: Exposures further apart than the first number, a factor, show too little of the curvature: the
-#: prior is the same for the whole curve, and the second number is the weight of the integral of the
-#: squared second derivative.
-_COARSE, _SMOOTHNESS_OF_COARSE = 5.0, 40.0
+#: Size of a difference (in standard deviations of the prior) from which it counts as a bend.  A
+#: ripple has a larger third derivative, beside its second one, than a bend has.
+_BEND = 2.0
 #: In the last rounds: weight of a difference over the mean square of those around it, the width of
 #: "around" in ln E, and the least mean square.
 _ADAPTED, _AROUND, _LEAST_CURVED = 1.5, 0.3, 0.024
-#: Relative error of a match that the histograms do not explain, and of exposures far apart.
-_FLOOR, _FLOOR_OF_COARSE = 0.001, 0.003
 #: Neighbouring nodes within the noise have the same pixels: so many count as one.
 _ALIKE = 3.0
-#: Errors from which matches lose weight, in standard deviations, and the number of rounds with the
-#: same prior for the whole curve, and with one that follows the curve.  More of these do not help:
-#: they take the error of a round for curvature.
-_OUTLIER, _ROUNDS, _ADAPTED_ROUNDS = 2.0, 6, 2
+#: Rounds with the same prior for the whole curve.
+_ROUNDS = 6
 #: Standard deviations come from a prior weaker by the first factor, times the second one: what
 #: the frames do not determine is smoothed away, and real curves are rougher.  So chosen that the
 #: 95 % intervals hold at steps of 2, 4 and 8 (tests/bench/bench_response.py).
@@ -172,14 +159,14 @@ def fit_response(
     log_E = 1.5 * np.log(x_known)  # a start: most responses are steeper than a linear one
     residuals = np.zeros(system.wanted.size)
     bends = np.zeros(len(roughness))
-    for turn in range(prior.rounds):
+    for turn in range(_ROUNDS + prior.adapted):
         variance = (
             prior.floor**2
             + system.uncertain
             + sum(_slope(edges, log_E, at) ** 2 * spread for at, spread in system.spreads)
         )
         deviations = np.abs(residuals) / np.sqrt(variance)
-        robust = 1 / np.maximum(1.0, deviations / _OUTLIER) if turn else 1.0
+        robust = 1 / np.maximum(1.0, deviations / OUTLIER) if turn else 1.0
         weights = robust / (variance * system.alike)
         square = (system.rows * weights[:, None]).T @ system.rows + known
         if turn < _ROUNDS:
@@ -297,14 +284,20 @@ class _System:
 
 
 class _Prior(NamedTuple):
-    """What is expected of h: how smooth, of which derivative; and how the fit is done.
+    """What is expected of h, and how the fit is done.
 
-    `floor` is the relative error of a match that the histograms do not explain.
+    Attributes:
+        order: derivative of h that is small
+        smoothness: weight of the integral of its square
+        adapted: rounds with a prior that follows the curve.  More of these do not help: they take
+            the error of a round for curvature
+        floor: relative error of a match that the histograms do not explain
+        knots: of the spline
     """
 
-    smoothness: float
     order: int
-    rounds: int
+    smoothness: float
+    adapted: int
     floor: float
     knots: Knots
 
@@ -317,18 +310,26 @@ class _Prior(NamedTuple):
         return rows, np.interp(places, self.knots.before(fine), fine)
 
 
-_CHART = _Prior(_SMOOTHNESS_OF_CHART, 2, _ROUNDS, _FLOOR_OF_COARSE, Knots(0.0))
-_FEW = _Prior(_SMOOTHNESS_OF_COARSE, 2, _ROUNDS, _FLOOR_OF_COARSE, Knots(0.0))
-_FEW_LEVELS = _Prior(_SMOOTHNESS / 10, 3, _ROUNDS + _ADAPTED_ROUNDS, _FLOOR, Knots(0.0))
-_MANY = _Prior(_SMOOTHNESS, 3, _ROUNDS + _ADAPTED_ROUNDS, _FLOOR, Knots(_SHOULDER))
+#: Where only a chart says something about h; where exposures are so far apart that they show little
+#: of its curvature; of few levels, which show no shoulder; and of many levels.  The numbers are
+#: those of the least errors in tests/bench/bench_response.py.
+_PRIORS = {
+    "chart": _Prior(2, 1.0, 0, 0.003, Knots(0.0)),
+    "far apart": _Prior(2, 40.0, 0, 0.003, Knots(0.0)),
+    "few levels": _Prior(3, 0.01, 2, 0.001, Knots(0.0)),
+    "many levels": _Prior(3, 0.1, 2, 0.001, Knots(0.5)),
+}
+#: Levels from which there are many, and the factor between exposures from which they are far apart.
+_MANY, _FAR = 60, 5.0
 
 
 def _prior(matches: Matches, logs: FloatArray, edges: FloatArray) -> _Prior:
     if not matches.low.size:
-        return _CHART
-    if edges[-1] < _LEAST_LEVELS:
-        return _FEW_LEVELS
-    return _FEW if np.median(np.diff(np.unique(logs))) > math.log(_COARSE) else _MANY
+        return _PRIORS["chart"]
+    if edges[-1] < _MANY:
+        return _PRIORS["few levels"]
+    is_far = np.median(np.diff(np.unique(logs))) > math.log(_FAR)
+    return _PRIORS["far apart" if is_far else "many levels"]
 
 
 def _around(log_E: FloatArray) -> FloatArray:

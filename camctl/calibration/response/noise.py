@@ -17,14 +17,14 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.limits import LEAST_PATCHES
 from camctl.calibration.response.fit import ResponseFit
 from camctl.calibration.response.matches import Matches
 from camctl.calibration.response.series import Series
 from camctl.model.response.camera import FloatArray
 
-#: Brightness from which noise is measured, share of full scale: read noise shows in dark patches;
-#: and the number of patches that are needed.
-_DARKEST, _LEAST_PATCHES = 0.02, 50
+#: Brightness from which noise is measured, share of full scale: read noise shows in dark patches.
+_DARKEST = 0.02
 #: Rounds of a fit that leaves out patches whose noise is larger by this factor: something moved.
 _ROUNDS, _MOVED = 8, 2.0
 #: Width over which the density of ln(light) is smoothed.
@@ -89,7 +89,7 @@ def _light_noise(series: Series, channel: str, fit: ResponseFit) -> tuple[float,
         rows.append(np.stack([both, np.full(both.size, 1 + ratio**2)], axis=1))
         measured.append((light[0] - ratio * light[1]).var(axis=1, ddof=1) - rounding)
     design, variance = np.concatenate(rows), np.concatenate(measured)
-    if variance.size < _LEAST_PATCHES:
+    if variance.size < LEAST_PATCHES:
         return 0.0, 0.0
     found = np.array([max(0.0, float(np.median(variance / design[:, 0]))), 0.0])
     for _ in range(_ROUNDS):

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.limits import DIM
 from camctl.calibration.response.matches import LARGEST_RATIO, guess_exposures, neighbour_steps
 from camctl.calibration.response.spill import SampleGrid, grid_counts
 from camctl.errors import DataError, UsageError
@@ -21,6 +22,8 @@ from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, linear_response
 from camctl.model.sensor import SensorModel
 
+#: Levels at which a response is estimated, evenly spread, and of how many first ones at all.
+_LEVELS, _FIRST_LEVELS = 4096, 256
 #: Rows of a histogram that are counted at once, so that little memory is needed.
 _PIXELS_AT_ONCE = 1 << 20
 #: A level has this share of the pixels of a frame, and this many times the mean of the levels
@@ -33,11 +36,6 @@ _DARK_SHARE = 0.02
 _LITTLE = 0.1
 #: Black levels that are looked for, as shares of full scale: cameras have 1/64 to 1/16.
 _LEAST_BLACK, _MOST_BLACK = 1 / 128, 1 / 8
-
-
-DIM = 0.1
-"""Mean of a patch, share of full scale, below which errors of the black level and of the dark end
-of a response count more than light: an error of a level of 256 is 4 % there."""
 
 
 class Neighbours(NamedTuple):
@@ -206,6 +204,13 @@ class Series:
     def moved_share(self) -> float:
         """The largest share of a frame in which something moved before it or after it."""
         return max((float(each.mean()) for each in self._moved.values()), default=0.0)
+
+    @property
+    def edges(self) -> FloatArray:
+        """Levels above black at which a response is estimated, ascending, (K,); the last is M."""
+        levels = self.white - self.black
+        first = np.arange(1.0, min(levels, _FIRST_LEVELS) + 1)
+        return np.unique(np.concatenate([first, np.round(np.linspace(1, levels, _LEVELS))]))
 
     @property
     def highest(self) -> int:

@@ -17,6 +17,7 @@ from camctl.calibration.light import (
     too_bright,
     too_dark,
 )
+from camctl.calibration.limits import FEW
 from camctl.calibration.response.series import Series
 from camctl.findings import Finding
 from camctl.interface.camera import Camera
@@ -25,9 +26,6 @@ from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.profile import load_profile
 
 FRAMES = 8
-#: Time for the bracket: from the first probe in which this share of the pixels reaches half of full
-#: scale, to the first in which all but this share is saturated.
-_FEW = 0.01
 
 
 def measure_response(
@@ -91,15 +89,18 @@ def _had_assumed_response(camera: Camera) -> bool:
 
 
 def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:
-    """Return up to `count` shutter times from dark frames to nearly saturated ones."""
+    """Return up to `count` shutter times from dark frames to nearly saturated ones.
+
+    They begin one probe before `FEW` of the pixels reach half of full scale.
+    """
     controls = camera.controls
     shortest, first, last = controls.time_s.minimum, None, 0.0
     half = controls.black + (controls.white - controls.black) / 2
     for frame in probes(camera, longest_s):
         last = frame.applied.time_s
-        if first is None and np.mean(frame.pixels >= half) >= _FEW:
+        if first is None and np.mean(frame.pixels >= half) >= FEW:
             first = last / PROBE_STEP
-        if np.mean(frame.pixels >= controls.white) >= 1 - 2 * _FEW:
+        if np.mean(frame.pixels >= controls.white) >= 1 - 2 * FEW:
             if frame.index == 0:
                 raise too_bright(last)
             break

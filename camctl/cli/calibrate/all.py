@@ -24,6 +24,7 @@ from camctl.cli.output import (
 
 if TYPE_CHECKING:
     from camctl.calibration.single_steps import StepResult
+    from camctl.profiles.noise import NoiseRecord
 
 _GUIDANCE = (
     "Put the camera on a tripod before a scene that does not move, with dark and bright parts and "
@@ -46,6 +47,14 @@ _COVER = (
 )
 #: What depends on the picture, so that no calibration can predict it.
 _NEVER = "smear, blooming and glare"
+_NO_PRNU = (
+    "differences between the pixels (camctl calibrate noise --flat, or turn the camera when camctl "
+    "calibrate all asks for it in a terminal)"
+)
+_NO_DARK = (
+    "dark signal and hot pixels (camctl calibrate noise --dark, or cover the lens when camctl "
+    "calibrate all asks for it in a terminal)"
+)
 
 
 @command(
@@ -121,26 +130,19 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
         )
     elif any(step.result for step in done):
         print_text(f"kept in the profile {name} for the mode {mode}; see camctl profile show")
-        noise = load_profile(info).noises.get(mode)
-        missing = [
-            what
-            for what, figure in (
-                (
-                    "differences between the pixels (camctl calibrate noise --flat, or turn the "
-                    "camera when camctl calibrate all asks for it in a terminal)",
-                    noise and noise.prnu,
-                ),
-                (
-                    "dark signal and hot pixels (camctl calibrate noise --dark, or cover the lens "
-                    "when camctl calibrate all asks for it in a terminal)",
-                    noise and noise.dark,
-                ),
-            )
-            if figure is None
-        ]
-        print_text(f"not in the predicted levels: {', '.join([*missing, _NEVER])}")
+        print_text(_missing(load_profile(info).noises.get(mode)))
     if not any(step.result for step in done):
         raise CaptureError("nothing could be measured", hint="change the scene as said above")
+
+
+def _missing(noise: NoiseRecord | None) -> str:
+    """Return what is not in the predicted levels, and how it is measured."""
+    missing = [_NEVER]
+    if noise is None or noise.dark is None:
+        missing.insert(0, _NO_DARK)
+    if noise is None or noise.prnu is None:
+        missing.insert(0, _NO_PRNU)
+    return f"not in the predicted levels: {', '.join(missing)}"
 
 
 def _line(step: StepResult) -> str:
