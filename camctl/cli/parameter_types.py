@@ -23,8 +23,6 @@ else:
 # A file that cannot be read is no usage error: whatever reads it gives the reason.
 PATH = click.Path(path_type=Path, readable=False)
 
-"""Names of `camctl.model.response.desired.RANGES`, here because that module imports numpy."""
-
 
 def invalid_value(option: str, text: str, reason: str) -> UsageError:
     """Return the error for a text that is no value of an option."""
@@ -72,11 +70,9 @@ class Text(_ValueType):
         self.completes_files = files
 
     def parse(self, text: str, option: str) -> str:
-        """Return the text."""
         return text
 
     def suggestions(self) -> Iterable[str]:
-        """Return the names of the constructor's function."""
         return self._suggestions()
 
 
@@ -128,7 +124,6 @@ class Number(_ValueType):
         self._above, self._least, self._most, self._below = above, least, most, below
 
     def parse(self, text: str, option: str) -> float:
-        """Return the number."""
         value = _float(text)
         within = self._above < value < self._below and self._least <= value <= self._most
         if not (within and math.isfinite(value)):
@@ -147,7 +142,6 @@ class WholeNumber(_ValueType):
         self.expected = f"a whole number {limits}"
 
     def parse(self, text: str, option: str) -> int:
-        """Return the number."""
         try:
             value = int(text)
         except ValueError:
@@ -173,7 +167,6 @@ class Name(_ValueType):
         return text.lower()
 
     def suggestions(self) -> Iterable[str]:
-        """Return all names."""
         return self.names
 
 
@@ -183,7 +176,6 @@ class NameOrFile(Name):
     completes_files = True
 
     def parse(self, text: str, option: str) -> str:
-        """Return the name, or the path as it was given."""
         if "." in text or "/" in text or (text.lower() not in self.names and exists(text)):
             return text
         return super().parse(text, option)
@@ -215,7 +207,6 @@ class DynamicRange(_ValueType):
         return value
 
     def suggestions(self) -> Iterable[str]:
-        """Return the names of ranges."""
         return (*RANGES, "auto") if self._auto else RANGES
 
 
@@ -245,7 +236,6 @@ class Seconds(_ValueType):
         raise invalid_value(option, text, f"expected {self.expected}")
 
     def suggestions(self) -> Iterable[str]:
-        """Return auto where it is allowed."""
         return ("auto",) if self._auto else ()
 
 
@@ -255,7 +245,6 @@ class KeyValue(_ValueType):
     name = "setting"
 
     def parse(self, text: str, option: str) -> tuple[str, str]:
-        """Return the name and the value, both as text."""
         name, equals, value = text.partition("=")
         if not (equals and name.strip()):
             raise invalid_value(option, text, "expected NAME=VALUE such as format=y16")
@@ -269,7 +258,6 @@ class SettingOf(KeyValue):
         self._table = table
 
     def parse(self, text: str, option: str) -> tuple[str, Any]:
-        """Return the field and the parsed value."""
         name, value = super().parse(text, option)
         if name not in self._table:
             raise unknown_name("setting", name, self._table)
@@ -279,7 +267,6 @@ class SettingOf(KeyValue):
         return field, kind.convert(value, None, None)
 
     def suggestions(self) -> Iterable[str]:
-        """Return the names, ready for their values."""
         return [f"{name}=" for name in self._table]
 
 
@@ -289,7 +276,6 @@ class Truth(_ValueType):
     name = "yes or no"
 
     def parse(self, text: str, option: str) -> bool:
-        """Return whether it is yes."""
         if text.lower() not in ("yes", "no"):
             raise invalid_value(option, text, "expected yes or no")
         return text.lower() == "yes"
@@ -301,7 +287,6 @@ class FrameSize(_ValueType):
     name = "size"
 
     def parse(self, text: str, option: str) -> str:
-        """Return the size as WIDTHxHEIGHT."""
         width, _, height = text.lower().partition("x")
         if not all(re.fullmatch("0{0,9}[1-9][0-9]{0,8}", side) for side in (width, height)):
             raise invalid_value(option, text, "expected WIDTHxHEIGHT such as 640x480")
@@ -372,7 +357,6 @@ class ListOf(_ValueType):
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        """Complete the last value of the list."""
         before, comma, last = incomplete.rpartition(",")
         names = [name for name in self._item.suggestions() if name.startswith(last)]
         return [CompletionItem(before + comma + name) for name in names]

@@ -22,7 +22,7 @@ from camctl.cli.output import (
 from camctl.cli.parameter_types import PATH
 from camctl.cli.request_options import RequestOptions, request_options
 from camctl.cli.shoot import PICTURE_OPTIONS
-from camctl.errors import StorageError, UsageError
+from camctl.errors import UsageError
 from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def preview(
     log response side by side, each over the range that its light has.
     """
     from camctl.captures.response_preview import preview_responses
-    from camctl.system.files import check_replaceable, write_bytes
+    from camctl.system.files import check_new, write_bytes
     from camctl.system.picture_operations import png
 
     if request.table is not None:
@@ -69,9 +69,7 @@ def preview(
             f"the preview is a picture, and {path} is not the name of a PNG file",
             hint=f"name it -o {path.name or 'preview'}{_SUFFIX}",
         )
-    if path.exists() and not force:
-        raise StorageError(f"{path} exists", hint="choose another name with -o, or add --force")
-    check_replaceable(path)
+    check_new(path, overwrite=force)
     with camera.open() as opened:
         shown = preview_responses(opened, wanted)
     write_bytes(path, png(shown.picture))

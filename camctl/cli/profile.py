@@ -235,16 +235,15 @@ def _curves(response: ResponseRecord) -> list[str]:
 @options.force
 def export(name: str, output: Path | None, force: bool) -> None:
     """Write the profile of one camera as one JSON file."""
-    from camctl.errors import StorageError, visible
+    from camctl.errors import visible
     from camctl.profiles.folder import find_profile
-    from camctl.system.files import write_bytes
+    from camctl.system.files import check_new, write_bytes
 
     text = find_profile(name).model_dump_json(indent=2)
     if output is None:
         print_text(text)
         return
-    if output.exists() and not force:
-        raise StorageError(f"{output} exists", hint="choose another file, or add --force")
+    check_new(output, overwrite=force)
     write_bytes(output, f"{text}\n".encode())
     print_text(f"wrote {visible(output)}")
 

@@ -35,7 +35,7 @@ from camctl.cli.parameter_types import (
     Seconds,
     WholeNumber,
 )
-from camctl.errors import StorageError, unknown_name
+from camctl.errors import unknown_name
 
 if TYPE_CHECKING:
     from camctl.interface.camera import Frame
@@ -344,6 +344,8 @@ def _effect_line(effect: Decision, plan: FramePlan) -> tuple[str, ...]:
 
 def _check_files(output: Path | None, count: int, *, force: bool) -> list[Path | None]:
     """Return the file of each frame, None without --output; raise if one must not be written."""
+    from camctl.system.files import check_new
+
     if output is None:
         return [None] * count
     if output.suffix.lower() not in SUFFIXES:
@@ -351,8 +353,7 @@ def _check_files(output: Path | None, count: int, *, force: bool) -> list[Path |
     numbers = [""] if count == 1 else [f"-{index + 1}" for index in range(count)]
     files = [output.with_name(f"{output.stem}{number}{output.suffix}") for number in numbers]
     for file in files:
-        if file.exists() and not force:
-            raise StorageError(f"{file} exists", hint="choose another file with -o, or add --force")
+        check_new(file, overwrite=force)
     return list(files)
 
 

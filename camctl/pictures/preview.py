@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.model.response.camera import linear_to_srgb
 from camctl.pictures.preview_light import ALL, NO_LIGHT, Floats, Light, channels_of, largest_channel
 from camctl.system.picture_operations import box_means
 from camctl.system.threads import in_threads
@@ -99,8 +100,7 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
 
 def srgb_codes(light: NDArray[Any]) -> NDArray[np.uint8]:
     """Return linear light, 0 to 1, in the encoding of sRGB (IEC 61966-2-1), 0 to 255."""
-    light = np.clip(light, 0, 1)
-    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    encoded = linear_to_srgb(np.clip(light, 0, 1))
     return np.asarray(np.rint(encoded * 255).astype(np.uint8))
 
 

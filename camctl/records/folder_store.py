@@ -272,7 +272,6 @@ class FolderStore:
             raise DataError(error.what, hint=hint) from error
 
     def picture(self, kind: str) -> NDArray[Any]:
-        """Read one of the pictures."""
         name, read = _READERS[kind]
         return read(self.directory / name)
 

@@ -81,7 +81,6 @@ class MemoryStore:
         self._pictures: dict[str, NDArray[Any]] = {}
 
     def keep(self, frame: Frame, position: int) -> KeptFiles:
-        """Keep the samples of a frame."""
         self._frames[position] = frame.pixels
         return KeptFiles()
 
@@ -120,11 +119,9 @@ class MemoryStore:
         )
 
     def frame(self, position: int) -> Pixels:
-        """Return the samples of a frame."""
         return self._frames[position]
 
     def picture(self, kind: str) -> NDArray[Any]:
-        """Return one of the pictures."""
         if not self._pictures:
             raise DataError("the capture has no pictures yet", hint="capture all its frames first")
         return self._pictures[kind]

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.solver import solve
+from camctl.model.response.camera import linear_to_srgb
 from camctl.model.response.desired import desired_response
 from camctl.studies.figure_parts import (
     BASELINE,
@@ -118,7 +118,7 @@ def draw_figure_10(figure: Figure, measured: ResponseRecord | None = None) -> No
             for place, ratio in enumerate(ratios):
                 picture = report.frame(place)[::4, ::4] / 255.0
                 show(panels[f"e{place}"], picture, f"exposure {ratios_text([ratio])}")
-            combined = encode(brightness(report))
+            combined = linear_to_srgb(brightness(report))
             show(panels["sum"], combined[::4, ::4], "combined")
             rows, columns = DETAIL
             outline = np.array([columns.start, columns.stop, rows.start, rows.stop]) / 4
@@ -137,12 +137,6 @@ def _contours(axes: Axes, report: CaptureReport) -> None:
     changes[1:] |= np.diff(green, axis=0) != 0
     count = np.unique(green).size
     show(axes, np.where(changes, 0.0, 1.0), f"iso-brightness lines of the detail: {count} values")
-
-
-def encode(linear: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return linear light, 0 to 1, as sRGB brightness, 0 to 1."""
-    bright = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
-    return np.where(linear <= 0.0031308, 12.92 * linear, bright)
 
 
 def changed_file(kind: str, name: str, folder: Path, **changes: Any) -> str:

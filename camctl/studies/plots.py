@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from camctl.errors import CamctlError, StorageError, UsageError
+from camctl.system.files import check_new
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,12 +55,7 @@ def check_plots(paths: tuple[Path, ...], *, overwrite: bool) -> None:
             raise UsageError(
                 f"unknown format of the plot {path}", hint=f"end its name in {', '.join(SUFFIXES)}"
             )
-        if path.exists() and not overwrite:
-            raise StorageError(
-                f"{path} exists",
-                hint="choose another file, or have it replaced",
-                remedies={"overwrite": None},
-            )
+        check_new(path, overwrite=overwrite)
         if not path.parent.is_dir():
             raise StorageError(f"there is no folder {path.parent}", hint="make it first")
     if paths:

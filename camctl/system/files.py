@@ -68,6 +68,21 @@ def storage_error(path: Path, error: OSError) -> StorageError:
     return StorageError(f"cannot write {path}: {what}", hint=hint, remedies=remedies)
 
 
+def check_new(path: Path, *, overwrite: bool) -> None:
+    """Check that a file may be written at `path`: nothing is there, or a file to be replaced.
+
+    Raises:
+        StorageError: a file is there and is not to be replaced, or as `check_replaceable`
+    """
+    check_replaceable(path)
+    if path.exists() and not overwrite:
+        raise StorageError(
+            f"{path} exists",
+            hint="choose another file, or have it replaced",
+            remedies={"overwrite": None},
+        )
+
+
 def check_replaceable(path: Path) -> None:
     """Check that a file may be written at `path`: nothing is there, or a file.
 

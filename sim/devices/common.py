@@ -21,6 +21,11 @@ from sim.sensors.sensor import DEFAULT_SENSOR, Sensor, load_sensor
 _CACHE_BYTES = 64 * 1024 * 1024  # of rendered pictures: a bracket of small ones
 
 
+def as_tuple(value: object) -> object:
+    """Return an option that may be one value or several."""
+    return value if isinstance(value, list | tuple) else (value,)
+
+
 class VirtualSensor:
     """A simulated sensor that sees a scene and is exposed on demand, from any thread.
 

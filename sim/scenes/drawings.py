@@ -11,6 +11,7 @@ from collections.abc import Callable, MutableMapping
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.model.response.camera import srgb_to_linear
 from sim.scenes.charts import grey_steps, outdoor_sun, slanted_edge
 from sim.scenes.night import night_street, stars
 
@@ -241,8 +242,7 @@ def _landscape(x: Light, v: Light, channel: int) -> Light:
 def _patches() -> Light:
     """Return (4, 6, 3) linear irradiance of the chart's patches; perfect white is 1."""
     code = np.array(_PATCHES.split(), dtype=np.float64).reshape(4, 6, 3) / 255
-    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
+    return srgb_to_linear(code).astype(np.float32)
 
 
 def colour_chart(rows: int, columns: int) -> Light:

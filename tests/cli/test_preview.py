@@ -57,7 +57,7 @@ def test_existing_picture_is_kept_unless_forced(run: Run) -> None:
     Path("p.png").write_bytes(b"mine")
     refused = run("preview", "-O", "size=80x60", "-o", "p.png")
     assert (refused.status, Path("p.png").read_bytes()) == (1, b"mine")
-    assert "p.png exists; choose another name with -o, or add --force" in refused.err
+    assert "p.png exists; choose another file, or have it replaced (--force)" in refused.err
     assert run("preview", "-O", "size=80x60", "-o", "p.png", "--force").status == 0
     assert Path("p.png").read_bytes()[:4] == b"\x89PNG"
 

@@ -77,7 +77,7 @@ def test_existing_file_is_replaced_only_with_force(run: Run) -> None:
     Path("a.npy").write_text("mine")
     ran = run("simulate", *SMALL, "-o", "a.npy")
     assert ran.status == 1
-    assert ran.error == "a.npy exists; choose another file with -o, or add --force"
+    assert ran.error == "a.npy exists; choose another file, or have it replaced (--force)"
     assert Path("a.npy").read_text() == "mine"
     assert run("simulate", *SMALL, "-o", "a.npy", "--force").status == 0
     assert "unknown file type '.jpg'" in run("simulate", "-o", "a.jpg").error

@@ -167,7 +167,7 @@ def test_progress_of_a_build_follows_the_work() -> None:
         ({}, "show --table nix", "exposure table nix: No such file", 1),
         ({}, "show --bits 10", "the built-in table has no row for linear 10 bit; build one", 1),
         ({}, "show -n 9", "the table has no such row; camctl solve", 2),
-        ({"t": ""}, "build -o t", "t exists; choose another file with -o, or add --force", 1),
+        ({"t": ""}, "build -o t", "t exists; choose another file, or have it replaced", 1),
         ({"d": ""}, "build -o d/t --bits 1 -n 1", "cannot write d", 1),
         ({}, "build --responses log,lin", "unknown response 'lin'", 2),
         (

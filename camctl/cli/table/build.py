@@ -15,7 +15,7 @@ from camctl.cli.output import print_json, print_text, print_warning, progress_ba
 from camctl.cli.parameter_types import PATH, DynamicRange, ListOf, WholeNumber
 from camctl.cli.real_camera import RealCameraOptions, real_camera_options
 from camctl.cli.request_options import COUNT, RESPONSE
-from camctl.errors import CamctlError, StorageError, visible
+from camctl.errors import CamctlError, visible
 from camctl.model.response.names import RESPONSES
 
 
@@ -115,11 +115,9 @@ def build(
     """
     from camctl.exposure.build import build_table, table_jobs
     from camctl.studies.parallel import processes
-    from camctl.system.files import check_replaceable
+    from camctl.system.files import check_new
 
-    check_replaceable(output)
-    if output.exists() and not force:
-        raise StorageError(f"{output} exists", hint="choose another file with -o, or add --force")
+    check_new(output, overwrite=force)
     real = real_camera.response()
     for note in real.notes:
         print_warning(note)

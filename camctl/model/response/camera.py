@@ -10,7 +10,7 @@ import hashlib
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -165,6 +165,11 @@ STANDARDS: tuple[str, ...] = ("linear", "srgb", "rec709", "power")
 def srgb_to_linear(B: FloatArray) -> FloatArray:
     """Return the irradiance for sRGB brightness, both 0..1 (IEC 61966-2-1)."""
     return np.where(B <= 0.04045, B / 12.92, ((B + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(E: NDArray[Any]) -> NDArray[Any]:
+    """Return the sRGB brightness for an irradiance, both 0..1 (IEC 61966-2-1)."""
+    return np.where(E <= 0.0031308, 12.92 * E, 1.055 * E ** (1 / 2.4) - 0.055)
 
 
 def rec709_to_linear(B: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from camctl.errors import UsageError
 from camctl.interface.controls import Layout
-from sim.devices.common import Controllable, DeviceConfig, VirtualSensor
+from sim.devices.common import Controllable, DeviceConfig, VirtualSensor, as_tuple
 from sim.devices.ptp.body_facts import BodyFacts, load_body, manners_of
 from sim.devices.still_body import CARD_BYTES
 
@@ -43,10 +43,6 @@ def _check_time(value: Fraction) -> Fraction:
     if not 0 < value.numerator <= _LARGEST_TERM or value.denominator > _LARGEST_TERM:
         raise ValueError(f"shutter time {value} s is not a fraction of numbers from 1 to 65535")
     return value
-
-
-def _as_tuple(value: object) -> object:
-    return (value,) if isinstance(value, str) else value
 
 
 _ShutterTime = Annotated[Fraction, BeforeValidator(_parse_time), AfterValidator(_check_time)]
@@ -101,7 +97,7 @@ class PtpConfig(DeviceConfig):
     serial: str = Field(default="PTP0001", min_length=1, max_length=32)
     vendor: Literal["none", "nikon", "canon", "sony", "fuji", "olympus", "panasonic"] = "none"
     files: Annotated[
-        tuple[Literal["jpeg", "tiff", "dng", "dng+jpeg"], ...], BeforeValidator(_as_tuple)
+        tuple[Literal["jpeg", "tiff", "dng", "dng+jpeg"], ...], BeforeValidator(as_tuple)
     ] = Field(default=("jpeg",), min_length=1)
     delay_s: float = Field(default=0.0, ge=0, le=60)
     noise_reduction: bool = False

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from sim.devices.common import Controllable, DeviceConfig
+from sim.devices.common import Controllable, DeviceConfig, as_tuple
 from sim.devices.still_body import CARD_BYTES
 
 
@@ -100,10 +100,6 @@ CARD_PRESENT = 0  # register 51; 1: no card
 FOLDER_PATH = ("DCIM", "100NIKON")
 
 
-def _as_tuple(value: object) -> object:
-    return (value,) if isinstance(value, str) else value
-
-
 class SierraConfig(DeviceConfig):
     """The options of a virtual CoolPix 990.
 
@@ -125,7 +121,7 @@ class SierraConfig(DeviceConfig):
     serial: str = Field(default="CP990001", min_length=1, max_length=32, pattern=r"^[ -~]+$")
     line: str = "pty"
     link: str | None = None
-    files: Annotated[tuple[Literal["jpeg", "tiff"], ...], BeforeValidator(_as_tuple)] = Field(
+    files: Annotated[tuple[Literal["jpeg", "tiff"], ...], BeforeValidator(as_tuple)] = Field(
         default=("jpeg", "tiff"), min_length=1
     )
     delay_s: float = Field(default=0.0, ge=0, le=60)

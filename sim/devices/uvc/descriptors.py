@@ -10,14 +10,14 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
 from camctl.errors import UsageError, unknown_name
 from camctl.interface.backends import FrameShape
 from camctl.interface.controls import Layout
-from sim.devices.common import DeviceConfig, VirtualSensor
+from sim.devices.common import DeviceConfig, VirtualSensor, as_tuple
 from sim.devices.uvc.controls import CAMERA, CONTROLS, PROCESSING
 
 OUTPUT = 3  # entity: output terminal
@@ -61,10 +61,6 @@ FORMATS: Mapping[str, Format] = {
 }
 
 
-def _as_tuple(value: Any) -> Any:
-    return value if isinstance(value, list | tuple) else (value,)
-
-
 _FrameRate = Annotated[float, Field(ge=1, le=240)]
 
 
@@ -82,14 +78,12 @@ class UvcConfig(DeviceConfig):
     """
 
     serial: str = Field(default="UVC00001", min_length=1, max_length=60, pattern=r"^[ -~]+$")
-    formats: Annotated[tuple[str, ...], BeforeValidator(_as_tuple), Field(min_length=1)] = (
+    formats: Annotated[tuple[str, ...], BeforeValidator(as_tuple), Field(min_length=1)] = (
         "yuyv",
         "mjpg",
     )
-    sizes: Annotated[tuple[FrameShape, ...], BeforeValidator(_as_tuple)] = ()
-    fps: Annotated[tuple[_FrameRate, ...], BeforeValidator(_as_tuple), Field(min_length=1)] = (
-        10.0,
-    )
+    sizes: Annotated[tuple[FrameShape, ...], BeforeValidator(as_tuple)] = ()
+    fps: Annotated[tuple[_FrameRate, ...], BeforeValidator(as_tuple), Field(min_length=1)] = (10.0,)
     delay: int = Field(default=2, ge=0, le=30)
     jitter: int = Field(default=0, ge=0, le=30)
     luma: Literal["full", "limited"] = "limited"
