@@ -19,7 +19,7 @@ from menu.data import Past
 _NUMBERED = re.compile(r"capture-(\d{4,7})(?:-\d{8}-\d{6})?", re.ASCII)
 _FIRST_YEAR = 2026
 """A clock that shows an earlier year was never set."""
-_MOST_LISTED = 100
+_MOST_LISTED = 100  # the newest ones
 
 
 def next_folder(parent: Path, now: datetime) -> Path:

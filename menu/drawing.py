@@ -21,11 +21,11 @@ Pixels: TypeAlias = NDArray[np.uint8]
 SMALLEST = (240, 240)
 """(columns, rows) of the smallest picture, pixels."""
 
-_LINE_HEIGHTS = (20, 28, 40)
+_LINE_HEIGHTS = (20, 28, 40)  # pixels, of `camctl.system.characters.HEIGHTS`
 _LEAST_COLUMNS, _LEAST_ROWS = 24, 10
 """Characters that a picture has room for, at least."""
 
-_PAPER, _INK, _FAINT = (250, 250, 248), (20, 22, 26), (110, 114, 122)
+_PAPER, _INK, _FAINT = (250, 250, 248), (20, 22, 26), (110, 114, 122)  # R, G, B
 _WHITE, _BAND, _LINE = (255, 255, 255), (228, 231, 236), (196, 200, 207)
 _ACCENTS = {Mood.READY: (28, 78, 140), Mood.BUSY: (168, 98, 0), Mood.ERROR: (170, 30, 40)}
 _Colour: TypeAlias = tuple[int, int, int]

@@ -31,7 +31,7 @@ _LARGEST_CHECKED = 24.0  # mean up to which what the expansion leaves in doubt i
 _DOUBT = 0.03  # distance from a whole number within which the expansion may be off by one
 _DOUBTED_NOISE = 3.0  # abs(w) from which it may be off by more than that
 _MOST_COUNTED = 128  # a mean of 24 exceeds it with a probability of 1e-48
-_CELLS = 1 << 16
+_CELLS = 1 << 16  # of the quantile: one for each 16 random bits
 
 
 @lru_cache(maxsize=1)

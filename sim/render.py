@@ -26,7 +26,7 @@ from sim.scenes.view import Light, View, sample
 from sim.sensors.curve import LevelLookup
 from sim.sensors.sensor import Sensor
 
-_MAX_THREADS = 2
+_MAX_THREADS = 2  # measured, see `sim.noise.TILE`
 
 TileWork = Callable[[Tile], None]
 

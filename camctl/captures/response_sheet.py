@@ -26,7 +26,6 @@ PANEL_WIDTH = 520
 NOTABLY_UNSEEN = 0.01
 """Share of the samples without light in the metering frames from which the sheet says so."""
 
-_MOST_HEIGHT = 520
 #: Width and largest height of what image.tiff holds.
 _STORED = 200, 150
 #: Share of the samples that are too dark from which the sheet says what helps.
@@ -79,7 +78,7 @@ def response_sheet(
     """
     width = len(panels) * (PANEL_WIDTH + MARGIN) + MARGIN
     shapes = [panel.picture.shape[:2] for panel in panels if panel.picture is not None]
-    height = min([_MOST_HEIGHT, *(round(rows * PANEL_WIDTH / each) for rows, each in shapes)])
+    height = min([PANEL_WIDTH, *(round(rows * PANEL_WIDTH / each) for rows, each in shapes)])
     height = max(height, 1)
     top = MARGIN + 2 * LINE_HEIGHT
     below = top + height + LINE_HEIGHT + 8

@@ -26,7 +26,7 @@ from camctl.pictures.preview_light import ALL, Light
 from camctl.system.number_text import percent_text, power_texts, range_text, time_text
 from camctl.system.picture_operations import reduced_by_area
 
-_WIDTH = 1280
+_WIDTH = 1280  # pixels: fits on the screens of laptops
 _INNER = _WIDTH - 2 * MARGIN
 #: Largest height of the two pictures, and of a frame.
 _PICTURE_HEIGHT, _FRAME_HEIGHT = 460, 232

@@ -11,6 +11,7 @@ from camctl.system.picture_operations import draw_text, reduced_by_area, text_wi
 
 Colour = tuple[int, int, int]
 
+#: Colours of text, of notes, and of the background.
 INK: Colour = (40, 40, 40)
 PALE: Colour = (110, 110, 110)
 PAPER: Colour = (244, 244, 244)

@@ -18,7 +18,7 @@ from sim.scenes.view import View
 BINS = 64
 """Parts of u that count alike; a part with fewer than `_FEWEST` samples is left out."""
 
-_FEWEST = 16
+_FEWEST = 16  # samples: a mean square of 16 errors is known to 35 %, sqrt(2 / 16)
 
 
 @dataclass(frozen=True)

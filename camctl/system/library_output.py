@@ -20,7 +20,7 @@ from typing import BinaryIO, TypeVar
 # tifffile logs broken tags; without a handler the text would appear on standard error.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
-_STANDARD_ERROR = 2
+_STANDARD_ERROR = 2  # its descriptor (POSIX)
 
 T = TypeVar("T")
 

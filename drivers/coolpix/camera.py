@@ -22,7 +22,6 @@ from drivers.coolpix.sierra.packets import SPEEDS, RefusedCommandError, Register
 from drivers.coolpix.sierra.session import Sierra
 
 DRIVER = "coolpix"
-_US_PER_S = 1_000_000
 _TOLERANCE = 1e-4  # the camera sets 1/60 s as 16,666 us
 # Shutter time of a picture that is taken to learn the file format, s: short, with little blur.
 _TEST_PICTURE_S = 1 / 60
@@ -172,7 +171,7 @@ class CoolpixCamera(CameraBase):
 
     @property
     def _times(self) -> Choices:
-        return Choices(tuple(us / _US_PER_S for us in self._body.dials.times_us))
+        return Choices(tuple(us / 1e6 for us in self._body.dials.times_us))
 
     def _line_timing(self) -> CaptureTiming:
         """Return what follows from the speed of the line, until a picture was timed."""

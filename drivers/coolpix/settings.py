@@ -16,7 +16,6 @@ from drivers.coolpix.sierra.session import Sierra
 
 # Value of the aperture register for automatic exposure.
 _AUTOMATIC = 0
-_US_PER_S = 1_000_000
 # A setting is written again once if the session ended between writing and reading it.
 _ATTEMPTS = 2
 
@@ -30,8 +29,8 @@ _SECONDS = (1, 1.3, 1.5, 1.6, 2, 2.5, 3, 3.2, 4, 5, 6, 7, 8)
 #: Shutter times to try, us, ascending; 1/n s is rounded down, as in the CoolPix 880.
 CANDIDATES_US: tuple[int, ...] = tuple(
     sorted(
-        {int(_US_PER_S / denominator) for denominator in _DENOMINATORS}
-        | {round(_US_PER_S * seconds) for seconds in _SECONDS}
+        {int(1e6 / denominator) for denominator in _DENOMINATORS}
+        | {round(1e6 * seconds) for seconds in _SECONDS}
     )
 )
 
@@ -227,14 +226,14 @@ class CoolpixDials:
         Raises:
             RefusedSettingError: the camera applied another shutter time or aperture
         """
-        time_us = round(setting.time_s * _US_PER_S)
+        time_us = round(setting.time_s * 1e6)
         self._apply(Register.SHUTTER_US, time_us, "time_s", setting.time_s)
         number = setting.f_number
         code = self._base_aperture if number is None else self.apertures[number]
         if code is not None and read_register_or_none(self._sierra, Register.APERTURE) != code:
             f_number = self._si_value(Register.APERTURE, code)
             self._apply(Register.APERTURE, code, "f_number", f_number)
-        return ExposureSetting(time_us / _US_PER_S, 1.0, number)
+        return ExposureSetting(time_us / 1e6, 1.0, number)
 
     def restore(self) -> None:
         """Restore the settings that the camera had before."""
@@ -273,5 +272,5 @@ class CoolpixDials:
     def _si_value(self, register: Register, value: int) -> float:
         """Return a register's value in SI units; 0 if it is automatic or unknown."""
         if register is Register.SHUTTER_US:
-            return value / _US_PER_S
+            return value / 1e6
         return next((number for number, code in self.apertures.items() if code == value), 0.0)

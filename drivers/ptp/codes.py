@@ -141,6 +141,7 @@ class Prop(IntEnum):
     SONY_BUTTON_SHUTTER = 0xD2C2
 
 
+# Responses; the format of a folder; all stores, as a parameter.
 OK = 0x2001
 SESSION_NOT_OPEN = 0x2003
 DEVICE_BUSY = 0x2019

@@ -26,8 +26,8 @@ _INTEGERS: dict[int, tuple[int, bool]] = {
     0x0009: (16, True),
     0x000A: (16, False),
 }
-_ARRAY = 0x4000
-STRING = 0xFFFF
+_ARRAY = 0x4000  # flag of the type of an array (section 5.3)
+STRING = 0xFFFF  # data types (section 5.3)
 _READ_ONLY = 1  # access to a storage; 0: read and write, 2: read and delete
 UINT16, UINT32 = 0x0004, 0x0006
 

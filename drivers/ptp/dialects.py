@@ -132,7 +132,7 @@ class Dialect:
     is_stepped: bool = True
 
 
-UNIT_S, PERCENT = Fraction(1, 10_000), Fraction(1, 100)
+UNIT_S, PERCENT = Fraction(1, 10_000), Fraction(1, 100)  # of 500D, s; of 5007 and 500F
 EXPOSURE_TIME = Scale(Prop.EXPOSURE_TIME, ten_thousandths, UNIT_S)
 F_NUMBER = Scale(Prop.F_NUMBER, hundredths, PERCENT)
 EXPOSURE_INDEX = Scale(Prop.EXPOSURE_INDEX, iso, PERCENT)

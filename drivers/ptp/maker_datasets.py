@@ -20,7 +20,7 @@ from drivers.ptp.datasets import (
     read_form,
 )
 
-_EOS_HEADER_BYTES = 8
+_EOS_HEADER_BYTES = 8  # size and type of a record
 _EOS_LIST = 3  # form of a list of choices
 
 

@@ -46,8 +46,8 @@ _AUTOMATIC_ISO = (
     "chooses its sensitivity itself",
     "switch automatic ISO off in its menu, and set its ISO to a number",
 )
-_WITHOUT_FOCUSING, _WITH_FOCUSING = 0xFFFFFFFF, 0xFFFFFFFE
-_TO_CARD = 0
+_WITHOUT_FOCUSING, _WITH_FOCUSING = 0xFFFFFFFF, 0xFFFFFFFE  # first parameter of 9207
+_TO_CARD = 0  # second one
 
 NIKON = Dialect(
     name="nikon",
@@ -108,7 +108,7 @@ def _u16(number: int) -> bytes:
     return number.to_bytes(2, "little")
 
 
-_PRESSED, _RELEASED = _u16(2), _u16(1)
+_PRESSED, _RELEASED = _u16(2), _u16(1)  # states of a button
 _FOCUS, _SHUTTER = (Prop.SONY_BUTTON_FOCUS,), (Prop.SONY_BUTTON_SHUTTER,)
 _PRESS_BUTTONS = (
     Step(Op.SONY_CONTROL, _FOCUS, _PRESSED),

@@ -33,9 +33,9 @@ from drivers.ptp.transport import (
     IncompleteDataError,
 )
 
-_GUID_BYTES = 16
+_GUID_BYTES = 16  # of a computer and of a camera
 _HAS_NO_DATA_OUT, _HAS_DATA_OUT = 1, 2  # of a command
-_UNKNOWN_SIZE = 0xFFFF_FFFF_FFFF_FFFF
+_UNKNOWN_SIZE = 0xFFFF_FFFF_FFFF_FFFF  # of a data phase
 _OUT_BYTES = 1 << 16  # of one data packet from here
 # After so long without a byte the camera is asked whether it is still there, and it counts as
 # disconnected after as long without an answer, if it has answered before.

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from camctl.errors import CameraProtocolError
 
-DATA, RESPONSE, EVENT = 2, 3, 4
+DATA, RESPONSE, EVENT = 2, 3, 4  # types of containers
 
 #: Silence after which a camera counts as unresponsive, and the same while it takes a picture, s;
 #: long enough for slow cards and long noise reduction.

@@ -49,7 +49,7 @@ Bytes: TypeAlias = "bytes | memoryview | array[int]"
 #: Class, subclass and protocol of a still-image interface.
 STILL_IMAGE: InterfaceKind = (6, 1, 1)
 
-_COMMAND = 1
+_COMMAND = 1  # type of a container
 HEADER = struct.Struct("<IHHI")
 
 # Bytes of one read of a large object; usbfs has 16 MB for all transfers of the machine.

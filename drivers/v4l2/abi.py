@@ -169,7 +169,7 @@ class LongValues(ctypes.Structure):
     )
 
 
-_READ, _WRITE = 2, 1
+_READ, _WRITE = 2, 1  # directions of an ioctl
 
 
 def _request(direction: int, number: int, structure: type[ctypes.Structure]) -> int:
@@ -246,8 +246,8 @@ class Quantization(IntEnum):
     LIMITED = 2
 
 
-COLORSPACE_JPEG = 7
-
+COLORSPACE_JPEG = 7  # enum v4l2_colorspace
+# Bases of the ids of controls, by class (V4L2_CID_BASE and the like).
 _USER, _CAMERA, _SOURCE, _PROCESSING = 0x00980900, 0x009A0900, 0x009E0900, 0x009F0900
 
 

@@ -29,19 +29,19 @@ try:
 except ImportError:  # not a POSIX system: pyserial raises its own errors alone
     TermiosError = OSError  # type: ignore[assignment,misc]  # the same use, in except clauses
 
-COLUMNS, ROWS = 20, 4
+COLUMNS, ROWS = 20, 4  # characters
 
 _ANSWER_S = 0.25
 """The panel answers within this time, s, or the packet was lost; its data sheet states 0.25 s."""
-_ALL_KEYS = 0x3F
-_BRIGHT = 100
+_ALL_KEYS = 0x3F  # a bit for each of six
+_BRIGHT = 100  # per cent
 _ANYONE_HOME_S = 2.0
 """Interval in which a panel that has nothing to show is asked whether it is there, s."""
 
 _KEYS = (Key.UP, Key.DOWN, Key.LEFT, Key.RIGHT, Key.ENTER, Key.EXIT)
 _LIGHTS = {Mood.READY: (0, 100), Mood.BUSY: (60, 100), Mood.ERROR: (100, 0)}
 """(red, green) of the lights, percent."""
-_FIRST_LIGHT, _LIGHT_COUNT = 5, 4
+_FIRST_LIGHT, _LIGHT_COUNT = 5, 4  # outputs from 5 on are lights
 
 
 class Cfa635Panel:

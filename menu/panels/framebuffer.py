@@ -29,7 +29,7 @@ bit on the right) of red, green, blue and transparency."""
 _FIXED_INFO = struct.Struct("@16sL4I3HI")
 """The beginning of `struct fb_fix_screeninfo`, up to line_length."""
 
-_INFO_BYTES = 256
+_INFO_BYTES = 256  # more than either structure has
 
 
 @dataclass(frozen=True)

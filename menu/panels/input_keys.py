@@ -16,7 +16,7 @@ from menu.ports import Key
 _EVENT = struct.Struct("@llHHi")
 """Seconds and microseconds, type, code, value; 24 bytes on 64-bit systems."""
 
-_PRESSED, _REPEATED = 1, 2
+_PRESSED, _REPEATED = 1, 2  # values of an event of a key
 
 _KEYS = {
     103: Key.UP,

@@ -33,7 +33,7 @@ from menu.drawing import draw
 from menu.layout import grid
 from menu.ports import Key, Screen
 
-DEFAULT_PORT = 8080
+DEFAULT_PORT = 8080  # http-alt (IANA)
 SIZE = (640, 480)
 """(columns, rows) of the picture, pixels."""
 TOKEN_VARIABLE = "CAMCTL_MENU_TOKEN"

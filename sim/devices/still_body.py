@@ -13,7 +13,7 @@ from sim.devices.clock import DeviceClock, ScheduledCall
 from sim.devices.common import VirtualSensor
 from sim.devices.still_files import SUFFIXES, RawImage, encode, thumbnail
 
-CARD_BYTES = 256 * 1024 * 1024
+CARD_BYTES = 256 * 1024 * 1024  # 256 MB, a usual size of CompactFlash cards
 BULB_MAX_S = 120.0  # a bulb exposure that no host ends stops by itself
 _LOG_LENGTH = 256  # exposures: a host may never stop
 _OVERHEAD_BYTES = 65536  # of headers, tags and thumbnail in a file, at most

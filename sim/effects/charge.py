@@ -23,7 +23,7 @@ from sim.noise import Stream
 Hits = tuple[NDArray[np.int64], NDArray[np.float32]]
 
 _NO_LOWER_LIMIT = np.float32(-3e38)  # near the end of float32
-_LONGEST_TRACK_PX = 6
+_LONGEST_TRACK_PX = 6  # of a cosmic ray, see `cosmic_hits`
 _LARGEST_HIT = 20.0  # times the mean charge: an exponential exceeds it once in 5e8 hits
 _PLANNED_FRAMES = 8  # frames whose hits are kept from planning to rendering
 

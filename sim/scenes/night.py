@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Light = NDArray[np.float32]
 
+# Colours of light, R, G, B, the strongest 1; chosen by eye.
 _SODIUM = np.array([1.0, 0.60, 0.20], dtype=np.float32)
 _ROOMS = np.array([1.0, 0.78, 0.45], dtype=np.float32)
 _SKY = np.array([0.35, 0.45, 0.8], dtype=np.float32)

@@ -39,7 +39,7 @@ built-in scenes has, about as white paper in 1,500 lux: the standard sensor, at 
 
 _HIGHLIGHT_QUANTILE = 0.999  # of a map's positive irradiance
 _DRAWING_BYTES_PER_PIXEL = 112  # scene and working arrays together, for the most costly drawing
-_READING_BYTES_PER_PIXEL = 48
+_READING_BYTES_PER_PIXEL = 48  # likewise, for a map that is read
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,12 @@ from camctl.errors import CameraDisconnectedError, CameraProtocolError
 from drivers.common.serial_link import SerialLink
 
 NUL, DATA, LAST_DATA, ENQ, ACK, DC1, NAK, COMMAND = 0x00, 0x02, 0x03, 0x05, 0x06, 0x11, 0x15, 0x1B
-WRONG_SPEED, SESSION_ERROR, SESSION_END = 0x8C, 0xFC, 0xFF
-FIRST_COMMAND, NEXT_COMMAND = 0x53, 0x43
+WRONG_SPEED, SESSION_ERROR, SESSION_END = 0x8C, 0xFC, 0xFF  # what a camera answers
+FIRST_COMMAND, NEXT_COMMAND = 0x53, 0x43  # subtypes of a command
 
-SET_INTEGER, GET_INTEGER, ACT, SET_DATA, GET_DATA = range(5)
+SET_INTEGER, GET_INTEGER, ACT, SET_DATA, GET_DATA = range(5)  # first byte of a command
 
-MAX_DATA = 2048
+MAX_DATA = 2048  # bytes of a packet
 #: Speed at the start of a session, baud; then the codes of all speeds.
 FIRST_SPEED = 19_200
 SPEEDS = {9_600: 1, 19_200: 2, 38_400: 3, 57_600: 4, 115_200: 5}

@@ -18,8 +18,8 @@ from camctl.errors import unknown_name
 from sim.devices.ptp.protocol import Operation, Property, Type
 
 MAKERS = ("nikon", "canon", "sony", "fuji", "olympus", "panasonic", "pentax")
-_READING = frozenset({0x1014, 0x1015})
-_BASIC = _READING | frozenset(range(0x1001, 0x100C)) | {0x1016}
+_READING = frozenset({0x1014, 0x1015})  # operations that read properties
+_BASIC = _READING | frozenset(range(0x1001, 0x100C)) | {0x1016}  # and of session, card, objects
 # Operations of the ways to take pictures that a summary names instead of listing its operations.
 _CAPTURES: dict[str, tuple[int, ...]] = {
     "Generic Image Capture": (0x100E,),

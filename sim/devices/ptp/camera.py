@@ -24,7 +24,7 @@ from sim.devices.ptp.protocol import (
 from sim.devices.usb.device import IN, STALL, ControlReply, UsbDevice
 
 BULK_IN, BULK_OUT, EVENTS = 1, 2, 3  # numbers of the endpoints
-PACKET = 512
+PACKET = 512  # bytes, bulk at high speed (USB 2.0, 5.8.3)
 _CLASS = (6, 1, 1)  # still image, capture, PTP
 _BULK, _INTERRUPT = 2, 3  # types of endpoints
 _CANCEL, _RESET, _STATUS = 0x64, 0x66, 0x67  # class requests, section 5.2

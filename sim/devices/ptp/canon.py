@@ -30,10 +30,10 @@ from sim.devices.ptp.responder import Responder
 from sim.devices.ptp.store import FORMATS, STORE, StoredObject
 from sim.devices.still_body import ImageFile
 
-BULB = 0x0C
+BULB = 0x0C  # code of a shutter time
 CARD, HOST = 2, 4  # capture destinations
 _HOST_HANDLE = 0x9000_0001  # of a picture in memory whose destination is the host
-_STEPS_A_STOP = 8
+_STEPS_A_STOP = 8  # of codes
 _ONE_SECOND, _F1, _ISO_100 = 0x38, 0x08, 0x48  # codes
 # Thirds of a stop, rounded to eighths as in Canon's codes.
 _THIRDS = (0, 3, 5)

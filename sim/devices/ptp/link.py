@@ -13,9 +13,9 @@ from pydantic import Field
 from sim.devices.clock import DeviceClock
 from sim.devices.ptp.config import PtpConfig
 
-PORT = 15740
+PORT = 15740  # of PTP/IP
 HEADER = struct.Struct("<II")  # length with this header, type
-GUID_BYTES = 16
+GUID_BYTES = 16  # of a host and of a camera
 _LARGEST_PACKET = 64 * 1024 + 64  # from the host: no operation takes more
 DATA_BYTES = 32 * 1024  # of one data packet
 

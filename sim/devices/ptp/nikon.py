@@ -24,10 +24,10 @@ from sim.devices.ptp.protocol import (
 from sim.devices.ptp.responder import Responder
 from sim.devices.still_body import ImageFile
 
-BULB = 0xFFFF_FFFF
+BULB = 0xFFFF_FFFF  # shutter number
 IN_MEMORY = 0xFFFF_0001  # handle of the first picture in memory
-_TO_CARD, _TO_MEMORY = 0, 1
-_WITHOUT_FOCUSING = 0xFFFF_FFFF
+_TO_CARD, _TO_MEMORY = 0, 1  # second parameter of 9207
+_WITHOUT_FOCUSING = 0xFFFF_FFFF  # first one
 _SPECIAL = 0xFFFF_FFF0  # values from here on are no times
 
 

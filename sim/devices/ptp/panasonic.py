@@ -26,8 +26,8 @@ from sim.devices.ptp.protocol import (
 from sim.devices.ptp.responder import Responder
 from sim.devices.still_body import ImageFile
 
-ISO, SHUTTER, APERTURE = 0x0200_0020, 0x0200_0030, 0x0200_0040
-_STORAGE, _RELEASE = 0x0001_0001, 0x0300_0011
+ISO, SHUTTER, APERTURE = 0x0200_0020, 0x0200_0030, 0x0200_0040  # codes of properties
+_STORAGE, _RELEASE = 0x0001_0001, 0x0300_0011  # parameters of opening and of capturing
 _LONG = 0x8000_0000  # thousandths of a second; without it thousandths of 1/s
 _HEADER_WORDS = 20  # of a description, before the data type
 

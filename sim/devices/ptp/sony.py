@@ -30,7 +30,7 @@ from sim.devices.ptp.responder import Responder
 from sim.devices.ptp.store import ALL, StoredObject
 from sim.devices.still_body import ImageFile
 
-BULB = 0
+BULB = 0  # shutter number
 IN_MEMORY = 0xFFFF_C001  # handle of the oldest picture in memory
 _READY = 0x8000  # added to the number of files in memory, in property D215
 _PRESSED, _RELEASED = 2, 1  # states of a button
@@ -40,7 +40,7 @@ _SET_BY: dict[int, int] = {
     Property.SONY_ISO_SET: Property.SONY_ISO,
 }
 _BY_DIALS, _BY_HOST = 0, 1  # property D25A: what sets the exposure
-_HANDSHAKE = (1, 2, 3)
+_HANDSHAKE = (1, 2, 3)  # parameters of SONY_CONNECT
 
 
 class SonyResponder(Responder):

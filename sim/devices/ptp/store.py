@@ -11,12 +11,12 @@ from itertools import count
 from sim.devices.ptp.protocol import Format, Reply, Response, Type, pack_list, pack_text
 from sim.devices.still_body import ImageFile
 
-STORE = 0x0001_0001
-ROOT_FOLDER, PICTURE_FOLDER = 0x1000_0001, 0x1000_0002
-ALL = 0xFFFF_FFFF
+STORE = 0x0001_0001  # its id
+ROOT_FOLDER, PICTURE_FOLDER = 0x1000_0001, 0x1000_0002  # handles
+ALL = 0xFFFF_FFFF  # stores or handles
 READ_ONLY = 1  # access to the card
 _FREE_IMAGES = 999  # in the storage info; not computed
-_FIRST_PICTURE = 0x2000_0001
+_FIRST_PICTURE = 0x2000_0001  # handle
 FORMATS: Mapping[str, int] = {"jpeg": Format.JPEG, "tiff": Format.TIFF, "dng": Format.DNG}
 _JFIF = 0x3808  # format of thumbnails
 _DATE = "20240101T120000"  # of all files

@@ -23,7 +23,6 @@ from sim.devices.sierra.config import (
 )
 from sim.devices.still_body import Exposure, ImageFile, StillBody
 
-_US_PER_S = 1_000_000
 _TEXTS = {
     Register.CAMERA_ID: "E990V1.1",
     Register.VERSION: "v990-110",
@@ -170,7 +169,7 @@ class SierraCamera:
 
         f_number = APERTURES[self._aperture or 1]
         light = (APERTURES[1] / f_number) ** 2
-        time_s = self._shutter_us / _US_PER_S
+        time_s = self._shutter_us / 1e6
         self.body.release(Exposure(time_s, 1.0, light, (form,), quality), store)
 
     def downloaded(self) -> None:
@@ -201,8 +200,8 @@ class SierraCamera:
             self._shutter_us = AUTOMATIC_US
             return
         limit_s = self.body.faults.longest_s
-        if limit_s is not None and value > limit_s * _US_PER_S:
-            value = max(1, int(limit_s * _US_PER_S))
+        if limit_s is not None and value > limit_s * 1e6:
+            value = max(1, int(limit_s * 1e6))
         self._shutter_us = min(self._times_us, key=lambda time_us: abs(math.log(time_us / value)))
 
     def _selected_picture(self) -> ImageFile:

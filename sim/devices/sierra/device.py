@@ -33,12 +33,12 @@ from sim.devices.sierra.protocol_memory import MemoryLine
 from sim.devices.still_body import BodyOptions, StillBody, StillFaultCommands
 
 NUL, DATA, LAST, ENQ, ACK, NAK, COMMAND = 0x00, 0x02, 0x03, 0x05, 0x06, 0x15, 0x1B
-INVALID, SESSION_ERROR = 0x11, 0xFC
+INVALID, SESSION_ERROR = 0x11, 0xFC  # answers
 FIRST, NEXT = 0x53, 0x43  # subtype of the first command of a session, and of the others
 PACKET = 2048  # most data bytes of a packet
 
 _HEADER, _SUM = 4, 2  # bytes
-_SET_NUMBER, _GET_NUMBER, _ACTION, _SET_TEXT, _GET_TEXT = range(5)
+_SET_NUMBER, _GET_NUMBER, _ACTION, _SET_TEXT, _GET_TEXT = range(5)  # first byte of a command
 _PARTIAL_PACKET_S = 0.5  # silence after which the beginning of a packet is discarded
 _MOST_QUEUED_BYTES = 4096  # that are kept of what a host sends during an exposure
 

@@ -17,7 +17,7 @@ from camctl.errors import CameraNotFoundError
 _SPEEDS = {
     getattr(termios, f"B{speed}"): speed for speed in (9600, 19200, 38400, 57600, 115200, 230400)
 }
-_POLL_S = 0.05
+_POLL_S = 0.05  # how often a thread looks whether it is to end
 BITS_A_BYTE = 10  # start, eight, stop
 BYTES_AT_ONCE = 256  # of a line with a speed
 _UNREAD_S = 1.0  # after so long, bytes that the host does not read are lost

@@ -19,7 +19,7 @@ from sim.devices.clock import DeviceClock, RealDeviceClock
 from sim.devices.common import Controllable
 from sim.devices.usb.endpoints import Pipe, Read, Transfer, parse_configuration
 
-IN = 0x80
+IN = 0x80  # bit of an address: to the host (USB 2.0, 9.6.6)
 
 
 class Speed(IntEnum):

@@ -24,7 +24,7 @@ _BUS = 1  # part of the device id, which the kernel sends with each request
 _DETACH_S = 5.0  # for the kernel to end a connection
 _FREE = 4  # VDEV_ST_NULL in the `status` file
 
-_CMD_SUBMIT, _CMD_UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4
+_CMD_SUBMIT, _CMD_UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4  # commands
 _HEADER = struct.Struct(">5I")  # command, sequence number, device, direction, endpoint
 _PACKET_SIZE = 16  # of an isochronous packet's description
 

@@ -42,11 +42,11 @@ from sim.devices.uvc.descriptors import (
 )
 from sim.devices.uvc.stream import FrameExposure, Stream, StreamMode
 
-_PROBE, _COMMIT = 1, 2
+_PROBE, _COMMIT = 1, 2  # selectors (A.9.7)
 _PROBE_BYTES = 26  # of UVC 1.0 (4.3.1.1)
-_STREAM_INTERFACE = 1
+_STREAM_INTERFACE = 1  # its number
 _STREAM_ENDPOINT = STREAM_IN & 15
-_END_OF_FRAME, _ERROR, _END_OF_HEADER, _HEADER_BYTES = 0x02, 0x40, 0x80, 2
+_END_OF_FRAME, _ERROR, _END_OF_HEADER, _HEADER_BYTES = 0x02, 0x40, 0x80, 2  # of a payload (2.4.3.3)
 
 _LOG_LENGTH = 400  # frames: a host may stream without end
 _WB_AMPLITUDE, _WB_PERIOD_SLOTS = 0.2, 9.0  # of the light under automatic white balance

@@ -13,7 +13,7 @@ from sim.devices.usb.device import STALL, ControlReply
 
 CAMERA, PROCESSING = 1, 2  # entities: camera terminal, processing unit
 
-SET, GET = 0x01, 0x81
+SET, GET = 0x01, 0x81  # requests SET_CUR and GET_CUR, then GET_MIN to GET_DEF (A.8)
 MINIMUM, MAXIMUM, RESOLUTION, LENGTH, INFO, DEFAULT = 0x82, 0x83, 0x84, 0x85, 0x86, 0x87
 CAN_GET_AND_SET, _DISABLED, _AUTO_UPDATED = 0x03, 0x04, 0x08  # GET_INFO (4.1.2)
 

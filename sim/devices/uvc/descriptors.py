@@ -21,8 +21,8 @@ from sim.devices.common import DeviceConfig, VirtualSensor, as_tuple
 from sim.devices.uvc.controls import CAMERA, CONTROLS, PROCESSING
 
 OUTPUT = 3  # entity: output terminal
-STREAM_IN = 0x81
-PACKET = 512
+STREAM_IN = 0x81  # address of the endpoint
+PACKET = 512  # bytes, bulk at high speed (USB 2.0, 5.8.3)
 _GUID_TAIL = bytes.fromhex("00001000800000aa00389b71")
 INTERVALS_PER_S = 10_000_000  # frame intervals are in units of 100 ns
 
