@@ -3,9 +3,10 @@
 The objective of a batch is the same integral as in `camctl.exposure.objective`, computed by numpy
 gap by gap without branches, in float32 (relative rounding error of a level 6e-8) for cameras of up
 to 4,096 levels and in float64 above.  It has closed forms for linear with every p, for the square
-root and the logarithm with p = 1 and 2, and for gamma < 1 with p = 1.  All other cases use the mean
-slope of each gap, which gives a lower bound of the objective that is good enough to rank
-candidates: a search ends with the exact objective.
+root and the logarithm with p = 1 and 2, for other gammas with p = 1, and for tables with every p:
+there gaps are divided at the knots.  All other cases use the mean slope of each gap, which gives a
+lower bound of the objective that is good enough to rank candidates: a search ends with the exact
+objective.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from camctl.exposure.objective import ExposureProblem
 from camctl.model.response.camera import FloatArray
 from camctl.model.response.desired import GammaDesired, LinearDesired, LogDesired
+from camctl.model.response.tabulated import TabulatedDesired
 
 CACHE_ELEMENTS = 100_000
 """Numbers in one working array: the arrays of a batch then fit into the cache of one core."""
@@ -51,7 +53,8 @@ class BatchScore:
         self._G = problem.levels_wanted
         M = problem.response.M
         small = M <= MAX_FLOAT32_LEVELS and self._p <= 2  # higher powers overflow float32
-        dtype = np.float32 if small and not exact else np.float64
+        self._is_table = isinstance(problem.desired, TabulatedDesired)
+        dtype = np.float32 if small and not exact and not self._is_table else np.float64
         self._levels = problem.response.levels.astype(dtype)
         size = problem.n * M
         self._jitter_factors = problem.jitter_factors()
@@ -93,6 +96,8 @@ class BatchScore:
         np.minimum(edges[:, 1:-1], 1, out=edges[:, 1:-1])
         edges[:, -1] = 1
         edges.sort(axis=1, kind="stable")  # merges the n sorted runs: 3 to 10 times as fast
+        if self._is_table and self.problem.objective.kind == "xi":
+            return self._divided(edges)
         e_min = edges.dtype.type(self._desired.e_min)
         row = np.arange(rows)
         above = np.maximum((edges <= e_min).sum(axis=1), 1)
@@ -105,6 +110,24 @@ class BatchScore:
         missing = self._gaps(edges[:, :-1], edges[:, 1:], [work[:rows] for work in self._work])
         missing[row, above - 1] = self._straddling(high, width)
         return np.asarray(missing.sum(axis=1), dtype=np.float64)
+
+    def _divided(self, edges: Work) -> FloatArray:
+        """Return the integrals over ascending edges (B, N), with gaps divided at the knots.
+
+        Between two knots of a table g' is constant, so that each piece has a closed form.
+        """
+        desired, rows = self._desired, len(edges)
+        knots = np.concatenate([[desired.e_min], desired.knots])
+        ends = np.concatenate([edges, np.broadcast_to(knots, (rows, knots.size))], axis=1)
+        order = np.argsort(ends, axis=1, kind="stable")
+        ends = np.take_along_axis(ends, order, axis=1)
+        gap = np.cumsum(order < edges.shape[1], axis=1)[:, :-1] - 1
+        width = np.take_along_axis(np.diff(edges, axis=1), np.minimum(gap, edges.shape[1] - 2), 1)
+        length = np.diff(np.maximum(ends, desired.e_min), axis=1)
+        slope = self._G * desired.slope((ends[:, 1:] + ends[:, :-1]) / 2)
+        # A piece has length only where its gap has width.
+        height = np.maximum(slope - 1 / np.where(length > 0, width, np.inf), 0.0)
+        return np.asarray((height**self._p * length).sum(axis=1))
 
     def _rises(self, edges: Work) -> Work:
         """Return the difference of u between neighbouring edges from e_min on."""
@@ -128,8 +151,9 @@ class BatchScore:
         """Return the integral over a gap in float64, by its mean slope if it has no closed form."""
         G, p, desired = self._G, self._p, self._desired
         stop = high
-        if desired.curvature < 0:
-            stop = np.clip(desired.inverse_slope(1 / (G * width)), low, high)
+        if desired.curvature != 0:
+            crossing = np.clip(desired.inverse_slope(1 / (G * width)), low, high)
+            low, stop = (low, crossing) if desired.curvature < 0 else (crossing, high)
         span = stop - low
         rise = G * desired.rise(low, stop)
         if p == 1:
@@ -149,8 +173,11 @@ class BatchScore:
             return self._log(low, high, work)
         if isinstance(desired, GammaDesired) and desired.gamma == 0.5 and p in (1, 2):
             return self._root(low, high, work)
-        if isinstance(desired, GammaDesired) and desired.curvature < 0 and p == 1:
-            return self._power(low, high, desired.gamma)
+        if isinstance(desired, GammaDesired) and p == 1:
+            if desired.curvature < 0:
+                return self._power(low, high, desired.gamma)
+            width = np.maximum(high - low, self._tiny)
+            return self._closed(low.astype(np.float64), high.astype(np.float64), width)
         heights = self._G * desired.u(np.append(low, high[:, -1:], axis=1))
         excess = np.maximum(np.diff(heights, axis=1) - 1, 0.0)
         if p == 1:

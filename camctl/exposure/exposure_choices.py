@@ -191,7 +191,7 @@ class AccuracyProblem:
     def reach(self) -> float:
         """The longest exposure that can be of use: it shows the darkest light in few levels."""
         levels = self.response.levels
-        return 1 / max(self.desired.e_min, float(levels[levels > 0][0]) / 16)
+        return 1 / (self.desired.e_min or float(levels[levels > 0][0]) / 16)
 
     def frame_noise(self, shot: Shot) -> FrameNoise:
         """Return the noise of a frame with this exposure."""

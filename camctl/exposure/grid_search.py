@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -15,19 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import UsageError
-from camctl.exposure.candidates import CACHE_ELEMENTS, BatchScore
+from camctl.exposure.candidates import BatchScore
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.settings_grid import SAME_RATIO, SettingsGrid
 from camctl.exposure.solver import SearchOptions, Solution, solve
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.desired import DesiredResponse
-from camctl.model.response.tabulated import TabulatedDesired
 
 MAX_ENUMERATED_SETS = 400_000
 """Sets that are all scored, at most: about 1 s for 8 bits."""
-
-MAX_TABLE_ELEMENTS = 8_000_000
-"""Numbers in the table of u of `SubsetScore`, at most: 64 MB."""
 
 ROUNDS = 40
 """Rounds of random moves."""
@@ -92,7 +89,12 @@ def solve_settings(
     started = time.process_time()
     exposures = grid.exposures
     bases = _base_indices(grid, n)
-    score = SubsetScore(problem, exposures)
+    batch = BatchScore(problem)
+
+    def score(sets: Indices) -> FloatArray:
+        chosen = exposures[sets]
+        return batch(chosen / chosen[:, :1])
+
     all_sets = _enumerate(grid, n, bases)
     if all_sets is None:
         ranked = _search(problem, grid, bases, score, search or SearchOptions())
@@ -107,7 +109,7 @@ def solve_settings(
         problem,
         tuple((chosen / chosen[0]).tolist()),
         seconds=time.process_time() - started,
-        evaluations=score.evaluations + len(ranked[:MAX_EXACT_SCORES]),
+        evaluations=batch.evaluations + len(ranked[:MAX_EXACT_SCORES]),
     )
     return SettingsSolution(
         **vars(found), settings=tuple(chosen.tolist()), enumerated=all_sets is not None
@@ -171,7 +173,7 @@ def _search(
     problem: ExposureProblem,
     grid: SettingsGrid,
     bases: range,
-    score: SubsetScore,
+    score: Callable[[Indices], FloatArray],
     options: SearchOptions,
 ) -> Indices:
     """Return good index sets, best first: the rounded continuous optimum, improved by moves."""
@@ -228,56 +230,3 @@ def _separated(sets: Indices, size: int) -> Indices:
     spread = np.sort(sets, axis=1) - offsets
     spread = np.maximum.accumulate(np.clip(spread, 0, size - n), axis=1)
     return np.asarray(spread + offsets)
-
-
-class SubsetScore:
-    """Scores (C, n) index sets into an ascending grid of exposures (S,).
-
-    For a desired response in a table, u of every level at every ratio is computed once, so that a
-    set costs one sort of n M numbers; the score is then the lower bound by the mean slope of each
-    gap.  All other cases are scored by `BatchScore`.
-
-    Attributes:
-        evaluations: sets scored so far
-    """
-
-    def __init__(self, problem: ExposureProblem, grid: FloatArray) -> None:
-        self.evaluations = 0
-        self._problem, self._grid = problem, grid
-        self._batch = BatchScore(problem)
-        goal = problem.objective
-        self._tabulated = (
-            isinstance(problem.desired, TabulatedDesired)
-            and goal.p == 1
-            and goal.noise is None
-            and goal.jitter == 0
-        )
-
-    def __call__(self, sets: NDArray[np.intp]) -> FloatArray:
-        """Return the objective of each set, (C,) float64."""
-        self.evaluations += len(sets)
-        chosen = self._grid[sets]
-        ratios = chosen / chosen[:, :1]
-        if self._tabulated:
-            distinct, which = np.unique(np.round(np.log(ratios), 9), return_inverse=True)
-            if distinct.size * self._problem.response.M <= MAX_TABLE_ELEMENTS:
-                return self._by_table(np.exp(distinct), which.reshape(ratios.shape))
-        return self._batch(ratios)
-
-    def _by_table(self, ratios: FloatArray, which: NDArray[np.intp]) -> FloatArray:
-        levels, G = self._problem.response.levels, np.float32(self._problem.levels_wanted)
-        heights = self._problem.desired.u(levels / ratios[:, np.newaxis]).astype(np.float32) * G
-        rows, size = len(which), self._problem.n * levels.size
-        scores = np.empty(rows)
-        batch = max(1, CACHE_ELEMENTS // size)
-        for first in range(0, rows, batch):
-            part = which[first : first + batch]
-            edges = np.empty((len(part), size + 2), dtype=np.float32)
-            edges[:, 0], edges[:, -1] = 0, G
-            edges[:, 1:-1] = heights[part].reshape(len(part), -1)
-            edges.sort(axis=1, kind="stable")
-            gaps = np.diff(edges, axis=1)
-            gaps -= 1
-            np.maximum(gaps, 0, out=gaps)
-            scores[first : first + batch] = gaps.sum(axis=1)
-        return scores

@@ -80,6 +80,11 @@ class RandomSets:
         sets.sort(axis=1)
         return self.normalised(sets)
 
+    def even(self, count: int) -> FloatArray:
+        """Return (count, n) sets of equal factors, whose largest exposures go up to the reach."""
+        ends = self.reach * np.arange(1, count + 1) / count
+        return ends[:, np.newaxis] * np.linspace(0.0, 1.0, self.n)
+
     def normalised(self, sets: FloatArray) -> FloatArray:
         """Return the sets ascending, from 0, within reach."""
         sets = np.minimum(np.abs(sets), self.reach)

@@ -23,13 +23,16 @@ from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.random_sets import RandomSets
 from camctl.model.effective import MAX_EXPOSURES
-from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.camera import CameraResponse, FloatArray, every_nth_level
 from camctl.model.response.desired import DesiredResponse
 
 Progress = Callable[[float], None]
 
 STARTS = 64
 """Sets that are improved at first; they are the best of 8 times as many."""
+
+KNOWN_MOVES = 14
+"""Changes of a start that is known from a coarse camera, instead of random starts."""
 
 MOVES = 32
 """Moves tried for each set in a step; they double when the sets are halved."""
@@ -56,20 +59,26 @@ slowly is not discarded before."""
 MAX_SORTED_LEVELS = 2.5e9
 """Levels sorted in one search, at most (about 15 s): bounds the search for cameras of many bits."""
 
-MAX_SORTED_LEVELS_FLOAT64 = 1e9
-"""The same for cameras that are scored in float64."""
+MAX_SORTED_LEVELS_FLOAT64 = 5e7
+"""The same for cameras that are scored in float64, which start near a good set (about 2 s)."""
 
-MAX_FINAL_LEVELS = 5e8
+MAX_FINAL_LEVELS = 2e7
 """Levels sorted by the exact objective at the end, at most."""
 
 FINAL_PASSES = 100
 """Passes over all exposures at the end, at most; a quarter of it for non-integer p."""
 
-COARSE_LEVELS = 255
-"""Levels of the coarse camera whose solution a search for a finer camera starts from."""
+COARSER = 16
+"""The search for a camera of many levels starts from what is found with each 16th of them."""
 
 MAX_DIRECT_LEVELS = 1023
-"""Cameras of more levels start from the solution for `COARSE_LEVELS` of their levels."""
+"""Cameras of more levels do."""
+
+FINALISTS = 4
+"""Sets of the coarse search that the finer one starts from: their order may be another one."""
+
+SHARE_BETWEEN = 0.05
+"""Share of the evaluations for a camera between the coarsest and the finest one."""
 
 
 @dataclass(frozen=True)
@@ -206,35 +215,37 @@ def solve(
 def _coarse_starts(
     problem: ExposureProblem, search: SearchOptions, total_limit: float
 ) -> FloatArray:
-    """Return (2, n) starts, as logarithms, from the solution for `COARSE_LEVELS` of the levels.
+    """Return (K, n) starts, as logarithms, from the search for a camera of fewer levels.
 
-    One start is that solution; in the other the small ratios, which interleave levels, are reduced
-    as the gaps are.  The coarse search may take half of the time limit.
+    Half of them are sets that it found; in the others the distances of ratios from multiples of
+    1/2, by which levels interleave, are reduced as the gaps are.
+    It takes half of the time at most.
     """
     coarse, finer = coarse_camera(problem.response)
-    levels_wanted = max(1.0, problem.levels_wanted / finer)
+    objective = Objective(max(1.0, problem.levels_wanted / finer), problem.objective.p)
     limit_s = None if search.time_limit_s is None else search.time_limit_s / 2
-    found = solve(
-        coarse,
-        problem.desired,
-        problem.n,
-        objective=Objective(levels_wanted, problem.objective.p),
-        total_limit=total_limit,
-        search=replace(search, time_limit_s=limit_s),
-    )
-    logs = np.log(found.exposures)
-    steps = np.diff(logs, prepend=0.0)
-    reduced = np.where(steps < 4 / COARSE_LEVELS, steps / finer, steps)
-    return np.array([logs, np.cumsum(reduced)])
+    options = replace(search, time_limit_s=limit_s)
+    fewer = ExposureProblem(coarse, problem.desired, problem.n, objective)
+    running = _Search(fewer, options, total_limit, None)
+    known = None
+    if coarse.M > MAX_DIRECT_LEVELS:
+        known = _coarse_starts(fewer, options, total_limit)
+        running.budget *= SHARE_BETWEEN
+    running.run(known)
+    logs = running.finalists
+    steps = np.diff(logs, axis=1, prepend=0.0)
+    whole = np.log(np.maximum(np.round(2 * np.exp(steps)), 2) / 2)
+    near = np.abs(steps - whole) < 4 / (coarse.M + 1)
+    reduced = np.where(near, whole + (steps - whole) / finer, steps)
+    return np.concatenate([logs, np.cumsum(reduced, axis=1)])
 
 
 def coarse_camera(response: CameraResponse) -> tuple[CameraResponse, float]:
-    """Return a camera with `COARSE_LEVELS` of many levels, and how many times more there were."""
+    """Return a camera with each 16th level of many, and how many times more there were."""
     if response.M <= MAX_DIRECT_LEVELS:
         return response, 1.0
-    kept = np.arange(1, COARSE_LEVELS + 1) * (response.M + 1) // (COARSE_LEVELS + 1) - 1
-    name = f"{response.name}, {COARSE_LEVELS} levels of it"
-    return CameraResponse(response.levels[kept], name), response.M / COARSE_LEVELS
+    coarse = every_nth_level(response, COARSER)
+    return coarse, response.M / coarse.M
 
 
 class _Search:
@@ -251,7 +262,7 @@ class _Search:
         self.score = BatchScore(problem)
         self.deadline = monotonic() + (search.time_limit_s or math.inf)
         n, M, levels = problem.n, problem.response.M, problem.response.levels
-        darkest = max(problem.desired.e_min, float(levels[levels > 0][0]) / MAX_EXPOSURES)
+        darkest = problem.desired.e_min or float(levels[levels > 0][0]) / MAX_EXPOSURES
         self.moves = RandomSets(
             np.random.default_rng(search.seed), n, problem.response, -math.log(darkest)
         )
@@ -262,19 +273,21 @@ class _Search:
             evaluations *= CURVED_EFFORT
             self.same = SAME_SET * self.moves.interleave
         budget = search.effort * min(evaluations, max_sorted / sorted_at_once)
-        self.budget = max(budget, 20.0 * STARTS)
+        self.budget = max(budget, 20.0 * STARTS) if M <= MAX_DIRECT_LEVELS else budget
         p = problem.objective.p
         passes = FINAL_PASSES if p == round(p) else FINAL_PASSES // 4
         final = min(2 * n * passes, max(20.0, MAX_FINAL_LEVELS / sorted_at_once))
+        self.finalists: FloatArray = np.empty((0, n))
         self.final_evaluations = int(search.refinement * final)
 
     def run(self, known: FloatArray | None = None) -> tuple[float, ...]:
         """Return the best exposures found; `known` (K, n) replaces some of the random starts."""
-        starts = self._within_limit(self.moves.starts(8 * STARTS))
+        starts = [self.moves.even(STARTS), self.moves.starts(7 * STARTS)]
         if known is not None:
-            starts[: len(known)] = self._within_limit(self.moves.normalised(known))
-        scores = self.score(np.exp(starts))
-        sets, scores = _best(starts, scores, STARTS)
+            starts = [self.moves.normalised(known), self.moves.around(known, KNOWN_MOVES)[0]]
+        sets = self._within_limit(np.concatenate(starts))
+        count = STARTS if known is None else len(known) // 2
+        sets, scores = _best(sets, self.score(np.exp(sets)), count)
         moves = MOVES
         end = self.score.evaluations
         for share in STAGE_SHARES:
@@ -284,8 +297,13 @@ class _Search:
                 if self.progress is not None:
                     self.progress(min(self.score.evaluations / self.budget, 0.99))
             sets, scores = _best(sets, scores, max(2, len(sets) // 2), apart=self.same)
+            if len(sets) >= FINALISTS or not self.finalists.size:
+                self.finalists = sets[:FINALISTS]
             moves = min(2 * moves, MAX_MOVES)
-        return min((self._finish(row) for row in sets), key=lambda found: found[1])[0]
+        finished = sorted((self._finish(row) for row in sets), key=lambda found: found[1])
+        best = [np.log(exposures) for exposures, _ in finished]
+        self.finalists = np.concatenate([best, self.finalists])
+        return finished[0][0]
 
     def _improve(
         self, sets: FloatArray, scores: FloatArray, count: int
