@@ -18,7 +18,6 @@ from camctl.cli.output import (
     print_text,
     print_warning,
 )
-from camctl.cli.parameter_types import Ratios
 from camctl.cli.real_camera import (
     KnownCamera,
     NoiseOptions,
@@ -26,7 +25,7 @@ from camctl.cli.real_camera import (
     noise_options,
     real_camera_options,
 )
-from camctl.cli.request_options import RequestOptions, request_options
+from camctl.cli.request_options import RequestOptions, named, request_options
 from camctl.cli.search_options import ObjectiveOptions, objective_options
 from camctl.cli.sensitivity import sensitivity_json, sensitivity_text
 
@@ -51,7 +50,7 @@ QUICK_LEVELS = 2**16
         ("camctl evaluate --ratios 1,9.91,88.38 --sensor webcam", "with the noise of a sensor"),
     )
 )
-@option("--ratios A,B,...", "Exposures, relative to each other.", Ratios(), required=True)
+@named("ratios", "Exposures, relative to each other.", required=True)
 @request_options("response", "gamma", "dynamic_range", "levels_wanted")
 @real_camera_options
 @objective_options

@@ -18,6 +18,7 @@ from camctl.cli.output import (
     without_stage,
 )
 from camctl.cli.parameter_types import PATH, ListOf, Name, WholeNumber
+from camctl.cli.request_options import named
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
@@ -66,12 +67,7 @@ LONGEST = ("4", "10", "8")
     WholeNumber(least=30, most=600),
     default=150,
 )
-@option(
-    "--workers N",
-    "Number of processes; the Dask cluster that $DASK_SCHEDULER_ADDRESS names takes "
-    "their place.  [default: one per processor]",
-    WholeNumber(least=1, most=256),
-)
+@named("workers")
 @options.force
 @options.as_json
 def figures(

@@ -6,15 +6,19 @@ An option that was not given leaves the default to `camctl.exposure.goal.Goal`.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from camctl.cli.options import Decorator, all_of, option
 from camctl.cli.parameter_types import (
     PATH,
+    SCENE,
+    SENSOR,
     AnyType,
     DynamicRange,
+    FrameSize,
+    ListOf,
     Name,
     NameOrFile,
     Number,
@@ -156,7 +160,26 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
 }
 """The fields of a request; `messages.command_line.OPTIONS` has their names as options."""
 
-NAMES: Final = {"count": "-n --exposures", "mains_hz": "--mains"}
+STUDY_OPTIONS: Final[dict[str, RequestOption]] = {
+    "counts": RequestOption("Numbers of exposures.", "N,...", ListOf(COUNT, unique=True)),
+    "responses": RequestOption("Desired responses.", "NAME,...", ListOf(RESPONSE, unique=True)),
+    "scene": RequestOption("Scene before the simulated camera.", "NAME|FILE", SCENE),
+    "sensor": RequestOption("Sensor of the simulated camera.", "NAME|FILE.json", SENSOR),
+    "size": RequestOption(
+        "Size of a frame in pixels.  [default: the sensor's, or the radiance map's]",
+        "WIDTHxHEIGHT",
+        FrameSize(),
+    ),
+    "workers": RequestOption(
+        "Number of processes; the Dask cluster that $DASK_SCHEDULER_ADDRESS names takes their "
+        "place.  [default: one per processor]",
+        "N",
+        WholeNumber(least=1, most=256),
+    ),
+}
+"""Options that several studies and tables have."""
+
+NAMES: Final = {"count": "-n --exposures", "counts": "-n --exposures", "mains_hz": "--mains"}
 """Names of options that have two, or another one where they are no setting of --set."""
 
 #: Light of a scene decides the range unless it is given, and may decide the response.
@@ -321,8 +344,26 @@ def _once(settings: tuple[tuple[str, Any], ...]) -> dict[str, Any]:
     return dict(settings)
 
 
-def _option(name: str, asked: RequestOption) -> Decorator:
+def _option(name: str, asked: RequestOption, **more: Any) -> Decorator:
     names = NAMES.get(name) or OPTIONS.get(name, f"--{name.replace('_', '-')}")
     return option(
-        f"{names} {asked.metavar}".strip(), asked.help, asked.type, field=name, **asked.more
+        f"{names} {asked.metavar}".strip(),
+        asked.help,
+        asked.type,
+        field=name,
+        **asked.more,
+        **more,
     )
+
+
+def named(field: str, text: str = "", kind: AnyType | None = None, **more: Any) -> Decorator:
+    """Return the option of a request or of several studies, as one argument of a command.
+
+    Args:
+        field: of `REQUEST_OPTIONS` or `STUDY_OPTIONS`
+        text: another help text
+        kind: another type
+        more: other arguments of `click.option`
+    """
+    asked = {**REQUEST_OPTIONS, **STUDY_OPTIONS}[field]
+    return _option(field, replace(asked, help=text or asked.help, type=kind or asked.type), **more)

@@ -28,13 +28,13 @@ from camctl.cli.output import (
 )
 from camctl.cli.parameter_types import (
     PATH,
-    FrameSize,
     ListOf,
     Number,
     Ratios,
     Seconds,
     WholeNumber,
 )
+from camctl.cli.request_options import named
 from camctl.errors import unknown_name
 
 if TYPE_CHECKING:
@@ -70,11 +70,7 @@ scene_options = options.option_group(
     "scenery",
     options.scene_option(),
     options.sensor_option(DEFAULT_SENSOR),
-    option(
-        "--size WIDTHxHEIGHT",
-        "Size of a frame in pixels.  [default: the sensor's, or the radiance map's]",
-        FrameSize(),
-    ),
+    named("size"),
     option(
         "--seed N",
         "Seed of the simulated noise; the same seed gives the same frames.  [default: 0]",

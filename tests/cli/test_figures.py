@@ -66,7 +66,7 @@ def test_existing_files_are_kept(run: Run) -> None:
     ("arguments", "message"),
     [
         (("--only", "12"), "unknown figure '12'"),
-        (("--only", "5,"), "without matplotlib"),
+        (("--only", "5"), "without matplotlib"),
         (("--dpi", "5"), "expected a whole number from 30 to 600"),
         (("-o", "a-file/below"), "could not make the folder a-file/below: Not a directory"),
     ],

@@ -12,9 +12,9 @@ from camctl.cli import options
 from camctl.cli.commands import command
 from camctl.cli.options import option
 from camctl.cli.output import print_json, print_text, print_warning, progress_bar
-from camctl.cli.parameter_types import PATH, DynamicRange, ListOf, WholeNumber
+from camctl.cli.parameter_types import PATH, DynamicRange, ListOf
 from camctl.cli.real_camera import RealCameraOptions, real_camera_options
-from camctl.cli.request_options import COUNT, RESPONSE
+from camctl.cli.request_options import named
 from camctl.errors import CamctlError, visible
 from camctl.model.response.names import RESPONSES
 
@@ -63,19 +63,14 @@ class TableContent:
 content_options = options.option_group(
     TableContent,
     "content",
-    option(
-        "--responses NAME,...",
-        "Desired responses.",
-        ListOf(RESPONSE, unique=True),
-        default=",".join(RESPONSES),
-    ),
+    named("responses", default=",".join(RESPONSES)),
     option(
         "--ranges RANGE,...",
         "Dynamic ranges, by name or number.",
         ListOf(DynamicRange(), unique=True),
         default="low,medium,high",
     ),
-    option("-n --exposures N", "Numbers of exposures: 1 up to N.", COUNT, field="count", default=6),
+    named("count", "Numbers of exposures: 1 up to N.", default=6),
 )
 
 
@@ -91,10 +86,8 @@ content_options = options.option_group(
 @real_camera_options
 @content_options
 @options.seed
-@option(
-    "--workers N",
-    "Number of processes; the table is the same with any.  [default: one per processor]",
-    WholeNumber(least=1, most=256),
+@named(
+    "workers", "Number of processes; the table is the same with any.  [default: one per processor]"
 )
 @option("-o --output FILE", "File for the table.", PATH, default="exposure-table.json")
 @options.force

@@ -17,7 +17,7 @@ from camctl.cli.output import (
     print_text,
     progress_bar,
 )
-from camctl.cli.parameter_types import PATH, DynamicRange
+from camctl.cli.parameter_types import PATH
 from camctl.cli.real_camera import (
     KnownCamera,
     NoiseOptions,
@@ -25,7 +25,7 @@ from camctl.cli.real_camera import (
     noise_options,
     real_camera_options,
 )
-from camctl.cli.request_options import COUNT, RESPONSE
+from camctl.cli.request_options import RESPONSE, named
 from camctl.cli.sensitivity import sensitivity_json, sensitivity_table
 from camctl.errors import DataError, UsageError
 from camctl.system.number_text import range_text
@@ -52,13 +52,8 @@ if TYPE_CHECKING:
     field="path",
 )
 @option("--response linear|gamma|log", "Only this response.  [default: all]", RESPONSE)
-@option(
-    "--range low|medium|high|NUMBER",
-    "Only this dynamic range.  [default: all]",
-    DynamicRange(),
-    field="dynamic_range",
-)
-@option("-n --exposures N", "Only this number of exposures.  [default: all]", COUNT, field="count")
+@named("dynamic_range", "Only this dynamic range.  [default: all]")
+@named("count", "Only this number of exposures.  [default: all]")
 @option(
     "--sensitivity",
     "Show the effective levels with exposure errors of 0.01, 0.1 and 1 %, with noise of 0.1, "

@@ -9,20 +9,15 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.output import print_json, print_text, progress_bar
+from camctl.cli.options import option
+from camctl.cli.output import progress_bar
 from camctl.cli.parameter_types import (
     CAMERA,
-    SCENE,
-    SENSOR,
-    DynamicRange,
-    FrameSize,
     ListOf,
     Name,
-    Number,
-    Seconds,
     WholeNumber,
 )
-from camctl.cli.request_options import COUNT, RESPONSE
+from camctl.cli.request_options import RESPONSE, named
 from camctl.cli.tradeoff.capture_table import study_text
 from camctl.cli.tradeoff.study_options import StudyOptions, study_options
 from camctl.errors import DataError, UsageError
@@ -110,104 +105,56 @@ class Brackets:
 bracket_options = options.option_group(
     Brackets,
     "brackets",
-    click.option(
-        "--camera",
-        type=CAMERA,
-        default="sim",
-        metavar="ID",
-        help="Camera; only the pictures of the simulated one are measured, of others accuracy and "
+    option(
+        "--camera ID",
+        "Camera; only the pictures of the simulated one are measured, of others accuracy and "
         "time are predicted.",
+        CAMERA,
+        default="sim",
     ),
     options.camera_settings,
-    click.option(
-        "--scene",
-        type=SCENE,
-        default="tile-floor",
-        metavar="NAME|FILE",
-        help="Scene before the simulated camera.",
-    ),
-    click.option(
-        "--sensor",
-        type=SENSOR,
-        default="standard",
-        metavar="NAME|FILE.json",
-        help="Sensor of the simulated camera.",
-    ),
-    click.option(
-        "--size",
-        type=FrameSize(),
-        default=SIZE,
-        metavar="WIDTHxHEIGHT",
-        help="Size of a simulated frame in pixels.",
-    ),
-    click.option(
+    named("scene", default="tile-floor"),
+    named("sensor", default="standard"),
+    named("size", "Size of a simulated frame in pixels.", default=SIZE),
+    option(
         "--lens/--no-lens",
-        default=False,
-        help="Simulate the lens, too: blur, vignetting and glare change the light itself, and no "
+        "Simulate the lens, too: blur, vignetting and glare change the light itself, and no "
         "choice of exposures corrects them.",
+        default=False,
     ),
-    click.option(
-        "--response",
-        type=RESPONSE,
-        default="log",
-        metavar="linear|gamma|log",
-        help="How brightness depends on light.",
+    option(
+        "--response linear|gamma|log", "How brightness depends on light.", RESPONSE, default="log"
     ),
-    click.option(
-        "--gamma",
-        type=Number("an exponent from 0.01 to 100", least=0.01, most=100),
-        metavar="Q",
-        help="Exponent of a gamma response; implies --response gamma.  [default: 0.5]",
-    ),
-    click.option(
-        "--range",
+    named("gamma"),
+    named(
         "dynamic_range",
-        type=DynamicRange(),
+        "Dynamic range of the picture: 256, 1,000, 16,000, or any NUMBER.",
         default="medium",
-        metavar="low|medium|high|NUMBER",
-        help="Dynamic range of the picture: 256, 1,000, 16,000, or any NUMBER.",
     ),
-    click.option(
-        "-n",
-        "--exposures",
-        "counts",
-        type=ListOf(COUNT, unique=True),
-        default="1,2,3,4,5,6",
-        metavar="N,...",
-        help="Numbers of exposures.",
-    ),
-    click.option(
-        "--methods",
-        type=ListOf(Name("method", METHODS), unique=True),
-        default=",".join(METHODS),
-        metavar="NAME,...",
-        help="Ways to choose them: accuracy (least error with the camera's noise), quick (the same "
+    named("counts", default="1,2,3,4,5,6"),
+    option(
+        "--methods NAME,...",
+        "Ways to choose them: accuracy (least error with the camera's noise), quick (the same "
         "in no more time than doubling takes), xi (least "
         "missing levels), paper (its printed table), doubling (1, 2, 4, ...), equal (averaging), "
         "hasinoff (best worst-case signal-to-noise ratio in the time of accuracy).",
+        ListOf(Name("method", METHODS), unique=True),
+        default=",".join(METHODS),
     ),
-    click.option(
-        "--base",
+    named(
         "base_s",
-        type=Seconds(auto=True),
-        default="auto",
-        metavar="auto|SECONDS",
-        help="Shutter time of the shortest exposure; auto meters it as camctl shoot does, so "
+        "Shutter time of the shortest exposure; auto meters it as camctl shoot does, so "
         "that highlights are just below saturation.",
+        default="auto",
     ),
-    click.option(
-        "--repeats",
-        type=WholeNumber(least=1, most=1000),
+    option(
+        "--repeats N",
+        "Captures of each bracket, each with noise of its own.",
+        WholeNumber(least=1, most=1000),
         default=3,
-        metavar="N",
-        help="Captures of each bracket, each with noise of its own.",
     ),
     options.seed,
-    click.option(
-        "--no-profile",
-        is_flag=True,
-        help="Leave out what calibrations of this camera have measured.",
-    ),
+    option("--no-profile", "Leave out what calibrations of this camera have measured."),
 )
 
 
@@ -256,9 +203,4 @@ def capture(context: click.Context, brackets: Brackets, study: StudyOptions, as_
             f"no method has exposures for this camera: {points[0].note}",
             hint="choose another base exposure, fewer exposures, or a smaller range",
         )
-    if study.plots:
-        draw_study(found, study.plots)
-    if as_json:
-        print_json(found.rows())
-        return
-    print_text(study_text(found))
+    study.show(found, draw_study, study_text, as_json=as_json)

@@ -9,16 +9,16 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.options import option
 from camctl.cli.output import (
     format_duration,
     format_number,
     format_table,
-    print_json,
-    print_text,
     progress_bar,
     without_stage,
 )
-from camctl.cli.parameter_types import SCENE, SENSOR, FrameSize, ListOf, Number, WholeNumber
+from camctl.cli.parameter_types import SCENE, ListOf, Number, WholeNumber
+from camctl.cli.request_options import named
 from camctl.cli.tradeoff.study_options import StudyOptions, study_options
 
 if TYPE_CHECKING:
@@ -43,48 +43,33 @@ class Frames:
 frame_options = options.option_group(
     Frames,
     "frames",
-    click.option(
-        "--scenes",
-        type=ListOf(SCENE, unique=True),
+    option(
+        "--scenes NAME|FILE,...",
+        "Scenes: built-in ones, scene files or radiance maps.",
+        ListOf(SCENE, unique=True),
         default=SCENES,
-        metavar="NAME|FILE,...",
-        help="Scenes: built-in ones, scene files or radiance maps.",
     ),
-    click.option(
-        "--sensor",
-        type=SENSOR,
-        default="complete",
-        metavar="NAME|FILE.json",
-        help="Sensor of the simulated camera.",
-    ),
-    click.option(
-        "--stops",
-        type=ListOf(Number("stops from -64 to 64, such as 0,4", least=-64, most=64), unique=True),
+    named("sensor", default="complete"),
+    option(
+        "--stops STOPS,...",
+        "Exposures, relative to the one at which the highlights are just below saturation.",
+        ListOf(Number("stops from -64 to 64, such as 0,4", least=-64, most=64), unique=True),
         default="0",
-        metavar="STOPS,...",
-        help="Exposures, relative to the one at which the highlights are just below saturation.",
     ),
-    click.option(
-        "--size",
-        type=FrameSize(),
-        metavar="WIDTHxHEIGHT",
-        help="Size of a frame in pixels.  [default: the sensor's, or the radiance map's]",
-    ),
-    click.option(
-        "--tolerances",
-        "tolerances_dn",
-        type=ListOf(Number("tolerances of at least 0 DN", least=0), unique=True),
+    named("size"),
+    option(
+        "--tolerances DN,...",
+        "Tolerances, see `camctl simulate --tolerance`.",
+        ListOf(Number("tolerances of at least 0 DN", least=0), unique=True),
+        field="tolerances_dn",
         default="0,0.1,0.5,1,2,4,8",
-        metavar="DN,...",
-        help="Tolerances, see `camctl simulate --tolerance`.",
     ),
-    click.option(
-        "--frames",
-        "repeats",
-        type=WholeNumber(least=1, most=1000),
+    option(
+        "--frames N",
+        "Frames that are taken and compared at each tolerance.",
+        WholeNumber(least=1, most=1000),
+        field="repeats",
         default=8,
-        metavar="N",
-        help="Frames that are taken and compared at each tolerance.",
     ),
     options.seed,
 )
@@ -135,12 +120,7 @@ def simulation(context: click.Context, frames: Frames, study: StudyOptions, as_j
     with progress_bar(f"{len(todo)} scenes and exposures") as bar:
         points = run_all(measure, todo, workers=study.workers, progress=without_stage(bar))
     found = SimulationStudy(todo, tuple(points))
-    if study.plots:
-        draw_study(found, study.plots)
-    if as_json:
-        print_json(found.rows())
-        return
-    print_text(_to_text(found))
+    study.show(found, draw_study, _to_text, as_json=as_json)
 
 
 def _to_text(study: SimulationStudy) -> str:

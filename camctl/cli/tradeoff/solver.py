@@ -10,18 +10,17 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
+from camctl.cli.options import option
 from camctl.cli.output import (
     format_duration,
     format_number,
     format_percent,
     format_table,
-    print_json,
-    print_text,
     progress_bar,
     without_stage,
 )
-from camctl.cli.parameter_types import DynamicRange, ListOf, Name, Number, WholeNumber
-from camctl.cli.request_options import RESPONSE
+from camctl.cli.parameter_types import ListOf, Name, Number, WholeNumber
+from camctl.cli.request_options import named
 from camctl.cli.tradeoff.study_options import StudyOptions, study_options
 from camctl.model.response.names import RESPONSES
 from camctl.system.number_text import range_text
@@ -49,37 +48,10 @@ class Problems:
 problem_options = options.option_group(
     Problems,
     "problems",
-    click.option(
-        "--responses",
-        type=ListOf(RESPONSE, unique=True),
-        default=",".join(RESPONSES),
-        metavar="NAME,...",
-        help="Desired responses.",
-    ),
-    click.option(
-        "--range",
-        "dynamic_range",
-        type=DynamicRange(),
-        default="medium",
-        metavar="low|medium|high|NUMBER",
-        help="Dynamic range of the desired responses.",
-    ),
-    click.option(
-        "-n",
-        "--exposures",
-        "counts",
-        type=ListOf(WholeNumber(least=2, most=8), unique=True),
-        default="3,5",
-        metavar="N,...",
-        help="Numbers of exposures.",
-    ),
-    click.option(
-        "--bits",
-        type=WholeNumber(least=4, most=12),
-        default=8,
-        metavar="B",
-        help="Bits of the linear camera.",
-    ),
+    named("responses", default=",".join(RESPONSES)),
+    named("dynamic_range", "Dynamic range of the desired responses.", default="medium"),
+    named("counts", kind=ListOf(WholeNumber(least=2, most=8), unique=True), default="3,5"),
+    option("--bits B", "Bits of the linear camera.", WholeNumber(least=4, most=12), default=8),
 )
 
 
@@ -96,35 +68,31 @@ class Runs:
 run_options = options.option_group(
     Runs,
     "runs",
-    click.option(
-        "--methods",
-        type=ListOf(Name("method", METHODS), unique=True),
+    option(
+        "--methods NAME,...",
+        "Methods to compare; differential-evolution and dual-annealing are scipy's.",
+        ListOf(Name("method", METHODS), unique=True),
         default=",".join(METHODS),
-        metavar="NAME,...",
-        help="Methods to compare; differential-evolution and dual-annealing are scipy's.",
     ),
-    click.option(
-        "--seeds",
-        type=WholeNumber(least=1, most=100),
+    option(
+        "--seeds N",
+        "Runs of each method, with random numbers of their own; medians are shown.",
+        WholeNumber(least=1, most=100),
         default=3,
-        metavar="N",
-        help="Runs of each method, with random numbers of their own; medians are shown.",
     ),
-    click.option(
-        "--limit",
-        "limit_s",
-        type=Number("a positive time in seconds", above=0),
+    option(
+        "--limit SECONDS",
+        "CPU time of a run.",
+        Number("a positive time in seconds", above=0),
+        field="limit_s",
         default=2.0,
-        metavar="SECONDS",
-        help="CPU time of a run.",
     ),
-    click.option(
-        "--evaluations",
-        "max_evaluations",
-        type=WholeNumber(least=1),
-        metavar="N",
-        help="End a run also after N sets of exposures: results that do not depend on the "
+    option(
+        "--evaluations N",
+        "End a run also after N sets of exposures: results that do not depend on the "
         "machine's speed.  [default: only the time ends a run]",
+        WholeNumber(least=1),
+        field="max_evaluations",
     ),
 )
 
@@ -186,12 +154,7 @@ def solver(
     with progress_bar(f"{len(todo)} runs") as bar:
         points = run_all(measure, todo, workers=study.workers, progress=without_stage(bar))
     found = SolverStudy(todo, tuple(points))
-    if study.plots:
-        draw_study(found, study.plots)
-    if as_json:
-        print_json(found.rows())
-        return
-    print_text(_to_text(found))
+    study.show(found, draw_study, _to_text, as_json=as_json)
 
 
 def _to_text(study: SolverStudy) -> str:

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 import click
 
 from camctl.cli import options
-from camctl.cli.parameter_types import PATH, WholeNumber
+from camctl.cli.options import option
+from camctl.cli.output import print_json, print_text
+from camctl.cli.parameter_types import PATH
+from camctl.cli.request_options import named
+
+
+class Study(Protocol):
+    """The results of a study."""
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one JSON object for each run."""
+
+
+StudyT = TypeVar("StudyT", bound=Study)
 
 
 @dataclass(frozen=True)
@@ -39,30 +53,34 @@ class StudyOptions:
             options.refuse_together(context, "--again", set(run_parameters))
         check_plots(self.plots, overwrite=self.force)
 
+    def show(
+        self,
+        found: StudyT,
+        draw: Callable[[StudyT, tuple[Path, ...]], None],
+        text: Callable[[StudyT], str],
+        *,
+        as_json: bool,
+    ) -> None:
+        """Draw the results where plots are asked for, and print them."""
+        if self.plots:
+            draw(found, self.plots)
+        if as_json:
+            print_json(found.rows())
+        else:
+            print_text(text(found))
+
 
 study_options = options.option_group(
     StudyOptions,
     "study",
-    click.option(
-        "--plot",
-        "plots",
-        type=PATH,
+    option(
+        "--plot FILE",
+        "Also draw the results: .svg or .png; may be given several times.",
+        PATH,
+        field="plots",
         multiple=True,
-        metavar="FILE",
-        help="Also draw the results: .svg or .png; may be given several times.",
     ),
-    click.option(
-        "--workers",
-        type=WholeNumber(least=1, most=256),
-        metavar="N",
-        help="Number of processes; the Dask cluster that $DASK_SCHEDULER_ADDRESS names takes "
-        "their place.  [default: one per processor]",
-    ),
-    click.option(
-        "--again",
-        type=PATH,
-        metavar="FILE",
-        help="Repeat the runs in the rows of a file that --json has written.",
-    ),
+    named("workers"),
+    option("--again FILE", "Repeat the runs in the rows of a file that --json has written.", PATH),
     options.force,
 )
