@@ -95,7 +95,7 @@ def capture(
             request=request,
             plan=plan,
             frames=[None] * len(plan.settings),
-            light=None if plan.scene is None else KeptLight.of(plan.scene),
+            light=KeptLight.of(plan.scene),
             white=controls.white,
             black_total=controls.black * len(plan.settings),
             timing={"planning_s": time.perf_counter() - started},

@@ -1,4 +1,4 @@
-"""The metered light of a capture until it is complete: its advice is asked for at the end."""
+"""The metered light of a capture or a series that is not complete: advice is asked for later."""
 
 from __future__ import annotations
 
@@ -40,8 +40,10 @@ class KeptLight(ReportModel):
         return self
 
     @classmethod
-    def of(cls, light: Light) -> Self:
-        """Return a light as it is kept."""
+    def of(cls, light: Light | None) -> Self | None:
+        """Return a light as it is kept; None: there is none."""
+        if light is None:
+            return None
         step = np.floor(_STEPS * np.log2(light.irradiance)).astype(np.intp)
         step = np.maximum(step - step.max() + _MOST - 1, 0)
         shares = np.bincount(step, light.shares)
