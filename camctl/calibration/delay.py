@@ -15,7 +15,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from camctl.calibration.light import metered, too_bright
+from camctl.calibration.light import metered
+from camctl.calibration.refusals import too_bright
 from camctl.calibration.timing import measure_stream_timing
 from camctl.errors import CameraProtocolError, CaptureError, UsageError
 from camctl.findings import Finding

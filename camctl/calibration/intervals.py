@@ -31,6 +31,12 @@ def certain(tests: int) -> float:
     return NormalDist().inv_cdf(1 - SIGNIFICANCE / (2 * max(1, tests)))
 
 
+def chi_squared_limit(freedom: int) -> float:
+    """Return the mean square of `freedom` deviations that is no noise (Wilson and Hilferty)."""
+    width = 2 / (9 * freedom)
+    return float((1 - width + NormalDist().inv_cdf(1 - SIGNIFICANCE) * math.sqrt(width)) ** 3)
+
+
 def root_of_ratio(sums: Sequence[FloatArray]) -> Figure:
     """Return the root of the ratio of two sums over the picture, with its interval.
 

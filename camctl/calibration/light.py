@@ -1,4 +1,4 @@
-"""Shutter times that are tried to find those that suit the light, and light that suits none."""
+"""Shutter times that are tried to find those that suit the light, and the light of a frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from camctl.errors import CaptureError
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import Control, ExposureSetting
 from camctl.model.response.camera import FloatArray
@@ -48,20 +47,3 @@ def metered(frame: Frame) -> FloatArray:
     step = math.isqrt(frame.pixels.shape[0] * frame.pixels.shape[1] // _METERED) | 1
     samples = frame.pixels[::step, ::step].astype(np.float64)
     return np.clip((samples - frame.black) / (frame.white - frame.black), 0.0, 1.0)
-
-
-def too_bright(shortest_s: float) -> CaptureError:
-    """Return the error for a scene that is white even at the shortest time."""
-    return CaptureError(
-        f"the scene is too bright: it is white even at {shortest_s:.4g} s",
-        hint="close the aperture, or put a filter in front of the lens",
-    )
-
-
-def too_dark(what: str) -> CaptureError:
-    """Return the error for a scene of too little light; `what` says what it does not reach."""
-    return CaptureError(
-        f"the scene is too dark: {what}",
-        hint="take the lens cap off, light the scene, or allow longer times",
-        remedies={"longest_s": None},
-    )

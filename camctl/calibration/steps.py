@@ -19,10 +19,10 @@ from typing import TypeAlias
 import numpy as np
 
 from camctl.calibration.exposures import measure_exposures
-from camctl.calibration.limits import FEW
+from camctl.calibration.limits import DIM, FEW
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
 from camctl.calibration.response.series import Series
-from camctl.calibration.response.shooting import measure_response
+from camctl.calibration.response.shooting import FRAMES, measure_response
 from camctl.calibration.single_steps import (
     Found,
     Measure,
@@ -48,13 +48,12 @@ from camctl.profiles.response import ResponseRecord
 _NOTABLE_CHANGE, _SETTLED, _MOST_ROUNDS = 0.005, 0.001, 5
 #: Factor of the disagreement of the frames from which measured exposures are worse than stated.
 _WORSE = 1.25
-#: Frames for the response in a second try.
-_MORE_FRAMES = 16
 #: Factors of the longest time of such frames, one after another where these do not reach bright
 #: levels: the fewer samples are saturated, the less spills over.
 _LONGER = (1.0, 1.5, 3.0, 8.0)
-#: Relative difference of the irradiances of two curves that are the same, above this brightness.
-_SAME_CURVE, _DARKEST = 0.02, 0.05
+#: Relative difference of the irradiances of two curves that are the same, as of two exposures in
+#: `camctl.calibration.response.labels`.
+_SAME_CURVE = 0.02
 
 OpenCamera: TypeAlias = Callable[[str], AbstractContextManager[Camera]]
 """Opens the camera with these parts of its profile, as the option "profile" names them."""
@@ -134,7 +133,7 @@ class _Calibration:
         except DataError as reason:  # in a scene with few shades more frames may help
             try:
                 series = measure_response(
-                    camera, count=_MORE_FRAMES, longest_s=options.longest_s, progress=progress
+                    camera, count=2 * FRAMES, longest_s=options.longest_s, progress=progress
                 )
                 estimate = estimate_response(series)
             except (CaptureError, DataError):
@@ -254,7 +253,7 @@ def _difference(one: ResponseRecord, other: ResponseRecord) -> float:
     """Return by how much the irradiances of two measured responses differ at most, relative."""
     worst = 0.0
     for a, b in zip(one.channels, other.channels, strict=True):
-        low = max(_DARKEST, a.measured[0], b.measured[0])
+        low = max(DIM, a.measured[0], b.measured[0])
         brightness = np.linspace(low, min(a.measured[1], b.measured[1]), 64)
         curves = [np.interp(brightness, each.brightness, each.irradiance) for each in (a, b)]
         worst = max(worst, float(np.max(np.abs(curves[0] / curves[1] - 1))))

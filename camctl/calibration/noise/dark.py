@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from camctl.calibration.intervals import root_of_ratio, student_95
 from camctl.calibration.limits import DIM, FEW
 from camctl.calibration.noise.pattern import HOT
+from camctl.calibration.refusals import check_size
 from camctl.errors import DataError
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
@@ -38,7 +40,7 @@ _NOT_HOT = 0.95
 #: Noise of a sample, with rounding, that the frames need, DN.
 _LEAST_NOISE = 0.4
 #: Median of the absolute deviation of normal numbers of standard deviation 1.
-_MEDIAN_SHARE = 0.6745
+_MEDIAN_SHARE = NormalDist().inv_cdf(0.75)
 
 
 @dataclass(eq=False)
@@ -62,12 +64,7 @@ class DarkFrames:
             DataError: the frame is not dark, or has another size than the first
         """
         first = next(iter(self.frames.values()), [pixels])[0]
-        if pixels.shape != first.shape:
-            raise DataError(
-                f"the frame of {time_s:.4g} s has {pixels.shape[1]} x {pixels.shape[0]} pixels, "
-                f"and the first one {first.shape[1]} x {first.shape[0]}",
-                hint="give frames of one size and format",
-            )
+        check_size(pixels.shape, first.shape, f"the frame of {time_s:.4g} s", "the first one")
         light = float(np.quantile(pixels, _NOT_HOT) - self.black) / (self.white - self.black)
         if light > DIM:
             raise DataError(

@@ -22,6 +22,7 @@ from camctl.calibration.limits import DIM, FEW, LEAST_PATCHES, MOST_MOVED
 from camctl.calibration.noise.curve import NoiseCurve
 from camctl.calibration.noise.fit import NoiseFit, combine_fits, fit_noise
 from camctl.calibration.noise.pairs import FramePair, PairPatches, channel_names, reduce_pair
+from camctl.calibration.refusals import all_saturated, moved
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureSetting, Layout
@@ -161,9 +162,7 @@ def _usable_pairs(frames: NoiseFrames) -> list[FramePair]:
         )
     pairs = [pair for pair in frames.pairs if pair.saturated_share < 1 - 2 * FEW]
     if not pairs:
-        raise DataError(
-            "all frames are saturated everywhere", hint="expose shorter, or close the aperture"
-        )
+        raise all_saturated()
     span = frames.white - frames.black
     bright = [
         max(float(np.quantile(each.mean, 1 - FEW)) for each in pair.channels.values())
@@ -183,12 +182,8 @@ def _usable_pairs(frames: NoiseFrames) -> list[FramePair]:
                 hint="give two separate frames; a camera whose noise is far below one level shows "
                 "none: raise its gain",
             )
-    if (moved := float(np.median([pair.moved_share for pair in pairs]))) > MOST_MOVED:
-        raise DataError(
-            f"{moved:.0%} of the picture differs between the two frames of a pair: the camera or "
-            "the scene moved",
-            hint="put the camera on a tripod before a scene that does not move",
-        )
+    if (share := float(np.median([pair.moved_share for pair in pairs]))) > MOST_MOVED:
+        raise moved(f"{share:.0%} of the picture differs between the two frames of a pair")
     steady = [pair for pair in pairs if abs(pair.change) <= _MOST_CHANGE]
     if not steady:
         raise DataError(

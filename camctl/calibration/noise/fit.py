@@ -12,16 +12,16 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.intervals import Z_95, certain
-from camctl.calibration.limits import LEAST_PATCHES
+from camctl.calibration.intervals import Z_95, certain, chi_squared_limit
+from camctl.calibration.limits import DIM, LEAST_PATCHES, ROUNDS
 from camctl.calibration.noise.curve import LEAST_VARIANCE, NoiseCurve, TransferCurve
 from camctl.calibration.noise.pairs import PairPatches
+from camctl.calibration.refusals import moved
 from camctl.errors import DataError
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS
 
-#: Rounds of reweighted least squares; they end at this relative change.
-_ROUNDS = 10
+#: Relative change at which a fit ends.
 _CONVERGED = 1e-7
 #: Patches with a mean above this share of white are not used for a start.
 _BRIGHT = 0.7
@@ -32,8 +32,6 @@ _MOST_CURVED, _MOST_CONTRAST = 0.03, 0.06
 _LEAST_RANGE = 3.0
 #: Groups of brightness in which the fit is compared with the measured variance.
 _GROUPS = 20
-#: Mean square deviation of the groups, over its expectation, from which the intervals are widened.
-_MISFIT = 1.8
 #: The same from which nothing is measured through a measured response.
 _MOST_MISFIT = 30.0
 
@@ -145,12 +143,12 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
     found = _start(curve, patches, white)
     # The medians of groups of brightness are a start that moving objects do not disturb.
     medians = _medians(patches.part(patches.mean < _BRIGHT * white))
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         found, _ = _round(curve.shape(*found), medians, found)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         shape = curve.shape(*found)
-        used, moved = _suitable(shape, patches, white)
-        _check(patches, used, moved, white)
+        used, is_moved = _suitable(shape, patches, white)
+        _check(patches, used, is_moved, white)
         part = patches.part(used)
         before, (found, terms) = found, _round(shape, part, found)
         if abs(found[0] - before[0]) < _CONVERGED * found[0]:
@@ -160,7 +158,8 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
     inverse = np.linalg.inv(normal)
     covariance = inverse @ (scores.T @ scores) @ inverse
     misfit, groups = _groups(part, expected, weight, shape.share_used(part) >= 1)
-    if misfit > _MISFIT:
+    is_misfit = misfit > chi_squared_limit(_GROUPS - 2)
+    if is_misfit:
         covariance = covariance * misfit
     if curve.response.deviation is not None and misfit > _MOST_MISFIT:
         raise DataError(
@@ -170,7 +169,7 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
         )
     # What the noise contradicts by more than its scatter is a response worse than stated.
     shifts = _shifts(curve, part, found)
-    shifts[1:] *= math.sqrt(misfit) if misfit > _MISFIT else 1.0
+    shifts[1:] *= math.sqrt(misfit) if is_misfit else 1.0
     return NoiseFit(
         found[0],
         found[1],
@@ -178,7 +177,7 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
         shifts,
         misfit,
         int(np.count_nonzero(used)),
-        float(np.count_nonzero(moved) / np.count_nonzero(used | moved)),
+        float(np.count_nonzero(is_moved) / np.count_nonzero(used | is_moved)),
         *groups,
     )
 
@@ -186,10 +185,10 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
 def _shifts(curve: NoiseCurve, patches: PairPatches, found: tuple[float, float]) -> FloatArray:
     """Return how the errors of the response change the parameters, and how its scale does."""
     here, _ = _round(curve.shape(*found), patches, found)
-    moved = [_round(each.shape(*found), patches, found)[0] for each in curve.varied()]
+    others = [_round(each.shape(*found), patches, found)[0] for each in curve.varied()]
     scale = curve.response.scale_error
     return np.array(
-        [(scale * found[0], 2 * scale * found[1]), *(np.subtract(each, here) for each in moved)]
+        [(scale * found[0], 2 * scale * found[1]), *(np.subtract(each, here) for each in others)]
     )
 
 
@@ -209,8 +208,8 @@ def _suitable(
     # A variance has the skewness of a chi-squared one (Cornish and Fisher's first term).
     z = certain(patches.mean.size)
     most = z + (z**2 - 1) * np.sqrt(8 / patches.freedom) / 6
-    moved = suitable & (patches.variance > expected + most * deviation)
-    return suitable & ~moved, moved
+    is_moved = suitable & (patches.variance > expected + most * deviation)
+    return suitable & ~is_moved, is_moved
 
 
 def _medians(patches: PairPatches) -> PairPatches:
@@ -239,10 +238,10 @@ def _round(
 
 def _start(curve: NoiseCurve, patches: PairPatches, white: float) -> tuple[float, float]:
     """Return a start: photon noise alone, which half of the brighter patches exceed."""
-    bright = patches.part((patches.mean > white / 16) & (patches.mean < _BRIGHT * white))
+    bright = patches.part((patches.mean > DIM * white) & (patches.mean < _BRIGHT * white))
     if bright.mean.size < LEAST_PATCHES:
         raise DataError(
-            f"only {bright.mean.size} patches are between 6 % and 70 % of full scale",
+            f"only {bright.mean.size} patches are between 8 % and 70 % of full scale",
             hint="add pairs of frames with exposures between, or use a scene with more shades",
         )
     candidates = np.geomspace(1e-5, 1e2, 43)
@@ -254,16 +253,14 @@ def _start(curve: NoiseCurve, patches: PairPatches, white: float) -> tuple[float
 
 
 def _check(
-    patches: PairPatches, used: NDArray[np.bool_], moved: NDArray[np.bool_], white: float
+    patches: PairPatches, used: NDArray[np.bool_], is_moved: NDArray[np.bool_], white: float
 ) -> None:
     """Raise `DataError` unless the patches that are used suffice for a fit."""
     count = int(np.count_nonzero(used))
-    if np.count_nonzero(moved) > max(count, LEAST_PATCHES):
-        raise DataError(
-            f"{np.count_nonzero(moved) / np.count_nonzero(used | moved):.0%} of the picture "
-            "differs between the two frames of a pair by more than noise: the camera or the scene "
-            "moved",
-            hint="put the camera on a tripod before a scene that does not move",
+    if np.count_nonzero(is_moved) > max(count, LEAST_PATCHES):
+        share = np.count_nonzero(is_moved) / np.count_nonzero(used | is_moved)
+        raise moved(
+            f"{share:.0%} of the picture differs between two frames of a pair by more than noise"
         )
     if count < LEAST_PATCHES:
         raise DataError(
@@ -293,9 +290,9 @@ def _scores(
     h = np.sqrt(np.maximum(shape.variances(patches), LEAST_VARIANCE) / (2 * (patches.freedom + 1)))
     sides = []
     for turn in (-1, 1):
-        moved = patches.shifted(turn * h)
-        design, weight = shape.design(moved)
-        sides.append((design * weight[:, None], shape.variances(moved)))
+        near = patches.shifted(turn * h)
+        design, weight = shape.design(near)
+        sides.append((design * weight[:, None], shape.variances(near)))
     design, weight = shape.design(patches)
     residual = patches.variance - shape.variances(patches)
     dilution = (sides[1][0] - sides[0][0]) * (sides[1][1] - sides[0][1])[:, None] / 4

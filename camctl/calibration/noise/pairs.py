@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from camctl.calibration.intervals import certain
 from camctl.calibration.limits import MOST_MOVED
+from camctl.calibration.refusals import check_size
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.interface.controls import ExposureSetting, Layout
@@ -120,12 +121,8 @@ def reduce_pair(
         raise DataError(
             "the frames are too small to measure noise in them", hint="take at least 16 x 16 pixels"
         )
-    if first.shape != second.shape:
-        sizes = [f"{each.shape[1]} x {each.shape[0]}" for each in (first, second)]
-        raise DataError(
-            f"two frames of {setting.time_s:.4g} s have {sizes[0]} and {sizes[1]} pixels",
-            hint="give frames of one size and format",
-        )
+    name = f"frame of {setting.time_s:.4g} s"
+    check_size(second.shape, first.shape, f"the second {name}", "the first one")
     black, white = limits
     channels: dict[str, list[PairPatches]] = {}
     saturated, changes, products = [], [], []

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import certain
+from camctl.calibration.limits import DARK
 from camctl.calibration.response.fit import ChartSamples
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
@@ -43,8 +44,6 @@ _INNER = 0.5
 _DETECTED_SIZE, _ENCODINGS = 1600, (1.0, 1 / 2.2)
 #: Share of the samples that are black and white in that picture.
 _RANGE = (0.002, 0.998)
-#: Brightness, share of full scale, from which a patch is used: below, noise and clipping distort.
-_DARKEST = 0.02
 #: Error of the reflectance from which there is a note.
 _NOTED = 0.1
 
@@ -241,7 +240,7 @@ def chart_samples(
                     hint="check the rectangles: x, y, width, height, from the upper left corner",
                 )
             level = float(samples.mean()) - series.black
-            if level < _DARKEST * span or samples.max() >= series.white:
+            if level < DARK * span or samples.max() >= series.white:
                 continue
             # Without noise all samples are rounded alike; with noise, rounding averages out.
             noise = float(samples.var())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from camctl.calibration.intervals import Z_95
 from camctl.calibration.limits import DIM, FEW, LEAST_PATCHES, MOST_MOVED
+from camctl.calibration.refusals import all_saturated, moved
 from camctl.calibration.response.fit import ChartSamples, ResponseFit
 from camctl.calibration.response.labels import LabelCheck, contradiction_error
 from camctl.calibration.response.matches import Matches
@@ -20,8 +21,6 @@ from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import ResponseRecord
 
-#: Share of full scale from which a pixel is lit: ten levels of 256.
-_LIT = 0.04
 #: Distance from both ends, share of full scale, up to which a response must be measured, and the
 #: same with a chart, whose darkest patch has brightness 0.2 in sRGB.
 _ENDS, _ENDS_OF_CHART = 0.15, 0.3
@@ -40,7 +39,6 @@ _MOVED = 0.12
 #: Share of the pairs of patches in reversed order from which the scene moved: a thing that covers
 #: this share of the picture reverses about as many.  Most patches that are compared.
 _MOST_REVERSED, _MOST_PATCHES = 0.05, 600
-_HELD = "put the camera on a tripod before a scene that does not move"
 
 
 def check_frames(series: Series, *, has_chart: bool = False) -> None:
@@ -61,15 +59,13 @@ def check_frames(series: Series, *, has_chart: bool = False) -> None:
             "one before",
         )
     span = series.white - series.black
-    lit = [np.mean(each > series.black + _LIT * span) for each in series.patches]
+    lit = [np.mean(each > series.black + DIM * span) for each in series.patches]
     if max(lit) < FEW:
         raise DataError(
             "all frames are black", hint="take the lens cap off, light the scene, or expose longer"
         )
     if min(np.mean(each >= series.white) for each in series.patches) > 1 - FEW:
-        raise DataError(
-            "all frames are saturated everywhere", hint="expose shorter, or close the aperture"
-        )
+        raise all_saturated()
     for first, second in combinations(range(exposures.size), 2):
         if not np.array_equal(series.patches[first], series.patches[second]):
             continue
@@ -237,11 +233,8 @@ def check_order_of_patches(series: Series) -> None:
             certain = np.all(brighter | brighter.transpose(0, 2, 1), axis=0)
             turned = np.count_nonzero(brighter[0] & brighter[1].T)
             if turned > _MOST_REVERSED * max(np.count_nonzero(certain) / 2, LEAST_PATCHES):
-                raise DataError(
-                    f"{series.names[pair.short]} and {series.names[pair.long]} do not show the "
-                    "same: the camera or the scene moved",
-                    hint=_HELD,
-                )
+                names = f"{series.names[pair.short]} and {series.names[pair.long]}"
+                raise moved(f"{names} do not show the same")
 
 
 def check_patches(series: Series, channel: str, fit: ResponseFit) -> None:
@@ -262,10 +255,7 @@ def check_patches(series: Series, channel: str, fit: ResponseFit) -> None:
             continue
         light = fit.light[pair.levels].mean(axis=2)
         errors = np.log(light[1] / light[0])
-        moved = float(np.mean(np.abs(errors - np.median(errors)) > _MOVED))
-        if moved > MOST_MOVED:
-            raise DataError(
-                f"{moved:.0%} of the picture differs between {series.names[pair.short]} and "
-                f"{series.names[pair.long]}: the camera or the scene moved",
-                hint=_HELD,
-            )
+        share = float(np.mean(np.abs(errors - np.median(errors)) > _MOVED))
+        if share > MOST_MOVED:
+            names = f"{series.names[pair.short]} and {series.names[pair.long]}"
+            raise moved(f"{share:.0%} of the picture differs between {names}")

@@ -53,7 +53,7 @@ from camctl.profiles.response import ChannelResponse, ResponseRecord
 
 #: Levels up to which a record keeps all, and of how many it keeps otherwise, at equal steps and at
 #: equal factors: lines between these are within 0.01 % of a power.
-_ALL_KEPT, _KEPT, _KEPT_BY_FACTOR = 512, 200, 500
+_KEPT = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,10 +238,10 @@ def _noted(findings: list[Finding], *, is_kept: bool) -> Iterator[None]:
 
 def _kept(edges: FloatArray) -> NDArray[np.intp]:
     """Return the places of the levels that a record keeps, so close that lines join them well."""
-    if edges.size <= _ALL_KEPT:
+    if edges.size <= _KEPT:
         return np.arange(edges.size)
-    even = np.linspace(0, edges.size - 1, _KEPT).round().astype(np.intp)
-    dark = np.searchsorted(edges, np.geomspace(1, edges[-1], _KEPT_BY_FACTOR))
+    even = np.linspace(0, edges.size - 1, _KEPT // 2).round().astype(np.intp)
+    dark = np.searchsorted(edges, np.geomspace(1, edges[-1], _KEPT))
     return np.unique(np.concatenate([even, dark]))
 
 

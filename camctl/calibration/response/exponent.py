@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camctl.calibration.limits import OUTLIER
+from camctl.calibration.limits import OUTLIER, ROUNDS
 from camctl.calibration.response.fit import (
     CHART_LIGHT,
     REFERENCE,
@@ -27,8 +27,6 @@ from camctl.model.response.camera import srgb_to_linear
 #: Brightness, share of full scale, at which the steepness is compared with sRGB, and the
 #: relative standard deviation of the exponent (tests/bench/bench_response.py).
 _STEEP, _STEEP_ERROR = 0.05, 0.2
-#: Rounds of the robust fit; 20 change nothing after about ten.
-_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ def exponent_of_chart(fit: ResponseFit, chart: ChartSamples) -> Exponent:
     wanted = np.log(chart.reflectance[seen])
     known = np.diag([0.0, *np.array(CHART_LIGHT) ** -2.0])
     weights = chart.error[seen] ** -2.0
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         square = (rows.T * weights) @ rows + known
         found = np.linalg.solve(square, rows.T @ (weights * wanted))
         deviations = np.abs(rows @ found - wanted) / chart.error[seen]

@@ -31,7 +31,7 @@ LEAST_PIXELS, DARKEST = 20, 0.006
 LARGEST_RATIO = 100.0
 #: Brightness, share of full scale, between which unknown exposures are guessed, and the number of
 #: nodes that are needed.
-_GUESSED, _LEAST_NODES = (0.03, 0.97), 5
+_GUESSED, LEAST_NODES = (0.03, 0.97), 5
 
 
 PairCounts: TypeAlias = Callable[[int, int], NDArray[np.int64]]
@@ -169,7 +169,7 @@ def neighbour_steps(
         low = np.interp(number, below[dark], places)
         used = (low > _GUESSED[0] * levels) & (low < _GUESSED[1] * levels)
         used &= np.gradient(number, nodes) * levels / NOISE_STEPS >= LEAST_PIXELS
-        if np.count_nonzero(used) < _LEAST_NODES:
+        if np.count_nonzero(used) < LEAST_NODES:
             yield dark, bright, None
             continue
         steps = np.log(srgb_to_linear(nodes[used] / levels) / srgb_to_linear(low[used] / levels))

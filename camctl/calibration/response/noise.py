@@ -17,16 +17,14 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.limits import LEAST_PATCHES
+from camctl.calibration.limits import DARK, LEAST_PATCHES, ROUNDS
 from camctl.calibration.response.fit import ResponseFit
 from camctl.calibration.response.matches import Matches
 from camctl.calibration.response.series import Series
 from camctl.model.response.camera import FloatArray
 
-#: Brightness from which noise is measured, share of full scale: read noise shows in dark patches.
-_DARKEST = 0.02
-#: Rounds of a fit that leaves out patches whose noise is larger by this factor: something moved.
-_ROUNDS, _MOVED = 8, 2.0
+#: Factor of the noise of a patch in which something moved.
+_MOVED = 2.0
 #: Width over which the density of ln(light) is smoothed.
 _WIDTH = 0.25
 #: Light from which a frame is saturated too near for a slope: the shorter exposure shows it.
@@ -80,7 +78,7 @@ def _light_noise(series: Series, channel: str, fit: ResponseFit) -> tuple[float,
     """
     rows, measured = [], []
     steps = np.gradient(fit.light)
-    for pair in series.neighbours(channel, _DARKEST):
+    for pair in series.neighbours(channel, DARK):
         light = fit.light[pair.levels]
         ratio = fit.exposures[pair.short] / fit.exposures[pair.long]
         scales = np.array([1.0, ratio])[:, None]
@@ -92,7 +90,7 @@ def _light_noise(series: Series, channel: str, fit: ResponseFit) -> tuple[float,
     if variance.size < LEAST_PATCHES:
         return 0.0, 0.0
     found = np.array([max(0.0, float(np.median(variance / design[:, 0]))), 0.0])
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         expected = np.maximum(design @ found, 1e-12)
         kept = (variance < _MOVED * expected) / expected
         found = np.linalg.lstsq(design * kept[:, None], variance * kept, rcond=None)[0]

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.limits import DIM
+from camctl.calibration.refusals import check_size
 from camctl.calibration.response.matches import LARGEST_RATIO, guess_exposures, neighbour_steps
 from camctl.calibration.response.spill import SampleGrid, grid_counts
-from camctl.errors import DataError, UsageError
+from camctl.errors import UsageError
 from camctl.evidence.moved_parts import moved_samples
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.findings import Finding
@@ -117,12 +118,8 @@ class Series:
         """
         if not (math.isfinite(exposure) and exposure > 0):
             raise UsageError(f"invalid exposure {exposure} of {name}: expected a positive number")
-        if self.names and pixels.shape != self._shape:
-            sizes = [f"{shape[1]} x {shape[0]}" for shape in (pixels.shape, self._shape)]
-            raise DataError(
-                f"{name} has {sizes[0]} pixels and {self.names[0]} has {sizes[1]}",
-                hint="give frames of one size and format",
-            )
+        if self.names:
+            check_size(pixels.shape, self._shape, name, self.names[0])
         self._shape = pixels.shape
         counts = {channel: np.zeros(2**self.bits, np.int64) for channel in self.channels}
         planes = self.layout.planes(pixels)

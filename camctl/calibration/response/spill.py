@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import certain
-from camctl.calibration.response.matches import Matches
+from camctl.calibration.response.matches import LEAST_NODES, Matches
 from camctl.interface.controls import Layout
 
 #: Rows and columns of the grid of samples of a colour.
@@ -30,8 +30,6 @@ _ROWS_NEAR, _COLUMNS_NEAR = 2, 1
 _LEAST_SPILLED = 0.003
 #: Neighbouring matches have pixels in common: so many count as one.
 _ALIKE = 5.0
-#: Matches that are compared in a pair of frames, at least.
-_LEAST_MATCHES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +126,7 @@ def spills_over(everywhere: Matches, clean: Matches) -> bool:
     for place in pairs:
         all_, some = (each.part(each.pairs == place) for each in (everywhere, clean))
         _, left, right = np.intersect1d(all_.high, some.high, return_indices=True)
-        if left.size < _LEAST_MATCHES:
+        if left.size < LEAST_NODES:
             continue
         weight = some.low[right] ** 2 / (some.low_variance[right] + all_.low_variance[left])
         shift = float(np.average(np.log(all_.low[left] / some.low[right]), weights=weight))
