@@ -141,11 +141,10 @@ def test_every_public_name_is_in_the_api_reference() -> None:
 @pytest.mark.parametrize(
     "page",
     [
-        "tutorials/python.md",
         "reference/api.md",
         *(
             pytest.param(page, marks=pytest.mark.slow)
-            for page in ("explanation/exposures.md", "how-to/vision.md")
+            for page in ("tutorials/python.md", "explanation/exposures.md", "how-to/vision.md")
         ),
     ],
 )

@@ -55,7 +55,7 @@ def relative_errors(record: ExposureRecord, offset_s: float) -> NDArray[np.float
     [
         ("tile-floor", "standard"),  # 8 bits, linear
         ("tile-floor", "phone"),  # 10 bits, Bayer mosaic, black level
-        ("tile-floor", "consumer"),  # 8 bits, non-linear
+        pytest.param("tile-floor", "consumer", marks=pytest.mark.slow),  # 8 bits, non-linear
         ("colour-chart", "standard"),  # RGB
         ("tile-floor", "machine-vision"),  # 12 bits
     ],
@@ -86,6 +86,7 @@ def measure_both(sensor: str, seed: int, offset_s: float = 0.0) -> ExposureRecor
         return measure_exposures(camera)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own_profiles")
 def test_the_error_of_a_measured_response_is_in_the_intervals() -> None:
     cases = [("machine-vision", seed) for seed in range(4)] + [("webcam", 1)]

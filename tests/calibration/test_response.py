@@ -222,6 +222,7 @@ def test_the_plain_table_is_the_irradiance_of_each_sample() -> None:
     assert rounds[3:14] == pytest.approx((thresholds[:-1] + thresholds[1:]) / 2)
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(
     exponent=st.floats(0.3, 3.0),

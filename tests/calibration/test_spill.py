@@ -69,7 +69,9 @@ def test_charge_that_spills_over_does_not_bend_the_response(
     assert largest_error(series)[0] > 0.02
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 def test_nothing_is_left_out_where_nothing_spills_over(seed: int) -> None:
     error, spills = largest_error(series_of(0, seed))
     assert not spills

@@ -56,6 +56,7 @@ def kept(**options: Any) -> tuple[Profile, str]:
         return load_profile(camera.info), exposure_mode(camera.controls)
 
 
+@pytest.mark.slow
 def test_everything_is_measured_and_kept(results: dict[str, StepResult]) -> None:
     assert [step.problem for step in results.values()] == [None] * len(results)
     assert "1 to 2 frames" in (results["control delay"].result or "")
@@ -64,6 +65,7 @@ def test_everything_is_measured_and_kept(results: dict[str, StepResult]) -> None
     assert list(profile.responses) == list(profile.exposures) == list(profile.noises) == [mode]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("results")
 def test_a_calibrated_camera_makes_the_linear_picture_that_it_promises() -> None:
     with open_camera("sim", UNKNOWN) as camera:
@@ -77,6 +79,7 @@ def test_a_calibrated_camera_makes_the_linear_picture_that_it_promises() -> None
     assert np.abs(found - promised)[inside].max() <= 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("results")
 @pytest.mark.parametrize(("response", "dynamic_range"), [("linear", 256.0), ("gamma", 1000.0)])
 def test_effective_levels_are_those_that_a_calibrated_camera_promises(
@@ -173,6 +176,7 @@ def test_a_covered_lens_shows_the_dark_signal(is_covered: bool) -> None:
         assert dark.hot_pixels
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own_profiles")
 def test_the_pattern_of_the_dark_current_is_distinguished_from_that_of_the_offsets() -> None:
     sensor = load_sensor("security")

@@ -97,10 +97,10 @@ def follow(
     ("scene", "fields"),
     [
         ("room", {"dynamic_range": 256.0}),
-        ("stars", {"sensor": "complete"}),
         *(
             pytest.param(scene, fields, marks=pytest.mark.slow)
             for scene, fields in (
+                ("stars", {"sensor": "complete"}),
                 ("room", {"time_budget_s": 0.5}),
                 ("night-street", {"dynamic_range": 100.0, "clip_percent": 0.0}),
                 ("room", {"base_s": 1e-4, "dynamic_range": 1000.0}),
@@ -124,6 +124,7 @@ def test_following_the_advice_ends_without_a_warning(
     assert not findings
 
 
+@pytest.mark.slow
 def test_what_is_too_bright_for_two_reasons_gets_one_advice(tmp_path: Path) -> None:
     fields = {"compensation_stops": 2.0, "clip_percent": 20.0}
     shares, findings = follow("cloth", fields, tmp_path)
@@ -153,7 +154,9 @@ def test_a_large_lamp_may_clip_where_nothing_else_shows_the_room(tmp_path: Path)
     assert 0.015 < shares[-1][0] < 0.025
 
 
-@pytest.mark.parametrize("fields", [{}, {"dynamic_range": 1000.0}])
+@pytest.mark.parametrize(
+    "fields", [{"dynamic_range": 1000.0}, pytest.param({}, marks=pytest.mark.slow)]
+)
 def test_stars_get_no_advice_that_does_not_help(fields: dict[str, Any], tmp_path: Path) -> None:
     shares, findings = follow("stars", fields, tmp_path)
     assert len(shares) == 1
@@ -177,12 +180,15 @@ def test_each_advice_helps(scene: str, sensor: str, tmp_path: Path) -> None:
     assert all(after < before for before, after in pairwise(worst)), worst
 
 
-@pytest.mark.parametrize("clip", [0.0, 0.1, 1.0, 10.0])
+@pytest.mark.parametrize(
+    "clip", [0.0, 10.0, *(pytest.param(each, marks=pytest.mark.slow) for each in (0.1, 1.0))]
+)
 def test_the_share_that_may_clip_clips(clip: float, tmp_path: Path) -> None:
     report = shot("tile-floor", tmp_path, clip_percent=clip)
     assert report.achieved.saturated_fraction == pytest.approx(clip / 100, rel=0.25, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_compensation_keeps_the_shadows_in_an_automatic_range(tmp_path: Path) -> None:
     plans = [shot("tile-floor", tmp_path, compensation_stops=stops).plan for stops in (0, -2)]
     assert plans[1].base_s == pytest.approx(plans[0].base_s / 4, rel=0.02)

@@ -57,7 +57,7 @@ CAMERAS = {
         pytest.param("webcam", 0.3, "accuracy", marks=pytest.mark.slow),
         pytest.param("standard", 0.3, "xi", marks=pytest.mark.slow),
         pytest.param("consumer", 1.6, "xi", marks=pytest.mark.slow),
-        ("consumer", 3.0, "accuracy"),
+        pytest.param("consumer", 3.0, "accuracy", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_announced_and_taken_is_within_the_budget(

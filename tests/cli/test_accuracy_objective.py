@@ -106,9 +106,8 @@ def test_shoot_chooses_by_accuracy_unless_asked_otherwise(run: Run) -> None:
     assert "chosen by" in run("shoot", "-O", "size=32x24", "-o", "c").out
 
 
-@pytest.mark.parametrize(
-    ("count", "most"), [(("-n", "2"), 2), pytest.param((), 16, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "most"), [(("-n", "2"), 2), ((), 16)])
 def test_shoot_keeps_a_time_budget(run: Run, count: tuple[str, ...], most: int) -> None:
     """Where the number of exposures is free, every number is tried: that takes seconds."""
     arguments = ("--response", "linear", "--range", "low", "-O", "size=64x48", "--json")

@@ -114,6 +114,7 @@ def test_a_capture_with_two_frames_of_each_exposure_is_measured(run: Run) -> Non
     assert ran.json["conversion_e_per_dn"]["value"] == pytest.approx(6.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_measured_response_of_its_camera_is_used_for_a_capture(run: Run) -> None:
     camera = ("--sensor", "consumer", "--scene", "tile-floor", *SIZE)
     measured = run("calibrate", "response", *camera)

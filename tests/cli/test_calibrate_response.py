@@ -189,6 +189,7 @@ def test_patches_of_a_file_are_measured(run: Run) -> None:
     assert "cannot read patches none.txt: No such file" in missing.error
 
 
+@pytest.mark.slow
 def test_what_is_not_exact_enough_is_kept_on_request_only(run: Run) -> None:
     """Four frames of a chart before a camera are few."""
     line = (

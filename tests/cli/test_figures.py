@@ -14,6 +14,7 @@ pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 QUICK = ("figures", "--workers", "1", "--dpi", "40")
 
 
+@pytest.mark.slow
 def test_figures_are_written_with_captions(run: Run) -> None:
     found = run(*QUICK, "--only", "3,6", "-o", "drawn/here", "--svg", "--json").json
     assert [row["figure"] for row in found] == ["3", "6"]

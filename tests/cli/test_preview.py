@@ -39,6 +39,7 @@ def test_text_says_what_it_is_computed_from(run: Run) -> None:
     assert "left out" not in done.out
 
 
+@pytest.mark.slow
 def test_exposures_too_long_for_a_preview_are_named(run: Run) -> None:
     done = run("preview", "--scene", "room", "-O", "size=80x60", "-o", "p.png")
     assert re.search(r"^left out +\d+.*s: too long for a preview$", done.out, re.MULTILINE)

@@ -269,6 +269,7 @@ def test_a_series_on_a_terminal_pauses_and_says_when_it_will_end(tmp_path: Path)
         terminal.close()
 
 
+@pytest.mark.slow
 def test_a_killed_series_is_resumed(tmp_path: Path) -> None:
     folder = tmp_path / "day"
     line = [*TINY, "--repeat", "100", "--interval", "0.05", "-O", "time=real", "-o", str(folder)]

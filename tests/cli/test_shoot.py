@@ -96,8 +96,11 @@ def test_options_reach_plan_and_request(run: Run) -> None:
     assert longer["plan"]["base_s"] == pytest.approx(0.008)
     flicker = shot(run, "-o", "c", "--ratios", "1,2", "--set", "mains=50")
     assert flicker["request"]["mains_hz"] == 50
-    assert shot(run, "-o", "d", "--set", "aperture=yes")["request"]["use_aperture"] is True
-    assert shot(run, "-o", "e", "--meter")["request"]["spend_shutter"] is True
+    assert (
+        shot(run, "-o", "d", "--ratios", "1,2", "--set", "aperture=yes")["request"]["use_aperture"]
+        is True
+    )
+    assert shot(run, "-o", "e", "--ratios", "1,2", "--meter")["request"]["spend_shutter"] is True
 
 
 def test_any_gamma_is_the_desired_response(run: Run) -> None:
@@ -174,14 +177,14 @@ def test_two_captures_in_one_second_get_two_folders(run: Run) -> None:
 
 
 def test_earlier_capture_is_replaced_only_with_force(run: Run) -> None:
-    shot(run, "-o", "here", "-O", "seed=1")
+    shot(run, "--ratios", "1,4", "-o", "here", "-O", "seed=1")
     before = Path("here/sum.tiff").read_bytes()
     ran = run("shoot", *SMALL, "-o", "here", "-O", "seed=2")
     assert ran.status == 1
     assert "here is not empty" in ran.error
     assert "--force" in ran.error
     assert Path("here/sum.tiff").read_bytes() == before
-    shot(run, "-o", "here", "-O", "seed=2", "--force")
+    shot(run, "--ratios", "1,4", "-o", "here", "-O", "seed=2", "--force")
     assert Path("here/sum.tiff").read_bytes() != before
 
 
@@ -312,20 +315,24 @@ def test_camera_options_are_kept_for_resuming(run: Run) -> None:
 
 def test_scene_name_is_kept_even_if_a_file_has_that_name(run: Run) -> None:
     Path("room").write_text("no scene")
-    assert shot(run, "--scene", "room", "-o", "here")["source"]["options"]["scene"] == "room"
+    assert (
+        shot(run, "--scene", "room", "--ratios", "1,4", "-o", "here")["source"]["options"]["scene"]
+        == "room"
+    )
 
 
 def test_varying_control_delay_is_reported_once(run: Run) -> None:
-    ran = run("shoot", *SMALL, "--sensor", "consumer", "-o", "here", "--json")
+    line = ("shoot", *SMALL, "--ratios", "1,4")
+    ran = run(*line, "--sensor", "consumer", "-o", "here", "--json")
     (note,) = [warning for warning in ran.json["warnings"] if "settles" in warning]
     assert "not constant" in note
     assert ran.err.count(note) == 1
-    assert "settles" not in run("shoot", *SMALL, "-o", "steady").err
+    assert "settles" not in run(*line, "-o", "steady").err
 
 
 def test_report_has_the_full_path_of_a_scene_file(run: Run) -> None:
     np.save("map.npy", np.geomspace(1, 100, 48 * 64).reshape(48, 64))
-    report = run("shoot", "--scene", "map.npy", "-o", "here", "--json").json
+    report = run("shoot", "--scene", "map.npy", "--ratios", "1,4", "-o", "here", "--json").json
     assert report["source"]["options"]["scene"] == str(Path("map.npy").resolve())
 
 

@@ -297,7 +297,10 @@ LONG = ("shoot", "-O", "size=24x16", "--ratios", "1,250", "--base", "0.2", "-O",
 """A capture whose second frame takes 50 s, with its folder in "out"."""
 
 
-@pytest.mark.parametrize(("number", "by"), SIGNALS)
+@pytest.mark.parametrize(
+    ("number", "by"),
+    [SIGNALS[1], *(pytest.param(*each, marks=pytest.mark.slow) for each in SIGNALS[::2])],
+)
 def test_signal_from_another_process_keeps_the_frames(
     tmp_path: Path, number: signal.Signals, by: str
 ) -> None:
@@ -311,6 +314,7 @@ def test_signal_from_another_process_keeps_the_frames(
     assert checked(tmp_path / "out")["wrong"] == []
 
 
+@pytest.mark.slow
 def test_ignored_hangup_stays_ignored(tmp_path: Path) -> None:
     """As with nohup: the capture goes on; SIGTERM still ends it."""
 

@@ -201,6 +201,7 @@ def test_invalid_simulation_is_one_line(run: Run, line: str, message: str, statu
     assert ran.status == status
 
 
+@pytest.mark.slow
 def test_shoot_explains_what_its_frames_lack(run: Run) -> None:
     arguments = ("shoot", "-O", "size=64x48", "--sensor", "complete", "--scene", "ramp")
     out = run(*arguments, "-O", "tolerance=0.5", "-o", "some").out

@@ -110,6 +110,7 @@ def test_a_study_is_the_same_over_several_processes(
     assert without_times(spread.json) == without_times(alone)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "words"),
     [

@@ -134,6 +134,7 @@ def test_light_that_spreads_from_saturated_pixels_is_no_movement(sensor: str, sc
     assert all(frame.attempts == 1 for frame in report.frames)
 
 
+@pytest.mark.slow
 def test_light_that_flows_out_of_lamps_is_named_as_that() -> None:
     """Streaks end in pixels that are marked, and only became brighter, beside saturated ones."""
     request = camctl.CaptureRequest(dynamic_range="auto")

@@ -118,7 +118,11 @@ def test_no_set_of_a_short_list_is_missed_by_many_cameras() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "n", "least", "longest"), [("linear", 3, 69.5, 3.1), ("gamma", 6, 129.0, 16.5)]
+    ("name", "n", "least", "longest"),
+    [
+        ("linear", 3, 69.5, 3.1),
+        pytest.param("gamma", 6, 129.0, 16.5, marks=pytest.mark.slow),
+    ],
 )
 def test_exposures_for_the_noise_of_an_8_bit_sensor(
     name: str, n: int, least: float, longest: float
@@ -156,6 +160,7 @@ def test_near_ties_are_broken_by_time() -> None:
     assert chosen.effective_levels >= (1 - NEAR_TIE) * best.effective_levels
 
 
+@pytest.mark.slow
 def test_gain_is_raised_where_time_is_short() -> None:
     slow = problem_of("log")
     fast = problem_of("log", available=AvailableExposures(gains=(1.0, 2.0, 4.0, 8.0)))
@@ -170,6 +175,7 @@ def test_gain_is_raised_where_time_is_short() -> None:
     assert min(below_n.gains) > 1
 
 
+@pytest.mark.slow
 def test_a_time_limit_chooses_the_number_of_exposures() -> None:
     short = solve_accuracy(problem_of("log"), total_limit=8.0)
     long = solve_accuracy(problem_of("log"), total_limit=300.0)
@@ -279,6 +285,7 @@ test_more_cameras_have_a_solution = pytest.mark.slow(
 )
 
 
+@pytest.mark.slow
 def test_the_result_is_always_the_same() -> None:
     first, second = (solve_accuracy(problem_of("gamma"), [4]) for _ in range(2))
     assert first.exposures == second.exposures

@@ -14,7 +14,9 @@ from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.response.tabulated import tabulated_desired
 
 
-@pytest.mark.parametrize("name", ["linear", "gamma", "log"])
+@pytest.mark.parametrize(
+    "name", ["linear", *(pytest.param(each, marks=pytest.mark.slow) for each in ("gamma", "log"))]
+)
 def test_no_pair_on_a_fine_grid_scores_below_the_bound(name: str) -> None:
     """Does not use the reasoning of the bound: 32,000 ratios with the exact objective."""
     response = linear_response(4)

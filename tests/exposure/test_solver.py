@@ -25,7 +25,13 @@ LOG = desired_response("log", 1000.0)
 
 
 @pytest.mark.parametrize(
-    "cell", [cell for cell in CELLS if cell.n <= 4], ids=lambda c: f"{c.response}-{c.n}"
+    "cell",
+    [
+        pytest.param(cell, marks=pytest.mark.slow) if cell.n == 4 else cell
+        for cell in CELLS
+        if cell.n <= 4
+    ],
+    ids=lambda c: f"{c.response}-{c.n}",
 )
 def test_up_to_four_exposures_are_within_half_a_percent_of_the_best_known(cell: Cell) -> None:
     found = solve(EIGHT_BIT, cell.desired, cell.n)

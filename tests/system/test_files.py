@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 import textwrap
@@ -11,8 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from camctl import CaptureRequest, capture
 from camctl.errors import StorageError
 from camctl.system.files import atomic_file, remove_leftovers, write_array, write_bytes
+from sim.camera import SimulatedCamera
+from sim.scenes.scene import load_scene
+from sim.sensors.sensor import load_sensor
 
 
 def test_failed_write_keeps_the_earlier_file(tmp_path: Path) -> None:
@@ -70,7 +75,7 @@ def test_array_that_does_not_fit_is_an_error_of_one_line_and_leaves_no_file(
 @pytest.mark.parametrize(
     ("limit", "failing", "complete"),
     [
-        (10_000, "frames/frame-01.npy", {"frames", "report.json"}),
+        (20_000, "frames/frame-01.npy", {"frames", "report.json"}),
         (30_000, "sum.tiff", {"frames", "report.json"}),
         (50_000, "radiance.exr", {"frames", "report.json", "sum.tiff"}),
     ],
@@ -78,28 +83,17 @@ def test_array_that_does_not_fit_is_an_error_of_one_line_and_leaves_no_file(
 def test_picture_file_that_does_not_fit_is_missing_and_the_frames_are_kept(
     tmp_path: Path, limit: int, failing: str, complete: set[str]
 ) -> None:
-    script = f"""
-        import resource, signal
-        from pathlib import Path
-        from camctl import CaptureRequest, capture
-        from camctl.errors import StorageError
-        from sim.camera import SimulatedCamera
-        from sim.scenes.scene import load_scene
-        from sim.sensors.sensor import load_sensor
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        scene = load_scene("tile-floor", (120, 200))
-        camera = SimulatedCamera(scene, load_sensor("standard"))
-        resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
-        try:
-            capture(camera, CaptureRequest(ratios=(1.0, 2.0)), Path({str(tmp_path)!r}) / "out")
-        except StorageError as error:
-            print(error)
-    """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.startswith(f"cannot write {tmp_path}/out/{failing}: ")
-    assert done.stdout.count("\n") == 1
+    camera = SimulatedCamera(load_scene("tile-floor", (120, 200)), load_sensor("standard"))
+    request = CaptureRequest(ratios=(1.0, 2.0))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        with pytest.raises(StorageError) as raised:
+            capture(camera, request, tmp_path / "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert str(raised.value).startswith(f"cannot write {tmp_path}/out/{failing}: ")
+    assert "\n" not in str(raised.value)
     assert {path.name for path in (tmp_path / "out").iterdir()} == complete | {".camctl.lock"}
     assert not list((tmp_path / "out" / "frames").glob(".*"))
 

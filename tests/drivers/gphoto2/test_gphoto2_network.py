@@ -39,7 +39,9 @@ def opened(address: str) -> Camera:
     return camctl.open_camera(f"gphoto2:{address}", format="raw")
 
 
-@pytest.mark.parametrize("vendor", ["nikon", "canon", "sony"])
+@pytest.mark.parametrize(
+    "vendor", ["nikon", *(pytest.param(each, marks=pytest.mark.slow) for each in ("canon", "sony"))]
+)
 def test_frames_are_those_of_ptpip_bit_for_bit(vendor: str) -> None:
     with virtual_camera(vendor) as (_, address):
         with opened(address) as camera:

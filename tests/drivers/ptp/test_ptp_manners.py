@@ -153,7 +153,10 @@ class TestLongExposures:
             assert camera.clock.now() - began_s > 2 * longest.time_s
             assert list(device.body.log)[-2]["time_s"] == longest.time_s
 
-    @pytest.mark.parametrize("vendor", ["none", "nikon", "fuji"])
+    @pytest.mark.parametrize(
+        "vendor",
+        ["fuji", *(pytest.param(each, marks=pytest.mark.slow) for each in ("none", "nikon"))],
+    )
     def test_noise_reduction_of_an_abandoned_exposure_is_waited_for(
         self, vendor: str, monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -395,7 +395,7 @@ def test_a_switched_off_camera_refuses_and_comes_back() -> None:
 
 
 @pytest.mark.skipif(gphoto2_client.missing() is not None, reason=str(gphoto2_client.missing()))
-@pytest.mark.parametrize("vendor", ["none", "nikon"])
+@pytest.mark.parametrize("vendor", ["none", pytest.param("nikon", marks=pytest.mark.slow)])
 def test_gphoto2_takes_the_same_picture_from_the_virtual_camera(vendor: str, tmp_path: Any) -> None:
     with camera_on_tcp(vendor=vendor) as (device, port):
         address = f"ptpip:127.0.0.1:{port}"

@@ -48,7 +48,13 @@ def test_address_that_cannot_be_used_is_refused(address: str, message: str) -> N
         ImagePanel(address)
 
 
-@pytest.mark.parametrize("size", [(240, 240), (320, 240), (480, 320), (800, 480), (1920, 1080)])
+@pytest.mark.parametrize(
+    "size",
+    [
+        *((240, 240), (320, 240), (480, 320), (800, 480)),
+        pytest.param((1920, 1080), marks=pytest.mark.slow),
+    ],
+)
 def test_every_screen_is_drawn_in_every_size(size: tuple[int, int]) -> None:
     for state in State:
         pixels = draw(screen(replace(FULL, state=state)), *size).pixels

@@ -46,6 +46,7 @@ def exhaustive(bounds: Bounds, tolerance_dn: float) -> tuple[str, ...]:
     return max((s for s in sets if not s or bounds.joint(s) <= tolerance_dn), key=saving)
 
 
+@pytest.mark.slow
 def test_the_greedy_choice_loses_little_against_trying_every_set() -> None:
     """Over scenes, exposures and tolerances with 2 to 11 effects to choose from."""
     losses = []

@@ -46,7 +46,13 @@ def take_frames(camera: SimulatedCamera) -> None:
         assert frame.pixels.shape[:2] == camera.controls.shape
 
 
-@pytest.mark.parametrize("name", ["complete", "phone", "consumer", "ccd", "ideal-6", "security"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("phone", "consumer", "ideal-6"),
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("complete", "ccd", "security")),
+    ],
+)
 def test_sensors_with_extreme_numbers(tmp_path: Path, name: str) -> None:
     data = built_in("sensors", name)
     path = tmp_path / "sensor.json"
