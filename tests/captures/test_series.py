@@ -305,20 +305,21 @@ def test_exposures_are_metered_once_or_for_each_set(
 
 
 def test_the_sets_of_a_resumed_series_get_the_advice_of_the_first(tmp_path: Path) -> None:
-    folder, request = tmp_path / "series", CaptureRequest(time_budget_s=0.5)
-    with small_camera("phone", gradient(low=1e-6)) as camera:
+    folder = tmp_path / "series"
+    request = CaptureRequest(dynamic_range=256.0, count=2, clip_percent=20.0)
+    with small_camera("standard", gradient()) as camera:
         begun = journal(camera.info, request, repeat=1, meter="once")
         Series(folder, begun, CameraSets(camera, begun), SeriesTools(camera.clock)).run()
     more = SeriesOptions(repeat=2, meter="once")
     found = read_series(folder).model_copy(update={"options": more})
-    with small_camera("phone", gradient(low=1e-6)) as camera:
+    with small_camera("standard", gradient()) as camera:
         Series(folder, found, CameraSets(camera, found), SeriesTools(camera.clock)).run()
     asked, again = (
         [(each.code, each.remedies) for each in read_report(folder / record.folder).findings]
         for record in found.sets
     )
     assert asked == again
-    assert [code for code, remedies in asked if remedies] == ["light_below_range"]
+    assert [code for code, remedies in asked if remedies] == ["light_above_range"]
 
 
 def test_a_camera_that_is_unplugged_in_a_set_completes_it(camera_sets: Callable[..., Any]) -> None:
