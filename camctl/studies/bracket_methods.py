@@ -6,16 +6,15 @@ All begin at the same metered base: full scale of the shortest exposure is E = 1
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
-from camctl.errors import CaptureError, UsageError
+from camctl.errors import CaptureError
 from camctl.exposure.build import look_up
-from camctl.exposure.goal import ACCURACY, CaptureRequest
+from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.front import Front, gain_choices
-from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.controls import ExposureControls, ExposureSetting
-from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
 from camctl.studies.noise_optimal import NoiseOptimalProblem, noise_optimal
 from camctl.studies.paper_table import PRINTED_TABLE
@@ -51,28 +50,9 @@ class Bracket:
         return self.request.count
 
     @property
-    def noise(self) -> NoiseModel:
-        """The noise of the camera; raises `UsageError` where it is unknown."""
-        if self.controls.noise is None:
-            raise UsageError(
-                "the noise of this camera is not known, and these methods need it: accuracy, "
-                "quick, hasinoff",
-                hint="leave them out, or measure the noise",
-                remedies={"methods": "xi,paper,doubling,equal", "calibrate_noise": None},
-            )
-        return self.controls.noise
-
-    @property
     def longest(self) -> float:
         """The longest shutter time in units of the base."""
         return self.controls.time_s.maximum / self.base_s
-
-    def accurate(self, budget_s: float | None = None) -> tuple[ExposureSetting, ...]:
-        """Return the most accurate settings with the camera's noise, in no more than `budget_s`."""
-        assert self.noise  # or it raises
-        request = replace(self.request, base_s=None, objective=ACCURACY, time_budget_s=budget_s)
-        front = Front(self.controls, self.desired, self.base_s, request=request, before=self.before)
-        return front.chosen.settings
 
     def at_gain(self, exposures: tuple[float, ...]) -> tuple[ExposureSetting, ...]:
         """Return settings at gain 1 for relative exposures; gain extends the longest time."""
@@ -93,20 +73,6 @@ class Bracket:
         return tuple(settings)
 
 
-def _accuracy(bracket: Bracket) -> tuple[ExposureSetting, ...]:
-    return bracket.accurate()
-
-
-def _quick(bracket: Bracket) -> tuple[ExposureSetting, ...]:
-    """At equal time: the most accurate set in the time of 1, 2, 4, ... of as many exposures."""
-    doubling = _doubling(bracket)
-    return bracket.accurate(predicted_wall_s(bracket.controls, doubling, before=bracket.before))
-
-
-def _total_s(settings: Iterable[ExposureSetting]) -> float:
-    return math.fsum(setting.time_s for setting in settings)
-
-
 def _xi(bracket: Bracket) -> tuple[ExposureSetting, ...]:
     row = look_up(bracket.controls.levels, bracket.desired, bracket.count)
     return bracket.at_gain(tuple(row.exposures))
@@ -116,25 +82,26 @@ def _paper(bracket: Bracket) -> tuple[ExposureSetting, ...]:
     return bracket.at_gain(PRINTED_TABLE[bracket.desired.key, bracket.count])
 
 
-def _doubling(bracket: Bracket) -> tuple[ExposureSetting, ...]:
-    return bracket.at_gain(tuple(2.0**place for place in range(bracket.count)))
-
-
-def _equal(bracket: Bracket) -> tuple[ExposureSetting, ...]:
-    return bracket.at_gain((1.0,) * bracket.count)
+def _stops(stops: float, bracket: Bracket) -> tuple[ExposureSetting, ...]:
+    return bracket.at_gain(tuple(2.0 ** (stops * place) for place in range(bracket.count)))
 
 
 def _hasinoff(bracket: Bracket) -> tuple[ExposureSetting, ...]:
-    """At equal time: the budget is the time of the most accurate set of as many exposures."""
-    controls, accurate = bracket.controls, bracket.accurate()
+    """At equal time: the shutter time of the most accurate set of as many exposures."""
+    controls, noise = bracket.controls, bracket.controls.noise
+    if noise is None:
+        raise CaptureError("it needs the noise of the camera, which is not known")
+    count = CaptureRequest(count=bracket.count)
+    front = Front(controls, bracket.desired, bracket.base_s, request=count, before=bracket.before)
+    accurate = front.chosen.settings
     base_s = min(setting.exposure for setting in accurate)  # as applied
     problem = NoiseOptimalProblem(
-        noise=bracket.noise,
+        noise=noise,
         full_scale_levels=controls.levels.M + 1,
         e_min=bracket.desired.e_min,
         gains=gain_choices(controls.gain),
         longest=controls.time_s.maximum / base_s,
-        budget=_total_s(accurate) / base_s * (1 + 1e-9),
+        budget=math.fsum(setting.time_s for setting in accurate) / base_s * (1 + 1e-9),
         unit_s=base_s,
     )
     found = noise_optimal(problem, bracket.count)
@@ -144,28 +111,37 @@ def _hasinoff(bracket: Bracket) -> tuple[ExposureSetting, ...]:
     )
 
 
+FRONT = "front"
+"""The method of the curve that all others are compared with; its runs have their settings."""
+
 METHODS: dict[str, Callable[[Bracket], tuple[ExposureSetting, ...]]] = {
-    "accuracy": _accuracy,
-    "quick": _quick,
     "xi": _xi,
     "paper": _paper,
-    "doubling": _doubling,
-    "equal": _equal,
     "hasinoff": _hasinoff,
+    "equal": partial(_stops, 0),
+    "doubling": partial(_stops, 1),
+    "2-stop": partial(_stops, 2),
+    "3-stop": partial(_stops, 3),
 }
 """Each returns the settings of a bracket, by ascending exposure."""
 
-NEED_NOISE = frozenset({"accuracy", "quick", "hasinoff"})
-"""Methods that cannot choose without the noise of the camera."""
+COUNTS = {
+    **dict.fromkeys(METHODS, range(1, 7)),
+    "doubling": range(1, 8),
+    **dict.fromkeys(("2-stop", "3-stop"), (3, 5, 7)),
+}
+"""Numbers of exposures if none are asked for: those of the paper's table, and the 3, 5 or 7 frames
+that the exposure bracketing of many cameras takes, 1, 2 or 3 stops apart."""
 
 LABELS = {
-    "accuracy": "most accurate with noise",
-    "quick": "best in the time of 1, 2, 4, ...",
-    "xi": "least missing levels",
+    FRONT: "most accurate in its time",
+    "xi": "least missing levels (xi)",
     "paper": "printed in the paper",
-    "doubling": "1, 2, 4, ...",
+    "hasinoff": "best worst-case SNR (Hasinoff 2010)",
     "equal": "equal exposures",
-    "hasinoff": "best worst-case SNR",
+    "doubling": "1, 2, 4, ...; cameras: 3, 5, 7",
+    "2-stop": "1, 4, 16, ... on cameras",
+    "3-stop": "1, 8, 64, ... on cameras",
 }
 """What each method is, for people."""
 
@@ -179,13 +155,18 @@ def bracket_settings(method: str, bracket: Bracket) -> tuple[ExposureSetting, ..
     """Return the settings that `method` chooses.
 
     Raises:
-        UsageError: the noise is unknown and needed
-        CaptureError: an exposure is beyond the camera's controls
+        CaptureError: an exposure is beyond the camera's controls, or the method needs the noise
+            of the camera, and it is unknown
     """
-    times = bracket.controls.time_s
-    if not times.minimum * 0.99 <= bracket.base_s <= times.maximum * 1.01:
+    check_base(bracket.controls, bracket.base_s)
+    return tuple(sorted(METHODS[method](bracket), key=lambda setting: setting.exposure))
+
+
+def check_base(controls: ExposureControls, base_s: float) -> None:
+    """Raise `CaptureError` where a shortest exposure is beyond the camera's shutter times."""
+    times = controls.time_s
+    if not times.minimum * 0.99 <= base_s <= times.maximum * 1.01:
         raise CaptureError(
-            f"a shortest exposure of {bracket.base_s:.6g} s is beyond the camera's "
+            f"a shortest exposure of {base_s:.6g} s is beyond the camera's "
             f"{times.minimum:.6g} to {times.maximum:.6g} s"
         )
-    return tuple(sorted(METHODS[method](bracket), key=lambda setting: setting.exposure))

@@ -1,4 +1,4 @@
-"""The result of `camctl tradeoff capture`: rows, the Pareto front, and its knee."""
+"""The result of `camctl tradeoff capture`: the front, the other methods beside it, and rows."""
 
 from __future__ import annotations
 
@@ -6,48 +6,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
-from camctl.exposure.tradeoff import gain_in_words
+import numpy as np
+
+from camctl.studies.bracket_methods import FRONT
 from camctl.studies.capture_study import CapturePoint, CaptureRun
 
-SAME = 0.005
-"""Relative difference in effective levels up to which two brackets are equally good."""
-
-
-def pareto_front(points: Sequence[CapturePoint]) -> list[bool]:
-    """Return for each point whether no other has more levels in no more time.
-
-    Differences up to `SAME` do not count: of several such points the quickest is on the front.
-    """
-    ranked = sorted(
-        (index for index, point in enumerate(points) if math.isfinite(point.time_s)),
-        key=lambda index: (points[index].time_s, -points[index].levels),
-    )
-    front, best = set(), 0.0
-    for index in ranked:
-        if points[index].levels > best * (1 + SAME):
-            front.add(index)
-            best = points[index].levels
-    return [index in front for index in range(len(points))]
-
-
-def knee(points: Sequence[CapturePoint]) -> int | None:
-    """Return the point of a front from which on more time brings least; None of fewer than three.
-
-    It is the one farthest above the line between the ends, with both axes logarithmic: before it
-    each per cent of time brings more accuracy than on average, after it less.
-    """
-    ranked = sorted(range(len(points)), key=lambda index: points[index].time_s)
-    if len(ranked) < 3:
-        return None
-    times = [math.log(points[index].time_s) for index in ranked]
-    levels = [math.log(points[index].levels) for index in ranked]
-    slope = (levels[-1] - levels[0]) / (times[-1] - times[0])
-    above = [y - levels[0] - slope * (x - times[0]) for x, y in zip(times, levels, strict=True)]
-    place = max(range(len(above)), key=above.__getitem__)
-    return ranked[place]
+Rated = tuple[CaptureRun, CapturePoint]
 
 
 @dataclass(frozen=True)
@@ -58,79 +24,116 @@ class CaptureStudy:
     points: tuple[CapturePoint, ...]
 
     @cached_property
-    def pareto(self) -> list[bool]:
-        """Whether each point is on the front."""
-        return pareto_front(self.points)
+    def results(self) -> list[Rated]:
+        """The runs that have a result, with it."""
+        pairs = zip(self.runs, self.points, strict=True)
+        return [(run, point) for run, point in pairs if not point.note]
 
     @cached_property
-    def knee(self) -> int | None:
-        """The place of the front's knee."""
-        places = [place for place, is_on in enumerate(self.pareto) if is_on]
-        found = knee([self.points[place] for place in places])
-        return None if found is None else places[found]
+    def front(self) -> list[Rated]:
+        """The front; empty where rows of it were not run again."""
+        return self.of_method(FRONT)
 
     @property
     def methods(self) -> list[str]:
         """The methods that have results, in the order of the runs."""
-        pairs = zip(self.runs, self.points, strict=True)
-        return list(dict.fromkeys(run.method for run, point in pairs if not point.note))
+        return list(dict.fromkeys(run.method for run, _ in self.results))
+
+    def of_method(self, method: str) -> list[Rated]:
+        """Return the results of one method, by ascending time."""
+        found = [(run, point) for run, point in self.results if run.method == method]
+        return sorted(found, key=lambda each: each[1].time_s)
 
     @property
     def noise_counted(self) -> str:
         """What the effective levels count, in words."""
-        return next(point.noise_counted for point in self.points if not point.note)
+        return self.results[0][1].noise_counted
 
     @property
-    def common_count(self) -> int:
-        """The number of exposures that most methods have; of several, the one nearest to 3."""
-        counts = [
-            run.n for run, point in zip(self.runs, self.points, strict=True) if not point.note
-        ]
-        return min(set(counts), key=lambda count: (-counts.count(count), abs(count - 3)))
+    def recommended(self) -> Rated | None:
+        """The point of the front beyond which more time brings no more than averaging does."""
+        return next((each for each in self.front if each[0].is_recommended), None)
 
-    def of_method(self, method: str) -> list[tuple[int, CaptureRun, CapturePoint]]:
-        """Return (place, run, point) of the results of one method, by number of exposures."""
-        everything = zip(self.runs, self.points, strict=True)
+    @property
+    def around(self) -> list[Rated]:
+        """Points of the front near half the recommended time, there, and near its double."""
+        if self.recommended is None:
+            return []
+        middle = math.log(self.recommended[1].time_s)
+        found = {
+            min(
+                range(len(self.front)),
+                key=lambda place: abs(math.log(self.front[place][1].time_s) - goal),
+            )
+            for goal in (middle - math.log(2), middle, middle + math.log(2))
+        }
+        return [self.front[place] for place in sorted(found)]
+
+    @cached_property
+    def line(self) -> list[tuple[float, float]]:
+        """Times and the most effective levels in them, ascending, as far as they are known."""
+        line: list[tuple[float, float]] = []
+        for _, point in sorted(self.results, key=lambda each: each[1].time_s):
+            most = max(point.front_levels, line[-1][1] if line else 0.0)
+            line.append((point.time_s, most))
+        return line
+
+    def slower_by(self, point: CapturePoint) -> float | None:
+        """Return a point's time over the least time of the same levels; None without a result.
+
+        Between the known points the line is straight on logarithmic axes.
+        """
+        if point.note:
+            return None
+        times, levels = np.log(self.line).T
+        # Of points with the same levels, the first.
+        levels, first = np.unique(levels, return_index=True)
+        least = np.interp(math.log(point.effective_levels), levels, times[first])
+        return float(point.time_s / np.exp(least))
+
+    def in_words(self, duration: Callable[[float], str]) -> list[str]:
+        """Return what accuracy costs in three sentences."""
+        if self.recommended is None:
+            return []
+        costs = [(f"{p.effective_levels:.0f}", duration(p.time_s)) for _, p in self.around]
+        first, *rest = (f"{levels}{{}} take {time}" for levels, time in costs)
+        end = duration(self.recommended[1].time_s)
         found = [
-            (place, run, point)
-            for place, (run, point) in enumerate(everything)
-            if run.method == method and not point.note
+            ", ".join([first.format(" effective levels"), *(each.format("") for each in rest)]),
+            f"Beyond {end} time pays at most as averaging does: four times for twice the levels",
         ]
-        return sorted(found, key=lambda each: each[1].n)
-
-    def steps_in_words(self, method: str, duration: Callable[[float], str]) -> list[str]:
-        """Return what each further exposure costs and brings with one method."""
-        found = []
-        for (_, before, cheaper), (_, run, point) in pairwise(self.of_method(method)):
-            if run.n == before.n + 1:
-                cost = duration(max(point.time_s - cheaper.time_s, 0.0))
-                found.append(gain_in_words(run.n, cost, point.levels, cheaper.levels))
-        return found
+        times = [point.time_s for _, point in self.around]
+        others = sorted(
+            (self.slower_by(point) or math.nan, run.method, run.n)
+            for run, point in self.results
+            if run.method != FRONT and min(times) <= point.time_s <= max(times)
+        )
+        if others:
+            least, most = (
+                f"{method} with {n} exposure{'s' * (n > 1)} is {100 * (slower - 1):.0f} % slower"
+                for slower, method, n in (others[0], others[-1])
+            )
+            ends = least if len(others) == 1 else f"{least}, {most}"
+            found.append(f"At equal accuracy, of the other methods in these times, {ends}")
+        return [f"{sentence}." for sentence in found]
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one object for each run, ready for JSON: its fields and its results."""
-        rows = []
-        for run, point, is_on_front in zip(self.runs, self.points, self.pareto, strict=True):
-            each = point.effective_levels_each
-            rows.append(
-                {
-                    **asdict(run),
-                    "exposures": point.exposures,
-                    "times_s": [setting.time_s for setting in point.settings],
-                    "gains": [setting.gain for setting in point.settings],
-                    "shutter_s": point.shutter_s,
-                    "time_s": point.time_s,
-                    "time_measured_s": point.time_measured_s,
-                    "effective_levels_predicted": point.effective_levels_predicted,
-                    "effective_levels_noise_free": point.effective_levels_noise_free,
-                    "effective_levels_measured": point.effective_levels_measured,
-                    "spread": [min(each), max(each)] if each else None,
-                    "effective_levels_each": each,
-                    "noise_known": point.noise_known,
-                    "coverage": point.coverage,
-                    "pareto": is_on_front,
-                    "decades": [asdict(decade) for decade in point.decades],
-                    "note": point.note,
-                }
-            )
-        return rows
+        return [
+            asdict(run) | _results(point) | {"slower_by": self.slower_by(point)}
+            for run, point in zip(self.runs, self.points, strict=True)
+        ]
+
+
+def _results(point: CapturePoint) -> dict[str, Any]:
+    found = asdict(point)
+    each: Sequence[float] = point.effective_levels_each
+    del found["settings"], found["noise_counted"]
+    return {
+        **found,
+        "times_s": [setting.time_s for setting in point.settings],
+        "gains": [setting.gain for setting in point.settings],
+        "effective_levels_measured": point.effective_levels_measured,
+        "less_accurate_by": None if point.note else point.less_accurate_by,
+        "spread": [min(each), max(each)] if each else None,
+    }

@@ -24,6 +24,7 @@ from camctl.errors import CaptureError, UsageError
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.best import longest_base_s
+from camctl.exposure.search.front import Front
 from camctl.exposure.search.settings import relative_exposures
 from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.camera import Camera, PreviewingCamera
@@ -34,7 +35,7 @@ from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
 from camctl.profiles.calibrated import open_camera, with_profile
 from camctl.records.capture_plan import CapturePlan
-from camctl.studies.bracket_methods import Bracket, bracket_settings
+from camctl.studies.bracket_methods import FRONT, Bracket, bracket_settings, check_base
 from camctl.studies.scene_errors import (
     BINS,
     Decade,
@@ -63,7 +64,7 @@ class CaptureRun:
     """One bracket: all that is needed to take and measure it again.
 
     Attributes:
-        method: a name in `camctl.studies.bracket_methods.METHODS`
+        method: a name in `camctl.studies.bracket_methods.METHODS`, or `FRONT`
         n: number of exposures
         response, dynamic_range, gamma: the desired response
         camera: id; its pictures are measured where it is the simulated one
@@ -73,6 +74,8 @@ class CaptureRun:
         seeds: one capture with each
         profile: parts of the camera's profile that are applied; see `camctl.open_camera`
         options: further ones of the camera, as (name, value)
+        times_s, gains: the settings, by ascending exposure; empty: the method chooses them
+        is_recommended: whether it is the point of the front beyond which time pays as averaging
         metered_s: shutter time of the last metering frame, for which a stream may have to wait, s;
             None: the light was not metered
     """
@@ -91,6 +94,9 @@ class CaptureRun:
     seeds: tuple[int, ...] = (0,)
     profile: str = "all"
     options: tuple[tuple[str, str], ...] = ()
+    times_s: tuple[float, ...] = ()
+    gains: tuple[float, ...] = ()
+    is_recommended: bool = False
     metered_s: float | None = None
 
     @property
@@ -123,7 +129,9 @@ class CapturePoint:
         shutter_s: total exposure time
         time_s: predicted time until the last frame, s
         time_measured_s: the same as it was, by the camera's clock; None without a capture
-        effective_levels_predicted: with noise, over the parts of u that the scene has
+        effective_levels: predicted, with noise, over the whole range
+        front_levels: the most that any settings of the camera have in this time
+        effective_levels_predicted: predicted over the parts of u that the scene has
         effective_levels_noise_free: the same sets without noise, over the whole range
         effective_levels_each: measured, for each seed; empty for a real camera
         noise_known: False where the numbers count quantisation alone
@@ -138,6 +146,8 @@ class CapturePoint:
     shutter_s: float = math.nan
     time_s: float = math.nan
     time_measured_s: float | None = None
+    effective_levels: float = math.nan
+    front_levels: float = math.nan
     effective_levels_predicted: float = math.nan
     effective_levels_noise_free: float = math.nan
     effective_levels_each: tuple[float, ...] = ()
@@ -151,6 +161,18 @@ class CapturePoint:
     def effective_levels_measured(self) -> float | None:
         """The median over the seeds."""
         return median(self.effective_levels_each) if self.effective_levels_each else None
+
+    @property
+    def deviations(self) -> tuple[float, ...]:
+        """Measured levels over predicted ones - 1, of each capture, where the scene has light."""
+        return tuple(
+            each / self.effective_levels_predicted - 1 for each in self.effective_levels_each
+        )
+
+    @property
+    def less_accurate_by(self) -> float:
+        """The share of the most effective levels in this time that are missing."""
+        return 1 - self.effective_levels / self.front_levels
 
     @property
     def levels(self) -> float:
@@ -211,13 +233,57 @@ def metered(run: CaptureRun) -> CaptureRun:
     return replace(run, base_s=base_s, metered_s=light.last.time_s if light.last else None)
 
 
+def _controls(run: CaptureRun) -> ExposureControls:
+    """Return what the camera of a run can set."""
+    if run.camera == SIMULATED:
+        return _calibrated(run, simulated_camera(run, seed=0)).controls
+    return _real_controls(run.camera, run.profile, run.options)
+
+
 @lru_cache(maxsize=4)
-def _controls(
+def _real_controls(
     camera_id: str, profile: str, further: tuple[tuple[str, str], ...]
 ) -> ExposureControls:
-    """Return what a real camera can set."""
     with open_camera(camera_id, {"profile": profile, **dict(further)}) as camera:
         return camera.controls
+
+
+@lru_cache(maxsize=2)
+def _front(run: CaptureRun) -> Front:
+    """Return the front of a run of no method."""
+    controls = _controls(run)
+    check_base(controls, run.base_s)
+    return Front(controls, run.desired, run.base_s, before=run.before)
+
+
+def front_of(run: CaptureRun) -> Front:
+    """Return the front of a run's camera and desired response.
+
+    Raises:
+        CaptureError: the base exposure is beyond the camera's shutter times
+        CameraError: a real camera cannot be opened
+    """
+    return _front(
+        replace(
+            run, method=FRONT, n=1, seeds=run.seeds[:1], times_s=(), gains=(), is_recommended=False
+        )
+    )
+
+
+def front_runs(run: CaptureRun) -> tuple[CaptureRun, ...]:
+    """Return a run for each point of the front; raises what `front_of` raises."""
+    front = front_of(run)
+    return tuple(
+        replace(
+            run,
+            method=FRONT,
+            n=point.n,
+            times_s=tuple(setting.time_s for setting in point.settings),
+            gains=tuple(setting.gain for setting in point.settings),
+            is_recommended=point == front.recommended,
+        )
+        for point in front.points
+    )
 
 
 def rate(run: CaptureRun) -> CapturePoint:
@@ -226,23 +292,24 @@ def rate(run: CaptureRun) -> CapturePoint:
     A method that has no exposures for this camera gives a point without numbers and with a note.
 
     Raises:
-        UsageError: the noise of the camera is unknown, and the method needs it
         CameraError: a real camera cannot be opened
     """
     simulated = run.camera == SIMULATED
     camera = simulated_camera(run, run.seeds[0]) if simulated else None
-    controls = (
-        _calibrated(run, camera).controls
-        if camera is not None
-        else _controls(run.camera, run.profile, run.options)
-    )
-    try:
-        bracket = Bracket(controls, run.request, run.base_s, run.before)
-        settings = bracket_settings(run.method, bracket)
-    except CaptureError as error:
-        return CapturePoint(note=error.what)
+    controls = _controls(run)
+    settings = tuple(map(ExposureSetting, run.times_s, run.gains))
+    if not settings:
+        try:
+            bracket = Bracket(controls, run.request, run.base_s, run.before)
+            settings = bracket_settings(run.method, bracket)
+        except CaptureError as error:
+            return CapturePoint(note=error.what)
     truth = None if camera is None else scene_truth(camera)
     point = _predicted(run, controls, settings, truth)
+    most = point.effective_levels
+    if run.method != FRONT:
+        most = front_of(run).at_time(point.time_s).levels
+    point = replace(point, front_levels=most)
     if camera is None or truth is None:
         return point
     levels, taken, decades = [], [], []
@@ -281,16 +348,17 @@ def _predicted(
     if truth is not None:
         covered = covered_parts(desired, truth * _smallest(settings))
     u = (np.arange(BINS * _SAMPLES_OF_BIN) + 0.5) / (BINS * _SAMPLES_OF_BIN)
-    u = u.reshape(BINS, -1)[covered].ravel()
     posterior = Posterior(
         EffectiveCamera.of(real, exposures), desired, controls.frame_noise(settings)
     )
-    predicted = float((12 * posterior.errors(u).mean()) ** -0.5) if u.size else math.nan
+    errors = posterior.errors(u).reshape(BINS, -1)
+    predicted = float((12 * errors[covered].mean()) ** -0.5) if covered.any() else math.nan
     return CapturePoint(
         settings=settings,
         exposures=exposures,
         shutter_s=sum(setting.time_s for setting in settings),
         time_s=predicted_wall_s(controls, settings, before=run.before),
+        effective_levels=float((12 * errors.mean()) ** -0.5),
         effective_levels_predicted=predicted,
         effective_levels_noise_free=evaluate(real, desired, exposures).effective_levels,
         noise_known=controls.noise is not None,

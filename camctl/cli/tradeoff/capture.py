@@ -20,12 +20,12 @@ from camctl.cli.parameter_types import (
 from camctl.cli.request_options import RESPONSE, named
 from camctl.cli.tradeoff.capture_table import study_text
 from camctl.cli.tradeoff.study_options import StudyOptions, study_options
-from camctl.errors import DataError, UsageError
+from camctl.errors import UsageError
 
 if TYPE_CHECKING:
     from camctl.studies.capture_study import CaptureRun
 
-METHODS = ("accuracy", "quick", "xi", "paper", "doubling", "equal", "hasinoff")
+METHODS = ("xi", "paper", "hasinoff", "equal", "doubling", "2-stop", "3-stop")
 SIZE = "320x240"
 """Frames of the simulated camera: enough samples to measure to 1 %, and quick."""
 
@@ -43,7 +43,7 @@ class Brackets:
     response: str
     gamma: float | None
     dynamic_range: float
-    counts: tuple[int, ...]
+    counts: tuple[int, ...] | None
     methods: tuple[str, ...]
     base_s: float | None
     repeats: int
@@ -54,11 +54,11 @@ class Brackets:
         """Return the runs, with the base exposure metered where it is not given.
 
         Raises:
-            UsageError: a response and a gamma contradict each other, or no method has exposures
+            UsageError: a response and a gamma contradict each other
             CameraError, CaptureError: the camera cannot be opened, or not be metered
         """
-        from camctl.studies.bracket_methods import offers
-        from camctl.studies.capture_study import SIMULATED, CaptureRun, metered
+        from camctl.studies.bracket_methods import COUNTS, offers
+        from camctl.studies.capture_study import SIMULATED, CaptureRun, front_runs, metered
 
         response = self.response
         if self.gamma is not None:
@@ -71,7 +71,7 @@ class Brackets:
         is_simulated, settings = self.camera == SIMULATED, self.camera_settings
         first = CaptureRun(
             method=self.methods[0],
-            n=self.counts[0],
+            n=1,
             response=response,
             dynamic_range=self.dynamic_range,
             base_s=self.base_s or 1.0,
@@ -88,18 +88,12 @@ class Brackets:
         )
         if self.base_s is None:
             first = metered(first)
-        found = tuple(
+        return front_runs(first) + tuple(
             replace(first, method=method, n=count)
             for method in self.methods
-            for count in self.counts
+            for count in self.counts or COUNTS[method]
             if offers(method, first.desired, count)
         )
-        if not found:
-            raise UsageError(
-                "the paper's table has linear, gamma (1/2) and log, for 2 to 6 exposures",
-                hint="choose another method, or another response or number",
-            )
-        return found
 
 
 bracket_options = options.option_group(
@@ -131,13 +125,17 @@ bracket_options = options.option_group(
         "Dynamic range of the picture: 256, 1,000, 16,000, or any NUMBER.",
         default="medium",
     ),
-    named("counts", default="1,2,3,4,5,6"),
+    named(
+        "counts",
+        "Numbers of exposures of the other methods.  [default: 1 to 6, doubling to 7, and 3, 5, 7 "
+        "of the brackets that cameras offer]",
+    ),
     option(
         "--methods NAME,...",
-        "Ways to choose them: accuracy (least error with the camera's noise), quick (the same "
-        "in no more time than doubling takes), xi (least "
-        "missing levels), paper (its printed table), doubling (1, 2, 4, ...), equal (averaging), "
-        "hasinoff (best worst-case signal-to-noise ratio in the time of accuracy).",
+        "Methods to compare with the front: xi (least missing levels), paper (its printed "
+        "table), hasinoff (best worst-case signal-to-noise ratio, with gain), equal (averaging), "
+        "doubling (1, 2, 4, ..., also the 3, 5 or 7 frames that cameras offer), 2-stop and 3-stop "
+        "(cameras, too: so far apart).",
         ListOf(Name("method", METHODS), unique=True),
         default=",".join(METHODS),
     ),
@@ -160,10 +158,10 @@ bracket_options = options.option_group(
 
 @command(
     examples=(
-        ("camctl tradeoff capture", "all methods, 1 to 6 exposures, on the simulated camera"),
+        ("camctl tradeoff capture", "the front and all methods, on the simulated camera"),
         ("camctl tradeoff capture --response linear -n 1,2,3,4", "for a linear picture"),
         ("camctl tradeoff capture --sensor webcam --plot webcam.svg", "another sensor, and a plot"),
-        ("camctl tradeoff capture --methods accuracy,doubling --json", "two methods, as JSON rows"),
+        ("camctl tradeoff capture --methods doubling --json", "one method beside it, as JSON rows"),
         ("camctl tradeoff capture --again rows.json", "the runs of such rows once more"),
     )
 )
@@ -172,8 +170,9 @@ bracket_options = options.option_group(
 @options.as_json
 @click.pass_context
 def capture(context: click.Context, brackets: Brackets, study: StudyOptions, as_json: bool) -> None:
-    """Show what accuracy costs in time: one line for each method and number of exposures.
+    """Show what accuracy costs in time: the front, and how far other methods are from it.
 
+    The front has the most accurate settings for each time, over all that the camera can set.
     Accuracy is the number of effective levels with the camera's noise: predicted, and measured
     against the scene in real captures of the simulated camera. Time lasts from the first request
     until the last frame has arrived. E = 1 is full scale of the shortest exposure in both.
@@ -198,9 +197,4 @@ def capture(context: click.Context, brackets: Brackets, study: StudyOptions, as_
         )
     points = [point for _, point in sorted(zip(order, ranked, strict=True), key=lambda x: x[0])]
     found = CaptureStudy(runs, tuple(points))
-    if not found.methods:
-        raise DataError(
-            f"no method has exposures for this camera: {points[0].note}",
-            hint="choose another base exposure, fewer exposures, or a smaller range",
-        )
     study.show(found, draw_study, study_text, as_json=as_json)
