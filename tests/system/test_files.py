@@ -75,15 +75,15 @@ def test_array_that_does_not_fit_is_an_error_of_one_line_and_leaves_no_file(
 @pytest.mark.parametrize(
     ("limit", "failing", "complete"),
     [
-        (20_000, "frames/frame-01.npy", {"frames", "report.json"}),
-        (30_000, "sum.tiff", {"frames", "report.json"}),
-        (50_000, "radiance.exr", {"frames", "report.json", "sum.tiff"}),
+        (60_000, "frames/frame-01.npy", {"frames", "report.json"}),
+        (100_000, "sum.tiff", {"frames", "report.json"}),
+        (200_000, "radiance.exr", {"frames", "report.json", "sum.tiff"}),
     ],
 )
 def test_picture_file_that_does_not_fit_is_missing_and_the_frames_are_kept(
     tmp_path: Path, limit: int, failing: str, complete: set[str]
 ) -> None:
-    camera = SimulatedCamera(load_scene("tile-floor", (120, 200)), load_sensor("standard"))
+    camera = SimulatedCamera(load_scene("tile-floor", (240, 320)), load_sensor("standard"))
     request = CaptureRequest(ratios=(1.0, 2.0))
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
