@@ -305,8 +305,6 @@ def _measured_rows(measured: MeasuredNoise | None) -> list[tuple[str, str]]:
 
 def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
     """Return how much moved or changed between the frames, and where most of it is."""
-    from camctl.evidence.movement import NOTABLE_SPREAD  # loads numpy
-
     if movement is None:
         return []
     shares = (
@@ -314,7 +312,7 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
         f"at most {format_percent(movement.false_alarms)} by noise"
     )
     spread = []
-    if movement.spread >= NOTABLE_SPREAD:
+    if movement.spread:
         bright = f"{format_percent(movement.spread)} of the picture is too bright"
         spread = [("", f"light that spread from saturated samples, or a thing there: {bright}")]
     if not movement.is_seen:

@@ -37,10 +37,6 @@ FALSE_ALARMS = 0.002
 """Share of the samples of a scene without movement that noise marks, at most: the promise of the
 mask.  Half of it is for single samples and half for means, and each is divided by the pairs."""
 
-NOTABLE_SPREAD = 1e-4
-"""Share of light that spread that is named: twice the least that a picture of 24 MP shows as one
-spot of 32 x 32 pixels."""
-
 #: Residuals count up to so many standard deviations in a mean: a single sample (a cosmic ray, a
 #: pixel that blinks) is 4 / 5 of one there, and is not significant by itself.
 _MOST_SIGMAS = 4.0

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from camctl.model.response.camera import FloatArray
+from camctl.model.sensor import BLACK_ERROR_LEVELS
 
 BLOCKS = 16
 """The frame is divided into this number of blocks for the confidence intervals."""
 
-#: Standard deviation of the black level's error, levels.
-_BLACK_LEVELS = 0.25
 #: Tukey's constant, in standard deviations, and the number of reweighting steps.
 _TUKEY, _STEPS = 4.685, 20
 
@@ -90,7 +89,7 @@ class RatioFit:
 
     def _normal(self, sums: FloatArray) -> FloatArray:
         normal = sums[np.ix_(self._unknown, self._unknown)] / self.scatter**2
-        normal[-1, -1] += 1 / _BLACK_LEVELS**2
+        normal[-1, -1] += 1 / BLACK_ERROR_LEVELS**2
         return np.asarray(normal)
 
     def _solve(self, sums: FloatArray) -> tuple[FloatArray, float]:

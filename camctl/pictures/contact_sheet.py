@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.movement import NOTABLE_SPREAD, Movement
+from camctl.evidence.movement import Movement
 from camctl.pictures.details import PictureDetails, ShownFrame
 from camctl.pictures.drawing import (
     INK,
@@ -154,7 +154,7 @@ def _draw_pictures(
     ]
     if details.moved is not None:
         legend.append((_MOVED_COLOUR, f"frames disagree: {percent_text(details.moved)}"))
-    if details.spread >= NOTABLE_SPREAD:
+    if details.spread:
         legend.append((_SPREAD_COLOUR, f"light spread: {percent_text(details.spread)}"))
     step = width // len(legend)
     for number, (colour, text) in enumerate(legend):
