@@ -51,6 +51,7 @@ class PatchErrors:
     """Patches of one or all colours in range in both frames, one row for each.
 
     Attributes:
+        kept: which of all patches these are
         brightness: mean brightness in the longer frame
         light: mean of the prediction
         error: mean of the light beyond it
@@ -59,6 +60,7 @@ class PatchErrors:
         count: samples in range
     """
 
+    kept: NDArray[np.bool_]
     brightness: _Floats
     light: _Floats
     error: _Floats
@@ -80,7 +82,7 @@ class PatchErrors:
         saturated: Sequence[int],
         before: Patches,
         after: Patches,
-        rests: NDArray[np.bool_],
+        rests: NDArray[np.bool_] | None = None,
         least: float = _LEAST_USABLE,
     ) -> PatchErrors:
         """Compare patches, and keep those that rest and are in range.
@@ -91,12 +93,14 @@ class PatchErrors:
             saturated: brightness from which samples of both may be saturated ones
             before: patches of the shorter frame
             after: of the longer one
-            rests: patches that count, (patches,)
+            rests: patches that count, (patches,); None: all
             least: share of the samples of a patch that must be in range in both
         """
         usable = (before < saturated[0]) & (after < saturated[1])
         number = np.count_nonzero(usable, axis=1)
-        kept = rests & (number >= max(least * usable.shape[1], 1))
+        kept = number >= max(least * usable.shape[1], 1)
+        if rests is not None:
+            kept &= rests
         before, after, usable = before[kept], after[kept], usable[kept]
         count = np.maximum(number[kept], 2).astype(np.float64)
 
@@ -108,7 +112,7 @@ class PatchErrors:
         variance = mean(np.square(errors - error[:, None])) * count / (count - 1)
         tables = (prediction.mean, prediction.own, prediction.shared)
         light, own, shared = (mean(table[after]) for table in tables)
-        return cls(mean(after.astype(np.float64)), light, error, variance, own, shared, count)
+        return cls(kept, mean(after.astype(np.float64)), light, error, variance, own, shared, count)
 
 
 def _trimmed_median(values: _Floats, spread: float) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from camctl.calibration.response.series import Series
 from camctl.errors import UsageError
+from camctl.evidence.contradictions import contradictions
 from camctl.evidence.patches import Patches
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls
@@ -24,7 +25,6 @@ from camctl.photographs.camera import (
     with_all_stated,
     with_true_exposures,
 )
-from camctl.photographs.contradictions import contradictions
 from camctl.photographs.files import PhotographFiles
 from camctl.photographs.labels import check_doubted, check_order, doubted_labels, wrong_labels
 from camctl.photographs.ratios import corrected_exposures, neighbours_differ
@@ -136,7 +136,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     positions, patches = [selection.positions[k] for k in right], [patches[k] for k in right]
     first = area.seen(files.pixels(positions[0]))
     planes = [each.shape for each in files.format.layout.planes(first)]
-    facts += [at(each, positions) for each in contradictions(photographs, patches, scale, planes)]
+    exposures = [each.exposure for each in photographs]
+    facts += [at(each, positions) for each in contradictions(exposures, patches, scale, planes)]
     camera = PhotographCamera(
         photographs,
         lambda k: area.shown(files.pixels(positions[k]), controls.black),
