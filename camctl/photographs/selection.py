@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError, UsageError
+from camctl.evidence.views import likenesses, unlike_each_other, unlike_others
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls, Layout
 from camctl.model.sensor import SensorModel
@@ -14,7 +15,6 @@ from camctl.photographs.alignment import Sight, misaligned
 from camctl.photographs.camera import Photograph, at, detailed
 from camctl.photographs.labels import SAME_EXPOSURE
 from camctl.photographs.ratios import odd_colours
-from camctl.photographs.views import likenesses, unlike_each_other, unlike_others
 
 
 @dataclass(frozen=True, eq=False)

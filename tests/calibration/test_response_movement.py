@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
 from camctl.calibration.response.series import Series
 from camctl.calibration.response.spill import SampleGrid
-from camctl.evidence.moved_parts import moved_samples
+from camctl.evidence.patches import moved_samples
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray
 

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.evidence.patches import Patches, sample_patches
+from camctl.evidence.views import likenesses, unlike_each_other, unlike_others
 from camctl.model.response.camera import standard_response
-from camctl.photographs.views import likenesses, unlike_each_other, unlike_others
 
 Light = NDArray[np.float64]
 EXPOSURES = (1.0, 2.0, 4.0, 8.0, 16.0)

@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.moved_parts import deviating_patches
-from camctl.evidence.patches import Patches
+from camctl.evidence.patches import Patches, deviating_patches
 from camctl.findings import Finding
 from camctl.model.sensor import JPEG_ERROR
 
