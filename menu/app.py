@@ -6,19 +6,18 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
 from camctl.errors import CamctlError
 from camctl.messages.command_line import error_hint
 from camctl.system.interrupts import uninterrupted
-from menu.data import Settings, Summary
+from menu.data import Summary
 from menu.entries import SAVERS, seconds
 from menu.machine import step
 from menu.model import Model, State
 from menu.ports import Job, Key, Panel, PanelDisconnectedError
 from menu.screens import screen
 from menu.service import ServiceNotifier
-from menu.tables import STATES, Effect, Event, Outcome, Start
+from menu.tables import STATES, Event, Outcome, Start
 from menu.worker import Worker
 
 _log = logging.getLogger(__name__)
@@ -79,22 +78,6 @@ def run(
     return session.last_summary
 
 
-class AnyWorker(Protocol):
-    """What the loop uses of `menu.worker.Worker`."""
-
-    def start(self, effect: Effect) -> None:
-        """Start or cancel work; returns at once."""
-
-    def save(self, settings: Settings) -> None:
-        """Keep the settings."""
-
-    def poll_events(self) -> list[Event]:
-        """Return the events since the last call."""
-
-    def stop(self) -> None:
-        """Cancel all work and close the camera."""
-
-
 class Session:
     """One run of the menu, from its start to its end, on a panel that may come and go.
 
@@ -103,7 +86,7 @@ class Session:
         last_summary: result of the last capture
     """
 
-    def __init__(self, worker: AnyWorker, now: Callable[[], float]) -> None:
+    def __init__(self, worker: Worker, now: Callable[[], float]) -> None:
         self.worker = worker
         self.last_summary: Summary | None = None
         self._now = now

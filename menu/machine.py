@@ -98,11 +98,8 @@ def _enter(model: Model, state: State) -> tuple[Model, Effect | None]:
 
 def _started(model: Model, work: Work) -> tuple[Model, Effect | None]:
     model = replace(model, request_id=model.request_id + 1)
-    return model, Start(model.request_id, work, _argument(work, model))
-
-
-def _argument(work: Work, model: Model) -> object:
-    return _ARGUMENTS[work](model) if work in _ARGUMENTS else None
+    argument = _ARGUMENTS[work](model) if work in _ARGUMENTS else None
+    return model, Start(model.request_id, work, argument)
 
 
 def choices(model: Model) -> tuple[object, ...]:

@@ -179,12 +179,9 @@ def _list(
 
 def _page(here: State, back: State, more: dict[Symbol, State]) -> dict[Symbol, State]:
     stay: dict[Symbol, State] = dict.fromkeys((Key.UP, Key.DOWN, Key.LEFT, Key.RIGHT), here)
-    buttons: dict[Symbol, State] = {Action.BACK: back} if _has_back(here) else {}
+    has_back = Action.BACK in STATES[here].actions
+    buttons: dict[Symbol, State] = {Action.BACK: back} if has_back else {}
     return {**stay, Key.EXIT: back, Outcome.UNUSED: State.SAVER, **buttons, **more}
-
-
-def _has_back(state: State) -> bool:
-    return Action.BACK in STATES[state].actions
 
 
 def _failure(here: State, retry: State, back: State) -> dict[Symbol, State]:

@@ -197,10 +197,11 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
     `with_bars` adds a histogram of its light, for a terminal.
     """
     plan = report.plan
+    shortest = min(report.frames, key=lambda frame: frame.exposure)
     rows = [
         ("camera", f"{report.camera.make} {report.camera.model} ({report.camera.id})"),
         ("desired", format_request(plan.desired.name, plan.dynamic_range, len(plan.settings))),
-        ("shortest exposure", f"{format_duration(_shortest_s(report))}, {_metering_text(report)}"),
+        ("shortest exposure", f"{format_duration(shortest.applied_s)}, {_metering_text(report)}"),
     ]
     if plan.light is not None:
         rows.insert(1, ("light", light_text(plan.light)))
@@ -328,11 +329,6 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
     blocks = f"blocks of {movement.block} x {movement.block} pixels with more than noise"
     moved = f"{blocks}: {area} of the picture, most in {place}"
     return [("movement", shares), ("", moved), *spread]
-
-
-def _shortest_s(report: CaptureReport) -> float:
-    """Return the time of the shortest exposure."""
-    return min(report.frames, key=lambda frame: frame.exposure).applied_s
 
 
 def _metering_text(report: CaptureReport) -> str:

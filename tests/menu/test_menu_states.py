@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Self
+from typing import Self, cast
 
 import pytest
 from hypothesis import settings
@@ -29,6 +29,7 @@ from menu.model import State
 from menu.ports import Key, PanelDisconnectedError, Screen
 from menu.screens import screen
 from menu.tables import STATES, Cancel, Effect, Event, Outcome, Start, Work
+from menu.worker import Worker
 
 SIZE = (20, 4)
 CAPTURES = (Work.SHOOT, Work.RESUME)
@@ -118,7 +119,7 @@ class MenuMachine(RuleBasedStateMachine):
         self.job = FakeJob()
         self.worker = HandWorker()
         self.now_s = 0.0
-        self.session = Session(self.worker, lambda: self.now_s)
+        self.session = Session(cast(Worker, self.worker), lambda: self.now_s)
         self.camera_is_there = True
         self.keys_since_event = 0
 
