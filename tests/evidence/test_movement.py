@@ -13,7 +13,8 @@ from small_cameras import small_camera
 
 import camctl
 from camctl.evidence.light_ratio import NeighbourCheck
-from camctl.evidence.movement import FALSE_ALARMS, Movement, find_movement
+from camctl.evidence.marks import FALSE_ALARMS
+from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.residual import Pair, Side, outside_limits
 from camctl.interface.camera import Pixels
 from camctl.model.noise import FrameNoise

@@ -1,0 +1,292 @@
+"""Which samples of neighbouring frames contradict each other, area by area.
+
+Each pair is compared by its normalised residual, of each sample and of the mean of 5 x 5 samples,
+see `camctl.evidence.residual`.  Thresholds are quantiles of the normal distribution.
+"""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.evidence.edges import edge_levels, local_ranges, ranges_at
+from camctl.evidence.patch_errors import MEAN_RADIUS
+from camctl.evidence.ratio_check import SIGNIFICANCE
+from camctl.evidence.residual import Limits, Pair
+from camctl.evidence.spill import LightSpread, Lines
+from camctl.interface.camera import Pixels
+from camctl.system.picture_operations import box_sums, opencv
+from camctl.system.threads import in_threads
+
+FALSE_ALARMS = 0.002
+"""Share of the samples of a scene without movement that noise marks, at most: the promise of the
+mask.  Half of it is for single samples and half for means, and each is divided by the pairs."""
+
+#: Residuals count up to so many standard deviations in a mean: a single sample (a cosmic ray, a
+#: pixel that blinks) is 4 / 5 of one there, and is not significant by itself.
+_MOST_SIGMAS = 4.0
+#: Steps in which residuals are counted, of a standard deviation: the rounding of two tables adds at
+#: most 5 / 32 of one to a mean.
+_STEPS = 32
+#: Cells of the map of movement along the longer side of a picture, at most, and the least side of
+#: one, pixels.
+_MAP_SIDE, _LEAST_CELL = 160, 8
+#: Samples that are compared at a time: their residuals in float32 fit a cache of 2 MB.
+STRIP_SAMPLES = 1 << 18
+
+Mask = NDArray[np.bool_]
+Packed = NDArray[np.uint8]
+"""Marks of samples as bits, packed along each row."""
+_Levels = NDArray[np.int16]
+
+
+class Marks:
+    """Where samples of the pairs compared so far contradict.
+
+    Args:
+        shape: of a frame
+        pairs: how many there are
+
+    Attributes:
+        sigmas: quantile from which samples have marks
+        significant: quantile from which a mean is no noise
+        cell: see `Movement`
+        cells: cells with a significant mean
+        marks: see `Movement`, without light that spread
+        spilled: likewise of light that spread
+        compared: the largest share of the samples that a pair compares
+    """
+
+    def __init__(self, shape: tuple[int, ...], pairs: int) -> None:
+        self.shape = shape
+        rows, columns, channels = (*shape, 1)[:3]
+        normal = NormalDist()
+        self.sigmas = -normal.inv_cdf(FALSE_ALARMS / 4 / pairs)
+        self.significant = -normal.inv_cdf(SIGNIFICANCE / 2 / pairs / math.prod(shape))
+        self.cell = max(_LEAST_CELL, -(-max(rows, columns) // _MAP_SIDE))
+        self.cells: Mask = np.zeros((-(-rows // self.cell), -(-columns // self.cell)), np.bool_)
+        self.marks: Packed = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
+        self.spilled = np.zeros_like(self.marks)
+        self.compared = 0.0
+
+    def add(self, pair: Pair, short: tuple[Pixels, Lines], long: tuple[Pixels, Lines]) -> None:
+        """Compare two frames."""
+        limits = pair.limits(self.sigmas)
+        ranges = local_ranges(long[0], pair.sensor.white) if pair.is_processed else None
+        spread = LightSpread.of(limits, pair, short[1], long[1], ranges)
+        work = _FramePair(self, limits, spread, short[0], long[0], ranges)
+        count = sum(in_threads(work.mark, work.areas()))
+        self.compared = max(self.compared, count / math.prod(self.shape))
+
+    def within(self, rows: slice, columns: slice) -> Mask:
+        """Return which pixels have marks in any colour."""
+        channels = (*self.shape, 1)[2]
+        part = np.unpackbits(self.marks[rows], axis=1, count=self.shape[1] * channels)
+        pixels = part.reshape(len(part), self.shape[1], channels)[:, columns]
+        return np.asarray(pixels.any(axis=2))
+
+
+class _FramePair:
+    """Two frames that are compared, area by area."""
+
+    def __init__(
+        self,
+        total: Marks,
+        limits: Limits,
+        spread: LightSpread,
+        short: Pixels,
+        long: Pixels,
+        ranges: NDArray[np.uint8] | None,
+    ) -> None:
+        self._total, self._limits, self._spread = total, limits, spread
+        self._short, self._long, self._ranges = short, long, ranges
+        self._has_means = limits.pair.is_measured and not limits.pair.sensor.is_coarse
+        self._tables = _residual_tables(limits.pair, short.dtype)
+        self._nearest = _nearest_outside(limits, *self._tables)
+
+    def areas(self) -> list[tuple[slice, slice]]:
+        """Return the rows and columns of the parts that are compared at a time."""
+        (rows, columns), cell = self._short.shape[:2], self._total.cell
+        channels = self._short.size // (rows * columns)
+        if not self._spread.is_any:
+            step = max(1, STRIP_SAMPLES // (columns * channels * cell)) * cell
+            return [(slice(top, top + step), slice(0, columns)) for top in range(0, rows, step)]
+        # Charge flows along columns, so that a part has whole ones, and the marks of one whole
+        # bytes.
+        step = max(1, STRIP_SAMPLES // (rows * channels * 8 * cell)) * 8 * cell
+        return [(slice(0, rows), slice(left, left + step)) for left in range(0, columns, step)]
+
+    def mark(self, area: tuple[slice, slice]) -> int:
+        """Add what contradicts in an area; return how many samples can be compared."""
+        shape = self._short.shape
+        outer = tuple(
+            slice(max(0, part.start - MEAN_RADIUS), min(part.stop + MEAN_RADIUS, length))
+            for part, length in zip(area, shape, strict=False)
+        )
+        first = outer[0].start, outer[1].start
+        inner = tuple(
+            slice(part.start - start, min(part.stop, length) - start)
+            for part, length, start in zip(area, shape, first, strict=False)
+        )
+        short, long = self._short[outer], self._long[outer]
+        comparable = long < self._limits.pair.saturated
+        residuals = self._residuals(short, long, comparable) if self._has_means else None
+        found = self._outside(short, long, residuals, first)
+        spilled = free = None
+        if self._spread.is_any:
+            found, free = self._spread.separated(self._limits, found, comparable, short, long)
+            spilled, found, comparable = found & ~free, found & free, comparable & free
+        if residuals is not None:
+            if free is not None:
+                residuals *= free
+            places, sizes = self._contradicting_means(residuals, long, first)
+            found[places] = True
+            self._add_cells(area, first, places, sizes > self._total.significant)
+        _pack(self._total.marks, found[inner], area)
+        if spilled is not None:
+            _pack(self._total.spilled, spilled[inner], area)
+        return int(np.count_nonzero(comparable[inner]))
+
+    def _outside(
+        self, short: Pixels, long: Pixels, residuals: _Levels | None, first: tuple[int, int]
+    ) -> Mask:
+        """Return which samples contradict by themselves.
+
+        Those whose residual is as far from 0 as the nearest that may contradict are looked at one
+        by one, if they are few.
+        """
+        limits = self._limits
+        if residuals is not None:
+            below, above = self._nearest
+            near = (residuals <= below) | (residuals >= above)
+            places = np.unravel_index(np.flatnonzero(near), near.shape)
+            if places[0].size <= near.size // 16:
+                near[places] = limits.outside_at(
+                    places, short[places], long[places], self._ranges, first
+                )
+                return near
+        return limits.outside(short, long, self._ranges, first)
+
+    def _contradicting_means(
+        self, residuals: _Levels, long: Pixels, first: tuple[int, int]
+    ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
+        """Return the places of samples whose mean contradicts, and the size of its residual.
+
+        Args:
+            residuals: of the samples of a part, 0 where one does not count
+            long: the same part of the longer frame
+            first: row and column where the part begins
+        """
+        side, pair = 2 * MEAN_RADIUS + 1, self._limits.pair
+        sums = box_sums(residuals, MEAN_RADIUS)
+        limit = int(self._total.sigmas * side * _STEPS)
+        # As numbers without a sign those below -limit are large.
+        contradict = (sums + np.int16(limit)).view(np.uint16) > 2 * limit
+        # Most areas have none; numpy's nonzero is five times as slow as this.
+        places = np.unravel_index(np.flatnonzero(contradict), contradict.shape)
+        # A sample beside what moved is in its mean, and does not differ by itself: it has to by as
+        # much as each sample of the weakest mean that contradicts.
+        own = residuals[places].astype(np.int32) * np.sign(sums[places])
+        used = own * side > self._total.sigmas * _STEPS
+        places = tuple(each[used] for each in places)
+        sizes = np.abs(sums[places]) / (side * _STEPS)
+        if self._ranges is not None:
+            white, tables = pair.sensor.white, pair.tables
+            after = places[2], np.minimum(long[places], white)
+            around = ranges_at(self._ranges, places, first)
+            edges = side * edge_levels(around, white) * pair.sensor.step(tables.mean[after])
+            square = tables.square[after]
+            sizes *= square / np.hypot(square, edges)
+            used = sizes > self._total.sigmas
+            places, sizes = tuple(each[used] for each in places), sizes[used]
+        return places, sizes
+
+    def _residuals(self, short: Pixels, long: Pixels, comparable: Mask) -> _Levels:
+        """Return the normalised residual of each sample, in `_STEPS` of a standard deviation.
+
+        It is within `_MOST_SIGMAS`, and not above 0 where the longer frame is saturated.
+        """
+        lights, means = self._tables
+        found = _looked_up(lights, short)
+        found -= _looked_up(means, long)
+        most = np.multiply(comparable, np.int16(_MOST_SIGMAS * _STEPS), dtype=np.int16)
+        np.minimum(found, most, out=found)
+        # numpy is six times as fast with a row as with a number.
+        least = np.full(found.shape[1:], -_MOST_SIGMAS * _STEPS, np.int16)
+        return np.maximum(found, least, out=found)
+
+    def _add_cells(
+        self,
+        area: tuple[slice, slice],
+        first: tuple[int, int],
+        places: tuple[NDArray[np.intp], ...],
+        chosen: Mask,
+    ) -> None:
+        """Set the cells of the chosen places that are in an area."""
+        rows, columns = (start + each[chosen] for start, each in zip(first, places, strict=False))
+        inside = (rows >= area[0].start) & (rows < area[0].stop)
+        inside &= (columns >= area[1].start) & (columns < area[1].stop)
+        cell = self._total.cell
+        self._total.cells[rows[inside] // cell, columns[inside] // cell] = True
+
+
+def _residual_tables(
+    pair: Pair, dtype: np.dtype[np.uint8] | np.dtype[np.uint16]
+) -> tuple[_Levels, _Levels]:
+    """Return tables by the value of a sample: its light, and the light that it predicts.
+
+    Light is counted in standard deviations of the mean of a square, which makes the variance of
+    photon noise one everywhere (Anscombe, 1948), and in `_STEPS` of them.  (colours, values of the
+    type): samples above white count as white.
+    """
+    sensor, white = pair.sensor, pair.sensor.white
+    codes = np.minimum(np.arange(np.iinfo(dtype).max + 1), white)
+    tables = np.empty((2, len(pair.tables.mean), white + 1))
+    for k, (mean, square) in enumerate(zip(pair.tables.mean, pair.tables.square, strict=True)):
+        # The response may be flat, and measured errors not quite ascending.
+        light, first = np.unique(np.maximum.accumulate(mean[: pair.saturated]), return_index=True)
+        density = 1 / np.maximum(square[first], 1e-12 * sensor.full)
+        scale = np.append(0.0, np.cumsum(np.diff(light) * (density[1:] + density[:-1]) / 2))
+        for number, each in enumerate((sensor.light, mean)):
+            inside = np.interp(each, light, scale)
+            inside += np.minimum(each - light[0], 0.0) * density[0]
+            tables[number, k] = inside + np.maximum(each - light[-1], 0.0) * density[-1]
+    # The difference of two fits into 16 bits.
+    found = np.rint(np.clip(tables * _STEPS, -16000, 16000)).astype(np.int16)[..., codes]
+    return found[0], found[1]
+
+
+def _nearest_outside(limits: Limits, lights: _Levels, means: _Levels) -> tuple[int, int]:
+    """Return the residuals nearest to 0, below and above it, that samples outside limits have."""
+    most = int(_MOST_SIGMAS * _STEPS)
+    below, above = -most, most
+    white = limits.low.shape[1] - 1
+    for low, high, light, mean in zip(limits.low, limits.high, lights, means, strict=True):
+        predicted = mean[: white + 1].astype(np.int32)
+        under, over = low > 0, high < white
+        if under.any():
+            below = max(below, int((light[low[under] - 1] - predicted[under]).max()))
+        if over.any():
+            above = min(above, int((light[high[over] + 1] - predicted[over]).min()))
+    return below, above
+
+
+def _looked_up(tables: _Levels, samples: Pixels) -> _Levels:
+    """Return the value of each sample in the table of its colour, or in the only one."""
+    cv2 = opencv() if samples.dtype == np.uint8 else None
+    if len(tables) == 1:
+        return tables[0][samples] if cv2 is None else np.asarray(cv2.LUT(samples, tables[0]))
+    if cv2 is not None:
+        table = np.ascontiguousarray(tables.T).reshape(1, 256, 3)
+        return np.asarray(cv2.LUT(samples, table))
+    return np.stack([tables[k][samples[..., k]] for k in range(len(tables))], axis=-1)
+
+
+def _pack(packed: Packed, marks: Mask, area: tuple[slice, slice]) -> None:
+    """Add marks of an area to the packed ones."""
+    bits = np.packbits(marks.reshape(len(marks), -1), axis=1)
+    first = area[1].start * marks[0, 0].size // 8
+    packed[area[0], first : first + bits.shape[1]] |= bits
