@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from camctl.evidence.light_ratio import NeighbourCheck, lamp_factor
+from camctl.evidence.light_ratio import FrameSample, NeighbourCheck, lamp_factor
 from camctl.evidence.ratio_check import RatioCheck
+from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse, linear_response
 
 
@@ -72,6 +73,51 @@ def test_moving_object_changes_only_its_own_pixels() -> None:
     result = check.check(1, 2.0, (1.0, 1.0), None)
     assert result.agrees
     assert result.moved == pytest.approx(0.2, abs=0.03)
+
+
+def noisy_pair(
+    true: float, *, known: bool, thing: float | None = None, seed: int = 0
+) -> tuple[NeighbourCheck, FrameSample, FrameSample]:
+    """Return frames of 39 electrons a level whose exposures differ by a factor of `true`.
+
+    A thing of another light, if there is one, covers 40 % of the second frame.
+    """
+    real, rng = linear_response(8), np.random.default_rng(seed)
+    E = np.exp(rng.uniform(np.log(0.02), np.log(0.22), (40, 50))).repeat(8, 0).repeat(8, 1)
+    check, samples = NeighbourCheck(real, 0), []
+    for exposure in (1.0, true):
+        light = E * exposure
+        if thing is not None and exposure != 1:
+            light[:128] = thing
+        light = light + np.hypot(np.sqrt(light / 39 / 256), 0.1 / 256) * rng.normal(size=E.shape)
+        noise = FrameNoise(39.0, 0.1) if known else None
+        samples.append(check.sample(frame_of(light, real), noise))
+    return check, samples[0], samples[1]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_interval_holds_the_true_ratio_and_not_one_that_is_3_percent_off(known: bool) -> None:
+    for seed in range(20):
+        check, before, after = noisy_pair(4.0, known=known, seed=seed)
+        right = check.compare(before, after, 4.0)
+        assert right.agrees
+        assert right.measured == pytest.approx(4.0, rel=right.tolerance)
+        assert right.tolerance < 0.03
+        wrong = check.compare(before, after, 4.0 * 1.03)
+        assert not wrong.agrees
+        assert wrong.is_of_whole_picture
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("thing", [0.05, 0.7])
+def test_a_thing_in_two_fifths_of_the_picture_does_not_change_the_ratio(
+    known: bool, thing: float
+) -> None:
+    check, before, after = noisy_pair(4.0, known=known, thing=thing)
+    result = check.compare(before, after, 4.0)
+    assert result.agrees
+    assert result.measured == pytest.approx(4.0, rel=0.02)
+    assert result.moved == pytest.approx(0.4, abs=0.06)
 
 
 def test_frames_without_common_light_have_no_measured_ratio() -> None:
