@@ -89,7 +89,8 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
         DynamicRange(),
     ),
     "count": RequestOption(
-        f"Number of exposures.  [default: {DEFAULT_COUNT}]",
+        "Number of exposures.  [default: as many as pay: with more time the accuracy grows no "
+        f"faster than by averaging; {DEFAULT_COUNT} where they are chosen by xi]",
         "N",
         COUNT,
     ),
@@ -102,7 +103,7 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
     ),
     "accuracy": RequestOption(
         "Reach so many effective levels, noise included, in the least time; the number of "
-        "exposures, up to 6, is then chosen too, unless -n is given.",
+        "exposures, up to 16, is then chosen too, unless -n is given.",
         "LEVELS",
         Number("a number of effective levels from 1", least=1),
     ),
@@ -114,7 +115,7 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
     ),
     "time_budget_s": RequestOption(
         "Longest time from the first frame's request until the last frame has arrived; the number "
-        "of exposures, up to 6, is then chosen too, unless -n is given.",
+        "of exposures, up to 16, is then chosen too, unless -n is given.",
         "SECONDS",
         Seconds(),
     ),

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from time import process_time
 
 from camctl.errors import UsageError
@@ -31,6 +30,12 @@ NEAR_TIE = 0.005
 
 COUNTS: tuple[int, ...] = tuple(range(1, MAX_EXPOSURES + 1))
 """Numbers of exposures to choose from where none is given."""
+
+
+KEPT_SEARCHES = 16
+"""Searches whose findings are kept, about 1 MB each: a plan compares up to nine ranges."""
+
+_kept: dict[str, AccurateSets] = {}
 
 
 class TooInaccurateError(UsageError):
@@ -126,12 +131,12 @@ def solve_accuracy(
 
 def accurate_sets(problem: AccuracyProblem, counts: Sequence[int]) -> AccurateSets:
     """Return the search for sets of `counts` exposures; what it has found is kept for a while."""
-    return _kept_sets(problem, (min(counts), max(counts)))
-
-
-@lru_cache(maxsize=8)
-def _kept_sets(problem: AccuracyProblem, counts: tuple[int, int]) -> AccurateSets:
-    return AccurateSets(problem, counts)
+    key = repr((*problem.identity, problem.available.costs, min(counts), max(counts)))
+    if key not in _kept:
+        if len(_kept) >= KEPT_SEARCHES:
+            _kept.pop(next(iter(_kept)))
+        _kept[key] = AccurateSets(problem, (min(counts), max(counts)))
+    return _kept[key]
 
 
 def sets_within(problem: AccuracyProblem, counts: Sequence[int], limit: float) -> AccurateSets:

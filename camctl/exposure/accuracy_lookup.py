@@ -7,8 +7,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from camctl.exposure.accuracy import NEAR_TIE, AccuracySolution, solve_accuracy
 from camctl.exposure.build import COUNTS, cached_row
 from camctl.exposure.exposure_choices import AccuracyProblem, TimeCosts
@@ -17,6 +15,10 @@ from camctl.exposure.table import TableEntry, accuracy_rows
 
 VERSION = 2
 """Part of the key of a row; it changes where the search finds other exposures."""
+
+
+LIMITED_VERSION = 1
+"""The same for rows with a time limit, an accuracy or the costs of a capture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,25 +52,17 @@ class AccuracyJob:
     @property
     def key(self) -> str:
         """First 16 hex digits of a hash of everything that decides the result."""
-        problem = self.problem
-        available = problem.available
-        times = None if available.times is None else np.ravel(available.times).tolist()
+        available = self.problem.available
+        is_plain = available.costs == TimeCosts() and self.accuracy is None
+        is_plain = is_plain and math.isinf(self.total_limit) and not self.recommended
         parts = (
             VERSION,
             NEAR_TIE,
-            problem.response.fingerprint,
-            problem.desired.key,
-            problem.desired.dynamic_range,
-            problem.noise,
-            problem.black,
-            times,
-            (available.gains, available.shortest, available.longest, available.base),
-            available.unit_s if available.dark_unit_s is None else available.dark_unit_s,
+            *self.problem.identity,
             self.counts,
             self.total_limit,
             self.accuracy,
-            *([] if available.costs == TimeCosts() else [available.costs]),
-            *(["recommended"] if self.recommended else []),
+            *([] if is_plain else [LIMITED_VERSION, available.costs, self.recommended]),
         )
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 

@@ -19,6 +19,7 @@ from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, bases
 from camctl.exposure.judge import Judge
 from camctl.exposure.least_quantisation import least_quantisation
 from camctl.exposure.listed_sets import ListedSets
+from camctl.exposure.random_sets import interleave_step
 from camctl.model.distribution import deviation
 
 DITHERING = 0.3
@@ -36,10 +37,14 @@ sets can be told apart from 2 sqrt(2) x 1.05 % on."""
 NEARLY = 0.98
 """Share of this from which a traced set is refined: that changes the levels by less than 1 %."""
 
-MOST_POLISHED = 40
-"""Exact ratings beside that of a set, divided by the number of its exposures: 0.1 s for 8 bits."""
+MOST_POLISHED = 25_000
+"""Levels of the sums of sets that are rated exactly beside one, at most: 0.25 s for 8 bits.  With
+more levels the noise hides how they interleave."""
 
-POLISHED_SHARES = (0.1, 0.05, 0.05, 0.03, 0.03, 0.02)
+SPREADS = (0.5, 1.0, 1.5)
+"""Distances tried between equal exposures, in gaps between levels near full scale."""
+
+POLISHED_SHARES = (0.1, 0.05, 0.05, 0.03, 0.03, 0.02, 0.01)
 """Shares by which one exposure after the other is changed there."""
 
 CORRECTIONS = 6
@@ -47,6 +52,9 @@ CORRECTIONS = 6
 
 CLOSE = 1.001
 """Ratio of effective levels up to which a set has not more of them than asked for."""
+
+TRACED = 1.1
+"""Share of an accuracy up to which the front is traced: estimates err by less."""
 
 NEAR_TIME = 1.003
 """Ratio of times within which the shortest time for an accuracy is found."""
@@ -121,13 +129,17 @@ class AccurateSets:
 
     def _polished(self, search: DesignSearch, design: Design, limit: float) -> Rated:
         best = self.judge(search.shots(design))
-        remaining = MOST_POLISHED // design.n
-        for share in POLISHED_SHARES:
-            for trial in search.neighbours(design, limit, share):
-                if not remaining:
-                    return best
-                rated, remaining = self.judge(search.shots(trial)), remaining - 1
-                if rated.levels > best.levels:
+        remaining = MOST_POLISHED // (design.n * self.problem.response.M)
+        if search.is_list or not remaining:
+            return best
+        gap = interleave_step(self.problem.response)
+        trials = [search.spread(design, limit, share * gap) for share in SPREADS]
+        for share in (0.0, *POLISHED_SHARES):
+            trials = trials if not share else search.neighbours(design, limit, share)
+            for trial in trials[:remaining]:
+                remaining -= 1
+                rated = self.judge(search.shots(trial))
+                if rated.levels > best.levels and rated.time <= limit * (1 + SAME):
                     best, design = rated, trial
                     break
         return best
@@ -138,12 +150,13 @@ class AccurateSets:
         if self.enumerated:
             return best
         fixed, low = self.problem.available.costs.fixed, self.least_time(self.counts[0])
-        limit = min(limit, max(low, self.longest_of_use))
         time = max(low, min(self._estimated_time(levels), limit))
+        if not any(search.trace(levels=levels)[-1].levels >= levels for search in self.searches):
+            limit = min(limit, max(low, self.longest_of_use))
         # Near a time the levels grow as its power w/2; `missed` is the longest time that failed.
         weight, missed, last = 1.0, low, None
         for _ in range(CORRECTIONS):
-            found = self.within(time)
+            found = self.within(time, polished=False)
             if found.levels >= levels and (best is None or found.time < best.time):
                 best = found
             elif found.levels < levels:
@@ -159,14 +172,18 @@ class AccurateSets:
                 break
             if not missed < time < top:
                 middle = math.sqrt((missed + fixed) * (top + fixed)) - fixed
-                time = top if best is None else middle
+                time = top if best is None and math.isfinite(top) else middle
+            if not math.isfinite(time):
+                time = 2 * (found.time + fixed) - fixed
         return best
 
     def _estimated_time(self, levels: float) -> float:
         """Return about the time at which a set has `levels`, along the traced front."""
         times = []
         for search in self.searches:
-            front = [*search.trace(), search.most_accurate]
+            front = search.trace(levels=TRACED * levels)
+            if front[-1].levels < levels:
+                front = [*front, search.most_accurate]
             rising = np.maximum.accumulate([design.levels for design in front])
             times.append(float(np.interp(levels, rising, [design.time for design in front])))
         return min(times)
@@ -181,7 +198,7 @@ class AccurateSets:
         both = [(search.at_weight(1.0), search) for search in self.searches]
         chosen, search = max(both, key=lambda pair: rate(pair[0]))
         least = KNEE * rate(chosen)
-        for design in search.trace():
+        for design in search.trace(weight=1.0):
             if design.time < chosen.time and rate(design) >= NEARLY * least:
                 refined = search.within(design.time)
                 if rate(refined) >= least:

@@ -114,6 +114,7 @@ class DesignSearch:
         self.cost = self._cost(self.log_exposure, self.gain)
         self.bases = np.flatnonzero(self.log_exposure <= SAME)
         self._trace: list[Design] = []
+        self._weights, self._traced_weight = list(WEIGHTS), math.inf
 
     def _options(self) -> tuple[FloatArray, NDArray[np.intp]]:
         """Return ln(exposure) and gain of the frames that sets are exchanged with."""
@@ -170,8 +171,19 @@ class DesignSearch:
 
     def shots(self, design: Design) -> Shots:
         """Return the frames of a set, ascending in exposure."""
-        times = self._times(design.log_exposure, design.gain)
-        rows = zip(np.exp(design.log_exposure), times, self.gains[design.gain], strict=True)
+        return self._shots(design.log_exposure, design.gain)
+
+    @property
+    def option_shots(self) -> Shots:
+        """The frames that sets are exchanged with, in the order of `log_exposure`."""
+        return self._shots(self.log_exposure, self.gain)
+
+    def _shots(self, log_exposure: FloatArray, gain: NDArray[np.intp]) -> Shots:
+        times = self._times(log_exposure, gain)
+        if self.is_list:  # without what the logarithms round
+            listed = np.unique(np.asarray(self.problem.available.times, dtype=np.float64))
+            times = listed[np.abs(listed - times[:, np.newaxis]).argmin(axis=1)]
+        rows = zip(np.exp(log_exposure), times, self.gains[gain], strict=True)
         return tuple(Shot(float(e), float(t), float(g)) for e, t, g in rows)
 
     def _merit(self, mse: FloatArray, time: FloatArray, weight: float) -> FloatArray:
@@ -337,19 +349,28 @@ class DesignSearch:
         rate = np.where(times > self.costs.least, self.costs.factor * times / total, 0.0)
         return (gradient, hessian), (rate, np.diag(rate) - np.outer(rate, rate))
 
-    def trace(self) -> list[Design]:
-        """Return sets along the front, the shortest first: for `WEIGHTS`, and for each number."""
-        if not self._trace:
-            current = self.fastest(self.counts[0])
-            for weight in WEIGHTS:
-                best = self.tuned(self.exchanged(current, weight), weight)
-                while current.n + 1 < best.n:
-                    current = self.tuned(self._added(current, weight), weight)
-                    self._trace.append(current)
-                self._trace.append(best)
-                current = best
-            self._trace.sort(key=lambda each: each.time)
-        return self._trace
+    def trace(
+        self, *, time: float = math.inf, levels: float = math.inf, weight: float = 0.0
+    ) -> list[Design]:
+        """Return sets along the front, the shortest first: for `WEIGHTS`, and for each number.
+
+        They go on until two take longer than `time`, one has more than `levels`, or one is for a
+        smaller `weight`; what was traced before is not traced again.
+        """
+        while (
+            len(self._weights) > 0
+            and sum(each.time > time * (1 + SAME) for each in self._trace[-2:]) < 2
+            and not (self._trace and self._trace[-1].levels > levels)
+            and not (self._trace and self._traced_weight < weight)
+        ):
+            self._traced_weight = next_weight = self._weights.pop(0)
+            current = self._trace[-1] if self._trace else self.fastest(self.counts[0])
+            best = self.tuned(self.exchanged(current, next_weight), next_weight)
+            while current.n + 1 < best.n:
+                current = self.tuned(self._added(current, next_weight), next_weight)
+                self._trace.append(current)
+            self._trace.append(best)
+        return sorted(self._trace, key=lambda each: each.time)
 
     def _added(self, design: Design, weight: float) -> Design:
         """Return a set with the best frame added, and each frame then exchanged."""
@@ -359,7 +380,8 @@ class DesignSearch:
 
     def at_weight(self, weight: float) -> Design:
         """Return the set of least ln(mse) + w ln(time)."""
-        current = min(self.trace(), key=lambda each: self.merit(each, weight))
+        traced = self.trace(weight=weight)
+        current = min(traced, key=lambda each: self.merit(each, weight))
         for _ in range(4):
             improved = self.tuned(self.exchanged(current, weight), weight)
             if not self.merit(improved, weight) < self.merit(current, weight) - _BETTER:
@@ -378,10 +400,11 @@ class DesignSearch:
 
         `limit` is at least `least_time` of the fewest frames.
         """
-        if self.most_accurate.time <= limit * (1 + SAME):
+        traced = self.trace(time=limit)
+        below = [each for each in traced if each.time <= limit]
+        above = [each for each in traced if each.time > limit]
+        if not above and self.most_accurate.time <= limit * (1 + SAME):
             return self.most_accurate
-        below = [each for each in self.trace() if each.time <= limit]
-        above = [each for each in self.trace() if each.time > limit]
         starts = [self.fastest(self.counts[0])]
         for start in below[-2:] + above[:2]:
             starts += self._resized(start, limit)
@@ -399,6 +422,16 @@ class DesignSearch:
                 break
             best = improved
         return best
+
+    def spread(self, design: Design, limit: float, step: float) -> Design:
+        """Return a set with its nearly equal exposures `step` apart, so that levels interleave."""
+        at, first, count = design.log_exposure.copy(), 0.0, 0
+        for place in range(1, design.n):
+            count += 1
+            if at[place] > first + 2 * step * count:
+                first, count = float(at[place]), 0
+            at[place] = first + step * count
+        return self._fitted(self._moved(design, at[1:] - design.log_exposure[1:]), limit)
 
     def neighbours(self, design: Design, limit: float, share: float) -> list[Design]:
         """Return a set with each time but the first `share` longer or shorter.
@@ -460,8 +493,10 @@ class DesignSearch:
             )
 
         smallest, largest = -LARGEST_CHANGE, LARGEST_CHANGE
-        if total(smallest) > left:
+        shortest = total(smallest)
+        if shortest > left * (1 + 3 * SAME):
             return self.fastest(design.n)
+        left = max(left, shortest)
         while largest - smallest > SAME:
             middle = (smallest + largest) / 2
             smallest, largest = (middle, largest) if total(middle) <= left else (smallest, middle)

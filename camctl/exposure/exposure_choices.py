@@ -193,6 +193,22 @@ class AccuracyProblem:
         levels = self.response.levels
         return 1 / (self.desired.e_min or float(levels[levels > 0][0]) / 16)
 
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """Everything that decides which sets are best, but for the costs of time."""
+        available = self.available
+        times = None if available.times is None else np.ravel(available.times).tolist()
+        return (
+            self.response.fingerprint,
+            self.desired.key,
+            self.desired.dynamic_range,
+            self.noise,
+            self.black,
+            times,
+            (available.gains, available.shortest, available.longest, available.base),
+            available.unit_s if available.dark_unit_s is None else available.dark_unit_s,
+        )
+
     def frame_noise(self, shot: Shot) -> FrameNoise:
         """Return the noise of a frame with this exposure."""
         available = self.available

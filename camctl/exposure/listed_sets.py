@@ -106,19 +106,19 @@ class ListedSets:
         times: list[FloatArray] = [np.empty(0)]
         levels: list[FloatArray] = [np.empty(0)]
         for search in self.searches:
-            all_shots = search.shots(search.design(search.log_exposure, search.gain))
+            shots = search.option_shots
             for n in self.numbers:
                 found = _rows(search, n)
                 times.append(search.cost[found].sum(axis=1))
                 for first in range(0, len(found), _CHUNK):
                     parts = search.parts[:, found[first : first + _CHUNK]].sum(axis=2)
                     levels.append((12 * search.frames.mse(parts)) ** -0.5)
-                sets += [tuple(all_shots[index] for index in row) for row in found.tolist()]
+                sets += [tuple(sorted(shots[index] for index in row)) for row in found.tolist()]
         estimate = np.concatenate(levels)
         if len(sets) <= MAX_RATED:
             estimate = np.full(len(sets), np.inf)  # all are rated: the estimate excludes none
         elif not self.dithered:
-            estimate = np.maximum(estimate, [self._noise_free(shots) for shots in sets])
+            estimate = np.maximum(estimate, [self._noise_free(each) for each in sets])
         return sets, np.concatenate(times), estimate
 
     def _noise_free(self, shots: Shots) -> float:

@@ -95,7 +95,7 @@ def test_requests_that_cannot_be_met_are_one_line(
 
 
 def test_shoot_chooses_by_accuracy_unless_asked_otherwise(run: Run) -> None:
-    arguments = ("--response", "linear", "-O", "size=64x48", "--json")
+    arguments = ("--response", "linear", "-n", "3", "-O", "size=64x48", "--json")
     by_accuracy = run("shoot", *arguments, "-o", "a").json
     by_xi = run("shoot", *arguments, "--set", "objective=xi", "-o", "b").json
     assert (by_accuracy["plan"]["objective"], by_xi["plan"]["objective"]) == ("accuracy", "xi")

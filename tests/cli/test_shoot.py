@@ -48,10 +48,11 @@ def test_shoot_without_options_takes_a_picture(run: Run) -> None:
     assert report["request"] == {}
     light, span = report["plan"]["light"], report["plan"]["dynamic_range"]
     assert light["needed"] <= span <= 2 * light["needed"]
-    assert len(report["frames"]) == 3
+    count = len(report["frames"])
+    assert count > 3  # more time than they take brings no more than averaging
     assert report["camera"]["id"] == "sim"
     for text in (
-        f"log, 1:{span:,.0f}, in 3 exposures",
+        f"log, 1:{span:,.0f}, in {count} exposures",
         "the scene spans",
         "effective levels",
         str(folder),
@@ -266,7 +267,7 @@ def test_interrupted_capture_can_be_resumed_once(run: Run, monkeypatch: pytest.M
 
     with monkeypatch.context() as patch:
         patch.setattr(SimulatedCamera, "shoot", shoot_one_frame)
-        ran = run("shoot", *SMALL, "-o", "here")
+        ran = run("shoot", *SMALL, "-n", "3", "-o", "here")
     assert ran.status == 130
     assert "camctl resume here" in ran.error
     assert run("resume", "here").status == 0

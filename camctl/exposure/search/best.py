@@ -141,10 +141,7 @@ class Search:
         for known, front in self._fronts:
             if known[0] is controls and known[1:] == key[1:]:
                 return front
-        request = self.request
-        if request.time_budget_s is None and request.accuracy is None:
-            request = replace(request, count=request.most_exposures)
-        front = Front(controls, desired, limit_s, request=request, before=before)
+        front = Front(controls, desired, limit_s, request=self.request, before=before)
         self._fronts.append((key, front))
         return front
 
