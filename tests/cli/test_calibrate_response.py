@@ -201,7 +201,7 @@ def test_what_is_not_exact_enough_is_kept_on_request_only(run: Run) -> None:
     assert ran.json["file"] is None
     assert list_profiles() == []
     assert "not kept in the camera's profile: at " in ran.err
-    assert ", and +-7% is needed; add frames of exposure " in ran.err
+    assert ", and +-7% is needed; add a frame of exposure " in ran.err
     assert run(*line, "--keep").json["file"] is not None
     assert len(list_profiles()) == 1
 

@@ -212,7 +212,7 @@ def shows_exposure(series: Series, channel: str) -> NDArray[np.bool_]:
     for position in range(len(series.exposures)):
         samples = series.channel_patches(position, channel)
         shares.append(np.mean((samples > least) & (samples <= series.highest)))
-    return np.array(shares) >= FEW
+    return np.array(shares) >= 2 * FEW
 
 
 def check_order_of_patches(series: Series) -> None:

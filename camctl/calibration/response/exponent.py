@@ -26,7 +26,7 @@ from camctl.model.response.camera import srgb_to_linear
 
 #: Brightness, share of full scale, at which the steepness is compared with sRGB, and the
 #: relative standard deviation of the exponent (tests/bench/bench_response.py).
-_STEEP, _STEEP_ERROR = 0.05, 0.2
+STEEP, _STEEP_ERROR = 0.05, 0.2
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Exponent:
 
 def expected_exponent(fit: ResponseFit) -> Exponent:
     """Return the exponent that makes the response of a fit about as steep as sRGB."""
-    srgb = math.log(srgb_to_linear(np.array(_STEEP)))
-    return Exponent(srgb / fit.log_at(_STEEP), _STEEP_ERROR)
+    srgb = math.log(srgb_to_linear(np.array(STEEP)))
+    return Exponent(srgb / fit.log_at(STEEP), _STEEP_ERROR)
 
 
 def exponent_of_chart(fit: ResponseFit, chart: ChartSamples) -> Exponent:
