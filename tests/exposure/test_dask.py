@@ -9,11 +9,10 @@ import pytest
 from camctl.exposure.build import build_table, table_jobs
 from camctl.model.response.camera import linear_response
 
-distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
-
 
 @pytest.mark.serial  # a cluster that has not started in 10 s of real time fails
 def test_a_cluster_of_two_processes_builds_the_same_table() -> None:
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
     cameras = [linear_response(3), linear_response(4)]
     jobs = table_jobs(cameras, ("linear", "log"), (20.0,), (1, 2, 3))
     expected = build_table(jobs)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import stats
 
 from sim.noise import largest_noise
 from sim.photon_counts import (
@@ -27,6 +27,13 @@ COUNTING = Sensor(
 )
 
 
+def stats() -> Any:
+    """Return scipy.stats, whose import takes a second: in each process that collects tests."""
+    from scipy import stats
+
+    return stats
+
+
 def counted(mean: float, sensor: Sensor = COUNTING, seed: int = 3) -> NDArray[np.int64]:
     """Return pixels of even light of `mean` electrons."""
     light = np.full(SAMPLES, mean / sensor.quantum_efficiency, dtype=np.float32)
@@ -38,7 +45,7 @@ def chi_square(counts: NDArray[np.int64], mean: float) -> tuple[float, int]:
 
     Neighbouring counts share a class until each class expects 10 samples.
     """
-    expected = stats.poisson.pmf(np.arange(counts.max() + 60), mean) * counts.size
+    expected = stats().poisson.pmf(np.arange(counts.max() + 60), mean) * counts.size
     classes = np.minimum.accumulate(np.cumsum(expected)[::-1])[::-1] // 10
     _, first = np.unique(classes, return_index=True)
     classed = np.add.reduceat(expected, first)
@@ -52,7 +59,7 @@ def chi_square(counts: NDArray[np.int64], mean: float) -> tuple[float, int]:
 def test_counts_are_poisson(mean: float) -> None:
     chi, freedom = chi_square(counted(mean), mean)
     print(f"mean {mean} e-: chi-square {chi:.1f} for {freedom} degrees of freedom")
-    assert stats.chi2.sf(chi, freedom) > 1e-4
+    assert stats().chi2.sf(chi, freedom) > 1e-4
 
 
 def test_the_chi_square_finds_the_continuous_noise() -> None:
@@ -68,7 +75,7 @@ def test_low_counts_are_the_exact_quantiles(mean: float) -> None:
     tail = (np.arange(500) + 0.5) / 2**32
     uniform = np.concatenate([random.random(50_000), tail, 1 - tail])
     means = np.full(uniform.size, mean, dtype=np.float32)
-    exact = stats.poisson.ppf(uniform, float(means[0]))
+    exact = stats().poisson.ppf(uniform, float(means[0]))
     assert np.array_equal(poisson_quantiles(means, uniform), exact)
 
 
@@ -76,7 +83,7 @@ def test_higher_counts_are_the_exact_quantiles_but_for_few_that_differ_by_one() 
     uniform = np.random.default_rng(2).random(100_000)
     for mean in (24.0, 60.0, 1e3, 1e5):
         means = np.full(uniform.size, mean, dtype=np.float32)
-        off = poisson_quantiles(means, uniform) - stats.poisson.ppf(uniform, mean)
+        off = poisson_quantiles(means, uniform) - stats().poisson.ppf(uniform, mean)
         assert np.abs(off).max() <= 1
         assert np.count_nonzero(off) < 1e-3 * off.size
 
@@ -90,7 +97,7 @@ def test_counts_stay_near_the_formula_of_the_bounds() -> None:
     a = m / (6 * m + 0.2)
     widest = 0.0
     for u in np.concatenate([tail, 1 - tail]):
-        z = float(stats.norm.ppf(u))
+        z = float(stats().norm.ppf(u))
         assert abs(z) <= LARGEST_COUNT_NOISE
         counts = poisson_quantiles(means, np.full(means.size, u)).astype(np.float64)
         assert np.all(np.diff(counts) >= 0)
@@ -103,7 +110,7 @@ def test_counts_stay_near_the_formula_of_the_bounds() -> None:
 def test_normal_quantiles_are_near_the_exact_ones() -> None:
     uniform = np.random.default_rng(4).random(50_000)
     uniform = np.concatenate([uniform, (np.arange(3000) + 0.5) / 2**24])
-    assert np.abs(normal_of(uniform) - stats.norm.ppf(uniform)).max() < 2e-3
+    assert np.abs(normal_of(uniform) - stats().norm.ppf(uniform)).max() < 2e-3
 
 
 @pytest.mark.parametrize("name", ["qcmos", "quanta-1", "quanta-3"])
@@ -127,8 +134,8 @@ def test_frames_of_counting_sensors_have_the_predicted_mean_and_noise(name: str)
     # One electron is one level: the chance to reach the top level, with the read noise.
     top = sensor.white
     charge = np.minimum(np.arange(60), sensor.full_well_e)
-    reached = stats.norm.sf((top - 0.5 - charge) / sensor.read_noise_e)
-    chance = float((stats.poisson.pmf(np.arange(60), mean) * reached).sum())
+    reached = stats().norm.sf((top - 0.5 - charge) / sensor.read_noise_e)
+    chance = float((stats().poisson.pmf(np.arange(60), mean) * reached).sum())
     error = 5 * math.sqrt(chance / dn.size) + 1e-3
     assert (dn >= top).mean() == pytest.approx(chance, abs=error)
 
