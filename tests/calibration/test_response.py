@@ -104,7 +104,9 @@ def error_of(estimate: ResponseEstimate | ResponseRecord, curve: Curve) -> float
 
 
 @pytest.mark.parametrize("name", CURVES)
-@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+@pytest.mark.parametrize(
+    "bits", [8, 12, *(pytest.param(each, marks=pytest.mark.slow) for each in (10, 16))]
+)
 def test_the_response_is_found_at_every_depth(name: str, bits: int) -> None:
     assert error_of(estimate_response(series_of(CURVES[name], bits)), CURVES[name]) < 0.003
 

@@ -58,7 +58,7 @@ def test_no_crash_loses_a_saved_frame_or_spoils_the_sum(
     assert {check["done"] for check in checks} == completed
 
 
-@pytest.mark.parametrize("scenario", ["force", "retry"])
+@pytest.mark.parametrize("scenario", ["retry", pytest.param("force", marks=pytest.mark.slow)])
 def test_some_crash_points(folder: Path, scenario: str) -> None:
     checks = sweep(folder, scenario, 31)
     assert [check for check in checks if check["wrong"]] == []

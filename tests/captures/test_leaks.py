@@ -158,7 +158,13 @@ def test_a_thousand_plans_leave_nothing_behind(
     assert len(list((tmp_path / "exposure").iterdir())) == 501
 
 
-@pytest.mark.parametrize("leak", ["memory", "small memory", "file", "thread"])
+@pytest.mark.parametrize(
+    "leak",
+    [
+        *("file", "thread"),
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("memory", "small memory")),
+    ],
+)
 def test_a_leak_is_found(tmp_path: Path, leak: str) -> None:
     kept: list[Any] = []
     ended = threading.Event()

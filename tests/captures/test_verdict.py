@@ -111,7 +111,8 @@ def test_untrustworthy_capture_has_all_its_files(tmp_path: Path) -> None:
     ("scene", "sensor"),
     [
         ("night-street", "complete"),
-        ("night-street", "ccd"),  # its drain keeps the streaks of the lamps short
+        # Its drain keeps the streaks of the lamps short.
+        pytest.param("night-street", "ccd", marks=pytest.mark.slow),
         ("grey-steps", "ccd"),  # light flows out of the bright steps into a tenth of the picture
         ("outdoor-sun", "complete"),
         ("pwm-lamp", "quanta-1"),
@@ -126,7 +127,13 @@ def test_light_that_spreads_and_noise_are_no_wrong_exposure(scene: str, sensor: 
     assert [frame.attempts for frame in report.frames] == [1, 1, 1]
 
 
-@pytest.mark.parametrize("sensor", ["standard", "phone", "complete", "ccd", "security"])
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        *("standard", "phone", "complete", "security"),
+        pytest.param("ccd", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("ratios", [(1.0, 8.9, 88.0), (1.0, 2.0, 6.2)])
 def test_moving_things_are_in_parts_of_the_picture(sensor: str, ratios: tuple[float, ...]) -> None:
     """Only the wheel moves: no sentence says that a frame as a whole is wrong."""

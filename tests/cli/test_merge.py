@@ -35,6 +35,7 @@ def test_a_series_becomes_a_radiance_map_without_warnings(run: Run, series: Seri
     assert "response: srgb, which fits the photographs" in ran.out
 
 
+@pytest.mark.slow
 def test_the_choice_is_that_of_a_camera_with_these_settings(run: Run, series: Series) -> None:
     line = series(FEW)
     found = run("merge", *line, "-n", "3", "-o", "hall", "--json").json

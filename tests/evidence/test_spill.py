@@ -35,11 +35,11 @@ def sensor_without_blooming(tmp_path: Path) -> str:
     ("scene", "count", "least"),
     [
         ("room", None, 0.97),
-        ("night-street", None, 0.97),
-        ("ball", None, 0.97),
+        pytest.param("night-street", None, 0.97, marks=pytest.mark.slow),
+        pytest.param("ball", None, 0.97, marks=pytest.mark.slow),
         # Two frames are 270 times apart: the shorter one has noise of a quarter of its signal.
         ("room", 2, 0.97),
-        ("night-street", 2, 0.8),
+        pytest.param("night-street", 2, 0.8, marks=pytest.mark.slow),
     ],
 )
 def test_samples_that_blooming_makes_wrong_are_marked(
@@ -78,7 +78,10 @@ def test_light_of_lamps_that_flicker_has_not_spread(sensor: str, stops: float) -
     assert not [each for each in report.findings if each.code == "light_spread"]
 
 
-@pytest.mark.parametrize("scene", ["room", "night-street", "ball"])
+@pytest.mark.parametrize(
+    "scene",
+    ["room", *(pytest.param(each, marks=pytest.mark.slow) for each in ("night-street", "ball"))],
+)
 def test_the_advice_against_light_that_spreads_helps(scene: str) -> None:
     report = shot("ccd", scene, camctl.CaptureRequest(dynamic_range="auto"))
     assert report.movement is not None
@@ -91,7 +94,10 @@ def test_the_advice_against_light_that_spreads_helps(scene: str) -> None:
     assert after.spread < 0.8 * report.movement.spread
 
 
-@pytest.mark.parametrize("sensor", ["standard", "phone", "complete"])
+@pytest.mark.parametrize(
+    "sensor",
+    ["phone", *(pytest.param(each, marks=pytest.mark.slow) for each in ("standard", "complete"))],
+)
 def test_sensors_without_much_blooming_have_no_warning(sensor: str) -> None:
     report = shot(sensor, "room", camctl.CaptureRequest(dynamic_range="auto"))
     assert report.movement is not None
