@@ -36,7 +36,7 @@ def test_a_frame_that_contradicts_is_named_by_its_file(run: Run, series: Series)
     assert (
         "camctl: warning: p01.png is 2 times as bright as p00.png, although exposed 3.4 times as "
         "much: one of the two exposures is wrong, or the light has changed (two photographs do not "
-        "show which) (--times)"
+        "show which) (--times SECONDS,...)"
     ) in ran.err.splitlines()
     assert "not trustworthy" in ran.err
     assert re.search(r"frame \d", ran.err) is None
