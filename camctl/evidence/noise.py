@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.patch_errors import LEAST_USABLE, TRIM
 from camctl.evidence.patches import Patches
 from camctl.model.distribution import MAX_READ_NOISE, MIN_ELECTRONS
 from camctl.model.effective import EffectiveCamera
@@ -28,12 +29,10 @@ from camctl.model.sensor import SensorModel
 #: Patches with a mean below this level are not used: clipping at black lessens their noise, and
 #: with little noise many of their samples are alike.
 _LEAST_LEVEL = 4.0
-#: Share of the samples of a patch that must be usable, and the fewest patches for a measurement.
-_LEAST_USABLE, _LEAST_PATCHES = 0.75, 48
+#: Fewest patches for a measurement.
+_LEAST_PATCHES = 48
 #: Patches of more contrast are not used: an error of the exposures would add to their difference.
 _MOST_CONTRAST = 0.1
-#: A patch whose variance is more than this many standard deviations from the fit has moved.
-_MOST_DEVIATIONS = 4.0
 _ROUNDS = 8
 #: Effective levels more uncertain than by this share are not stated: patches of nearly one
 #: brightness do not distinguish photon noise from read noise.
@@ -106,9 +105,7 @@ class _Patches:
             quantisation = self.quantisation(noise)
             expected = noise + quantisation
             scatter = np.sqrt(2 / self.freedom) * expected
-            used = np.abs(self.variance - expected) <= (
-                _MOST_DEVIATIONS * scatter + 0.5 * quantisation
-            )
+            used = np.abs(self.variance - expected) <= (TRIM * scatter + 0.5 * quantisation)
             if np.count_nonzero(used) <= 2:
                 break
             terms = self.terms[used] / scatter[used, None]
@@ -259,7 +256,7 @@ def _pair(
     spread = mean((difference - mean(difference)[:, None]) ** 2) * count / np.maximum(count - 1, 1)
     # The covariance of the frames is the scene's contrast: their noise is independent.
     contrast = mean((long - middle[:, None]) * (short - mean(short)[:, None]))
-    used = (count >= _LEAST_USABLE * usable.shape[1]) & (mean(short) >= _LEAST_LEVEL)
+    used = (count >= LEAST_USABLE * usable.shape[1]) & (mean(short) >= _LEAST_LEVEL)
     used &= contrast <= (_MOST_CONTRAST * np.maximum(middle, 1.0)) ** 2
     photon = middle * (gains[0] + gains[1] / ratio)
     read = np.full(middle.size, gains[0] ** 2 + (gains[1] / ratio) ** 2)

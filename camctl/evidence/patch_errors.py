@@ -31,14 +31,18 @@ MOST_OFFSET = 0.001
 """Largest light that is added to all samples, as a share of full scale: smear of a CCD without a
 shutter, of which data sheets state -60 dB at most."""
 
-#: Share of the samples of a patch that must be in range in both frames.
-_LEAST_USABLE = 0.75
+LEAST_USABLE = 0.75
+"""Share of the samples of a patch that must be in range in both frames."""
+
+TRIM = 4.0
+"""Standard deviations from which a patch is left out: noise leaves out a third of one of the 4,800
+patches of a frame."""
+
 #: Bins of brightness in which unknown noise is measured, at most: as many values as a fit of photon
 #: noise, read noise and the processing of photographs has bends.
 _MOST_BINS = 24
-#: Rounds of trimming, and standard deviations from which a patch is left out: noise leaves out a
-#: third of one of the 4,800 patches of a frame.
-_ROUNDS, _TRIM = 6, 4.0
+#: Rounds of trimming.
+_ROUNDS = 6
 #: Error of a response that mean errors of photographs may show, as a share of the light: beyond it
 #: all samples of a brightness have moved.
 _MOST_BIAS = 0.25
@@ -83,7 +87,7 @@ class PatchErrors:
         before: Patches,
         after: Patches,
         rests: NDArray[np.bool_] | None = None,
-        least: float = _LEAST_USABLE,
+        least: float = LEAST_USABLE,
     ) -> PatchErrors:
         """Compare patches, and keep those that rest and are in range.
 
@@ -116,19 +120,19 @@ class PatchErrors:
 
 
 def _trimmed_median(values: _Floats, spread: float) -> float:
-    """Return the median of positive values, without those above by `_TRIM` times `spread` of it."""
+    """Return the median of positive values, without those above by `TRIM` times `spread` of it."""
     found = float(np.median(values))
     for _ in range(_ROUNDS):
-        found = float(np.median(values[values <= found * (1 + _TRIM * spread)]))
+        found = float(np.median(values[values <= found * (1 + TRIM * spread)]))
     return found
 
 
 def _trimmed_mean(values: _Floats) -> float:
-    """Return the mean of positive values without those above `_TRIM` squared times the median.
+    """Return the mean of positive values without those above `TRIM` squared times the median.
 
     Blocks of JPEG files have such variances: many are smooth and some are not.
     """
-    return float(np.mean(values[values <= _TRIM**2 * max(float(np.median(values)), 1e-12)]))
+    return float(np.mean(values[values <= TRIM**2 * max(float(np.median(values)), 1e-12)]))
 
 
 def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
@@ -145,7 +149,7 @@ def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
     lit = part.light > 0
     ratios = (part.error - offset)[lit] / part.light[lit]
     correction = _within(
-        weighted_median(ratios, np.square(part.light[lit]) / variance[lit]), _TRIM * RESPONSE_ERROR
+        weighted_median(ratios, np.square(part.light[lit]) / variance[lit]), TRIM * RESPONSE_ERROR
     )
     errors = part.error - offset - correction * part.light
     variance = variance + offset**2 + np.square(RESPONSE_ERROR * part.light)
