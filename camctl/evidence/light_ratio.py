@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -187,7 +188,9 @@ class NeighbourCheck:
     def _votes(self, short: FrameSample, long: FrameSample, ratio: float) -> _Votes:
         """Return what the patches of two frames show of this ratio of their exposures."""
         sensor = self.scale
-        prediction = sensor.neighbour(ratio, short.noise, long.noise)
+        # Means of patches have no shift as single samples have, whose noise goes with their light.
+        mean = sensor.expected(ratio, short.noise, long.noise)
+        prediction = replace(sensor.neighbour(ratio, short.noise, long.noise), mean=mean)
         limits = [sensor.highest(each.noise) + 1 for each in (short, long)]
         rests = ~np.logical_or.reduce(
             [
@@ -219,12 +222,12 @@ class NeighbourCheck:
         # Errors of rounding, and parts of a picture that differ, are alike where brightness is.
         different = np.unique(np.rint(part.brightness[used])).size
         shared = np.sqrt(part.shared[used]) / light
-        mean, extra, weights = _fitted(logs, np.hypot(relative, added), self._sigmas)
+        middle, extra, weights = _fitted(logs, np.hypot(relative, added), self._sigmas)
         total = float(weights.sum())
         added, shared = (float((weights * each).sum()) / total for each in (added, shared))
         rest = math.hypot(shared, extra) / math.sqrt(different)
         error = math.hypot(RESPONSE_ERROR, added, rest, 1 / math.sqrt(total))
-        return _Votes(logs, relative, counts, self._sigmas * error, mean)
+        return _Votes(logs, relative, counts, self._sigmas * error, middle)
 
     def _saturated_votes(
         self, dim: FrameSample, bright: FrameSample, ratio: float

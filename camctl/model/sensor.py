@@ -130,6 +130,18 @@ class SensorModel:
         common = total * np.exp(-4 * np.square(np.pi) * noisy)
         return total - common, common
 
+    def expected(
+        self, ratio: float, short: FrameNoise | None, long: FrameNoise | None
+    ) -> FloatArray:
+        """Return the light of a shorter frame by the values of a `ratio` times as long one.
+
+        Means of many samples have it; dark current adds to the light of each frame.
+        """
+        dark = 0.0
+        if short is not None and long is not None:
+            dark = (short.dark_levels - long.dark_levels / ratio) * self.level
+        return np.asarray(self.light / ratio + dark)
+
     def neighbour(
         self, ratio: float, short: FrameNoise | None, long: FrameNoise | None
     ) -> Prediction:
@@ -140,12 +152,11 @@ class SensorModel:
         N + 1 and third moment 2 (N + 1).  Dark current adds to the light of each frame, and the
         offset of a pixel is the same in both.  Without a known noise there is rounding alone.
         """
-        mean = self.light / ratio
+        mean = self.expected(ratio, short, long)
         noise = np.zeros(mean.size), np.zeros(mean.size)
         own, third = np.zeros(mean.size), np.zeros(mean.size)
         if short is not None and long is not None:
             unit = self.level
-            mean = mean + (short.dark_levels - long.dark_levels / ratio) * unit
             electron = unit / short.electrons_per_level, unit / long.electrons_per_level
             lit = np.maximum(self.light, 0.0) + electron[1]
             # It may be larger than its sample shows by its standard deviation.

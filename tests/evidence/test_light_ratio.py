@@ -120,6 +120,21 @@ def test_a_thing_in_two_fifths_of_the_picture_does_not_change_the_ratio(
     assert result.moved == pytest.approx(0.4, abs=0.06)
 
 
+def test_few_electrons_do_not_shift_the_ratio() -> None:
+    """At a high gain a level is a third of an electron; the scene has 6 to 20 of them."""
+    real, rng = linear_response(10, levels=959), np.random.default_rng(0)
+    electrons = rng.uniform(6, 20, (30, 40)).repeat(8, 0).repeat(8, 1)
+    check, noise = NeighbourCheck(real, 64), FrameNoise(0.375, 13.0, black=64)
+    samples = []
+    for _ in range(2):
+        levels = rng.poisson(electrons) / 0.375 + rng.normal(0, 13, electrons.shape)
+        pixels = np.clip(np.rint(levels + 64), 0, 1023).astype(np.uint16)
+        samples.append(check.sample(pixels, noise))
+    result = check.compare(samples[0], samples[1], 1.0)
+    assert result.agrees
+    assert result.measured == pytest.approx(1.0, abs=0.01)
+
+
 def test_frames_without_common_light_have_no_measured_ratio() -> None:
     real = linear_response(8)
     E = np.where(np.arange(10_000) % 2, 0.9, 1e-5).reshape(100, 100)
