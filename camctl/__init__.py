@@ -85,6 +85,8 @@ if TYPE_CHECKING:
     from camctl.model.response.tabulated import tabulated_desired as tabulated_desired
     from camctl.photographs.merge import merge as merge
     from camctl.photographs.photograph_set import PhotographOptions as PhotographOptions
+    from camctl.pictures.combine import Combination as Combination
+    from camctl.pictures.combine import combine as combine
     from camctl.profiles.calibrated import open_camera as open_camera
     from camctl.records.capture_plan import CapturePlan as CapturePlan
     from camctl.records.folder_store import read_report as read_report
@@ -127,6 +129,7 @@ _NAMES = {
     "exposure.table": "ExposureTable",
     "photographs.merge": "merge",
     "photographs.photograph_set": "PhotographOptions",
+    "pictures.combine": "Combination combine",
     "profiles.calibrated": "open_camera",
     "model.noise": "FrameNoise NoiseModel",
     "model.response.camera": "CameraResponse linear_response standard_response",

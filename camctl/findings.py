@@ -50,6 +50,7 @@ CODES: Final[dict[str, str]] = {
     " marks at most; `place` is the one with most of them",
     "light_spread": "share of the samples that are too bright by light that spread, or that moved",
     "noise_differs": "effective levels that the pixels show; the known noise predicts others",
+    "noise_unknown": "share of the samples whose noise the frames do not show",
     # Photographs already taken; `details` name the files, which need not be frames of the picture.
     "blurred": "contrast over the contrast in the other photographs",
     "copy": "nothing: the second of its frames is the same photograph",

@@ -13,26 +13,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.errors import CaptureError, UsageError
+from camctl.errors import CaptureError
 from camctl.interface.camera import Pixels
+from camctl.pictures.combine import sum_dtype
 
 #: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small.
 _TILE = 1 << 20
-
-
-def sum_dtype(count: int, white: int) -> np.dtype[np.unsignedinteger]:
-    """Return the narrowest unsigned type that holds the sum of `count` samples of up to `white`.
-
-    Raises:
-        UsageError: 32 bits are not enough
-    """
-    for kind in (np.uint16, np.uint32):
-        if count * white <= np.iinfo(kind).max:
-            return np.dtype(kind)
-    raise UsageError(
-        f"the sum of {count} exposures of up to {white} does not fit in 32 bits",
-        hint=f"take at most {np.iinfo(np.uint32).max // white} exposures",
-    )
 
 
 class Accumulator:

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from camctl.captures.accumulator import sum_dtype
 from camctl.captures.plan import plan_capture
 from camctl.captures.sequence import Cancelled, OnProgress, Progress, Sequence
 from camctl.errors import DataError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Camera
 from camctl.interface.clock import VirtualClock
+from camctl.pictures.combine import sum_dtype
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import FolderStore
 from camctl.records.frame_store import CaptureStore, MemoryStore

@@ -8,13 +8,13 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from camctl.captures.accumulator import sum_dtype
 from camctl.captures.plan import plan_capture
 from camctl.captures.sequence import OnProgress
 from camctl.captures.sequencer import capture, resume
 from camctl.exposure.table import ExposureTable
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Layout
+from camctl.pictures.combine import sum_dtype
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import read_report
 from camctl.records.journal import SeriesJournal

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -124,9 +124,28 @@ class _Fit(NamedTuple):
         """Return noises whose squared effects add up to the variance of the effect of `noise`."""
         found = []
         for axis in np.linalg.cholesky(self.covariance).T:
-            inside = self.noise + axis if np.all(self.noise + axis >= 0) else self.noise - axis
-            found.append(np.maximum(inside, 0.0))
+            # Of both directions the one that leads farther before a noise is below 0.
+            steps = [sign * axis for sign in (1, -1)]
+            shares = [
+                min(1.0, *(-self.noise[step < 0] / step[step < 0]).tolist(), 1.0) for step in steps
+            ]
+            best = int(shares[1] > shares[0])
+            found.append(np.maximum(self.noise + shares[best] * steps[best], 0.0))
         return found
+
+
+class NoiseFit(NamedTuple):
+    """Noise that patches show, as (inverse electrons per level, squared read noise) at gain 1.
+
+    Attributes:
+        noise: what fits best, (2,)
+        neighbours: noises whose squared effects add up to the variance of the effect of `noise`
+        freedom: number of independent differences of samples that were used
+    """
+
+    noise: _Floats
+    neighbours: list[_Floats]
+    freedom: int
 
 
 def _least_squares(terms: _Floats, values: _Floats) -> tuple[_Floats, _Floats]:
@@ -164,10 +183,57 @@ def measure_noise(
             which frames have in common, are taken from it
         gains: linear gain of each frame
     """
+    fit = fit_noise(response, samples, exposures, gains, noise[0].black)
+    if fit is None:
+        return None
+    camera = EffectiveCamera.of(response, exposures)
+
+    def levels(found: _Floats) -> float:
+        inverse, square = found.tolist()
+        frames = [
+            replace(
+                frame,
+                electrons_per_level=electrons_per_level(inverse) / gain,
+                read_noise_levels=min(_read_noise(square, gain, frame), MAX_READ_NOISE),
+            )
+            for gain, frame in zip(gains, noise, strict=True)
+        ]
+        return Posterior(camera, desired, frames).inverse.effective_levels
+
+    middle = levels(fit.noise)
+    uncertainty = math.dist([middle] * len(fit.neighbours), [*map(levels, fit.neighbours)])
+    if uncertainty > _MOST_UNCERTAIN * middle:
+        return None
+    inverse, square = fit.noise.tolist()
+    return MeasuredNoise(
+        effective_levels=middle,
+        uncertainty=uncertainty,
+        electrons_per_level=1 / inverse if inverse > 0 else None,
+        read_noise_levels=math.sqrt(square),
+        samples=fit.freedom,
+    )
+
+
+def fit_noise(
+    response: CameraResponse,
+    samples: Sequence[Patches],
+    exposures: Sequence[float],
+    gains: Sequence[float],
+    black: int,
+) -> NoiseFit | None:
+    """Return the noise that patches show; None where too few are in range in two frames.
+
+    Args:
+        response: the camera's response as levels
+        samples: brightness of the same patches of each frame, (patches, samples), black included
+        exposures: relative exposures of the frames
+        gains: linear gain of each frame
+        black: black level, DN
+    """
     if len(exposures) < 2:
         return None
     order = np.argsort(exposures, kind="stable")
-    sensor = SensorModel(response, noise[0].black)
+    sensor = SensorModel(response, black)
     found = [
         _pair(
             [samples[k] for k in pair],
@@ -181,41 +247,16 @@ def measure_noise(
     patches = _Patches.joined(found)
     if patches.variance.size < _LEAST_PATCHES:
         return None
-    camera = EffectiveCamera.of(response, exposures)
-
-    def levels(found: _Floats) -> float:
-        inverse, square = found.tolist()
-        electrons = max(1 / inverse, MIN_ELECTRONS) if inverse > 0 else math.inf
-        frames = [
-            FrameNoise(
-                electrons / gain,
-                min(_read_noise(square, gain, frame), MAX_READ_NOISE),
-                frame.dark_levels,
-                frame.dsnu_levels,
-                frame.prnu,
-                frame.black,
-            )
-            for gain, frame in zip(gains, noise, strict=True)
-        ]
-        return Posterior(camera, desired, frames).inverse.effective_levels
-
     try:
         fit = patches.fit()
-        neighbours = fit.neighbours()
+        return NoiseFit(fit.noise, fit.neighbours(), int(patches.freedom.sum()))
     except np.linalg.LinAlgError:
         return None
-    middle = levels(fit.noise)
-    uncertainty = math.dist([middle] * len(neighbours), [*map(levels, neighbours)])
-    if uncertainty > _MOST_UNCERTAIN * middle:
-        return None
-    inverse, square = fit.noise.tolist()
-    return MeasuredNoise(
-        effective_levels=middle,
-        uncertainty=uncertainty,
-        electrons_per_level=1 / inverse if inverse > 0 else None,
-        read_noise_levels=math.sqrt(square),
-        samples=int(patches.freedom.sum()),
-    )
+
+
+def electrons_per_level(inverse: float) -> float:
+    """Return the electrons of a level from their measured inverse, infinite for 0."""
+    return max(1 / inverse, MIN_ELECTRONS) if inverse > 0 else math.inf
 
 
 def _read_noise(square: float, gain: float, known: FrameNoise) -> float:

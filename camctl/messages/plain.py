@@ -190,6 +190,14 @@ def _noise_differs(finding: Finding) -> str:
     )
 
 
+def _noise_unknown(finding: Finding) -> str:
+    return (
+        f"the frames do not show the noise of {finding.value:.2%} of the samples, whose standard "
+        "deviations are not known: too few parts of the picture are even, and well exposed in two "
+        "frames"
+    )
+
+
 _CHANGES: Final[dict[str, Callable[[Any], str]]] = {
     "accuracy": lambda levels: (
         "ask for no accuracy" if levels is False else f"ask for {levels:g} effective levels"
@@ -254,6 +262,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "light_spread": _light_spread,
     "moved": _moved,
     "noise_differs": _noise_differs,
+    "noise_unknown": _noise_unknown,
     "picture_black": lambda _: (
         "the picture is black in every exposure; take the lens cap off, or expose longer"
     ),

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.captures.accumulator import Accumulator, sum_dtype
+from camctl.captures.accumulator import Accumulator
 from camctl.errors import CaptureError, UsageError
+from camctl.pictures.combine import sum_dtype
 
 
 @given(

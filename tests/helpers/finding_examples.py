@@ -69,6 +69,7 @@ _FINDINGS = (
         details={"area": 0.058},
     ),
     Finding(code="noise_differs", value=41.2, details={"predicted": 63.5}),
+    Finding(code="noise_unknown", value=0.25),
 )
 _PHOTOGRAPHS = (
     Finding(code="blurred", value=0.6, details={"file": "c.jpg", "left_out": True}),

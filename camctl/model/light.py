@@ -1,0 +1,412 @@
+"""The light of samples from all frames: maximum likelihood, or the posterior mean.
+
+Each frame says of the light E that its own sample, of exposure e_j, lies within a step of the
+quantiser.  Where noise of half a step or more dithers the quantiser and clips nothing, a sample is
+a normal measurement of E with variance (photons + reading + step^2 / 12) / e_j^2, and maximum
+likelihood is the mean weighted with the inverse variances, taken at a first estimate of E, which
+does not depend on the value of a single sample.  A sample that noise may saturate is a measurement
+if it is not saturated, and else says that its light is above full scale.  Elsewhere the posterior
+mean is computed from the exact probabilities of the steps, once for each combination of samples
+that occurs; the prior is flat in E >= 0.  Light is irradiance at exposure 1, where full scale,
+M + 1 levels, is 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.model.distribution import NoisyFrame, check_noise, normal_cdf
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.sensor import CLIPPING_SIGMAS, RESPONSE_ERROR, SensorModel
+
+Floats32 = NDArray[np.float32]
+
+#: Bits of the fraction of a float32 that a bin of light has: 64 bins an octave, in which a weight
+#: of photon noise changes by 1.1 %, and the variance of a mean by 1e-4 of itself at most.
+_BIN_BITS = 6
+_DROPPED = np.finfo(np.float32).nmant - _BIN_BITS
+
+#: Noise in steps below which the quantiser's mean error exceeds 0.7 % of a step: the first harmonic
+#: of Widrow and Kollar (Quantization Noise, 2008) is exp(-2 (pi s)^2) / pi.
+_DITHERED = 0.5
+
+#: Shares of the information above which a frame decides the method, and enters a posterior.
+_DECISIVE, _NOTABLE = 0.05, 0.02
+
+#: A light of fewer standard deviations is truncated at 0: beyond it, 0.1 % of the probability is.
+_NEAR_ZERO = CLIPPING_SIGMAS
+
+#: A sample that differs from the estimate by more standard deviations contradicts it: 1e-8 of
+#: normal ones do, and skew ones of few electrons rarely.
+_CONTRADICTING = 6.0
+
+#: Nodes of a posterior, standard deviations of noise that its range holds, and combinations of
+#: samples computed at once.
+_NODES, _REACH, _CHUNK = 48, 5.0, 4096
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """What the tables depend on.
+
+    Attributes:
+        response: of the camera; its fingerprint is compared
+        black: brightness without light, DN
+        exposures: of the frames, relative to the shortest, which has 1
+        noise: of each frame
+        fingerprint: of `response`
+    """
+
+    response: CameraResponse = field(compare=False, repr=False)
+    black: int
+    exposures: tuple[float, ...]
+    noise: tuple[FrameNoise, ...]
+    fingerprint: str = ""
+
+    def __post_init__(self) -> None:
+        check_noise(self.noise, len(self.exposures))
+        object.__setattr__(self, "fingerprint", self.response.fingerprint)
+
+
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """The normal measurements at some lights; arrays (n, B) for n frames, or (B,).
+
+    Attributes:
+        share: of the information that each frame has, whether or not it is clipped
+        weight: of its sample in the mean; its sum over the frames is 1
+        spread: standard deviation of each sample as irradiance
+        steps: that of noise alone in steps of the quantiser
+        clipped, saturated: whether noise clips the sample at the lowest value, or saturates it
+        deviation: standard deviation of the mean, pattern noise included
+    """
+
+    share: FloatArray
+    weight: FloatArray
+    spread: FloatArray
+    steps: FloatArray
+    clipped: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
+    deviation: FloatArray
+
+    @classmethod
+    def at(cls, frames: FrameSet, sensor: SensorModel, E: FloatArray) -> _Weights:
+        """Return them at the lights E, (B,)."""
+        exposures = np.array(frames.exposures)[:, np.newaxis]
+        unit = sensor.level
+        dark = np.array([each.dark_levels * unit for each in frames.noise])[:, np.newaxis]
+        x = exposures * E + dark
+        noise = np.stack(
+            [sensor.variance(row, each) for row, each in zip(x, frames.noise, strict=True)]
+        )
+        step = np.maximum(sensor.step(x), 1e-12)
+        reach = CLIPPING_SIGMAS * np.sqrt(noise)
+        saturated = x + reach >= sensor.full
+        clipped = x - reach < sensor.light[0] - sensor.gap[0] / 2
+        variance = (noise + step**2 / 12) / exposures**2
+        certain = x - reach >= sensor.full
+        information = np.where(certain, 0.0, 1 / variance)
+        total = information.sum(axis=0)
+        # Where every frame is clipped, the one that is least so stands for all: the shortest of
+        # those that are saturated, the longest of those without light.
+        weight = np.where(saturated | clipped, 0.0, 1 / variance)
+        none = weight.sum(axis=0) == 0
+        lit = ~saturated
+        best = np.where(lit.any(axis=0), np.argmax(exposures * lit, axis=0), np.argmin(exposures))
+        weight[best[none], np.flatnonzero(none)] = 1 / variance[best[none], np.flatnonzero(none)]
+        sums = weight.sum(axis=0)
+        weight = weight / sums
+        offsets = np.array([each.dsnu_levels * unit for each in frames.noise])[:, np.newaxis]
+        pattern = (weight * offsets / exposures).sum(axis=0) ** 2
+        prnu = max(each.prnu for each in frames.noise)
+        return cls(
+            information / np.maximum(total, 1e-300),
+            weight,
+            np.sqrt(variance),
+            np.sqrt(noise) / step,
+            clipped,
+            saturated,
+            np.sqrt(1 / sums + pattern + (prnu * E) ** 2),
+        )
+
+
+class LightTables:
+    """What estimates the light of samples, tabulated by their values and by a first estimate.
+
+    Args:
+        frames: the frames' exposures and noise, and the camera's response
+
+    Attributes:
+        sensor: the camera
+        irradiance: (n, white + 1) float32, the light of each value in each frame
+        deviation: (B,) float32, standard deviation of an estimate in each bin of light
+    """
+
+    def __init__(self, frames: FrameSet) -> None:
+        self._frames = frames
+        self.sensor = sensor = SensorModel(frames.response, frames.black)
+        exposures = np.array(frames.exposures)
+        dark = np.array([each.dark_levels * sensor.level for each in frames.noise])
+        # The first estimate adds light over exposure of the samples that are not saturated.
+        # Without read noise this is maximum likelihood.  Its weights do not depend on the values:
+        # smaller ones of smaller values would lower the mean.
+        highest = np.array([sensor.highest(each) for each in frames.noise])
+        values = np.arange(sensor.white + 1)
+        self._used = ((values <= highest[:, np.newaxis]) * exposures[:, np.newaxis]).astype("f4")
+        light = (sensor.light - dark[:, np.newaxis]) / exposures[:, np.newaxis]
+        self.irradiance: Floats32 = light.astype(np.float32)
+        self._portions = self._used * self.irradiance
+        self._shortest = int(np.argmin(exposures))
+        self._brightest = np.float32(sensor.full / exposures.min())
+        step = float(np.min(sensor.gap[sensor.gap > 0])) / exposures.max()
+        self._lowest = np.float32(2.0 ** np.floor(np.log2(step / 16)))
+        self._first_bin = int(self._lowest.view(np.uint32)) >> _DROPPED
+        bins = np.arange(self._first_bin, self._bin_number(self._brightest) + 1, dtype=np.uint32)
+        edges = (bins << np.uint32(_DROPPED)).view(np.float32).astype(np.float64)
+        self.lights: FloatArray = edges * (1 + 0.5 / (1 << _BIN_BITS))
+        found = _Weights.at(frames, sensor, self.lights)
+        self._weights = found.weight.astype(np.float32)
+        self.deviation: Floats32 = found.deviation.astype(np.float32)
+        near = found.saturated & (found.share > 0)
+        self._kept = (found.share > _NOTABLE) | near
+        self._near = near & (found.weight == 0)
+        self._near_any = self._near.any(axis=0)
+        self._spreads: Floats32 = found.spread.astype(np.float32)
+        lost = np.where(found.clipped, found.share, 0.0).sum(axis=0) > _DECISIVE
+        undithered = (found.share > _DECISIVE) & (found.steps < _DITHERED)
+        self._exact = lost | undithered.any(axis=0)
+        systematic = (
+            RESPONSE_ERROR * self.lights
+            + sensor.step(exposures[:, None] * self.lights) / (exposures[:, None])
+        )
+        self._limits = (_CONTRADICTING * found.spread + systematic).astype(np.float32)
+
+    def _bin_number(self, light: np.float32) -> int:
+        return int(np.float32(light).view(np.uint32)) >> _DROPPED
+
+    def bins(self, E: Floats32) -> NDArray[np.intp]:
+        """Return the bin of each light."""
+        found = np.clip(E, self._lowest, self._brightest).view(np.uint32) >> np.uint32(_DROPPED)
+        return found.astype(np.intp) - self._first_bin
+
+    def estimate(
+        self, values: Sequence[NDArray[Any]]
+    ) -> tuple[Floats32, Floats32, NDArray[np.bool_]]:
+        """Return light, its standard deviation, and whether a frame contradicts it.
+
+        Args:
+            values: samples of each frame, (S,) up to white, black included
+
+        Returns:
+            three arrays (S,); both lights are irradiance at exposure 1
+        """
+        samples = [table.take(each) for table, each in zip(self.irradiance, values, strict=True)]
+        total = self._portions[0].take(values[0])
+        used = self._used[0].take(values[0])
+        for place in range(1, len(values)):
+            total += self._portions[place].take(values[place])
+            used += self._used[place].take(values[place])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            first = np.where(used > 0, total / used, self._brightest)
+        bins = self.bins(first)
+        E = self._weights[0].take(bins)
+        E *= samples[0]
+        for place in range(1, len(values)):
+            weighted = self._weights[place].take(bins)
+            weighted *= samples[place]
+            E += weighted
+        deviation = self.deviation.take(bins)
+        self._add_saturated(values, samples, bins, E, deviation)
+        bins = self.bins(E)
+        self._truncate(E, deviation)
+        chosen = np.flatnonzero(self._exact.take(bins))
+        if chosen.size:
+            here = [each[chosen] for each in values]
+            E[chosen], deviation[chosen] = self._posteriors(
+                here, bins[chosen], E[chosen], deviation[chosen]
+            )
+        return E, deviation, self._contradicting(samples, E)
+
+    def _add_saturated(
+        self,
+        values: Sequence[NDArray[Any]],
+        samples: list[Floats32],
+        bins: NDArray[np.intp],
+        E: Floats32,
+        deviation: Floats32,
+    ) -> None:
+        """Add what the frames say that noise may or may not saturate; they have no weight yet."""
+        for place, near in enumerate(self._near):
+            chosen = np.flatnonzero(near.take(bins))
+            if not chosen.size:
+                continue
+            mean, spread = E[chosen].astype(np.float64), deviation[chosen].astype(np.float64)
+            other = self._spreads[place].take(bins[chosen])
+            share = spread**2 / (spread**2 + other**2)
+            measured = mean + share * (samples[place][chosen] - mean)
+            full = float(self.irradiance[place, -1])
+            above, narrower = _truncated((mean - full) / np.hypot(spread, other))
+            is_white = values[place][chosen] >= self.sensor.white
+            E[chosen] = np.where(is_white, mean + spread * np.sqrt(share) * above, measured)
+            deviation[chosen] = spread * np.sqrt(
+                np.maximum(1 - share * np.where(is_white, narrower, 1.0), 1e-6)
+            )
+
+    def _truncate(self, E: Floats32, deviation: Floats32) -> None:
+        """Replace lights near 0 by their posterior mean above 0, and their deviations likewise."""
+        near = np.flatnonzero(_NEAR_ZERO * deviation > E)
+        if near.size:
+            spread = deviation[near].astype(np.float64)
+            above, narrower = _truncated(E[near] / spread)
+            E[near] += spread * above
+            deviation[near] = spread * np.sqrt(np.maximum(1 - narrower, 1e-6))
+
+    def _contradicting(self, samples: list[Floats32], E: Floats32) -> NDArray[np.bool_]:
+        """Return where a frame's sample differs from the light by more than noise explains."""
+        bins = self.bins(E)
+        found = np.zeros(E.shape, bool)
+        for place, sample in enumerate(samples):
+            difference = np.minimum(E, self.irradiance[place, -1])
+            difference -= sample
+            np.abs(difference, out=difference)
+            found |= difference > self._limits[place].take(bins)
+        return found
+
+    @cached_property
+    def _edges(self) -> tuple[FloatArray, FloatArray]:
+        """Both ends of the light of each value; infinite at the lowest and the highest one."""
+        noise = FrameNoise(np.inf, 0.0, black=self._frames.black)
+        thresholds = NoisyFrame.of(self._frames.response, 1.0, noise).thresholds
+        return np.append(-np.inf, thresholds), np.append(thresholds, np.inf)
+
+    def _posteriors(
+        self,
+        values: list[NDArray[Any]],
+        bins: NDArray[np.intp],
+        E: Floats32,
+        deviation: Floats32,
+    ) -> tuple[Floats32, Floats32]:
+        """Return mean and deviation by exact probabilities; as given where they are all 0."""
+        key, size = np.zeros(E.size, np.int64), 1
+        count = self.sensor.white + 2
+        kept = [row.take(bins) for row in self._kept]
+        for each, used in zip(values, kept, strict=True):
+            if size > (1 << 62) // count:
+                key = np.unique(key, return_inverse=True)[1].astype(np.int64)
+                size = int(key.max()) + 1
+            key = key * count + np.where(used, each.astype(np.int64) + 1, 0)
+            size *= count
+        _, place, inverse = np.unique(key, return_index=True, return_inverse=True)
+        rows = np.stack(
+            [
+                np.where(used[place], each[place].astype(np.intp), -1)
+                for each, used in zip(values, kept, strict=True)
+            ]
+        )
+        parts = [
+            self._posterior(rows[:, first : first + _CHUNK])
+            for first in range(0, place.size, _CHUNK)
+        ]
+        mean, spread = (np.concatenate(each)[inverse] for each in zip(*parts, strict=True))
+        known = np.isfinite(mean)
+        return (
+            np.where(known, mean, E).astype(np.float32),
+            np.where(known, spread, deviation).astype(np.float32),
+        )
+
+    def _posterior(self, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """Return mean and deviation of the light after values (n, U); -1: the frame is left out."""
+        lower, upper = self._edges
+        low, high = np.zeros(rows.shape[1]), np.full(rows.shape[1], np.inf)
+        for row, exposure, noise in zip(
+            rows, self._frames.exposures, self._frames.noise, strict=True
+        ):
+            for edges, sign in ((lower, -1.0), (upper, 1.0)):
+                spread = self._spread(np.where(np.isfinite(edges), edges, 0.0), noise)
+                found = (edges + sign * _REACH * spread)[row] / exposure
+                found = found - noise.dark_levels * self.sensor.level / exposure
+                if sign < 0:
+                    low = np.where(row >= 0, np.maximum(low, found), low)
+                else:
+                    high = np.where(row >= 0, np.minimum(high, found), high)
+        high[~np.isfinite(high) | (high <= low)] = np.nan
+        mean, spread = self._moments(rows, low, high)
+        cell = (high - low) / _NODES
+        narrow = np.flatnonzero(spread < 3 * cell)
+        if narrow.size:
+            reach = 6 * spread[narrow] + cell[narrow]
+            mean[narrow], spread[narrow] = self._moments(
+                rows[:, narrow],
+                np.maximum(low[narrow], mean[narrow] - reach),
+                np.minimum(high[narrow], mean[narrow] + reach),
+            )
+        prnu = max(each.prnu for each in self._frames.noise)
+        return mean, np.hypot(spread, prnu * mean)
+
+    def _spread(self, light: FloatArray, noise: FrameNoise) -> FloatArray:
+        """Return the standard deviation of a sample's light, differences of pixels included."""
+        offset = noise.dsnu_levels * self.sensor.level
+        return np.sqrt(self.sensor.variance(light, noise) + offset**2)
+
+    def _moments(
+        self, rows: NDArray[np.intp], low: FloatArray, high: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return mean and deviation of each posterior between two lights; NaN where it is 0."""
+        lower, upper = self._edges
+        cell = (high - low)[:, np.newaxis] / _NODES
+        E = low[:, np.newaxis] + cell * (np.arange(_NODES) + 0.5)
+        likelihood = np.isfinite(E).astype(np.float64)
+        E = np.where(likelihood > 0, E, 0.0)
+        for row, exposure, noise in zip(
+            rows, self._frames.exposures, self._frames.noise, strict=True
+        ):
+            used = np.flatnonzero(row >= 0)
+            x = exposure * E[used] + noise.dark_levels * self.sensor.level
+            sigma = np.maximum(self._spread(x, noise), 1e-9 * self.sensor.full)
+            ends = [edges[row[used]][:, np.newaxis] for edges in (upper, lower)]
+            above, below = (normal_cdf((end - x) / sigma) for end in ends)
+            likelihood[used] *= above - below
+        total = likelihood.sum(axis=1)
+        total[total <= 0] = np.nan
+        mean = (likelihood * E).sum(axis=1) / total
+        variance = (likelihood * (E - mean[:, np.newaxis]) ** 2).sum(axis=1) / total
+        return mean, np.sqrt(variance + cell[:, 0] ** 2 / 12)
+
+
+def _truncated(a: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return by how much a normal variable, cut at -a, has a larger mean and less variance.
+
+    It has mean 0 and variance 1; -5 stands for any `a` below.
+    """
+    a = np.maximum(a, -_REACH)
+    larger = np.exp(-(a**2) / 2) / np.sqrt(2 * np.pi) / normal_cdf(a)
+    return larger, larger * (a + larger)
+
+
+@lru_cache(maxsize=16)
+def light_tables(frames: FrameSet) -> LightTables:
+    """Return the tables of a set of frames; those of the last sets are kept."""
+    return LightTables(frames)
+
+
+def is_certain(frames: FrameSet, others: Sequence[FrameSet], most: float) -> NDArray[np.bool_]:
+    """Return for each bin of light whether its standard deviation is known.
+
+    Args:
+        frames: with the noise that was measured
+        others: with noises that differ by its uncertainty, see `NoiseFit.neighbours`
+        most: largest relative uncertainty of a known standard deviation
+    """
+    tables = light_tables(frames)
+    middle = tables.deviation
+    changes = [
+        _Weights.at(each, tables.sensor, tables.lights).deviation / middle - 1 for each in others
+    ]
+    return np.asarray(np.sqrt(np.sum(np.square(changes), axis=0)) <= most)

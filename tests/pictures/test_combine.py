@@ -1,0 +1,294 @@
+"""Arrays in, light out: accuracy beside rivals, standard deviations, masks, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import camctl
+from camctl.model.effective import EffectiveCamera
+from camctl.model.inverse import Posterior
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import CameraResponse
+from camctl.model.response.desired import desired_response
+from camctl.model.response.measured import measured_response
+from camctl.model.sensor import SensorModel
+
+Floats = NDArray[np.float64]
+DECADES = (-4, -3, -2, -1)
+
+
+def camera(name: str | int, data: Path | None = None) -> CameraResponse:
+    """Return a standard response of 8 bits, or a measured one by its place in the data."""
+    if isinstance(name, str):
+        return camctl.standard_response(name, 8)
+    assert data is not None
+    curves = np.load(data / "dorf" / "curves.npz")
+    return measured_response(curves["irradiance"][name], curves["brightness"][name])
+
+
+def shot(
+    light: Floats,
+    exposures: Sequence[float],
+    real: CameraResponse,
+    noise: FrameNoise,
+    seed: int = 0,
+) -> list[NDArray[np.unsignedinteger]]:
+    """Return frames with photon and read noise, which arise before the response."""
+    rng, full = np.random.default_rng(seed), real.M + 1
+    step = real.levels[1] - real.levels[0]
+    below = real.levels[0] - step * np.arange(noise.black, 0, -1)
+    thresholds, frames = np.concatenate([below, real.levels]), []
+    for exposure in exposures:
+        x = exposure * light
+        if math.isfinite(noise.electrons_per_level):
+            electrons = full * noise.electrons_per_level
+            x = rng.poisson(x * electrons) / electrons
+        x = x + rng.normal(0, noise.read_noise_levels / full, light.shape)
+        dtype = np.uint8 if thresholds.size < 256 else np.uint16
+        frames.append(np.searchsorted(thresholds, x, "right").astype(dtype))
+    return frames
+
+
+def gradient(rows: int = 96, columns: int = 1024) -> Floats:
+    """Return light over four decades, with patches of nearly equal light."""
+    return np.tile(np.geomspace(1e-4, 0.95, columns), (rows, 1))
+
+
+def errors(found: Floats, light: Floats, least: float) -> list[float]:
+    """Return the rms of ln(found / light) by decade of light; no light found is below `least`."""
+    ratio = np.log(np.maximum(found, least) / light)
+    decades = [(light >= 10.0**k) & (light < 10.0 ** (k + 1)) for k in DECADES]
+    return [float(np.sqrt(np.mean(ratio[each] ** 2))) for each in decades]
+
+
+def inverse_variance(
+    frames: Sequence[NDArray[Any]],
+    exposures: Sequence[float],
+    real: CameraResponse,
+    noise: FrameNoise,
+    true: Floats,
+) -> Floats:
+    """Return the mean of the light of each sample, weighted as the true light demands."""
+    sensor = SensorModel(real, 0)
+    total: Floats = np.zeros(true.shape)
+    weights: Floats = np.zeros(true.shape)
+    for frame, exposure in zip(frames, exposures, strict=True):
+        x = exposure * true
+        variance = sensor.variance(x, noise) + sensor.step(x) ** 2 / 12
+        weight = (frame <= sensor.highest(noise)) * exposure**2 / variance
+        total += weight * sensor.light[frame] / exposure
+        weights += weight
+    return np.where(weights > 0, total / np.maximum(weights, 1e-300), sensor.full)
+
+
+def debevec(
+    frames: Sequence[NDArray[Any]], exposures: Sequence[float], real: CameraResponse
+) -> Floats:
+    """Return OpenCV's merge with the true response."""
+    edges = np.concatenate([[0.0], real.levels, [1.0]])
+    table = ((edges[:-1] + edges[1:]) / 2).astype(np.float32)
+    table = np.ascontiguousarray(np.broadcast_to(table[:, None, None], (256, 1, 3)))
+    colours = [np.repeat(frame[..., None], 3, axis=2) for frame in frames]
+    merged = cv2.createMergeDebevec().process(colours, np.array(exposures, "f4"), table)
+    return merged[..., 0].astype(np.float64)
+
+
+SETS = [
+    ("linear", (1, 4, 16, 64), FrameNoise(20.0, 0.6)),
+    ("srgb", (1, 4, 16, 64), FrameNoise(30.0, 1.0)),
+    ("rec709", (1, 8, 64), FrameNoise(15.0, 0.7)),
+    (5, (1, 4, 16, 64), FrameNoise(30.0, 0.6)),
+    (20, (1, 3, 9, 27), FrameNoise(25.0, 0.8)),
+    (40, (1, 8, 64), FrameNoise(15.0, 0.6)),
+    (70, (1, 2, 4, 8, 16, 32), FrameNoise(60.0, 1.0)),
+    (90, (1, 16, 256), FrameNoise(40.0, 0.5)),
+]
+
+
+@pytest.mark.parametrize(("name", "exposures", "noise"), SETS)
+def test_light_is_at_least_as_exact_as_rivals_with_the_true_response(
+    name: str | int, exposures: tuple[int, ...], noise: FrameNoise, real_data: Path
+) -> None:
+    """Noise is not known to it; the inverse variance of a rival knows noise and the true light."""
+    real, light = camera(name, real_data), gradient()
+    frames = shot(light, exposures, real, noise)
+    found = camctl.combine(frames, exposures, response=real)
+    assert found.findings == ()
+    # Below one level of the longest exposure, any estimate is a matter of the prior.
+    least = real.levels[0] / max(exposures) / 2
+    mine = errors(found.irradiance.astype(np.float64), light, least)
+    best = errors(inverse_variance(frames, exposures, real, noise, light), light, least)
+    others = errors(debevec(frames, exposures, real), light, least)
+    for own, known, other in zip(mine, best, others, strict=True):
+        assert own <= 1.02 * known
+        assert own <= 1.0001 * other  # equal where one frame alone shows the light
+    z = (found.irradiance - light) / found.sd
+    within = found.mask & 3 == 0
+    assert np.std(z[within]) == pytest.approx(1.0, abs=0.05)
+    assert 0.66 <= np.mean(np.abs(z[within]) < 1) <= 0.70
+    assert 0.94 <= np.mean(np.abs(z[within]) < 1.96) <= 0.96
+    assert np.mean(found.mask & 4 > 0) < 1e-4
+
+
+@pytest.mark.parametrize("level", [0.25, 0.06])
+@pytest.mark.parametrize(
+    ("bits", "black", "noise"), [(12, 64, FrameNoise(2.5, 1.2)), (8, 0, FrameNoise(20.0, 0.9))]
+)
+def test_unknown_noise_of_a_uniform_field_is_measured(
+    level: float, bits: int, black: int, noise: FrameNoise
+) -> None:
+    """Two pairs of frames in range distinguish photon noise from read noise."""
+    real, times_s = camctl.linear_response(bits, levels=2**bits - 1 - black), (0.004, 0.008, 0.014)
+    light = np.full((160, 200), level)
+    frames = shot(light, [each / 0.004 for each in times_s], real, replace(noise, black=black))
+    found = camctl.combine(frames, times_s, response=real, black=black)
+    assert found.findings == ()
+    assert np.std(found.irradiance) / np.median(found.sd) == pytest.approx(1.0, abs=0.05)
+    assert np.mean(found.irradiance) == pytest.approx(level / 0.004, rel=2e-3)
+
+
+EXPOSURES = (1.0, 4.0, 16.0)
+NOISE = FrameNoise(30.0, 0.7)
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[NDArray[np.unsignedinteger]]:
+    """Three frames of a gradient, 8 bits, linear."""
+    light = np.tile(np.geomspace(5e-3, 0.95, 256), (48, 1))
+    return shot(light, EXPOSURES, camera("linear"), NOISE)
+
+
+def test_frames_may_be_a_stack_a_generator_or_lazy(
+    frames: list[NDArray[np.unsignedinteger]],
+) -> None:
+    expected = camctl.combine(frames, EXPOSURES)
+    stack = np.stack(frames)
+    kinds: list[Any] = [stack, (each for each in frames)]
+    dask = pytest.importorskip("dask.array")
+    kinds.append(dask.from_array(stack, chunks=(1, 16, 256)))
+    for kind in kinds:
+        found = camctl.combine(kind, EXPOSURES)
+        for name in ("irradiance", "sd", "mask", "sum"):
+            assert np.array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_colours_may_have_a_response_each(frames: list[NDArray[np.unsignedinteger]]) -> None:
+    colours = [np.stack([each, each[::-1], each], axis=2) for each in frames]
+    curves = [camera("linear"), camera("linear"), camera("srgb")]
+    found = camctl.combine(colours, EXPOSURES, response=curves, noise=NOISE)
+    for channel, curve in enumerate(curves):
+        planes = [each[..., channel] for each in colours]
+        single = camctl.combine(planes, EXPOSURES, response=curve, noise=NOISE)
+        assert np.array_equal(found.irradiance[..., channel], single.irradiance)
+        assert np.array_equal(found.mask[..., channel], single.mask)
+    mosaic = camctl.combine(frames, EXPOSURES, response=curves, layout="rggb", noise=NOISE)
+    blue = camctl.combine(frames, EXPOSURES, response=curves[2], noise=NOISE)
+    assert np.array_equal(mosaic.irradiance[1::2, 1::2], blue.irradiance[1::2, 1::2])
+
+
+def test_exposures_in_seconds_give_irradiance_per_second(
+    frames: list[NDArray[np.unsignedinteger]],
+) -> None:
+    """The order of the frames does not matter either."""
+    first = camctl.combine(frames, EXPOSURES, noise=NOISE)
+    seconds = [0.01 * each for each in EXPOSURES]
+    again = camctl.combine(frames[::-1], seconds[::-1], noise=NOISE)
+    assert np.allclose(again.irradiance, 100 * first.irradiance, rtol=1e-5)
+    assert np.array_equal(again.sum, first.sum)
+
+
+def test_the_sum_is_inverted_as_the_paper_has_it(
+    frames: list[NDArray[np.unsignedinteger]],
+) -> None:
+    found = camctl.combine(frames, EXPOSURES, noise=NOISE, method="sum")
+    total = np.sum(frames, axis=0, dtype=np.uint32)
+    assert np.array_equal(found.sum, total)
+    assert found.sum.dtype == np.uint16
+    real = camctl.linear_response(8)
+    desired = desired_response("linear", 255 * 16.0)
+    inverse = Posterior(EffectiveCamera.of(real, EXPOSURES), desired, [NOISE] * 3).inverse
+    within = found.mask & 2 == 0
+    assert np.array_equal(found.irradiance[within], inverse.E.astype("f4")[total][within])
+
+
+def test_two_levels_are_few_and_enough() -> None:
+    frames = [np.array([[8, 9], [10, 9]], np.uint8), np.array([[8, 10], [10, 9]], np.uint8)]
+    found = camctl.combine(frames, (1.0, 1.5), black=8, white=10, noise=FrameNoise(math.inf, 0.0))
+    assert np.all(np.isfinite(found.irradiance))
+    assert found.mask.tolist() == [[1, 0], [2, 0]]
+
+
+def test_masks_tell_what_is_dark_saturated_and_contradictory(
+    frames: list[NDArray[np.unsignedinteger]],
+) -> None:
+    marked = [each.copy() for each in frames]
+    for each in marked:
+        each[:2, :2], each[:2, 8:10] = 0, 255
+    marked[2][20, 105:115] //= 2
+    found = camctl.combine(marked, EXPOSURES, noise=NOISE)
+    assert np.all(found.mask[:2, :2] == 1)
+    assert np.all(found.mask[:2, 8:10] == 2)
+    assert np.all(np.isinf(found.sd[:2, 8:10]))
+    assert np.all(found.irradiance[:2, 8:10] == np.float32(camctl.linear_response(8).levels[-1]))
+    assert np.all(found.mask[20, 105:115] & 4)
+    assert np.count_nonzero(found.mask & 4) == 10
+
+
+def test_noise_that_the_frames_do_not_show_gives_no_standard_deviation(
+    frames: list[NDArray[np.unsignedinteger]],
+) -> None:
+    found = camctl.combine(frames[:1], EXPOSURES[:1])
+    assert found.noise == ()
+    assert np.all(np.isnan(found.sd[found.mask & 2 == 0]))
+    (finding,) = found.findings
+    assert finding.code == "noise_unknown"
+    assert finding.value == np.mean(np.isnan(found.sd))
+    middle = SensorModel(camctl.linear_response(8), 0).light[frames[0]]
+    assert np.allclose(found.irradiance, middle, rtol=0.02, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("frames", "exposures", "options", "error"),
+    [
+        ([], [], {}, camctl.UsageError),
+        ([np.zeros((4, 4), "u1")], [1, 2], {}, camctl.UsageError),
+        ([np.zeros((4, 4), "u1")], [0], {}, camctl.UsageError),
+        ([np.zeros((4, 4), "u2")], [1], {}, camctl.UsageError),
+        ([np.zeros((4, 4), "u1")], [1], {"white": 256}, camctl.UsageError),
+        ([np.zeros((4, 4), "u1")], [1], {"method": "median"}, camctl.UsageError),
+        ([np.zeros((4, 4), "u1")], [1], {"response": "unknown"}, camctl.UsageError),
+        ([np.zeros((4, 4), "u1")], [1], {"black": 8, "white": 9}, camctl.UsageError),
+        (
+            [np.zeros((4, 4), "u1")],
+            [1],
+            {"response": camctl.linear_response(8), "white": 200},
+            camctl.UsageError,
+        ),
+        (
+            [np.zeros((4, 4), "u1")],
+            [1],
+            {"response": [camctl.linear_response(8)] * 3},
+            camctl.UsageError,
+        ),
+        ([np.zeros((4, 4))], [1], {}, camctl.DataError),
+        ([np.zeros((4, 4, 2), "u1")], [1], {}, camctl.DataError),
+        ([np.zeros((4, 4), "u1"), np.zeros((4, 5), "u1")], [1, 2], {}, camctl.DataError),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    frames: list[NDArray[Any]],
+    exposures: list[float],
+    options: dict[str, Any],
+    error: type[Exception],
+) -> None:
+    with pytest.raises(error):
+        camctl.combine(frames, exposures, **options)
