@@ -46,15 +46,18 @@ def shot(
     rng, full = np.random.default_rng(seed), real.M + 1
     step = real.levels[1] - real.levels[0]
     below = real.levels[0] - step * np.arange(noise.black, 0, -1)
-    thresholds, frames = np.concatenate([below, real.levels]), []
+    thresholds = np.concatenate([below, real.levels])
+    frames: list[NDArray[np.unsignedinteger]] = []
     for exposure in exposures:
         x = exposure * light
         if math.isfinite(noise.electrons_per_level):
             electrons = full * noise.electrons_per_level
             x = rng.poisson(x * electrons) / electrons
         x = x + rng.normal(0, noise.read_noise_levels / full, light.shape)
-        dtype = np.uint8 if thresholds.size < 256 else np.uint16
-        frames.append(np.searchsorted(thresholds, x, "right").astype(dtype))
+        values = np.searchsorted(thresholds, x, "right")
+        frames.append(
+            values.astype(np.uint8) if thresholds.size < 256 else values.astype(np.uint16)
+        )
     return frames
 
 
