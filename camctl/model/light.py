@@ -405,8 +405,10 @@ def is_certain(frames: FrameSet, others: Sequence[FrameSet], most: float) -> NDA
         most: largest relative uncertainty of a known standard deviation
     """
     tables = light_tables(frames)
-    middle = tables.deviation
-    changes = [
-        _Weights.at(each, tables.sensor, tables.lights).deviation / middle - 1 for each in others
-    ]
+    # With the same weights: where noise decides whether a frame counts, other weights would differ.
+    first, *rest = (_Weights.at(each, tables.sensor, tables.lights) for each in (frames, *others))
+    middle, *found = (
+        np.sqrt(np.sum((first.weight * each.spread) ** 2, axis=0)) for each in (first, *rest)
+    )
+    changes = [each / middle - 1 for each in found]
     return np.asarray(np.sqrt(np.sum(np.square(changes), axis=0)) <= most)
