@@ -14,17 +14,17 @@ M + 1 levels, is 1.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.model.distribution import NoisyFrame, check_noise, normal_cdf
-from camctl.model.noise import FrameNoise
-from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.distribution import normal_cdf
+from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, RESPONSE_ERROR, SensorModel
+from camctl.model.step_posterior import REACH, FrameSet, StepPosterior
 
 Floats32 = NDArray[np.float32]
 
@@ -46,33 +46,6 @@ _NEAR_ZERO = CLIPPING_SIGMAS
 #: A sample that differs from the estimate by more standard deviations contradicts it: 1e-8 of
 #: normal ones do, and skew ones of few electrons rarely.
 _CONTRADICTING = 6.0
-
-#: Nodes of a posterior, standard deviations of noise that its range holds, and combinations of
-#: samples computed at once.
-_NODES, _REACH, _CHUNK = 48, 5.0, 4096
-
-
-@dataclass(frozen=True)
-class FrameSet:
-    """What the tables depend on.
-
-    Attributes:
-        response: of the camera; its fingerprint is compared
-        black: brightness without light, DN
-        exposures: of the frames, relative to the shortest, which has 1
-        noise: of each frame
-        fingerprint: of `response`
-    """
-
-    response: CameraResponse = field(compare=False, repr=False)
-    black: int
-    exposures: tuple[float, ...]
-    noise: tuple[FrameNoise, ...]
-    fingerprint: str = ""
-
-    def __post_init__(self) -> None:
-        check_noise(self.noise, len(self.exposures))
-        object.__setattr__(self, "fingerprint", self.response.fingerprint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +123,8 @@ class LightTables:
     """
 
     def __init__(self, frames: FrameSet) -> None:
-        self._frames = frames
         self.sensor = sensor = SensorModel(frames.response, frames.black)
+        self._posterior = StepPosterior(frames, sensor)
         exposures = np.array(frames.exposures)
         dark = np.array([each.dark_levels * sensor.level for each in frames.noise])
         # The first estimate adds light over exposure of the samples that are not saturated.
@@ -229,9 +202,10 @@ class LightTables:
         chosen = np.flatnonzero(self._exact.take(bins))
         if chosen.size:
             here = [each[chosen] for each in values]
-            E[chosen], deviation[chosen] = self._posteriors(
-                here, bins[chosen], E[chosen], deviation[chosen]
-            )
+            kept = [row.take(bins[chosen]) for row in self._kept]
+            mean, spread = self._posterior.of(here, kept)
+            known = np.isfinite(mean)  # else all probabilities are 0
+            E[chosen[known]], deviation[chosen[known]] = mean[known], spread[known]
         return E, deviation, self._contradicting(samples, E)
 
     def _add_saturated(
@@ -279,113 +253,13 @@ class LightTables:
             found |= difference > self._limits[place].take(bins)
         return found
 
-    @cached_property
-    def _edges(self) -> tuple[FloatArray, FloatArray]:
-        """Both ends of the light of each value; infinite at the lowest and the highest one."""
-        noise = FrameNoise(np.inf, 0.0, black=self._frames.black)
-        thresholds = NoisyFrame.of(self._frames.response, 1.0, noise).thresholds
-        return np.append(-np.inf, thresholds), np.append(thresholds, np.inf)
-
-    def _posteriors(
-        self,
-        values: list[NDArray[Any]],
-        bins: NDArray[np.intp],
-        E: Floats32,
-        deviation: Floats32,
-    ) -> tuple[Floats32, Floats32]:
-        """Return mean and deviation by exact probabilities; as given where they are all 0."""
-        key, size = np.zeros(E.size, np.int64), 1
-        count = self.sensor.white + 2
-        kept = [row.take(bins) for row in self._kept]
-        for each, used in zip(values, kept, strict=True):
-            if size > (1 << 62) // count:
-                key = np.unique(key, return_inverse=True)[1].astype(np.int64)
-                size = int(key.max()) + 1
-            key = key * count + np.where(used, each.astype(np.int64) + 1, 0)
-            size *= count
-        _, place, inverse = np.unique(key, return_index=True, return_inverse=True)
-        rows = np.stack(
-            [
-                np.where(used[place], each[place].astype(np.intp), -1)
-                for each, used in zip(values, kept, strict=True)
-            ]
-        )
-        parts = [
-            self._posterior(rows[:, first : first + _CHUNK])
-            for first in range(0, place.size, _CHUNK)
-        ]
-        mean, spread = (np.concatenate(each)[inverse] for each in zip(*parts, strict=True))
-        known = np.isfinite(mean)
-        return (
-            np.where(known, mean, E).astype(np.float32),
-            np.where(known, spread, deviation).astype(np.float32),
-        )
-
-    def _posterior(self, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        """Return mean and deviation of the light after values (n, U); -1: the frame is left out."""
-        lower, upper = self._edges
-        low, high = np.zeros(rows.shape[1]), np.full(rows.shape[1], np.inf)
-        for row, exposure, noise in zip(
-            rows, self._frames.exposures, self._frames.noise, strict=True
-        ):
-            for edges, sign in ((lower, -1.0), (upper, 1.0)):
-                spread = self._spread(np.where(np.isfinite(edges), edges, 0.0), noise)
-                found = (edges + sign * _REACH * spread)[row] / exposure
-                found = found - noise.dark_levels * self.sensor.level / exposure
-                if sign < 0:
-                    low = np.where(row >= 0, np.maximum(low, found), low)
-                else:
-                    high = np.where(row >= 0, np.minimum(high, found), high)
-        high[~np.isfinite(high) | (high <= low)] = np.nan
-        mean, spread = self._moments(rows, low, high)
-        cell = (high - low) / _NODES
-        narrow = np.flatnonzero(spread < 3 * cell)
-        if narrow.size:
-            reach = 6 * spread[narrow] + cell[narrow]
-            mean[narrow], spread[narrow] = self._moments(
-                rows[:, narrow],
-                np.maximum(low[narrow], mean[narrow] - reach),
-                np.minimum(high[narrow], mean[narrow] + reach),
-            )
-        prnu = max(each.prnu for each in self._frames.noise)
-        return mean, np.hypot(spread, prnu * mean)
-
-    def _spread(self, light: FloatArray, noise: FrameNoise) -> FloatArray:
-        """Return the standard deviation of a sample's light, differences of pixels included."""
-        offset = noise.dsnu_levels * self.sensor.level
-        return np.sqrt(self.sensor.variance(light, noise) + offset**2)
-
-    def _moments(
-        self, rows: NDArray[np.intp], low: FloatArray, high: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return mean and deviation of each posterior between two lights; NaN where it is 0."""
-        lower, upper = self._edges
-        cell = (high - low)[:, np.newaxis] / _NODES
-        E = low[:, np.newaxis] + cell * (np.arange(_NODES) + 0.5)
-        likelihood = np.isfinite(E).astype(np.float64)
-        E = np.where(likelihood > 0, E, 0.0)
-        for row, exposure, noise in zip(
-            rows, self._frames.exposures, self._frames.noise, strict=True
-        ):
-            used = np.flatnonzero(row >= 0)
-            x = exposure * E[used] + noise.dark_levels * self.sensor.level
-            sigma = np.maximum(self._spread(x, noise), 1e-9 * self.sensor.full)
-            ends = [edges[row[used]][:, np.newaxis] for edges in (upper, lower)]
-            above, below = (normal_cdf((end - x) / sigma) for end in ends)
-            likelihood[used] *= above - below
-        total = likelihood.sum(axis=1)
-        total[total <= 0] = np.nan
-        mean = (likelihood * E).sum(axis=1) / total
-        variance = (likelihood * (E - mean[:, np.newaxis]) ** 2).sum(axis=1) / total
-        return mean, np.sqrt(variance + cell[:, 0] ** 2 / 12)
-
 
 def _truncated(a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return by how much a normal variable, cut at -a, has a larger mean and less variance.
 
     It has mean 0 and variance 1; -5 stands for any `a` below.
     """
-    a = np.maximum(a, -_REACH)
+    a = np.maximum(a, -REACH)
     larger = np.exp(-(a**2) / 2) / np.sqrt(2 * np.pi) / normal_cdf(a)
     return larger, larger * (a + larger)
 

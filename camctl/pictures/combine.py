@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from camctl.errors import DataError, UsageError, unknown_name
+from camctl.errors import UsageError, unknown_name
 from camctl.evidence.noise import NoiseFit, electrons_per_level, fit_noise
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.findings import Finding
@@ -19,18 +19,22 @@ from camctl.interface.controls import Layout
 from camctl.model.distribution import MAX_READ_NOISE
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Inverse, Posterior
-from camctl.model.light import Floats32, FrameSet, is_certain, light_tables
-from camctl.model.noise import FrameNoise, NoiseModel
+from camctl.model.light import Floats32, is_certain, light_tables
+from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import (
     CameraResponse,
-    linear_response,
-    standard_response,
 )
 from camctl.model.response.desired import desired_response
+from camctl.model.step_posterior import FrameSet
+from camctl.pictures.combine_arguments import (
+    Noise,
+    Response,
+    channel_responses,
+    checked_frames,
+    known_noise,
+    white_level,
+)
 from camctl.pictures.render import CONTRADICTING, DARK, SATURATED
-
-Noise: TypeAlias = NoiseModel | FrameNoise | Sequence[FrameNoise]
-Response: TypeAlias = CameraResponse | str | Sequence[CameraResponse]
 
 METHODS = ("likelihood", "sum")
 
@@ -124,14 +128,14 @@ def combine(
         UsageError: an argument does not fit the others
         DataError: the frames are not of one shape and type, or not unsigned integers
     """
-    pictures = _checked(frames, exposures)
+    pictures = checked_frames(frames, exposures)
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
     shortest = min(exposures)
     relative = tuple(each / shortest for each in exposures)
-    top = _white(pictures[0].dtype, response, black, white)
-    parts = _parts(pictures[0], _responses(response, black, top), layout)
-    known = None if noise is None else _known_noise(noise, exposures, black)
+    top = white_level(pictures[0].dtype, response, black, white)
+    parts = _parts(pictures[0], channel_responses(response, black, top), layout)
+    known = None if noise is None else known_noise(noise, exposures, black)
     total = np.zeros(pictures[0].shape, sum_dtype(len(pictures), top))
     irradiance = np.empty(total.shape, np.float32)
     sd, mask = np.empty_like(irradiance), np.empty(total.shape, np.uint8)
@@ -168,73 +172,6 @@ def sum_dtype(count: int, white: int) -> np.dtype[np.unsignedinteger]:
     )
 
 
-def _checked(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> list[NDArray[Any]]:
-    """Return the frames as arrays."""
-    pictures = [np.asarray(each) for each in frames]
-    if not pictures or len(pictures) != len(exposures):
-        raise UsageError(
-            f"invalid number of exposures: {len(exposures)} for {len(pictures)} frames",
-            hint="give at least one frame, and the exposure of each",
-        )
-    if not all(math.isfinite(each) and each > 0 for each in exposures):
-        raise UsageError(f"invalid exposures {list(exposures)}: expected finite numbers above 0")
-    first = pictures[0]
-    for each in pictures:
-        if each.dtype.kind != "u" or each.dtype.itemsize > 2:
-            raise DataError(
-                f"invalid frame of {each.dtype}: expected unsigned integers of 8 or 16 bits"
-            )
-        if each.shape != first.shape or each.dtype != first.dtype:
-            raise DataError(
-                f"invalid frame of {each.shape} {each.dtype} beside one of {first.shape} "
-                f"{first.dtype}: expected frames of one shape and type"
-            )
-    if first.size == 0 or not (first.ndim == 2 or (first.ndim == 3 and first.shape[2] == 3)):
-        raise DataError(
-            f"invalid frames of the shape {first.shape}: expected (rows, columns) or "
-            "(rows, columns, 3)"
-        )
-    return pictures
-
-
-def _white(dtype: np.dtype[Any], response: Response, black: int, white: int | None) -> int:
-    """Return the brightness from which samples are saturated."""
-    if white is None and not isinstance(response, str):
-        first = response if isinstance(response, CameraResponse) else response[0]
-        white = black + first.M
-    if white is None and dtype.itemsize > 1:
-        raise UsageError(
-            "the white level of 16-bit frames is not known",
-            hint="give white, such as 4095, or the response as levels",
-        )
-    found = 255 if white is None else white
-    if not 0 <= black < found - 1 < np.iinfo(dtype).max:
-        raise UsageError(
-            f"invalid black level {black} and white level {found}: expected "
-            f"0 <= black, black + 2 <= white <= {np.iinfo(dtype).max}"
-        )
-    return found
-
-
-def _responses(response: Response, black: int, white: int) -> tuple[CameraResponse, ...]:
-    """Return the response, or those of R, G and B, as levels."""
-    levels = white - black
-    if response == "linear":
-        return (linear_response(16, levels=levels),)
-    if isinstance(response, str):
-        return (standard_response(response, 16, levels=levels),)
-    found = (response,) if isinstance(response, CameraResponse) else tuple(response)
-    if len(found) not in (1, 3):
-        raise UsageError(f"invalid response of {len(found)} curves: expected 1, or 3 of R, G, B")
-    for each in found:
-        if levels != each.M:
-            raise UsageError(
-                f"the response has {each.M} levels, and white - black is {levels}",
-                hint="give the black and white level of the frames",
-            )
-    return found
-
-
 def _parts(
     picture: NDArray[Any], responses: tuple[CameraResponse, ...], layout: Layout | str | None
 ) -> list[_Part]:
@@ -264,14 +201,6 @@ def _parts(
         for row in (0, 1)
         for column in (0, 1)
     ]
-
-
-def _known_noise(noise: Noise, exposures: Sequence[float], black: int) -> tuple[FrameNoise, ...]:
-    """Return the noise of each frame."""
-    if isinstance(noise, NoiseModel):
-        return tuple(noise.frame(gain=1.0, time_s=each, black=black) for each in exposures)
-    given = (noise,) * len(exposures) if isinstance(noise, FrameNoise) else tuple(noise)
-    return tuple(replace(each, black=black) for each in given)
 
 
 def _fit(

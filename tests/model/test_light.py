@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from camctl.model.light import FrameSet, light_tables
+from camctl.model.light import light_tables
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import (
     CameraResponse,
@@ -16,6 +16,7 @@ from camctl.model.response.camera import (
     linear_response,
     standard_response,
 )
+from camctl.model.step_posterior import FrameSet
 
 GRID = np.linspace(0.0, 2.0, 8001)
 

@@ -1,0 +1,93 @@
+"""The arguments of `combine`: frames as arrays, levels, responses and noise, checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from camctl.errors import DataError, UsageError
+from camctl.model.noise import FrameNoise, NoiseModel
+from camctl.model.response.camera import CameraResponse, linear_response, standard_response
+
+Noise: TypeAlias = NoiseModel | FrameNoise | Sequence[FrameNoise]
+Response: TypeAlias = CameraResponse | str | Sequence[CameraResponse]
+
+
+def checked_frames(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> list[NDArray[Any]]:
+    """Return the frames as arrays."""
+    pictures = [np.asarray(each) for each in frames]
+    if not pictures or len(pictures) != len(exposures):
+        raise UsageError(
+            f"invalid number of exposures: {len(exposures)} for {len(pictures)} frames",
+            hint="give at least one frame, and the exposure of each",
+        )
+    if not all(math.isfinite(each) and each > 0 for each in exposures):
+        raise UsageError(f"invalid exposures {list(exposures)}: expected finite numbers above 0")
+    first = pictures[0]
+    for each in pictures:
+        if each.dtype.kind != "u" or each.dtype.itemsize > 2:
+            raise DataError(
+                f"invalid frame of {each.dtype}: expected unsigned integers of 8 or 16 bits"
+            )
+        if each.shape != first.shape or each.dtype != first.dtype:
+            raise DataError(
+                f"invalid frame of {each.shape} {each.dtype} beside one of {first.shape} "
+                f"{first.dtype}: expected frames of one shape and type"
+            )
+    if first.size == 0 or not (first.ndim == 2 or (first.ndim == 3 and first.shape[2] == 3)):
+        raise DataError(
+            f"invalid frames of the shape {first.shape}: expected (rows, columns) or "
+            "(rows, columns, 3)"
+        )
+    return pictures
+
+
+def white_level(dtype: np.dtype[Any], response: Response, black: int, white: int | None) -> int:
+    """Return the brightness from which samples are saturated."""
+    if white is None and not isinstance(response, str):
+        first = response if isinstance(response, CameraResponse) else response[0]
+        white = black + first.M
+    if white is None and dtype.itemsize > 1:
+        raise UsageError(
+            "the white level of 16-bit frames is not known",
+            hint="give white, such as 4095, or the response as levels",
+        )
+    found = 255 if white is None else white
+    if not 0 <= black < found - 1 < np.iinfo(dtype).max:
+        raise UsageError(
+            f"invalid black level {black} and white level {found}: expected "
+            f"0 <= black, black + 2 <= white <= {np.iinfo(dtype).max}"
+        )
+    return found
+
+
+def channel_responses(response: Response, black: int, white: int) -> tuple[CameraResponse, ...]:
+    """Return the response, or those of R, G and B, as levels."""
+    levels = white - black
+    if response == "linear":
+        return (linear_response(16, levels=levels),)
+    if isinstance(response, str):
+        return (standard_response(response, 16, levels=levels),)
+    found = (response,) if isinstance(response, CameraResponse) else tuple(response)
+    if len(found) not in (1, 3):
+        raise UsageError(f"invalid response of {len(found)} curves: expected 1, or 3 of R, G, B")
+    for each in found:
+        if levels != each.M:
+            raise UsageError(
+                f"the response has {each.M} levels, and white - black is {levels}",
+                hint="give the black and white level of the frames",
+            )
+    return found
+
+
+def known_noise(noise: Noise, exposures: Sequence[float], black: int) -> tuple[FrameNoise, ...]:
+    """Return the noise of each frame."""
+    if isinstance(noise, NoiseModel):
+        return tuple(noise.frame(gain=1.0, time_s=each, black=black) for each in exposures)
+    given = (noise,) * len(exposures) if isinstance(noise, FrameNoise) else tuple(noise)
+    return tuple(replace(each, black=black) for each in given)
