@@ -71,7 +71,8 @@ REPORT = """\
 
 `report.json` in [the folder of a capture](folder.md), the output of `camctl shoot --json` and
 `camctl.CaptureReport` have these fields. A capture that lacks frames or pictures has the status
-"incomplete", and no `achieved`, `irradiance` and `movement`.
+"incomplete", and no `achieved`, `irradiance` and `movement`; where much of the metered light is
+outside its range it has that `light`, which the advice at its end is computed from.
 
 | field | type | meaning |
 |---|---|---|"""
