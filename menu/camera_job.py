@@ -180,6 +180,32 @@ class CameraJob:
             is_relative,
         )
 
+    def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> tuple[Cost, ...]:
+        """Return the most accurate settings for each time, the quickest first.
+
+        Raises:
+            UsageError: the noise of the camera is unknown
+        """
+        request = self._request_for(choice)
+        plan = self._with_camera(lambda camera: _planned(camera, request, cancelled))
+        if plan.front is None:
+            raise UsageError(
+                "the noise of this camera is unknown, and with it what accuracy costs",
+                remedies={"calibrate_noise": None},
+            )
+        return tuple(
+            Cost(
+                point.n,
+                sum(setting.time_s for setting in point.settings),
+                point.time_s,
+                point.levels,
+                noise_known=True,
+                dynamic_range=plan.dynamic_range,
+                is_recommended=point == plan.front.recommended,
+            )
+            for point in plan.front.points
+        )
+
     def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
         """Meter, look up the exposures, and choose among the settings of the camera.
 
@@ -269,7 +295,6 @@ class CameraJob:
             dynamic_range="auto" if choice.dynamic_range is None else choice.dynamic_range,
             count=choice.count,
             time_budget_s=choice.time_budget_s,
-            accuracy=choice.accuracy,
             mains_hz=choice.mains_hz or self._request.mains_hz,
         )
 

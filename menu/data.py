@@ -18,7 +18,6 @@ class Settings:
         stops: index of the entry of `menu.entries.STOPS`, for the custom range
         count: index of the entry of `menu.entries.COUNTS`
         budget: index of the entry of `menu.entries.BUDGETS`
-        accuracy: index of the entry of `menu.entries.ACCURACIES`
         timer: index of the entry of `menu.entries.TIMERS`
         saver: index of the entry of `menu.entries.SAVERS`
         mains: index of the entry of `menu.entries.MAINS`
@@ -28,9 +27,8 @@ class Settings:
     response: int = 0
     range: int = 3
     stops: int = 6
-    count: int = 2
+    count: int = 0
     budget: int = 3
-    accuracy: int = 2
     timer: int = 1
     saver: int = 1
     mains: int = 0
@@ -61,9 +59,8 @@ class Choice:
     Attributes:
         response: desired response, one of `camctl.model.response.desired.RESPONSES`, or "auto"
         dynamic_range: desired dynamic range, brightest over darkest; None: the range of the scene
-        count: number of exposures; None: the number that response and range need
+        count: number of exposures; None: as many as pay
         time_budget_s: longest time of the capture, s
-        accuracy: effective levels to reach in the least time
         mains_hz: frequency of the mains that feeds the lamps; None: daylight
     """
 
@@ -71,7 +68,6 @@ class Choice:
     dynamic_range: float | None
     count: int | None = None
     time_budget_s: float | None = None
-    accuracy: float | None = None
     mains_hz: float | None = None
 
 
@@ -87,6 +83,8 @@ class Cost:
             the camera's noise where it is known
         noise_known: whether the noise is known
         is_relative: the light was not metered
+        dynamic_range: the one that is planned
+        is_recommended: beyond it more time pays no more than averaging does
         problem: why the choice is impossible; the other fields are not used then
     """
 
@@ -96,6 +94,8 @@ class Cost:
     effective_levels: float = 0.0
     noise_known: bool = False
     is_relative: bool = False
+    dynamic_range: float = 0.0
+    is_recommended: bool = False
     problem: str = ""
 
 

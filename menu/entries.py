@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from camctl.system.number_text import range_text
-from menu.data import Choice, Settings
+from menu.data import Choice, Cost, Settings
 from menu.model import Action, Goal, Model, State
 from menu.tables import STATES
+from menu.text import format_levels, format_short_time
+
+#: Share of a point's time that its plan may take: the light is metered again, with noise.
+_AGAIN = 1.02
 
 
 @dataclass(frozen=True)
@@ -48,17 +52,14 @@ STOPS = tuple(
     for stops in range(4, 21)
 )
 COUNTS = (
+    Entry(("Recommended",)),
+    Entry(("Time / accuracy ...", "Time/accuracy"), action=Action.FRONT),
     *(Entry((f"{n} exposure{'s' * (n > 1)}", f"{n} exp."), n) for n in range(1, 7)),
     Entry(("Time budget ...", "Time limit ..."), action=Action.BUDGET),
-    Entry(("Accuracy ...",), action=Action.ACCURACY),
 )
 BUDGETS = tuple(
     Entry((f"{value:g} s at most", f"{value:g} s"), value)
     for value in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
-)
-ACCURACIES = tuple(
-    Entry((f"{value} levels at least", f"{value} levels"), float(value))
-    for value in (20, 40, 60, 80, 100, 120, 150, 200, 300, 500)
 )
 TIMERS = _entries(*((s, f"Self-timer {s} s", f"Timer {s} s") for s in (2, 10, 30, 60)))
 SAVERS = _entries(
@@ -87,7 +88,6 @@ KEPT: dict[str, tuple[Entry, ...]] = {
     "stops": STOPS,
     "count": COUNTS,
     "budget": BUDGETS,
-    "accuracy": ACCURACIES,
     "timer": TIMERS,
     "saver": SAVERS,
     "mains": MAINS,
@@ -111,6 +111,8 @@ def rows(model: Model) -> tuple[Entry, ...]:
                 )
                 for each in model.captures
             )
+        case State.FRONT:
+            return tuple(map(_point_entry, model.front))
         case State.SETTINGS:
             return tuple(
                 Entry(KEPT[name][getattr(model.settings, name)].labels, name, Action.CHANGE)
@@ -119,6 +121,17 @@ def rows(model: Model) -> tuple[Entry, ...]:
         case State.MENU:
             return MAIN_MENU
     return KEPT.get(STATES[model.state].cursor, ())
+
+
+def _point_entry(point: Cost) -> Entry:
+    """Return the entry of a point of the front, in two digits of its time.
+
+    >>> _point_entry(Cost(6, wall_s=1.83, effective_levels=126.6)).labels
+    ('1.8 s, 127 levels', '1.8 s')
+    """
+    assert point.wall_s is not None
+    time = format_short_time(float(f"{point.wall_s:.2g}"))
+    return Entry((f"{time}, {format_levels(point.effective_levels)} levels", time), point)
 
 
 def _capture_names(name: str) -> tuple[str, ...]:
@@ -143,9 +156,19 @@ def choice(settings: Settings, goal: Goal) -> Choice:
         None if value is None else _number(value),
         count=int(_number(COUNTS[settings.count].value)) if by_count else None,
         time_budget_s=_number(BUDGETS[settings.budget].value) if goal is Goal.BUDGET else None,
-        accuracy=_number(ACCURACIES[settings.accuracy].value) if goal is Goal.ACCURACY else None,
         mains_hz=mains_hz(settings),
     )
+
+
+def requested(model: Model) -> Choice:
+    """Return what was chosen: a point of the front as long as its response and range are."""
+    asked = choice(model.settings, model.goal)
+    if model.goal is Goal.FRONT and model.point is not None:
+        point, traced = model.point
+        if traced == asked and point.wall_s is not None:
+            budget_s = point.wall_s * _AGAIN
+            return replace(asked, time_budget_s=budget_s, dynamic_range=point.dynamic_range)
+    return asked
 
 
 def mains_hz(settings: Settings) -> float | None:

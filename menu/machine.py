@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from menu.data import CameraEntry, Cost, Loaded, Plan, Progress, Reading, Settings, Summary
-from menu.entries import CHANGEABLE, KEPT, TIMERS, choice, rows, seconds
+from menu.entries import CHANGEABLE, KEPT, TIMERS, choice, requested, rows, seconds
 from menu.model import Action, Goal, Model, State
 from menu.ports import Key
 from menu.tables import (
@@ -93,6 +93,8 @@ def _enter(model: Model, state: State) -> tuple[Model, Effect | None]:
         return model, None
     if work is Work.PREDICT:
         model = replace(model, costs=(None,) * len(rows(model)))
+    if work is Work.TRACE:
+        model = replace(model, front=(), note="")
     return _started(replace(model, progress=None), work)
 
 
@@ -118,14 +120,15 @@ def _with_index(settings: Settings, name: str, index: int) -> Settings:
 
 
 def _goal(model: Model) -> Goal:
-    goals = {State.BUDGET: Goal.BUDGET, State.ACCURACY: Goal.ACCURACY}
+    goals = {State.BUDGET: Goal.BUDGET, State.FRONT: Goal.FRONT}
     return goals.get(model.state, Goal.COUNT)
 
 
 _ARGUMENTS: dict[Work, Callable[[Model], object]] = {
     Work.OPEN: lambda model: model.settings.camera,
     Work.PREDICT: choices,
-    Work.PLAN: lambda model: choice(model.settings, model.goal),
+    Work.TRACE: lambda model: choice(model.settings, Goal.FRONT),
+    Work.PLAN: requested,
     Work.SHOOT: lambda model: model.plan,
     Work.RESUME: lambda model: model.captures[model.cursor],
     Work.LOOK: lambda model: model.captures[model.cursor],
@@ -134,8 +137,10 @@ _ARGUMENTS: dict[Work, Callable[[Model], object]] = {
 
 def _with_goal(model: Model, symbol: Symbol, target: State) -> Model:
     """Return the model with what leaving a list by a key decides."""
-    lists = (State.EXPOSURES, State.BUDGET, State.ACCURACY)
-    if model.state in lists and target is State.PLANNING:
+    if model.state is State.FRONT and target is State.PLANNING:
+        point = model.front[model.cursor], choice(model.settings, Goal.FRONT)
+        return replace(model, goal=Goal.FRONT, point=point)
+    if model.state in (State.EXPOSURES, State.BUDGET) and target is State.PLANNING:
         return replace(model, goal=_goal(model))
     if model.state is State.CAMERAS and target is State.OPENING:
         camera = model.cameras[model.cursor].id
@@ -150,7 +155,7 @@ def _with_value(model: Model, event: Event) -> Model:
     match event.outcome, value:
         case Outcome.FAILED | Outcome.CANCELLED, _:
             lost = model.state in (State.IDLE, State.OPENING, State.CAMERA_FAILED)
-            if STATES[model.state].work is Work.PREDICT:
+            if STATES[model.state].work in (Work.PREDICT, Work.TRACE):
                 return replace(model, note=str(value))
             return replace(model, error=str(value), camera=None if lost else model.camera)
         case _, Loaded():
@@ -170,6 +175,8 @@ def _with_value(model: Model, event: Event) -> Model:
             return replace(model, progress=value)
         case _, Summary():
             return replace(model, summary=value)
+        case Outcome.DONE, tuple() if model.state is State.FRONT:
+            return replace(model, front=value, cursor=_recommended(value))
         case Outcome.DONE, tuple() if model.state is State.SEARCHING:
             found = [each for each in value if isinstance(each, CameraEntry)]
             ids = [each.id for each in found]
@@ -184,6 +191,14 @@ def selected(model: Model) -> int:
     """Return the index of the selected entry of a list."""
     name = STATES[model.state].cursor
     return getattr(model.settings, name) if name else model.cursor
+
+
+def _recommended(front: tuple[object, ...]) -> int:
+    """Return the place of the recommended point."""
+    places = [
+        place for place, each in enumerate(front) if isinstance(each, Cost) and each.is_recommended
+    ]
+    return places[0] if places else 0
 
 
 def _with_changed_setting(model: Model) -> Model:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum, auto
 
-from menu.data import CameraEntry, Cost, Past, Plan, Progress, Reading, Settings, Summary
+from menu.data import CameraEntry, Choice, Cost, Past, Plan, Progress, Reading, Settings, Summary
 
 
 class State(StrEnum):
@@ -20,7 +20,7 @@ class State(StrEnum):
     CUSTOM = auto()
     EXPOSURES = auto()
     BUDGET = auto()
-    ACCURACY = auto()
+    FRONT = auto()
     PLANNING = auto()
     PLAN_FAILED = auto()
     REVIEW = auto()
@@ -66,7 +66,7 @@ class Action(Enum):
     ABOUT = "About"
     CUSTOM = "Custom"
     BUDGET = "Time budget"
-    ACCURACY = "Accuracy"
+    FRONT = "Time / accuracy"
     RESUME = "Resume"
     CHANGE = "Change"
     QUIT = "Quit"
@@ -77,7 +77,7 @@ class Goal(Enum):
 
     COUNT = auto()
     BUDGET = auto()
-    ACCURACY = auto()
+    FRONT = auto()
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,8 @@ class Model:
         action: index of the selected button of a page
         offset: first line of a page to show
         costs: what each entry of the list costs; None: not predicted yet
+        front: the points of the list *Time / accuracy*, the quickest first
+        point: the one that was chosen, and what its list was for
         reading: the last reading of the exposure meter
         plan: the plan that the review shows and that will be shot
         progress: progress of the running work
@@ -112,6 +114,8 @@ class Model:
     action: int = 0
     offset: int = 0
     costs: tuple[Cost | None, ...] = ()
+    front: tuple[Cost, ...] = ()
+    point: tuple[Cost, Choice] | None = None
     reading: Reading | None = None
     plan: Plan | None = None
     progress: Progress | None = None

@@ -7,7 +7,7 @@ from dataclasses import replace
 import camctl
 from camctl.system.number_text import range_text
 from menu.data import Plan, Summary
-from menu.entries import RESPONSES, choice
+from menu.entries import RESPONSES, requested
 from menu.model import Model
 from menu.ports import Line, Screen
 from menu.text import (
@@ -42,11 +42,11 @@ def idle(model: Model) -> Screen:
                 )
             )
         )
-    requested = choice(model.settings, model.goal)
+    asked = requested(model)
     name = RESPONSES[model.settings.response].labels[-1]
-    wide = "auto" if requested.dynamic_range is None else range_text(requested.dynamic_range)
+    wide = "auto" if asked.dynamic_range is None else range_text(asked.dynamic_range)
     narrow = wide.replace(",", "")
-    count = "" if requested.count is None else f" x{requested.count}"
+    count = "" if asked.count is None else f" x{asked.count}"
     lines.append(Line((f"{name}, {wide},{count or ' auto'}", f"{name[:6]} {narrow}{count}"[:14])))
     if reading is not None:
         free = format_bytes(reading.free_bytes)

@@ -156,6 +156,10 @@ class Job(Protocol):
     def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
         """Yield the cost of each choice; end early where `cancelled` returns True."""
 
+    def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> tuple[Cost, ...]:
+        """Return what accuracy costs in time: points of ascending time and accuracy."""
+        ...
+
     def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
         """Return the exact settings that will be shot for `choice`, metered where needed."""
 

@@ -9,9 +9,9 @@ from camctl.system.number_text import range_text
 from menu import pages
 from menu.data import Cost
 from menu.diagram import KEYS
-from menu.entries import RESPONSES, TIMERS, choice, rows, seconds
+from menu.entries import RESPONSES, TIMERS, requested, rows, seconds
 from menu.machine import choices, selected
-from menu.model import Action, Model, State
+from menu.model import Action, Goal, Model, State
 from menu.ports import Line, Mood, Screen
 from menu.tables import STATES, Kind
 from menu.text import format_levels, format_short_time, format_total
@@ -67,7 +67,7 @@ _AFTER_RESPONSE = {
     State.CUSTOM: 1,
     State.EXPOSURES: 2,
     State.BUDGET: 2,
-    State.ACCURACY: 2,
+    State.FRONT: 2,
     State.PLANNING: 3,
     State.REVIEW: 3,
     State.TIMER: 3,
@@ -78,16 +78,16 @@ _AFTER_RESPONSE = {
 
 
 def _selection(model: Model) -> str:
-    requested = choice(model.settings, model.goal)
-    if requested.count is not None:
-        goal = f"{requested.count} exposures"
-    elif requested.time_budget_s is not None:
-        goal = f"{format_short_time(requested.time_budget_s)} at most"
-    elif requested.accuracy is not None:
-        goal = f"{format_levels(requested.accuracy)} levels at least"
+    asked = requested(model)
+    if asked.count is not None:
+        goal = f"{asked.count} exposures"
+    elif asked.time_budget_s is not None:
+        about = model.goal is Goal.FRONT
+        time = format_short_time(float(f"{asked.time_budget_s:.2g}"))
+        goal = f"about {time}" if about else f"{time} at most"
     else:
         goal = ""
-    span = "auto range" if requested.dynamic_range is None else range_text(requested.dynamic_range)
+    span = "auto range" if asked.dynamic_range is None else range_text(asked.dynamic_range)
     parts = (RESPONSES[model.settings.response].labels[0], span, goal)
     return ", ".join(filter(None, parts[: _AFTER_RESPONSE[model.state]]))
 
@@ -98,7 +98,7 @@ def _list(model: Model) -> Screen:
     notes = [_cost_note(model, place) if has_costs else ("",) for place in range(len(entries))]
     lines = tuple(Line(entry.labels, note) for entry, note in zip(entries, notes, strict=True))
     if not entries:
-        return replace(pages.BLANK, paragraphs=(_EMPTY[model.state],))
+        return replace(pages.BLANK, paragraphs=(model.note or _EMPTY[model.state],))
     return replace(
         pages.BLANK,
         lines=lines,
@@ -108,7 +108,11 @@ def _list(model: Model) -> Screen:
     )
 
 
-_EMPTY = {State.CAPTURES: "No captures yet", State.CAMERAS: "No cameras found"}
+_EMPTY = {
+    State.CAPTURES: "No captures yet",
+    State.CAMERAS: "No cameras found",
+    State.FRONT: "computing ...",
+}
 
 
 def _list_detail(model: Model, index: int) -> Line | None:
@@ -119,11 +123,25 @@ def _list_detail(model: Model, index: int) -> Line | None:
             if done
             else ("unfinished; enter shoots the missing frames", "enter: resume")
         )
+    if model.state is State.FRONT:
+        return Line(_point_detail(model.front[index]))
     if model.state is State.CAMERAS:
         return Line((model.cameras[index].id, model.cameras[index].id[-16:]))
     if model.state is State.SETTINGS:
         return Line(("enter: change",))
     return None
+
+
+def _point_detail(point: Cost) -> tuple[str, ...]:
+    levels, count = format_levels(point.effective_levels), f"{point.count} exposures"
+    if point.is_recommended:
+        count += ", recommended"
+    return (
+        f"{count}: {levels} effective levels, noise counted",
+        count,
+        f"{levels} levels, {point.count} exp.",
+        f"{levels} levels",
+    )
 
 
 def _gain(model: Model, index: int) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from camctl.system.input_files import read_own_file
 from menu.data import Settings
 from menu.entries import KEPT
 
-VERSION = 1
+VERSION = 2
 """Version of the file's format; files of another version are not read."""
 
 

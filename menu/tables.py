@@ -48,6 +48,7 @@ class Work(Enum):
     OPEN = auto()
     METER = auto()
     PREDICT = auto()
+    TRACE = auto()
     PLAN = auto()
     SHOOT = auto()
     RESUME = auto()
@@ -128,7 +129,7 @@ STATES: dict[State, StateSpec] = {
     State.CUSTOM: StateSpec(_L, ("Custom range",), work=Work.PREDICT, cursor="stops"),
     State.EXPOSURES: StateSpec(_L, ("Exposures",), work=Work.PREDICT, cursor="count"),
     State.BUDGET: StateSpec(_L, ("Time budget",), work=Work.PREDICT, cursor="budget"),
-    State.ACCURACY: StateSpec(_L, ("Accuracy",), work=Work.PREDICT, cursor="accuracy"),
+    State.FRONT: StateSpec(_L, ("Time / accuracy", "Time/accuracy"), work=Work.TRACE),
     State.PLANNING: StateSpec(_W, ("Metering",), work=Work.PLAN, mood=_BUSY),
     State.PLAN_FAILED: StateSpec(_P, ("Planning failed", "Plan failed"), _FAILURE, mood=_ERROR),
     State.REVIEW: StateSpec(_P, ("Review",), (Action.SHOOT, Action.TIMER, Action.BACK)),
@@ -235,10 +236,10 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
         _S.EXPOSURES,
         _S.RANGE,
         _S.PLANNING,
-        {Action.BUDGET: _S.BUDGET, Action.ACCURACY: _S.ACCURACY},
+        {Action.BUDGET: _S.BUDGET, Action.FRONT: _S.FRONT},
     ),
     _S.BUDGET: _list(_S.BUDGET, _S.EXPOSURES, _S.PLANNING),
-    _S.ACCURACY: _list(_S.ACCURACY, _S.EXPOSURES, _S.PLANNING),
+    _S.FRONT: _list(_S.FRONT, _S.EXPOSURES, _S.PLANNING),
     _S.PLANNING: _wait(_S.PLANNING, _S.EXPOSURES, _S.REVIEW, _S.PLAN_FAILED),
     _S.PLAN_FAILED: _failure(_S.PLAN_FAILED, _S.PLANNING, _S.EXPOSURES),
     _S.REVIEW: _page(_S.REVIEW, _S.EXPOSURES, {Action.SHOOT: _S.SHOOTING, Action.TIMER: _S.TIMER}),

@@ -140,6 +140,8 @@ class Worker:
                 return job.meter()
             case Work.PLAN, Choice():
                 return job.plan(argument, cancelled)
+            case Work.TRACE, Choice():
+                return job.trace(argument, cancelled)
             case Work.PREDICT, tuple():
                 places = [place for place, each in enumerate(argument) if each is not None]
                 costs = job.predict([argument[place] for place in places], cancelled)

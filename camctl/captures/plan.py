@@ -97,6 +97,7 @@ def plan_for(controls: ExposureControls, search: Search, light: Light | None) ->
         objective=search.objective,
         light=planned,
         scene=light if planned is not None and planned.needs_advice else None,
+        front=chosen.front,
     )
     possible = evaluate(real, desired, ratios, objective=objective, noise=noise).effective_levels
     return replace(

@@ -224,6 +224,7 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
             + f" (planned {format_number(plan.effective_levels, 4)})",
         ),
         *_measured_rows(achieved.measured),
+        *_front_rows(plan),
         (
             "missing levels (xi)",
             f"{format_number(achieved.xi, 5)} of {format_number(plan.levels_wanted)}",
@@ -288,6 +289,22 @@ def _wall_rows(report: CaptureReport) -> list[tuple[str, str]]:
         f"(planned {at_least}{format_duration(timing['planned_wall_s'])})"
     )
     return [("", text)]
+
+
+def _front_rows(plan: CapturePlan) -> list[tuple[str, str]]:
+    """Return what half and double the time would give, where the plan knows that."""
+    if plan.front is None or plan.wall_s is None or not plan.is_wall_known:
+        return []
+    times = [plan.wall_s / 2, plan.wall_s, 2 * plan.wall_s]
+    half, double = (plan.front.levels_within(time_s) for time_s in (times[0], times[2]))
+    costs = [
+        f"{format_wall(time_s)} {format_number(levels, 3)}"
+        for time_s, levels in zip(times, (half, plan.effective_levels, double), strict=True)
+        if levels is not None
+    ]
+    place = 0 if half is None else 1
+    costs[0], costs[place] = f"{costs[0]} levels", f"{costs[place]}{' levels' * (not place)} (this)"
+    return [("time / accuracy", ", ".join(costs))]
 
 
 def _measured_rows(measured: MeasuredNoise | None) -> list[tuple[str, str]]:

@@ -91,6 +91,8 @@ class CapturePlan:
         light: how much of the scene's light the picture will hold; None where it was not metered
         scene: the light itself, where much of it is outside the range, so that advice can be asked
             for; it is not part of a report
+        front: what accuracy costs in time there (`camctl.exposure.search.front.Front`), where the
+            settings are a point of it; it is not part of a report
     """
 
     response: str
@@ -114,6 +116,7 @@ class CapturePlan:
     objective: str = XI
     light: PlannedLight | None = None
     scene: Annotated[Any, Field(exclude=True)] = field(default=None, compare=False, repr=False)
+    front: Annotated[Any, Field(exclude=True)] = field(default=None, compare=False, repr=False)
 
     @property
     def warnings(self) -> tuple[str, ...]:

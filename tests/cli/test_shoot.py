@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,13 @@ def test_shoot_without_options_takes_a_picture(run: Run) -> None:
         "sum.tiff",
     ):
         assert text in ran.out
+    levels = re.search(
+        r"time / accuracy .* ([\d.]+) levels, .* ([\d.]+) .this., .* ([\d.]+)", ran.out
+    )
+    assert levels is not None
+    half, this, double = map(float, levels.groups())
+    assert this == pytest.approx(report["plan"]["effective_levels"], rel=0.01)
+    assert 1.2 * half < this < double / 1.2
     assert ran.err == ""
 
 

@@ -25,6 +25,10 @@ from menu.layout import grid
 from menu.ports import Key, Screen
 
 COST = Cost(3, 1.79, 1.88, 99.6, True)
+FRONT = tuple(
+    Cost(n, 0.9 * time_s, time_s, levels, True, dynamic_range=1000.0, is_recommended=n == 6)
+    for n, time_s, levels in ((3, 0.72, 74.7), (6, 1.33, 105.1), (12, 3.14, 163.1))
+)
 CAMERA = CameraEntry("sim", "Simulated phone")
 OTHER_CAMERA = CameraEntry("v4l2:/dev/video0", "HD Webcam")
 PICTURE = Picture(4, 3, bytes(range(0, 252, 7)))
@@ -85,6 +89,7 @@ class FakeJob:
         self.shot: list[Plan] = []
         self.planned: list[Choice] = []
         self.predicted: list[Choice] = []
+        self.traced: list[Choice] = []
         self.resumed: list[Past] = []
         self.saved: list[Settings] = []
         self.opened: list[str] = []
@@ -130,6 +135,12 @@ class FakeJob:
         self._call_before("predict")
         for _ in choices:
             yield COST
+
+    def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> tuple[Cost, ...]:
+        """Return three points, the second recommended."""
+        self.traced.append(choice)
+        self._call_before("trace")
+        return FRONT
 
     def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
         """Return a plan with one exposure for each of `choice`."""

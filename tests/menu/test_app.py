@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from panel_fakes import CAMERA, OTHER_CAMERA, TO_REVIEW, FakeJob, Script, ScriptedPanel, quit_from
 
-from camctl.errors import CameraDisconnectedError, CameraNotFoundError
+from camctl.errors import CameraDisconnectedError, CameraNotFoundError, UsageError
 from menu.app import run
 from menu.data import Choice, Settings
 from menu.ports import Key, PanelDisconnectedError, Screen
@@ -29,12 +29,12 @@ def fail_internally() -> None:
 @pytest.mark.parametrize("size", [(16, 2), (20, 4), (60, 16)])
 def test_five_keys_lead_from_the_start_to_a_finished_capture(size: tuple[int, int]) -> None:
     job = FakeJob()
-    texts = ["[Set]", "ontrast", "Auto", "3 exposures", "[Shoot]"]
+    texts = ["[Set]", "ontrast", "Auto", "Recommended", "[Shoot]"]
     script: Script = [(text, Key.ENTER) for text in texts]
     summary = run(ScriptedPanel([*script, *quit_from("Again]")], size), lambda: job)
     assert summary is not None
     assert summary.folder == "captures/x"
-    assert job.planned == [Choice("log", None, 3)]
+    assert job.planned == [Choice("log", None)]
     assert len(job.shot) == 1
     assert job.closed
 
@@ -52,18 +52,38 @@ def test_again_plans_again() -> None:
     assert len(job.planned) == len(job.shot) == 2
 
 
-def test_time_budget_and_accuracy_decide_the_exposures() -> None:
+def test_a_time_budget_or_a_point_of_the_front_decides_the_exposures() -> None:
     job = FakeJob()
-    down: Script = [("Exposures", Key.DOWN)] * 4
-    script: Script = [*TO_REVIEW[:3], *down, (">Time", Key.ENTER), ("Time budget", Key.UP)]
-    script += [("0.2 s", Key.ENTER), ("Review", Key.EXIT), ("Exposures", Key.DOWN)]
-    script += [("Accuracy", Key.ENTER), ("60 levels", Key.ENTER), ("Review", Key.EXIT)]
-    script += [("Exposures", Key.EXIT), ("Dynamic", Key.EXIT), ("Desired", Key.EXIT)]
+    down: Script = [("Exposures", Key.DOWN)] * 8
+    script: Script = [*TO_REVIEW[:3], *down, (">Time budget", Key.ENTER), ("Time budget", Key.UP)]
+    script += [("0.2 s", Key.ENTER), ("Review", Key.EXIT), *[("Exposures", Key.UP)] * 7]
+    script += [(">Time / accuracy", Key.ENTER), (">1.3 s, 105 levels", Key.DOWN)]
+    script += [(">3.1 s, 163 levels", Key.ENTER), ("Review", Key.EXIT), ("Exposures", Key.EXIT)]
+    back: Script = [("Dynamic", Key.EXIT), ("Desired", Key.EXIT)]
+    # The same point of another range is not known: what is recommended is planned.
+    script += [("Dynamic", Key.UP), ("Dynamic", Key.EXIT), ("Desired", Key.EXIT)]
+    script += [("[Set]", Key.RIGHT), ("[Shoot]", Key.ENTER), ("Review", Key.EXIT)]
+    script += [("Exposures", Key.EXIT), *back]
     run(ScriptedPanel([*script, *quit_from("[Set]")[1:]], (60, 16)), lambda: job)
+    assert job.traced == [Choice("log", None)]
     assert job.planned == [
         Choice("log", None, time_budget_s=0.2),
-        Choice("log", None, accuracy=60.0),
+        Choice("log", 1000.0, time_budget_s=3.14 * 1.02),
+        Choice("log", 16000.0),
     ]
+
+
+def test_without_points_the_list_says_why() -> None:
+    def fail() -> None:
+        raise UsageError("the noise is unknown")
+
+    job = FakeJob()
+    job.before["trace"] = fail
+    script: Script = [*TO_REVIEW[:3], ("Exposures", Key.DOWN), (">Time / accuracy", Key.ENTER)]
+    script += [("the noise is unknown", Key.ENTER), ("the noise is unknown", Key.EXIT)]
+    script += [("Exposures", Key.EXIT), ("Dynamic", Key.EXIT), ("Desired", Key.EXIT)]
+    run(ScriptedPanel([*script, *quit_from("[Set]")[1:]], (60, 16)), lambda: job)
+    assert job.planned == []
 
 
 def test_every_choice_of_a_list_is_predicted() -> None:

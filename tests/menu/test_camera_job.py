@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from panel_fakes import TO_REVIEW, Script, ScriptedPanel, quit_from
 
+import camctl
 from camctl import read_report
 from camctl.errors import CaptureError, DataError, StorageError, UsageError
 from camctl.exposure.goal import CaptureRequest
@@ -20,7 +21,9 @@ from camctl.interface.controls import ExposureSetting
 from menu.app import run
 from menu.camera_job import CameraJob
 from menu.capture_list import list_captures, next_folder
-from menu.data import Choice, Past
+from menu.data import Choice, Past, Settings
+from menu.entries import choice, requested
+from menu.model import Goal, Model
 from menu.ports import Key
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import load_scene
@@ -81,7 +84,7 @@ def test_settings_reviewed_are_the_settings_shot(
     script += [("Desired", Key.DOWN)] * response + [("Desired", Key.ENTER)]
     script += [("Dynamic", Key.UP)] * 3 + [("Dynamic", Key.DOWN)] * dynamic_range
     script += [("Dynamic", Key.ENTER)]
-    script += [("Exposures", Key.UP)] * 8 + [("Exposures", Key.DOWN)] * (count - 1)
+    script += [("Exposures", Key.UP)] * 8 + [("Exposures", Key.DOWN)] * (count + 1)
     script += [("Exposures", Key.ENTER)]
     panel = ScriptedPanel(script, SIZE)
     reviewed: list[str] = []
@@ -113,8 +116,8 @@ def test_predicted_costs_are_those_of_the_plan(camera: RecordingCamera, tmp_path
         Choice("log", None, 2),
         Choice("log", 1000.0, time_budget_s=0.5),
     ]
-    for choice, cost in zip(choices, job.predict(choices, never), strict=True):
-        plan = job.plan(choice, never)
+    for asked, cost in zip(choices, job.predict(choices, never), strict=True):
+        plan = job.plan(asked, never)
         assert cost.problem == ""
         assert cost.count == len(plan.frames)
         assert cost.effective_levels == pytest.approx(plan.effective_levels)
@@ -124,8 +127,31 @@ def test_predicted_costs_are_those_of_the_plan(camera: RecordingCamera, tmp_path
 
 def test_impossible_choice_says_why(camera: RecordingCamera, tmp_path: Path) -> None:
     job = job_with(camera, tmp_path)
-    (cost,) = job.predict([Choice("log", 1000.0, accuracy=500.0)], never)
-    assert "500 effective levels" in cost.problem or "noise" in cost.problem
+    (cost,) = job.predict([Choice("log", 1000.0, time_budget_s=1e-3)], never)
+    assert "0.001 s" in cost.problem
+
+
+def test_points_of_the_front_are_planned_as_they_are_listed(
+    camera: RecordingCamera, tmp_path: Path
+) -> None:
+    job = job_with(camera, tmp_path)
+    front = job.trace(Choice("log", None), never)
+    assert [point.is_recommended for point in front].count(True) == 1
+    assert max(point.count for point in front) > 6
+    assert [point.effective_levels for point in front] == sorted(p.effective_levels for p in front)
+    for point in (front[0], front[-1]):
+        assert point.wall_s is not None
+        model = Model(goal=Goal.FRONT, point=(point, choice(Settings(), Goal.FRONT)))
+        plan = job.plan(requested(model), never)
+        assert plan.dynamic_range == point.dynamic_range
+        assert plan.effective_levels == pytest.approx(point.effective_levels, rel=0.02)
+
+
+def test_without_noise_there_is_no_front(tmp_path: Path) -> None:
+    with camctl.open_camera("sim", unknown="yes", size="32x24", profile="none") as unknown:
+        job = CameraJob(lambda _: (unknown, {}), tmp_path, tmp_path / "menu.json")
+        with pytest.raises(UsageError, match="the noise of this camera is unknown"):
+            job.trace(Choice("log", 1000.0), never)
 
 
 def test_prediction_ends_when_it_is_cancelled(camera: RecordingCamera, tmp_path: Path) -> None:
@@ -172,7 +198,7 @@ def test_camera_that_was_unplugged_is_opened_again(tmp_path: Path) -> None:
     assert run(panel, lambda: job) is not None
     assert len(opened) == 2
     failed = next(lines for lines in panel.screens if lines[0].startswith("Capture failed"))
-    assert "1 of 3 frames are kept" in " ".join(" ".join(failed).split())
+    assert "1 of 8 frames are kept" in " ".join(" ".join(failed).split())
 
 
 def test_reading_shows_the_light(camera: RecordingCamera, tmp_path: Path) -> None:

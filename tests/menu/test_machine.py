@@ -9,7 +9,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from panel_fakes import CAMERA, CAPTURES, COST, OTHER_CAMERA, READING, SUMMARY, plan_of
+from panel_fakes import CAMERA, CAPTURES, COST, FRONT, OTHER_CAMERA, READING, SUMMARY, plan_of
 
 from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.model.response.names import RANGES as DEFINED_RANGES
@@ -35,6 +35,7 @@ from menu.tables import (
 DOCS = Path(__file__).parents[2] / "docs"
 FULL = Model(
     costs=(COST,) * 20,
+    front=FRONT,
     reading=READING,
     plan=plan_of([0.0033, 0.0327]),
     progress=Progress(1, 2, "shooting", 0.1),
@@ -158,7 +159,7 @@ def test_idle_screen_is_metered_again_and_again() -> None:
 def test_the_menu_has_the_defaults_of_a_request() -> None:
     asked, request = choice(Settings(), Goal.COUNT), CaptureRequest()
     assert (asked.response, asked.dynamic_range) == (request.response, request.given_range)
-    assert asked.count == request.most_exposures
+    assert asked.count == request.count
     assert asked.mains_hz == request.mains_hz
 
 

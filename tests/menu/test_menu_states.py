@@ -207,6 +207,7 @@ class MenuMachine(RuleBasedStateMachine):
             Work.FIND: self.job.find_cameras,
             Work.BROWSE: self.job.captures,
             Work.PREDICT: lambda: None,
+            Work.TRACE: lambda: self.job.trace(task.argument, lambda: False),  # type: ignore[arg-type]  # a choice
             Work.PLAN: lambda: self.job.plan(task.argument, lambda: False),  # type: ignore[arg-type]  # a choice
             Work.LOOK: lambda: self.job.look(task.argument),  # type: ignore[arg-type]  # a capture
         }

@@ -157,6 +157,17 @@ class Front:
             self._at_times[budget_s] = self._within(budget_s)
         return self._at_times[budget_s]
 
+    def levels_within(self, time_s: float) -> float | None:
+        """Return the most effective levels of any number of exposures in a time.
+
+        None: no settings are over as soon as that.  It is rated without the camera's steps.
+        """
+        sets = accurate_sets(self._problem, COUNTS)
+        limit = time_s / self._unit_s - self._problem.available.costs.fixed
+        if sets.least_time(min(COUNTS)) > limit:
+            return None
+        return sets.within(limit, polished=False).levels
+
     @property
     def chosen(self) -> FrontPoint:
         """What the request asks for: an accuracy, a time, a number, or the recommended point.
