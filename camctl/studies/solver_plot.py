@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camctl.studies.plots import COLOURS, plot
-from camctl.studies.solver_study import METHODS, Case, SolverStudy
+from camctl.studies.solver_study import CAMCTL, METHODS, Case, SolverStudy
 from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
@@ -18,11 +18,11 @@ LOWEST = 1e-5
 
 _MARKERS = ("o", "s", "^", "D")
 
-CAPTION = """Each panel is one problem; further down is better, further left is faster. A thin line
-is one run, the thick line the median over the runs. A point of camctl or of the grid is a complete
-search of that length; scipy's optimisers improve one answer as time goes on. All use the same
-objective code. Regret is how far xi, the missing levels, lies above the least that any run found:
-0.01 is 1 %. The dotted line marks 0.5 %; a regret of zero is drawn at the bottom."""
+CAPTION = """Each panel is one problem; further down is better, further left is faster. The line is camctl,
+the dots are the other methods, medians over the runs. A point of camctl or of the grid is a
+complete search of that length; scipy's optimisers improve one answer as time goes on. All use
+the same objective code. Regret is how far xi, the missing levels, lies above the least that any
+run found: 0.01 is 1 %. The dotted line marks 0.5 %; a regret of zero is drawn at the bottom."""
 
 
 def draw_study(study: SolverStudy, paths: tuple[Path, ...]) -> None:
@@ -46,15 +46,17 @@ def _panel(axes: Axes, study: SolverStudy, case: Case) -> None:
     axes.set_title(f"{response}, {range_text(dynamic_range)}, {n} exposures, {bits} bits")
     axes.set(xscale="log", yscale="log", xlabel="CPU time, s")
     axes.axhline(0.005, color="#888888", linewidth=0.8, linestyle=":")
-    for method, colour, marker in zip(METHODS, COLOURS, _MARKERS, strict=False):
-        curves = study.curves(case, method)
-        for curve in curves:
-            times, regrets = zip(*curve, strict=True)
-            drawn = [max(regret, LOWEST) for regret in regrets]
-            axes.plot(times, drawn, color=colour, linewidth=0.6, alpha=0.5)
-        if curves:
-            steps = sorted(spent for curve in curves for spent, _ in curve)
+    for method, tint, marker in zip(METHODS, COLOURS, _MARKERS, strict=False):
+        steps = sorted(spent for curve in study.curves(case, method) for spent, _ in curve)
+        if steps:
             medians = [max(study.regret_at(case, method, time_s), LOWEST) for time_s in steps]
+            width, colour = (3.0, "#111111") if method == CAMCTL else (0.0, tint)
             axes.plot(
-                steps, medians, color=colour, marker=marker, markersize=3, linewidth=2, label=method
+                steps,
+                medians,
+                color=colour,
+                marker=marker,
+                markersize=3,
+                linewidth=width,
+                label=method,
             )
