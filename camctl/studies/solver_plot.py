@@ -18,8 +18,8 @@ LOWEST = 1e-5
 
 _MARKERS = ("o", "s", "^", "D")
 
-CAPTION = """Each panel is one problem; further down is better, further left is faster. The line is camctl,
-the dots are the other methods, medians over the runs. A point of camctl or of the grid is a
+CAPTION = """Each panel is one problem; further down is better, further left is faster. The line is
+camctl, the dots are the other methods, medians over the runs. A point of camctl or of the grid is a
 complete search of that length; scipy's optimisers improve one answer as time goes on. All use
 the same objective code. Regret is how far xi, the missing levels, lies above the least that any
 run found: 0.01 is 1 %. The dotted line marks 0.5 %; a regret of zero is drawn at the bottom."""
