@@ -9,6 +9,7 @@ of settings all sets are considered.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +18,7 @@ from camctl.exposure.design import Design, DesignSearch
 from camctl.exposure.estimate import FrameAccuracy
 from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, bases
 from camctl.exposure.judge import Judge
-from camctl.exposure.least_quantisation import least_quantisation
+from camctl.exposure.least_quantisation import ROUNDS, least_quantisation
 from camctl.exposure.listed_sets import ListedSets
 from camctl.exposure.random_sets import interleave_step
 from camctl.model.distribution import deviation
@@ -46,6 +47,13 @@ SPREADS = (0.5, 1.0, 1.5)
 
 POLISHED_SHARES = (0.1, 0.05, 0.05, 0.03, 0.03, 0.02, 0.01)
 """Shares by which one exposure after the other is changed there."""
+
+FEW_ROUNDS = 5
+"""Rounds of the search for the least quantisation error where a set is not polished."""
+
+JUDGED = 3
+"""Every how many sets of a front are judged, where noise dithers the quantiser: the ratio of the
+exact levels to the estimate changes by less than 1 % between them, and is interpolated."""
 
 CORRECTIONS = 6
 """Attempts to reach an accuracy by another time; each leaves about a tenth of what was missing."""
@@ -124,8 +132,32 @@ class AccurateSets:
             if self.dithered and polished:
                 found.append(self._polished(search, design, limit))
             if not self.dithered and not search.is_list and design.n > 1:
-                found += [self.judge(each) for each in least_quantisation(search, design, limit)]
+                rounds = ROUNDS if polished else FEW_ROUNDS
+                sets = least_quantisation(search, design, limit, rounds=rounds)
+                found += [self.judge(each) for each in sets]
         return max(found, key=lambda each: (each.levels, -each.time))
+
+    def front(self, limits: Sequence[float]) -> list[Rated]:
+        """Return about the most accurate set within each of some ascending times."""
+        if not self.dithered or self._listed.numbers:
+            return [self.within(limit, polished=False) for limit in limits]
+        designs = []
+        for limit in limits:
+            both = [(search.within(limit), search) for search in self._possible(limit)]
+            designs.append(max(both, key=lambda pair: pair[0].levels))
+        judged = sorted({*range(0, len(designs), JUDGED), len(designs) - 1})
+        ratios = [
+            self.judge(designs[k][1].shots(designs[k][0])).levels / designs[k][0].levels
+            for k in judged
+        ]
+        return [
+            Rated(
+                search.shots(design),
+                design.levels * float(np.interp(place, judged, ratios)),
+                design.time,
+            )
+            for place, (design, search) in enumerate(designs)
+        ]
 
     def _polished(self, search: DesignSearch, design: Design, limit: float) -> Rated:
         best = self.judge(search.shots(design))

@@ -54,7 +54,11 @@ class Judge:
         levels = noisy_effective_levels(camera, problem.desired, noise)
         if self._coarse is self._frames:
             return levels
-        return levels * _estimate(self._frames, shots) / _estimate(self._coarse, shots)
+        return levels * self.estimated(shots) / _estimate(self._coarse, shots)
+
+    def estimated(self, shots: Shots) -> float:
+        """Return the effective levels of a set by the estimate."""
+        return _estimate(self._frames, shots)
 
 
 def _coarser(problem: AccuracyProblem, step: int) -> AccuracyProblem:

@@ -29,13 +29,16 @@ BEST = 2
 """Best sets that are returned."""
 
 
-def least_quantisation(search: DesignSearch, design: Design, limit: float) -> list[Shots]:
+def least_quantisation(
+    search: DesignSearch, design: Design, limit: float, *, rounds: int = ROUNDS
+) -> list[Shots]:
     """Return sets of little quantisation error that take `limit` at most, at the lowest gain.
 
     Args:
         search: for one shortest exposure, where any time can be set
         design: a set that the estimate found; the result has as many exposures
         limit: longest time of the sets, without their fixed time
+        rounds: rounds of changes
     """
     problem = search.problem
     finer = 2 ** max(0, math.ceil(math.log2((problem.response.M + 1) / (MAX_LEVELS + 1))))
@@ -48,7 +51,7 @@ def least_quantisation(search: DesignSearch, design: Design, limit: float) -> li
     starts = np.concatenate([moves.starts(STARTS), design.log_exposure + spread])
     sets = _in_time(search, moves.normalised(starts), limit)
     scores = score(np.exp(sets))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         best = np.argsort(scores, kind="stable")[:KEPT]
         changed = moves.around(sets[best], MOVES).reshape(-1, design.n)
         changed = _in_time(search, changed, limit)

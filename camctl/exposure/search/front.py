@@ -17,7 +17,12 @@ import numpy as np
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.accuracy import COUNTS, TooInaccurateError, accurate_sets
 from camctl.exposure.accuracy_lookup import look_up_accurate
-from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
+from camctl.exposure.exposure_choices import (
+    AccuracyProblem,
+    AvailableExposures,
+    Shot,
+    TimeCosts,
+)
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.search.settings import BASE_SLACK_STOPS, at_most, given_base
@@ -37,7 +42,7 @@ NO_NOISE = NoiseModel(1.0, photon_noise=False)
 _PERIODS = 200
 #: Factors on the effective levels asked of the search until the camera's own steps reach them.
 _MORE_LEVELS = (1.0, 1.002, 1.006, 1.02)
-#: Relative change of the exposures that changes the effective levels by less than 0.1 %.
+#: Relative change of exposures, by rounding, that changes the effective levels by at most 0.1 %.
 _SAME_LEVELS = 2e-3
 #: Attempts to fit the camera's own steps into a time budget.
 _ATTEMPTS = 6
@@ -115,12 +120,11 @@ class Front:
         fixed = self._problem.available.costs.fixed
         first, last = sets.least_time(min(self._counts)), sets.longest_of_use
         times = np.geomspace(first + fixed, max(first, last) + fixed, POINTS) - fixed
-        rated = [sets.within(time, polished=False) for time in times.tolist()]
         found = [
             self._point_of(
                 [shot.time for shot in each.shots], [shot.gain for shot in each.shots], each.levels
             )
-            for each in rated
+            for each in sets.front(times.tolist())
         ]
         found.append(self.recommended)
         found.sort(key=lambda point: (point.time_s, -point.levels))
@@ -282,8 +286,8 @@ class Front:
         Args:
             times: shutter times
             gains: their gains
-            levels: effective levels before the times are rounded to the camera's steps; they hold
-                for exposures within `_SAME_LEVELS`; None: unknown
+            levels: effective levels before the times are rounded to the camera's steps, which
+                changes them as it changes the estimate; None: they are predicted exactly
         """
         controls, settings, asked = self.controls, [], []
         for time, gain in zip(times, gains, strict=True):
@@ -296,9 +300,22 @@ class Front:
         exposures = controls.relative_exposures(settings)
         ratios = tuple(exposure / min(asked) for exposure in sorted(asked))
         changed = max(abs(math.log(a / b)) for a, b in zip(exposures, ratios, strict=True))
-        if levels is None or changed > _SAME_LEVELS:
+        if levels is None:
             camera = EffectiveCamera.of(controls.levels, exposures)
             levels = noisy_effective_levels(camera, self.desired, controls.frame_noise(settings))
+        elif changed > _SAME_LEVELS:
+            sets, unit_s = accurate_sets(self._problem, self._counts), self._unit_s
+            shots = tuple(
+                Shot(exposure, setting.time_s / unit_s, setting.gain)
+                for exposure, setting in zip(exposures, settings, strict=True)
+            )
+            before = tuple(
+                Shot(ratio, exposure / setting.gain, setting.gain)
+                for ratio, exposure, (setting, _) in zip(ratios, sorted(asked), pairs, strict=True)
+            )
+            levels *= sets.judge.estimated(shots) / sets.judge.estimated(before)
+            if not sets.dithered:
+                levels = sets.judge(shots).levels
         time_s = predicted_wall_s(controls, settings, before=self._before)
         return FrontPoint(tuple(settings), ratios, time_s, levels)
 

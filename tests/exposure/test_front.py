@@ -1,0 +1,150 @@
+"""The front of accuracy and time of a camera, and the settings chosen from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camctl.errors import UsageError
+from camctl.exposure.accuracy import TooInaccurateError
+from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.noise import noisy_effective_levels
+from camctl.exposure.search.front import POINTS, Front, FrontPoint
+from camctl.exposure.search.wall_time import predicted_wall_s
+from camctl.interface.clock import CaptureTiming
+from camctl.interface.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
+from camctl.model.effective import EffectiveCamera
+from camctl.model.noise import NoiseModel
+from camctl.model.response.desired import DesiredResponse, desired_response
+from camctl.model.response.tabulated import tabulated_desired
+
+STREAM = ExposureControls(
+    Steps(1e-4, 10.0, 1e-4),
+    (24, 32),
+    Layout.MONO,
+    8,
+    white=255,
+    delay_frames=2,
+    frame_interval_s=1 / 30,
+    timing=CaptureTiming(lead_frames=0.5, readout_s=0.01),
+    noise=NoiseModel(39.0625, ((1.0, 3.0),)),
+    response_origin=ResponseOrigin.STATED,
+)
+LOG = desired_response("log", 1000.0)
+BASE_S = 0.018
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path / "cache"))
+
+
+def levels_of(front: Front, point: FrontPoint) -> float:
+    """Return the exact prediction for the settings of a point."""
+    controls = front.controls
+    camera = EffectiveCamera.of(controls.levels, controls.relative_exposures(point.settings))
+    return noisy_effective_levels(camera, front.desired, controls.frame_noise(point.settings))
+
+
+def test_points_go_from_the_fastest_set_to_where_more_time_brings_nothing() -> None:
+    front = Front(STREAM, LOG, BASE_S)
+    points = front.points
+    assert POINTS - 2 <= len(points) <= POINTS + 1
+    assert all(a.time_s < b.time_s and a.levels < b.levels for a, b in pairwise(points))
+    assert (points[0].n, points[-1].n) == (1, 16)
+    assert front.recommended in points
+    for point in points[::4]:
+        assert point.levels == pytest.approx(levels_of(front, point), rel=0.01)
+        assert point.time_s == predicted_wall_s(STREAM, point.settings)
+        assert min(s.exposure for s in point.settings) == pytest.approx(BASE_S)
+
+
+def test_no_point_pays_better_than_the_recommended_one() -> None:
+    """Levels^2 / time is the same for averages of any number of captures."""
+    front = Front(STREAM, LOG, BASE_S)
+    best = max(point.levels**2 / point.time_s for point in front.points)
+    recommended = front.recommended
+    assert recommended.levels**2 / recommended.time_s >= 0.95 * best
+    assert front.chosen is recommended
+
+
+@pytest.mark.parametrize("budget_s", [0.2, 0.5, 2.0, 4.0])
+def test_a_time_budget_is_kept_and_used(budget_s: float) -> None:
+    front = Front(STREAM, LOG, BASE_S)
+    point = front.at_time(budget_s)
+    assert point.time_s <= budget_s * (1 + 1e-8)
+    assert point.levels == pytest.approx(levels_of(front, point), rel=2e-3)
+    slower = front.at_time(1.3 * budget_s)
+    assert slower.levels > 1.05 * point.levels
+
+
+def test_an_accuracy_is_reached_and_not_in_less_time() -> None:
+    front = Front(STREAM, LOG, BASE_S)
+    point = front.at_accuracy(99.0)
+    assert 99.0 <= levels_of(front, point) < 99.5
+    assert front.at_time(0.97 * point.time_s).levels < 99.0
+
+
+def test_more_frames_than_six_are_taken_where_they_pay() -> None:
+    """With six at most, 156 levels took 3.88 s, and 1.217 s were needed for 99 levels."""
+    front = Front(STREAM, LOG, BASE_S)
+    point = front.at_time(4.0)
+    assert point.n > 6
+    assert point.levels > 180
+    assert front.at_accuracy(99.0).time_s < 1.2
+
+
+def test_a_given_number_is_kept() -> None:
+    front = Front(STREAM, LOG, BASE_S, request=CaptureRequest(count=3))
+    assert {point.n for point in front.points} == {3}
+    assert front.chosen.n == front.at_time(1.0).n == 3
+
+
+@pytest.mark.parametrize("budget_s", [1e-4, 0.05])
+def test_a_budget_below_the_shortest_exposure_says_the_least(budget_s: float) -> None:
+    with pytest.raises(UsageError, match=r"one exposure takes 0\.126\d* s at least"):
+        Front(STREAM, LOG, BASE_S).at_time(budget_s)
+
+
+def test_an_accuracy_that_no_set_reaches_says_the_best_and_its_time() -> None:
+    front = Front(STREAM, LOG, BASE_S)
+    with pytest.raises(TooInaccurateError) as raised:
+        front.at_accuracy(1e4)
+    words = raised.value.hint.split()
+    assert float(words[words.index("has") + 1]) == pytest.approx(281, rel=0.02)
+    assert float(words[words.index("in") + 1]) == pytest.approx(front.points[-1].time_s, rel=0.2)
+
+
+def test_without_known_noise_quantisation_alone_decides() -> None:
+    known = Front(STREAM, LOG, BASE_S).at_time(1.0)
+    front = Front(replace(STREAM, noise=None), LOG, BASE_S)
+    assert not front.has_noise
+    point = front.at_time(1.0)
+    assert point.time_s <= 1.0
+    assert point.levels > 2 * known.levels
+
+
+@pytest.mark.parametrize("points", [2, 9, 10_000])
+@pytest.mark.parametrize("flat", [False, True])
+def test_tabulated_responses_have_a_front(points: int, flat: bool) -> None:
+    u = np.linspace(0.0, 1.0, points)
+    if flat and points > 2:
+        u = np.maximum(np.minimum(u, 0.4), u - 0.3)
+    desired: DesiredResponse = tabulated_desired(np.geomspace(1e-3, 1, points), u)
+    front = Front(STREAM, desired, BASE_S)
+    assert 20 < front.recommended.levels < math.inf
+    assert front.at_time(2.0).levels > front.at_time(0.4).levels
+
+
+def test_a_list_of_times_and_gains_is_kept() -> None:
+    times = Choices(tuple(2.0 ** (np.arange(-30, 10) / 3)))
+    controls = replace(STREAM, time_s=times, gain=Choices((1.0, 2.0, 4.0)))
+    point = Front(controls, LOG, BASE_S).at_time(0.6)
+    assert {setting.time_s for setting in point.settings} <= set(times.values)
+    assert {setting.gain for setting in point.settings} <= {1.0, 2.0, 4.0}
+    assert point.time_s <= 0.6
