@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
 
 from camctl.errors import UsageError
-from camctl.exposure.build import look_up
 from camctl.exposure.objective import Objective
 from camctl.exposure.solver import Progress, SearchOptions, Solution, solve
 from camctl.model.effective import MAX_EXPOSURES
@@ -19,43 +16,6 @@ QUICK_EFFORT = 0.1
 
 QUICK_MARGIN = 1.25
 """A quick search with more than this many times the tolerance is not repeated with full effort."""
-
-
-@dataclass(frozen=True)
-class TradeoffPoint:
-    """Cost and quality of one number of exposures.
-
-    Attributes:
-        n: number of exposures
-        exposures: relative, ascending from 1
-        total_exposure: their sum: total exposure time in units of the shortest
-        xi: desired levels that are missing, of n * M
-        effective_levels: L, the number of equal steps of the same accuracy, without noise
-    """
-
-    n: int
-    exposures: tuple[float, ...]
-    total_exposure: float
-    xi: float
-    effective_levels: float
-
-
-def predict(
-    response: CameraResponse,
-    desired: DesiredResponse,
-    counts: Iterable[int] = range(1, 7),
-) -> tuple[TradeoffPoint, ...]:
-    """Return a point for each number of exposures, looked up or solved and cached.
-
-    Raises what `look_up` raises.
-    """
-    entries = [look_up(response, desired, n) for n in counts]
-    return tuple(
-        TradeoffPoint(
-            entry.n, entry.exposures, entry.total_exposure, entry.xi, entry.effective_levels
-        )
-        for entry in entries
-    )
 
 
 _ORDINALS = (

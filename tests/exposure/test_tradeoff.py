@@ -5,25 +5,12 @@ import pytest
 from camctl.errors import UsageError
 from camctl.exposure.objective import Objective
 from camctl.exposure.solver import solve
-from camctl.exposure.table import default_table
-from camctl.exposure.tradeoff import fewest_exposures, predict
+from camctl.exposure.tradeoff import fewest_exposures
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
 
 EIGHT_BIT = linear_response(8)
 LOG = desired_response("log", 1000.0)
-
-
-def test_prediction_has_a_point_for_each_number_of_exposures() -> None:
-    points = predict(EIGHT_BIT, LOG)
-    assert [point.n for point in points] == [1, 2, 3, 4, 5, 6]
-    assert points[0].total_exposure == 1
-    levels = [point.effective_levels for point in points]
-    assert levels == sorted(levels)
-    entry = default_table().find(EIGHT_BIT, LOG, 3)
-    assert entry is not None
-    assert points[2].exposures == entry.exposures
-    assert points[2].total_exposure == pytest.approx(sum(entry.exposures))
 
 
 def test_fewest_exposures_for_a_tolerance() -> None:
