@@ -42,6 +42,9 @@ MOST_POLISHED = 25_000
 """Levels of the sums of sets that are rated exactly beside one, at most: 0.25 s for 8 bits.  With
 more levels the noise hides how they interleave."""
 
+MOST_REGAINED = 4
+"""Sets of other gains that are judged, at least: the estimate errs most where it is dark."""
+
 SPREADS = (0.5, 1.0, 1.5)
 """Distances tried between equal exposures, in gaps between levels near full scale."""
 
@@ -107,8 +110,10 @@ class AccurateSets:
         return max(search.most_accurate.time for search in self.searches)
 
     def estimated(self, limit: float) -> float:
-        """Return about the most effective levels within a time; within a few per cent."""
-        return max(search.within(limit).levels for search in self._possible(limit))
+        """Return about the most effective levels within a time: those of the best estimated set."""
+        both = [(search.within(limit), search) for search in self._possible(limit)]
+        design, search = max(both, key=lambda pair: pair[0].levels)
+        return self.judge(search.shots(design)).levels
 
     def _possible(self, limit: float) -> list[DesignSearch]:
         fewest, limit = self.counts[0], limit * (1 + SAME)
@@ -129,7 +134,7 @@ class AccurateSets:
             if design.levels < NEAR_BEST * most:
                 continue
             found.append(self.judge(search.shots(design)))
-            if self.dithered and polished:
+            if polished and not self.problem.noise.is_none:
                 found.append(self._polished(search, design, limit))
             if not self.dithered and not search.is_list and design.n > 1:
                 rounds = ROUNDS if polished else FEW_ROUNDS
@@ -162,11 +167,17 @@ class AccurateSets:
     def _polished(self, search: DesignSearch, design: Design, limit: float) -> Rated:
         best = self.judge(search.shots(design))
         remaining = MOST_POLISHED // (design.n * self.problem.response.M)
+        for trial in search.regained(design)[: max(remaining, MOST_REGAINED)]:
+            rated = self.judge(search.shots(trial))
+            if rated.levels > best.levels and rated.time <= limit * (1 + SAME):
+                best, design = rated, trial
         if search.is_list or not remaining:
             return best
         gap = interleave_step(self.problem.response)
         trials = [search.spread(design, limit, share * gap) for share in SPREADS]
         for share in (0.0, *POLISHED_SHARES):
+            if not remaining:
+                break
             trials = trials if not share else search.neighbours(design, limit, share)
             for trial in trials[:remaining]:
                 remaining -= 1
@@ -251,4 +262,5 @@ class AccurateSets:
     @property
     def estimated_recommended(self) -> float:
         """About the effective levels of the recommended set."""
-        return self._recommended[0].levels
+        design, search = self._recommended
+        return self.judge(search.shots(design)).levels

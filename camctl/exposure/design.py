@@ -433,6 +433,19 @@ class DesignSearch:
             at[place] = first + step * count
         return self._fitted(self._moved(design, at[1:] - design.log_exposure[1:]), limit)
 
+    def regained(self, design: Design) -> list[Design]:
+        """Return a set with the next gain up or down in all frames but the first, or in one."""
+        found = []
+        masks = [np.arange(design.n) > 0, *(np.arange(design.n) == k for k in range(1, design.n))]
+        for mask in masks if self.gains.size > 1 else []:
+            for step in (-1, 1):
+                gain = np.clip(design.gain + step * mask, 0, self.gains.size - 1)
+                moved = design.log_exposure + np.log(self.gains[gain] / self.gains[design.gain])
+                low, high = 0.0, math.log(self.problem.reach)
+                if np.any(gain != design.gain) and np.all((moved >= low) & (moved <= high)):
+                    found.append(self.design(moved, gain))
+        return found
+
     def neighbours(self, design: Design, limit: float, share: float) -> list[Design]:
         """Return a set with each time but the first `share` longer or shorter.
 
