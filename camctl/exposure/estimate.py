@@ -29,6 +29,9 @@ from camctl.model.response.camera import FloatArray
 NODES = 96
 """Steps of u over which the error is averaged; with 1,024 the effective levels differ by 0.5 %."""
 
+FEW_LEVELS = 15
+"""Cameras of so few levels (photon counters of 1 to 4 bits) have errors as large as the range."""
+
 _STEP = 0.02
 """Step of the tables in ln(e E): photon noise of 1 % at white is as wide as that."""
 
@@ -130,7 +133,11 @@ class FrameAccuracy:
         with np.errstate(divide="ignore", invalid="ignore"):
             error = variance / (slope * slope)
             error *= self.weight[::step]
-        np.fmin(error, self.largest[::step], out=error)
+        if self.problem.response.M <= FEW_LEVELS:
+            # Errors as large as the range: they and what is known without a frame combine.
+            error = 1 / (1 / np.where(error > 0, error, np.inf) + 1 / self.largest[::step])
+        else:
+            np.fmin(error, self.largest[::step], out=error)
         return np.asarray(error.mean(axis=-1) + self.fixed, dtype=np.float64)
 
 
