@@ -55,6 +55,10 @@ def models() -> dict[State, Model]:
                 found[state] = replace(found[state], settings=settings)
             if STATES[state].work is Work.PREDICT:
                 found[state] = replace(found[state], costs=_costs(job, found[state]))
+            if state is State.FRONT:
+                front = job.trace(choice(shown.settings, Goal.FRONT), lambda: False)
+                place = [point.is_recommended for point in front].index(True)
+                found[state] = replace(found[state], front=front, cursor=place)
         found[State.CAMERA_FAILED] = replace(found[State.CAMERA_FAILED], camera=None)
         job.close()
     return found

@@ -138,7 +138,7 @@ class Front:
     def recommended(self) -> FrontPoint:
         """The point beyond which more time brings no more than averaging does.
 
-        It is the fastest one whose levels^2 / time is within 2 % of the largest: effective levels
+        It is the fastest one whose levels^2 / time is within 3 % of the largest: effective levels
         of averages grow as the square root of the time.
         """
         return self._found(recommended=True)
