@@ -14,7 +14,7 @@ from camctl.errors import UsageError
 from camctl.exposure.accuracy import TooInaccurateError
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.exposure.search.front import POINTS, Front, FrontPoint
+from camctl.exposure.search.front import POINTS, SMOOTH_LEVELS, Front, FrontPoint
 from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.clock import CaptureTiming
 from camctl.interface.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
@@ -71,6 +71,25 @@ def test_no_point_pays_better_than_the_recommended_one() -> None:
     recommended = front.recommended
     assert recommended.levels**2 / recommended.time_s >= 0.95 * best
     assert front.chosen is recommended
+
+
+@pytest.mark.parametrize(("read_noise_e", "longest_s"), [(8.0, 10.0), (8.0, 0.2), (60.0, 10.0)])
+def test_a_picture_in_little_light_is_no_noisier_than_one_of_three_exposures(
+    read_noise_e: float, longest_s: float
+) -> None:
+    """Many poor frames would pay best: `levels`^2 / time is largest for a frame of high gain."""
+    camera = replace(
+        STREAM,
+        time_s=Steps(1e-4, longest_s, 1e-4),
+        gain=Choices((1.0, 2.0, 4.0, 8.0, 16.0)),
+        noise=NoiseModel(39.0625, ((1.0, read_noise_e), (16.0, read_noise_e / 8))),
+    )
+    dim = 30 * BASE_S if longest_s > 1 else BASE_S
+    found = Front(camera, LOG, dim).recommended
+    three = Front(camera, LOG, dim, request=CaptureRequest(count=3)).chosen
+    assert found.levels >= 0.995 * min(SMOOTH_LEVELS, three.levels)
+    if found.levels < SMOOTH_LEVELS:
+        assert found.time_s <= three.time_s
 
 
 @pytest.mark.parametrize("budget_s", [0.2, 0.5, 2.0, 4.0])

@@ -23,7 +23,7 @@ from camctl.exposure.exposure_choices import (
     Shot,
     TimeCosts,
 )
-from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.goal import DEFAULT_COUNT, CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.search.settings import BASE_SLACK_STOPS, at_most, given_base
 from camctl.exposure.search.wall_time import predicted_wall_s, time_costs
@@ -37,6 +37,10 @@ POINTS = 12
 
 NO_NOISE = NoiseModel(1.0, photon_noise=False)
 """What is assumed of a camera whose noise is unknown."""
+
+SMOOTH_LEVELS = 66.0
+"""Effective levels at which noise is just not seen: its standard deviation in the brightness of a
+display with a contrast of 1:100, ln(100) / (sqrt(12) L), is 2 %, Weber's fraction of the eye."""
 
 #: Whole flicker periods that are tried as shutter times, at most.
 _PERIODS = 200
@@ -139,15 +143,29 @@ class Front:
         """The point beyond which more time brings no more than averaging does.
 
         It is the fastest one whose levels^2 / time is within 3 % of the largest: effective levels
-        of averages grow as the square root of the time.
+        of averages grow as the square root of the time.  Where noise would be seen in it, since
+        many poor frames pay best in the dark, it is the fastest point with `SMOOTH_LEVELS`, or with
+        the accuracy of `DEFAULT_COUNT` exposures where these have fewer.
         """
-        return self._found(recommended=True)
+        found = self._found(recommended=True)
+        if found.levels >= SMOOTH_LEVELS or self._request.count is not None:
+            return found
+        usual = self._most_accurate((DEFAULT_COUNT,))
+        if found.levels >= usual.levels:
+            return found
+        try:
+            better = self.at_accuracy(min(SMOOTH_LEVELS, usual.levels))
+        except TooInaccurateError:  # the other search counts no more than shutter time
+            return usual
+        return min(better, usual, key=lambda point: point.time_s)
 
     @cached_property
     def most_accurate(self) -> FrontPoint:
         """The fastest point within 0.5 % of the most effective levels, shutter times counted."""
-        problem = self._without_costs
-        found = look_up_accurate(problem, self._counts)
+        return self._most_accurate(self._counts)
+
+    def _most_accurate(self, counts: Sequence[int]) -> FrontPoint:
+        found = look_up_accurate(self._without_costs, counts)
         return self._point_of(found.times, found.gains)
 
     def at_time(self, budget_s: float) -> FrontPoint:
@@ -256,7 +274,8 @@ class Front:
         if request.time_budget_s is not None:
             limit = request.time_budget_s / self._unit_s - self._problem.available.costs.fixed
         elif request.accuracy is None and request.count is None:
-            return sets.estimated_recommended
+            usual = accurate_sets(self._problem, (DEFAULT_COUNT,)).estimated(math.inf)
+            return max(sets.estimated_recommended, min(SMOOTH_LEVELS, usual))
         if sets.least_time(min(self._counts)) > limit:
             return None
         return sets.estimated(limit)
