@@ -60,12 +60,16 @@ def quick_disk() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep profiles and solved exposures in folders of the tests; all workers share the latter."""
+    """Keep profiles, settings and solved exposures in folders of the tests.
+
+    All workers share the solved exposures.
+    """
     base = tmp_path_factory.getbasetemp()
     of_run = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CAMCTL_PROFILES", str(tmp_path_factory.mktemp("profiles")))
         patch.setenv("CAMCTL_CACHE", str(of_run / "solved-exposures"))
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
 
 

@@ -312,7 +312,7 @@ class Settings(_ValueType):
             from camctl.exposure.settings_grid import stepped
 
             return tuple(stepped(*(self._value(part.strip(), option) for part in parts)).tolist())
-        if len(parts) != 1:
+        if len(parts) != 1 or not text.replace(",", " ").split():
             raise invalid_value(option, text, f"expected {self.expected}")
         return tuple(self._value(value, option) for value in _parts(text, option))
 

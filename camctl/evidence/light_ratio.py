@@ -149,8 +149,10 @@ class NeighbourCheck:
         short, long = (before, after) if is_longer else (after, before)
         ratio = max(expected, 1 / expected)
         votes = self._votes(short, long, ratio)
-        if abs(votes.mean) > _FAR:  # its errors are those of another ratio
-            off = votes.mean
+        off = votes.mean
+        if not votes.logs.size or votes.tolerance > _WIDEST:
+            off = self._rough(short, long, ratio)
+        if abs(off) > _FAR:  # its errors are those of another ratio
             votes = self._votes(short, long, ratio / math.exp(off))
             votes = votes._replace(logs=votes.logs + off, mean=votes.mean + off)
         logs, counts = votes.logs, votes.counts
@@ -228,6 +230,20 @@ class NeighbourCheck:
         rest = math.hypot(shared, extra) / math.sqrt(different)
         error = math.hypot(RESPONSE_ERROR, added, rest, 1 / math.sqrt(total))
         return _Votes(logs, relative, counts, self._sigmas * error, middle)
+
+    def _rough(self, short: FrameSample, long: FrameSample, ratio: float) -> float:
+        """Return the logarithm of the median ratio of light over `ratio`; 0 where there is none.
+
+        Unknown noise is measured beside the prediction, and is large beside a wrong one.
+        """
+        sensor = self.scale
+        limits = [sensor.highest(each.noise) for each in (short, long)]
+        usable = (short.patches <= limits[0]) & (long.patches <= limits[1])
+        one, other = (
+            np.where(usable, sensor.light[each.patches], 0.0).sum(axis=1) for each in (short, long)
+        )
+        lit = (one > 0) & (other > 0)
+        return float(np.median(np.log(one[lit] * ratio / other[lit]))) if lit.any() else 0.0
 
     def _saturated_votes(
         self, dim: FrameSample, bright: FrameSample, ratio: float

@@ -39,8 +39,9 @@ sys.exit(run())
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Start]:
-    """Start the menu in an empty folder; takes whether it ignores SIGHUP."""
+def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
+    """Start the menu in an empty folder, with its defaults; takes whether it ignores SIGHUP."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     folder = tmp_path / "pictures"
     folder.mkdir()
     with ExitStack() as stack:
@@ -97,7 +98,12 @@ def test_menu_that_ends_during_a_capture_keeps_the_frames(
     start: Start, end_with: str, status: int, err: str
 ) -> None:
     terminal, folder = start(end_with.endswith("ignored"))
-    for text in ("[Set]", ">Constant", "Dynamic range", ">3 exposures", "[Shoot]"):
+    for text in ("[Set]", ">Constant", "Dynamic range"):
+        terminal.wait_for(text)
+        terminal.type("\r")
+    terminal.wait_for(">Recommended")
+    terminal.type("jjjj")
+    for text in (">3 exposures", "[Shoot]"):
         terminal.wait_for(text)
         terminal.type("\r")
     # The capture is not asked to stop before: after its first frame it would end with that one.

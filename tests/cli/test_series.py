@@ -65,7 +65,7 @@ def test_the_space_of_a_set_is_known_before_the_first_one(sensor: str, tmp_path:
 
 
 def test_a_set_that_is_not_trustworthy_is_named(run: Run) -> None:
-    faults = ("-O", "size=160x120", "--repeat", "2", "-O", "faults=corrupt@4", "-n", "3")
+    faults = ("-O", "size=160x120", "--repeat", "2", "-O", "faults=wrong@5=2,wrong@7=2", "-n", "3")
     ran = run("series", *faults, "-o", "day")
     wrong = [each["folder"] for each in sets() if each["trustworthy"] is False]
     assert len(wrong) == 1

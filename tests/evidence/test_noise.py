@@ -195,7 +195,7 @@ def test_noise_beside_a_thing_that_moves_contradicts_nothing(
     found = MeasuredNoise(6.2, 0.2, 0.4, 0.1, 8000)
     monkeypatch.setattr(outputs, "measure_noise", lambda *_: found)
     with camctl.open_camera("sim", scene=scene, size="320x240") as camera:
-        report = camctl.capture(camera, CaptureRequest(dynamic_range="auto"))
+        report = camctl.capture(camera, CaptureRequest(dynamic_range="auto", count=3))
     assert report.movement is not None
     moves = scene == "moving-target"
     assert report.movement.is_local == moves

@@ -95,6 +95,8 @@ def test_menu_is_operated_with_the_keys(start: Start) -> None:
     terminal.type(RIGHT)
     terminal.wait_for(">High 1:16,000")
     terminal.type("\r")
+    terminal.wait_for(">Recommended")
+    terminal.type(4 * DOWN)
     terminal.wait_for(">3 exposures")
     terminal.type("\r")
     terminal.wait_for("0.0033 s", "[Shoot]")
@@ -193,7 +195,7 @@ def test_characters_outside_the_locale_are_replaced(start: Start, locale: str, s
 )
 def test_terminal_is_restored(start: Start, end_with: str | signal.Signals, status: int) -> None:
     terminal = start(MENU_THAT_KEEPS_SHOOTING)
-    for text in ("[Set]", ">Constant", "Dynamic range", ">3 exposures", "[Shoot]"):
+    for text in ("[Set]", ">Constant", "Dynamic range", ">Recommended", "[Shoot]"):
         terminal.wait_for(text)
         terminal.type("\r")
     terminal.wait_for("Shooting")
