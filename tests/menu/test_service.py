@@ -81,7 +81,7 @@ def test_settings_survive_a_restart(tmp_path: Path) -> None:
         ("", "the file of the settings is damaged"),
         ("{", "the file of the settings is damaged"),
         ('{"version": 1}', "the file of the settings is damaged"),
-        (json.dumps({"version": 99, "settings": {}}), "their file has version 99, not 1"),
+        (json.dumps({"version": 99, "settings": {}}), "their file has version 99, not 2"),
         (
             json.dumps({"version": VERSION, "settings": {"response": 4}}),
             "their file has an invalid value of response",

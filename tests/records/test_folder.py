@@ -268,7 +268,9 @@ def test_details_of_a_camera_are_data(
 
 def test_own_file_of_a_rejected_frame_is_kept(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    with small_camera(light=LIGHT / 2) as simulated:  # halved samples are unsaturated ones
+    with small_camera(
+        light=LIGHT * np.float32(0.5)
+    ) as simulated:  # halved samples are unsaturated ones
         report = capture(WithFiles(simulated, ".raw", wrong=1), REQUEST, folder)
     # Of two frames that disagree, both are shot again.
     stems = [f"frame-0{number}{aside}" for number in (1, 2) for aside in ("", "-rejected-1")]
