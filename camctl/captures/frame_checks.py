@@ -18,8 +18,9 @@ from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Pair, Side
 from camctl.interface.camera import Camera, Pixels
-from camctl.interface.controls import Layout
+from camctl.interface.controls import ExposureControls, Layout, ResponseOrigin
 from camctl.model.noise import FrameNoise
+from camctl.model.sensor import ESTIMATED_RESPONSE_ERROR, RESPONSE_ERROR
 from camctl.pictures.details import thumbnail
 from camctl.records.frame import ExposureRatio, StoredFrame
 from camctl.records.report import UnfinishedCapture
@@ -43,6 +44,7 @@ class FrameChecks:
             self._controls.black,
             self._controls.layout,
             pairs=len(capture.plan.settings) - 1,
+            response_error=_response_error(self._controls),
         )
         self._log = ShotLog(capture.plan.settings, self._controls)
         self._delay_of = camera.info.id if self._log.has_delay else None
@@ -159,3 +161,10 @@ class FrameChecks:
         times_s = (self._frame(later - 1).applied_s, self._frame(later).applied_s)
         most = MOST_CHANGE if self._controls.exposures_exact else math.inf
         return self._check.check(later, expected, times_s, self._capture.request.mains_hz, most)
+
+
+def _response_error(controls: ExposureControls) -> float:
+    """Return the relative error of a response: of most photographs it is estimated from them."""
+    is_estimated = controls.response_origin is not ResponseOrigin.STATED
+    is_of_photographs = is_estimated and not controls.exposures_exact
+    return ESTIMATED_RESPONSE_ERROR if is_of_photographs else RESPONSE_ERROR

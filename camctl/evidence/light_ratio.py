@@ -81,14 +81,21 @@ class NeighbourCheck:
         black: brightness without light, DN
         layout: pixel layout of a frame
         pairs: of frames in a capture, over which the significance level is divided
+        response_error: standard deviation of the relative error of the response
 
     Attributes:
         scale: irradiance of each brightness
     """
 
     def __init__(
-        self, real: CameraResponse, black: int, layout: Layout = Layout.MONO, pairs: int = 1
+        self,
+        real: CameraResponse,
+        black: int,
+        layout: Layout = Layout.MONO,
+        pairs: int = 1,
+        response_error: float = RESPONSE_ERROR,
     ) -> None:
+        self._response_error = response_error
         self.scale = SensorModel(real, black)
         self._layout = layout
         self._sigmas = -NormalDist().inv_cdf(SIGNIFICANCE / 2 / max(pairs, 1))
@@ -206,7 +213,7 @@ class NeighbourCheck:
         own = part.own
         if short.noise is None or long.noise is None:
             own = np.maximum(own, part.variance)
-        response = np.square(RESPONSE_ERROR * part.light)
+        response = np.square(self._response_error * part.light)
         sigmas = np.sqrt(own / part.count + part.shared + response)
         # Of light that is added to samples the largest size is known: 12^-0.5 of it is the standard
         # deviation of what is uniform up to it.
@@ -228,7 +235,7 @@ class NeighbourCheck:
         total = float(weights.sum())
         added, shared = (float((weights * each).sum()) / total for each in (added, shared))
         rest = math.hypot(shared, extra) / math.sqrt(different)
-        error = math.hypot(RESPONSE_ERROR, added, rest, 1 / math.sqrt(total))
+        error = math.hypot(self._response_error, added, rest, 1 / math.sqrt(total))
         return _Votes(logs, relative, counts, self._sigmas * error, middle)
 
     def _rough(self, short: FrameSample, long: FrameSample, ratio: float) -> float:
@@ -263,7 +270,9 @@ class NeighbourCheck:
         variance = np.square(sensor.step(mean)) / 12 + np.square(BLACK_ERROR_LEVELS * sensor.level)
         if dim.noise is not None:
             variance += sensor.variance(mean, dim.noise) / np.maximum(count, 1)
-        expected = ratio * (mean + self._sigmas * np.sqrt(variance)) * (1 + 3 * RESPONSE_ERROR)
+        expected = (
+            ratio * (mean + self._sigmas * np.sqrt(variance)) * (1 + 3 * self._response_error)
+        )
         limit = sensor.light[sensor.highest(bright.noise)]
         wrong = (count > 0) & (expected < limit)
         needed = float(((sensor.full - expected) * count)[wrong].sum())

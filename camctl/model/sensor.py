@@ -34,6 +34,10 @@ RESPONSE_ERROR = 0.005
 """Standard deviation of the relative error of a response: twice the linearity error (EMVA 1288)
 that data sheets of machine-vision cameras state, 0.2 to 0.3 %."""
 
+ESTIMATED_RESPONSE_ERROR = 0.03
+"""The same of a response estimated from photographs: radiance of the memorial photographs differs
+by 0.027 to 0.038 (rms of the natural logarithm) from the map of their authors."""
+
 #: With fewer levels the noise of a few electrons decides which samples are saturated.
 _FEWEST_LEVELS = 8
 

@@ -24,15 +24,16 @@ MOST_RESIDENT_BYTES = 4 << 20
 """Growth of the whole process: 7 kB in each of 600 captures."""
 
 MOST_PYTHON_BYTES = 50_000
-"""Growth of the memory of Python and numpy: 180 bytes in each of 280 captures."""
+"""Growth of the memory of Python and numpy: 250 bytes in each of 200 captures."""
 
 EXR_BYTES = 1000
 """What the library OpenEXR keeps of each file that it writes, whatever its caller does: the names
 of the attributes and of the channels, 0.6 kB for 3 channels and 0.84 kB for 9, by tracemalloc."""
 
-WARM_UP, TRACED, WARM_UP_OF_TRACING = 100, 300, 20
+WARM_UP, TRACED, WARM_UP_OF_TRACING = 100, 300, 100
 """Calls before the first measurement; calls at the end, of which Python's memory is traced, which
-makes them slow; and the first of those, which are not measured."""
+makes them slow; and the first of those, not measured: after them each of the 32 kept searches was
+traced."""
 
 
 @dataclass(frozen=True)

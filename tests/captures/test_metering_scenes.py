@@ -107,7 +107,6 @@ def follow(
         *(
             pytest.param(scene, fields, marks=pytest.mark.slow)
             for scene, fields in (
-                ("stars", {"sensor": "complete"}),
                 ("room", {"time_budget_s": 0.5}),
                 ("night-street", {"dynamic_range": 100.0, "clip_percent": 0.0}),
                 ("room", {"base_s": 1e-4, "dynamic_range": 1000.0}),
@@ -154,11 +153,11 @@ def test_what_is_too_dark_for_two_reasons_gets_one_advice(response: str, tmp_pat
 def test_a_large_lamp_may_clip_where_nothing_else_shows_the_room(tmp_path: Path) -> None:
     fields: dict[str, Any] = {"sensor": "phone", "objective": "xi"}
     report = shot("lamp-in-room.exr", tmp_path, **fields)
-    assert [each.remedies for each in report.findings] == [{"clip_percent": 2.0}]
+    assert [each.remedies for each in report.findings] == [{"clip_percent": 3.0}]
     shares, findings = follow("lamp-in-room.exr", fields, tmp_path)
     assert not findings
     assert len(shares) == 2
-    assert 0.015 < shares[-1][0] < 0.025
+    assert 0.025 < shares[-1][0] < 0.03
 
 
 @pytest.mark.parametrize(

@@ -125,7 +125,8 @@ def test_the_share_that_is_too_dark_is_predicted(run: Run, series: Series, suffi
 
 
 @pytest.mark.slow
-def test_the_memorial_photographs_come_out_without_warnings(run: Run, real_data: Path) -> None:
+def test_the_memorial_photographs_come_out_with_one_warning(run: Run, real_data: Path) -> None:
+    """The scans differ along their lower edge, as memorial0073.png does from the others."""
     from camctl.stills.radiance_map import read_map
 
     folder = real_data / "memorial"
@@ -133,7 +134,9 @@ def test_the_memorial_photographs_come_out_without_warnings(run: Run, real_data:
     rows = [line.split() for line in lines if line.startswith("memorial")]
     files, times = [str(folder / row[0]) for row in rows], [float(row[1]) for row in rows]
     ran = run("merge", *files, "--times", ",".join(map(str, times)), "-o", "hall", "--json")
-    assert (ran.status, ran.err) == (0, "")
+    assert ran.status == 0
+    (moved,) = ran.json["findings"]
+    assert (moved["code"], moved["place"]["top"] >= 688) == ("moved", True)
     (cut,) = [each for each in ran.json["facts"] if each["code"] == "masked"]
     assert cut["place"] == {"top": 32, "left": 4, "bottom": 32 + 716, "right": 4 + 501}
     part = (slice(32, 32 + 716), slice(4, 4 + 501))

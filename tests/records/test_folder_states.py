@@ -196,6 +196,8 @@ class FolderStates(RuleBasedStateMachine):
     def flip_a_bit_of_a_frame(self, place: float) -> None:
         path = self.frame_file(1)
         data = bytearray(path.read_bytes())
+        if not data:  # it was cut off before
+            return
         data[int(place * len(data))] ^= 1
         path.unlink()
         path.write_bytes(data)
