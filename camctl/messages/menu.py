@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from camctl.findings import Finding
 
 ENTRIES: Final[dict[str, str]] = {
-    "accuracy": "Accuracy",
+    "accuracy": "Time / accuracy",
     "cameras": "Camera",
     "count": "Exposures",
     "dynamic_range": "Dynamic range",
