@@ -11,7 +11,7 @@ levels grow as time^(w/2).  For w = 1 more time brings what averaging would brin
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -217,7 +217,7 @@ class DesignSearch:
         )
 
     def _rests(self, design: Design) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Return what is left of a set without each of its frames, and at last all of it.
+        """Return a set without each of its frames in turn, and at last the whole set.
 
         The sums of its parts (3, n + 1, NODES), its time (n + 1,) and whether it has a frame of the
         shortest exposure.
@@ -281,34 +281,53 @@ class DesignSearch:
 
     def tuned(self, design: Design, weight: float) -> Design:
         """Return the set with its times tuned to the least merit, at the same gains."""
-        if self.is_list or design.n == 1:
-            return design
-        best = design
-        for _ in range(MAX_STEPS):
-            error, time = self._derivatives(best)
-            step = _newton(error[0] + weight * time[0], error[1] + weight * time[1])
-            found = self._moved(best, step)
-            if not self.merit(found, weight) < self.merit(best, weight) - _BETTER:
-                found = self._moved(best, 0.3 * step)
-                if not self.merit(found, weight) < self.merit(best, weight) - _BETTER:
-                    break
-            best = found
-        return best
+
+        def step(current: Design) -> FloatArray:
+            error, time = self._derivatives(current)
+            return _newton(error[0] + weight * time[0], error[1] + weight * time[1])
+
+        def is_better(found: Design, best: Design) -> bool:
+            return self.merit(found, weight) < self.merit(best, weight) - _BETTER
+
+        return self._descended(design, step, self._moved, is_better)
 
     def _refitted(self, design: Design, limit: float) -> Design:
         """Return the set with its times tuned at the time that it takes, `limit` at most."""
+
+        def step(current: Design) -> FloatArray:
+            error, time = self._derivatives(current)
+            along = float(time[0] @ time[0])
+            weight = max(0.0, -float(error[0] @ time[0]) / along) if along > 0 else 0.0
+            return _newton(error[0] + weight * time[0], error[1] + weight * time[1])
+
+        def moved(current: Design, step: FloatArray) -> Design:
+            return self._fitted(self._moved(current, step), limit)
+
+        def is_better(found: Design, best: Design) -> bool:
+            return found.mse < best.mse * (1 - _BETTER)
+
+        return self._descended(design, step, moved, is_better)
+
+    def _descended(
+        self,
+        design: Design,
+        step: Callable[[Design], FloatArray],
+        moved: Callable[[Design, FloatArray], Design],
+        is_better: Callable[[Design, Design], bool],
+    ) -> Design:
+        """Return the set after Newton steps of its times for as long as they make it better.
+
+        A step that does not is tried once more at 0.3 of its length.
+        """
         if self.is_list or design.n == 1:
             return design
         best = design
         for _ in range(MAX_STEPS):
-            error, time = self._derivatives(best)
-            along = float(time[0] @ time[0])
-            weight = max(0.0, -float(error[0] @ time[0]) / along) if along > 0 else 0.0
-            step = _newton(error[0] + weight * time[0], error[1] + weight * time[1])
-            found = self._fitted(self._moved(best, step), limit)
-            if not found.mse < best.mse * (1 - _BETTER):
-                found = self._fitted(self._moved(best, 0.3 * step), limit)
-                if not found.mse < best.mse * (1 - _BETTER):
+            change = step(best)
+            found = moved(best, change)
+            if not is_better(found, best):
+                found = moved(best, 0.3 * change)
+                if not is_better(found, best):
                     break
             best = found
         return best

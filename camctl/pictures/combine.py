@@ -21,9 +21,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Inverse, Posterior
 from camctl.model.light import Floats32, is_certain, light_tables
 from camctl.model.noise import FrameNoise
-from camctl.model.response.camera import (
-    CameraResponse,
-)
+from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import desired_response
 from camctl.model.step_posterior import FrameSet
 from camctl.pictures.combine_arguments import (
@@ -142,13 +140,15 @@ def combine(
     noises, findings = [], []
     for part in parts:
         fit = None if known else _fit(part, pictures, relative, black, top)
+        is_known = known is not None or fit is not None
         found = _frame_set(part.response, black, relative, known, fit)
-        estimate = _likelihood(found, fit, is_known=known is not None or fit is not None)
         if method == "sum":
-            estimate = _sum(found, is_known=known is not None or fit is not None)
+            estimate = _sum(found, is_known=is_known)
+        else:
+            estimate = _likelihood(found, fit, is_known=is_known)
         views = [part.view(each) for each in (*pictures, total, irradiance, sd, mask)]
         _fill(views, len(pictures), top, estimate)
-        if known is not None or fit is not None:
+        if is_known:
             noises.append(found.noise)
     irradiance /= np.float32(shortest)
     sd /= np.float32(shortest)
