@@ -10,6 +10,7 @@ Database of Response Functions.  Six frames of 8 bits, a factor of 2 apart, with
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,20 +23,21 @@ from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, srgb_to_linear
 from sim.scenes.drawings import DRAWINGS
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "helpers"))
+
+from scene_maps import blocks
+
 EXPOSURES = 2.0 ** np.arange(-3, 3)
 FULL_E, READ_E = 2e4, 5.0
 
 
 def scenes() -> dict[str, FloatArray]:
     """Return irradiance, saturated in 2 % of the samples at exposure 1."""
-    rng = np.random.default_rng(7)
-    blocks = np.full((240, 320), np.exp(-6.0))
-    for _ in range(400):
-        row, column = rng.integers(0, 240), rng.integers(0, 320)
-        height, width = rng.integers(3, 50, 2)
-        blocks[row : row + height, column : column + width] = np.exp(rng.uniform(-6, 0))
     room = np.asarray(DRAWINGS["room"](240, 320)).mean(axis=2)
-    return {name: E / np.quantile(E, 0.98) for name, E in (("room", room), ("blocks", blocks))}
+    return {
+        name: E / np.quantile(E, 0.98)
+        for name, E in (("room", room), ("blocks", blocks(np.random.default_rng(7))))
+    }
 
 
 def series_of(E: FloatArray, irradiance: FloatArray, brightness: FloatArray, seed: int) -> Series:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scene_maps import blocks
 
 from camctl.calibration.response.checks import KEPT, intervals_of
 from camctl.calibration.response.estimate import estimate_response
@@ -163,11 +164,7 @@ def test_what_is_refused_is_kept_on_request_with_a_finding() -> None:
 def test_steep_and_flat_cameras_before_edges_are_measured(flatness: float) -> None:
     """An S curve as steep or as flat as a measured one, before blocks with sharp edges."""
     rng = np.random.default_rng(7)
-    light = np.full((240, 320), np.exp(-6.0))
-    for _ in range(400):
-        row, column = rng.integers(0, 240), rng.integers(0, 320)
-        height, width = rng.integers(3, 50, 2)
-        light[row : row + height, column : column + width] = np.exp(rng.uniform(-6, 0))
+    light = blocks(rng)
     frames = []
     for exposure in STOPS:
         charge = 2e4 * light * exposure

@@ -45,6 +45,16 @@ def _texture(seed: int, low: float, high: float) -> Light:
     return np.asarray(low + (high - low) * np.clip(smooth, 0, 1), np.float32)
 
 
+def blocks(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return (240, 320) of overlapping blocks of one light each, exp(-6) to 1: sharp edges."""
+    light = np.full((240, 320), np.exp(-6.0))
+    for _ in range(400):
+        row, column = rng.integers(0, 240), rng.integers(0, 320)
+        height, width = rng.integers(3, 50, 2)
+        light[row : row + height, column : column + width] = np.exp(rng.uniform(-6, 0))
+    return light
+
+
 def sun_through_window() -> Light:
     """Return a room with a window of 6 % of the picture, and the sun in it."""
     x, y = _grid()
