@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from statistics import median
 
-from camctl.errors import CameraBusyError, CameraTimeoutError, UsageError
+from camctl.errors import (
+    CameraBusyError,
+    CameraError,
+    CameraTimeoutError,
+    InterruptedCaptureError,
+    UsageError,
+)
 from camctl.findings import note
 from camctl.interface.camera import CameraBase, CameraInfo, Frame, Pixels
 from camctl.interface.clock import Clock, VirtualClock
@@ -194,9 +201,15 @@ class SimulatedCamera(CameraBase):
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         self._tolerance_share = 1 / max(1, len(settings))
         rest = resting_setting(self.controls, settings)
-        for shot in self._pipeline(self._cause_faults).shoot(settings, rest):
-            yield self._counted_frame(shot, settings[shot.index])
-            self._check_open()
+        try:
+            for shot in self._pipeline(self._cause_faults).shoot(settings, rest):
+                yield self._counted_frame(shot, settings[shot.index])
+                self._check_open()
+        except (GeneratorExit, KeyboardInterrupt, InterruptedCaptureError):
+            longest = max(settings, key=lambda setting: setting.time_s)
+            with suppress(CameraError):  # it was unplugged meanwhile
+                self.device.abort(resting_setting(self.controls, [longest]))
+            raise
 
     def _pipeline(self, before_frame: Callable[[], None]) -> ExposurePipeline[Buffer]:
         def brightness(buffer: Buffer) -> float:

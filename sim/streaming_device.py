@@ -138,6 +138,15 @@ class SimulatedDevice:
             return self.dequeue(silence_s)
         return buffer
 
+    def abort(self, setting: ExposureSetting | None) -> None:
+        """Stop the stream and start it again, with a setting: the running exposure is lost."""
+        self._advance()
+        self._pending.clear()
+        self._finished.clear()
+        self._setting = setting or self._setting
+        self._running += 1
+        self._start_s = self._clock.now()
+
     def drop_next(self) -> None:
         """Lose the next frame."""
         self._drops_next = True

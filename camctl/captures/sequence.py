@@ -26,6 +26,7 @@ from camctl.captures.outputs import complete
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
 from camctl.exposure.search.wall_time import predicted_wall_s, wall_time_findings
 from camctl.interface.camera import Camera, Frame, Pixels
+from camctl.interface.clock import cancelled_by, check_cancelled
 from camctl.interface.controls import Layout
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.frame import StoredFrame
@@ -116,6 +117,10 @@ class Sequence:
         finally:
             return_free_memory()
 
+    def _is_to_end(self) -> bool:
+        """Return whether the capture was cancelled; a complete set becomes a picture even then."""
+        return len(self._arrived) < len(self._capture.frames) and self._cancelled()
+
     @property
     def _done(self) -> int:
         return sum(frame is not None for frame in self._capture.frames)
@@ -167,7 +172,7 @@ class Sequence:
                 self._report_progress("shooting")
                 settings = [self._capture.plan.settings[position] for position in positions]
                 self._checks.begin(positions)
-                with closing(self._camera.shoot(settings)) as frames:
+                with closing(self._camera.shoot(settings)) as frames, cancelled_by(self._is_to_end):
                     for frame in frames:
                         arrived = self._camera.clock.now()
                         most = max(1, WAITING_BYTES // frame.pixels.nbytes)
@@ -178,8 +183,7 @@ class Sequence:
                         before = waiting[-1] if waiting else None
                         waiting.append(worker.submit(self._take, frame, position, before))
                         self._arrived.add(position)
-                        if self._cancelled():
-                            raise InterruptedCaptureError("cancelled")
+                        check_cancelled()
                         self._report_progress("shooting")
             finally:
                 # Whatever happened to the camera, the frames that have arrived are kept.
@@ -255,9 +259,9 @@ class Sequence:
         return pixels
 
     def _shoot_suspects_again(self) -> None:
-        """Shoot frames with a wrong exposure again, once."""
+        """Shoot frames with a wrong exposure again, once; not in a capture that was cancelled."""
         again = self._checks.suspects()
-        if not again:
+        if not again or self._cancelled():
             return
         assert self._sum is not None  # all frames were added
         for position in again:

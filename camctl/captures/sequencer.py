@@ -19,7 +19,7 @@ from camctl.captures.sequence import Cancelled, OnProgress, Progress, Sequence
 from camctl.errors import DataError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Camera
-from camctl.interface.clock import VirtualClock
+from camctl.interface.clock import VirtualClock, cancelled_by
 from camctl.pictures.combine import sum_dtype
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import FolderStore
@@ -52,7 +52,10 @@ def capture(
         plan: the plan to follow, made by `plan_capture` from this request; None: made now
         source: what is needed to open this camera again; kept in the report
         progress: called before each frame and stage
-        cancelled: called before each frame; if it returns True the capture ends
+        cancelled: called all the time while frames are awaited; if it returns True the capture
+            ends within `POLL_S` of `camctl.interface.clock`, or as soon as the camera lets it.  The
+            exposure that runs is aborted where the camera can do that; a set whose frames have all
+            arrived is completed nevertheless
         overwrite: replace an earlier capture in the folder
         taken_at: date and time that the report has; None: of this computer, now
 
@@ -74,13 +77,14 @@ def capture(
             Progress(0, len(request.ratios or ()) or request.most_exposures, "metering")
         )
         if plan is None:
-            plan = plan_capture(
-                camera,
-                request,
-                progress=lambda share: report_progress(
-                    Progress(round(100 * share), 100, "solving", share)
-                ),
-            )
+            with cancelled_by(cancelled):
+                plan = plan_capture(
+                    camera,
+                    request,
+                    progress=lambda share: report_progress(
+                        Progress(round(100 * share), 100, "solving", share)
+                    ),
+                )
         else:
             _check_plan(plan, request)
         controls = camera.controls

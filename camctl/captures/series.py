@@ -83,7 +83,7 @@ class Series:
         """
         with self._owned():
             try:
-                set_s = self._twice(lambda: self._taker.prepare(self.journal))
+                set_s = self._prepared()
                 self._set_bytes = self._taker.least_bytes()
                 self._save()
                 self._warn_of_long_sets(set_s)
@@ -99,6 +99,22 @@ class Series:
                     remedies=self._remedies,
                 ) from None
         return self.journal
+
+    def _prepared(self) -> float | None:
+        """Save the journal, so that a series which is interrupted from here on can be continued.
+
+        Where the first set cannot be prepared there is no series: the folder stays as it was.
+        """
+        is_new = not (self.directory / SERIES).exists()
+        self._save()
+        try:
+            return self._twice(lambda: self._taker.prepare(self.journal))
+        except InterruptedCaptureError:
+            raise
+        except CamctlError:
+            if is_new:
+                (self.directory / SERIES).unlink(missing_ok=True)
+            raise
 
     @contextmanager
     def _owned(self) -> Iterator[None]:

@@ -1,4 +1,4 @@
-"""Clocks, and what takes time in a capture.
+"""Clocks, waits that a cancelled capture ends, and what takes time in a capture.
 
 Drivers and cameras wait in real time; tests in virtual time, which is exact and takes no time.
 """
@@ -6,8 +6,55 @@ Drivers and cameras wait in real time; tests in virtual time, which is exact and
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Protocol
+
+from camctl.errors import InterruptedCaptureError
+
+#: How often a wait asks whether the capture was cancelled, s: half of what people notice as a delay
+#: (0.2 s).
+POLL_S = 0.1
+
+_cancelled: ContextVar[Callable[[], bool] | None] = ContextVar("cancelled", default=None)
+
+
+@contextmanager
+def cancelled_by(cancelled: Callable[[], bool] | None) -> Iterator[None]:
+    """Let the waits of this thread end while the block runs, once `cancelled` returns True."""
+    token = _cancelled.set(cancelled)
+    try:
+        yield
+    finally:
+        _cancelled.reset(token)
+
+
+def check_cancelled() -> None:
+    """Raise `InterruptedCaptureError` where the capture of this thread was cancelled.
+
+    `RealClock` asks by itself; a driver that waits for something else does while it waits.
+    """
+    cancelled = _cancelled.get()
+    if cancelled is not None and cancelled():
+        raise InterruptedCaptureError("cancelled")
+
+
+def wait_for(wait: Callable[[float], bool], timeout_s: float) -> bool:
+    """Return whether `wait`, called with a time-out in seconds, returns True within `timeout_s`.
+
+    Raises:
+        InterruptedCaptureError: the capture of this thread was cancelled; within `POLL_S`
+    """
+    if _cancelled.get() is None:
+        return wait(timeout_s)
+    while timeout_s > POLL_S:
+        check_cancelled()
+        if wait(POLL_S):
+            return True
+        timeout_s -= POLL_S
+    return wait(timeout_s)
 
 
 class Clock(Protocol):
@@ -28,9 +75,15 @@ class RealClock:
         return time.monotonic()
 
     def sleep_until(self, deadline_s: float) -> None:
-        """Sleep until the monotonic clock shows `deadline_s`."""
+        """Sleep until the monotonic clock shows `deadline_s`.
+
+        Raises:
+            InterruptedCaptureError: as `check_cancelled`, within `POLL_S`
+        """
         while (remaining_s := deadline_s - time.monotonic()) > 0:
-            time.sleep(remaining_s)
+            check_cancelled()
+            is_awaited = _cancelled.get() is not None
+            time.sleep(min(remaining_s, POLL_S) if is_awaited else remaining_s)
 
 
 class VirtualClock:

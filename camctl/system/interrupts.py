@@ -77,8 +77,10 @@ def signal_handlers() -> Iterator[None]:
 def run_interruptible(function: Callable[[], _Result]) -> _Result:
     """Call `function`; within `signal_handlers`, a signal during the call raises `Interrupt`.
 
-    A signal before or after the call is ignored.
+    A signal between the begin of `signal_handlers` and the call raises it at the call's begin; one
+    after the call is ignored.
     """
+    _raise_waiting(sys._getframe())
     result = function()
     if _last is not None:  # a library dropped it
         raise _last
@@ -139,9 +141,9 @@ _UNINTERRUPTED = uninterrupted(lambda: None).__code__  # the code of `call`
 def _handle(number: int, frame: FrameType | None) -> None:
     global _waiting
     region = _region(frame)
-    if region is None or _is_handled(sys.exc_info()[1]):
+    if _is_handled(sys.exc_info()[1]):
         return
-    if region is not _INTERRUPTIBLE:
+    if region is not _INTERRUPTIBLE:  # None: before or after the call, see `run_interruptible`
         _waiting = number
         return
     interrupt = _arrived(number)

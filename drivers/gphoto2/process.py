@@ -22,7 +22,7 @@ from camctl.errors import (
     CameraProtocolError,
     CameraTimeoutError,
 )
-from camctl.interface.clock import Clock
+from camctl.interface.clock import Clock, cancelled_by, wait_for
 from drivers.common.device_holders import holding
 
 #: Silence after which the process counts as hanging, s: longer than all time-outs of libgphoto2
@@ -147,6 +147,8 @@ class CameraProcess:
             start_new_session=True,  # Control-C is the controller's to handle
         )
         self._rest = b""
+        #: How long the answer may take that a cancelled capture has not waited for, s.
+        self._owed_s: float | None = None
 
     @property
     def process_id(self) -> int:
@@ -198,6 +200,9 @@ class CameraProcess:
             pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
 
     def _ask_once(self, do: str, arguments: dict[str, Any], silence_s: float) -> Any:
+        if self._owed_s is not None:
+            with cancelled_by(None):
+                self._answer(self._owed_s)
         line = json.dumps({"do": do, **arguments}).encode() + b"\n"
         try:
             assert self._process.stdin is not None
@@ -205,12 +210,23 @@ class CameraProcess:
             self._process.stdin.flush()
         except (OSError, ValueError):
             raise self._ended() from None
-        answer = json.loads(self._line(silence_s))
+        self._owed_s = silence_s
+        answer, data = self._answer(silence_s)
         if "code" in answer:
             raise LibraryError(answer["code"], answer["text"])
-        if answer["bytes"]:
-            return self._bytes(answer["bytes"], silence_s)
-        return answer["result"]
+        return data or answer["result"]
+
+    def _answer(self, silence_s: float) -> tuple[dict[str, Any], bytes]:
+        """Return the next answer, and the file that comes with it.
+
+        Raises:
+            InterruptedCaptureError: the capture was cancelled; the answer is still to come
+        """
+        answer = json.loads(self._line(silence_s))
+        with cancelled_by(None):  # a file that has begun is read to its end
+            data = self._bytes(answer.get("bytes", 0), silence_s)
+        self._owed_s = None
+        return answer, data
 
     def _line(self, silence_s: float) -> bytes:
         while b"\n" not in self._rest:
@@ -231,7 +247,7 @@ class CameraProcess:
         descriptor = self._process.stdout.fileno()
         poll = select.poll()
         poll.register(descriptor, select.POLLIN)
-        if not poll.poll(silence_s * 1000):
+        if not wait_for(lambda limit_s: bool(poll.poll(limit_s * 1000)), silence_s):
             self._process.kill()
             raise CameraTimeoutError(
                 f"{self.name} does not answer for {silence_s:.0f} s", hint=_AGAIN

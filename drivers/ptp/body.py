@@ -183,6 +183,17 @@ class Body:
             parameters = (opening if p == OPENING_TRANSACTION else p for p in step.parameters)
             self._do(replace(step, parameters=tuple(parameters)), "close the shutter")
 
+    def abort(self) -> bool:
+        """End the exposure that runs; return whether the camera has ended it."""
+        steps, has = self.dialect.aborts, self.session.info.operations
+        if not steps or any(step.operation not in has for step in steps):
+            return False
+        with suppress(CameraError):
+            return all(
+                self.session.attempt(step.operation, *step.parameters).code == OK for step in steps
+            )
+        return False
+
     def has_bulb(self, dial: Dial) -> bool:
         """Return whether the computer can hold the shutter open."""
         steps = (*self.dialect.bulb_opens, *self.dialect.bulb_closes)

@@ -93,6 +93,7 @@ class Dialect:
             used
         bulb: number of the shutter property for bulb, if it must be set to that
         bulb_opens, bulb_closes: operations that open and close the shutter in a bulb exposure
+        aborts: operations that end an exposure that the camera times
         ready: the operation that is answered "busy" until the camera is ready
         polled: the operation that returns events, if they are not sent over the interrupt pipe
         memory: handle of a picture that waits in the camera's memory and not on its card
@@ -124,6 +125,7 @@ class Dialect:
     bulb: int | None = None
     bulb_opens: tuple[Step, ...] = ()
     bulb_closes: tuple[Step, ...] = ()
+    aborts: tuple[Step, ...] = ()
     ready: int | None = None
     polled: int | None = None
     memory: int | None = None

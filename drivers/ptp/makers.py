@@ -75,6 +75,7 @@ NIKON = Dialect(
     bulb=0xFFFFFFFF,
     bulb_opens=(Step(Op.NIKON_CAPTURE_TO, (_WITHOUT_FOCUSING, _TO_CARD)),),
     bulb_closes=(Step(Op.NIKON_TERMINATE_CAPTURE, (0, 0)),),
+    aborts=(Step(Op.NIKON_TERMINATE_CAPTURE, (0, 0)),),
     ready=Op.NIKON_READY,
     polled=Op.NIKON_EVENTS,
     memory=0xFFFF0001,

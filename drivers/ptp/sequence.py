@@ -12,10 +12,17 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
-from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
+from camctl.errors import (
+    CameraError,
+    CameraProtocolError,
+    CameraTimeoutError,
+    InterruptedCaptureError,
+)
 from camctl.interface.camera import Frame, OriginalFile
+from camctl.interface.clock import cancelled_by
 from camctl.interface.controls import ExposureSetting
 from camctl.stills.decoding import read_still
+from camctl.system.interrupts import uninterrupted
 from drivers.common.known_format import KnownFormat, checked_exposure, matched_pixels
 from drivers.common.still_camera import StillTimes
 from drivers.ptp.body import Body
@@ -104,6 +111,9 @@ class ExposureSequence:
         except CameraError as error:
             self._add_unfetched(error)
             raise
+        except (GeneratorExit, KeyboardInterrupt, InterruptedCaptureError):
+            self._abort()
+            raise
 
     def take(self, setting: ExposureSetting, format_name: str | None) -> Shot:
         """Take one picture; return its file in the format `format_name`, see `Shooter.wait`."""
@@ -118,6 +128,17 @@ class ExposureSequence:
         pending, self._pending = self._pending, None
         if pending is not None:
             self._shooter.wait_for_end(pending, limit_s)
+
+    @uninterrupted
+    def _abort(self) -> None:
+        """End the exposure that runs, where the camera can; it stays pending until its end."""
+        pending = self._pending
+        if pending is None:
+            return
+        with cancelled_by(None):
+            is_over = self._is_bulb(pending.request.setting)  # `_hold` has closed the shutter
+            if is_over or (self._is_released and self._body.abort()):
+                self._pending = replace(pending, aborted_s=self._clock.now())
 
     # ---- exposures
 

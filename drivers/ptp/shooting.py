@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError, CameraTimeoutError
+from camctl.interface.clock import check_cancelled
 from camctl.interface.controls import ExposureSetting
 from drivers.common.known_format import WrongFormatError
 from drivers.ptp.body import Body
@@ -25,7 +26,8 @@ from drivers.ptp.transport import CAPTURE_S, NORMAL_S
 _FIRST_LIST_S, _LONGEST_LIST_S = 0.1, 1.0
 # How long a poll waits for an event, at least and at most; the share of the time since the end of
 # the exposure; and the wait for events that are already there.
-_EVENT_S, _LONGEST_EVENT_S, _EVENT_SHARE, _WAITING_EVENT_S = 0.05, 1.0, 0.05, 0.001
+# A capture that is cancelled is noticed after a poll.
+_EVENT_S, _LONGEST_EVENT_S, _EVENT_SHARE, _WAITING_EVENT_S = 0.05, 0.25, 0.05, 0.001
 # Added to the rest of an exposure, so that a poll ends after the exposure and not just before it.
 _EVENT_MARGIN_S = 0.005
 # How long after the end of an exposure its files may still appear.
@@ -68,16 +70,20 @@ class PendingExposure:
         deadline_s: when the camera counts as unresponsive if there is no file; it includes a dark
             exposure of the same time
         held_s: how long the computer held a bulb exposure; None: the camera timed the exposure
+        aborted_s: when the exposure was ended early, on the camera's clock; None: it was not
     """
 
     request: ExposureRequest
     released_s: float
     deadline_s: float
     held_s: float | None = None
+    aborted_s: float | None = None
 
     @property
     def ends_s(self) -> float:
         """When the shutter should close, on the camera's clock."""
+        if self.aborted_s is not None:
+            return self.aborted_s
         return self.released_s + self.request.setting.time_s
 
     @property
@@ -193,6 +199,7 @@ class Shooter:
         list_pause_s = _FIRST_LIST_S
         next_list_s = exposure.ends_s + list_pause_s
         while True:
+            check_cancelled()
             events = self._body.poll_events(self._event_wait_s(exposure))
             if events.is_full:
                 raise CameraError(

@@ -11,9 +11,11 @@ import errno
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Self, TypeAlias, TypeVar
 
 from camctl.errors import CameraError, CameraNotFoundError, CameraProtocolError
+from camctl.interface.clock import wait_for
 from drivers.v4l2 import abi
 from drivers.v4l2.kernel import Kernel, Linux, Memory
 from drivers.v4l2.system import camera_error
@@ -324,7 +326,7 @@ class Node:
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for a frame or an error of the stream; return False where none comes in time."""
-        return self._kernel.wait(self._opened(), timeout_s)
+        return wait_for(partial(self._kernel.wait, self._opened()), timeout_s)
 
     def _opened(self) -> int:
         if self._descriptor is None:

@@ -143,6 +143,7 @@ class StillBody:
         self._is_idle = threading.Event()
         self._is_idle.set()
         self._bulb: tuple[_Shot, ScheduledCall] | None = None  # with the end of its time limit
+        self._delivery: tuple[_Shot, list[ImageFile], ScheduledCall] | None = None
 
     @property
     def is_exposing(self) -> bool:
@@ -183,6 +184,15 @@ class StillBody:
             now_s = self._clock.now()
             exposure = replace(shot.exposure, time_s=now_s - shot.began_s)
             self._clock.call_at(now_s, partial(self._read_out, replace(shot, exposure=exposure)))
+
+    def abort(self) -> None:
+        """Close the shutter now, whatever the exposure time is; the picture is delivered."""
+        self.end_bulb()
+        with self._lock:
+            if self._delivery is not None:
+                (shot, files, delivery), self._delivery = self._delivery, None
+                delivery.cancel()
+                self._call_delivery(shot, files, self._clock.now(), self._clock.now())
 
     def now(self) -> float:
         return self._clock.now()
@@ -226,12 +236,19 @@ class StillBody:
         assert time_s is not None
         files = self._make_files(shot.exposure, time_s)
         ended_s = shot.began_s + time_s
-        deliver = partial(self._deliver, shot, ended_s, files)
         dark_s = time_s if self._options.reduces_noise else 0.0
-        self._clock.call_at(ended_s + dark_s + self._options.delay_s, deliver)
+        with self._lock:
+            self._call_delivery(shot, files, ended_s, ended_s + dark_s + self._options.delay_s)
+
+    def _call_delivery(
+        self, shot: _Shot, files: list[ImageFile], ended_s: float, at_s: float
+    ) -> None:
+        call = self._clock.call_at(at_s, partial(self._deliver, shot, ended_s, files))
+        self._delivery = shot, files, call
 
     def _deliver(self, shot: _Shot, ended_s: float, files: Sequence[ImageFile]) -> None:
         with self._lock:
+            self._delivery = None
             names = [file.name for file in files]
             times = {"began_s": shot.began_s, "ended_s": ended_s, "downloaded_s": None}
             self.log.append({**times, "names": names, **asdict(shot.exposure)})

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from hypothesis import given, settings
@@ -224,6 +225,25 @@ def test_progress_says_when_the_series_will_end(bench: Bench) -> None:
     other.run(FakeSets(other.clock, [2] * 5), journal(repeat=5))
     ends = [each.ends_in_s for each in other.shown if each.state == "waiting"]
     assert ends == pytest.approx([8, 6, 4, 2])
+
+
+@pytest.mark.parametrize(
+    ("error", "is_kept"), [(KeyboardInterrupt(), True), (CaptureError("no light"), False)]
+)
+def test_a_series_that_ends_before_its_first_set_is_continued_or_was_none(
+    bench: Bench, error: BaseException, is_kept: bool
+) -> None:
+    sets, found = FakeSets(bench.clock), journal(repeat=2)
+
+    def fail(_: SeriesJournal) -> float:
+        raise error
+
+    with patch.object(sets, "prepare", fail), pytest.raises(CaptureError):
+        bench.run(sets, found)
+    assert bench.folder.exists() == is_kept
+    if is_kept:
+        again = bench.run(FakeSets(bench.clock), read_series(bench.folder))
+        assert again.completed == 2
 
 
 def test_an_interrupted_series_goes_on_with_the_set_that_was_begun(bench: Bench) -> None:

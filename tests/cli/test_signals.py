@@ -314,6 +314,42 @@ def test_signal_from_another_process_keeps_the_frames(
     assert checked(tmp_path / "out")["wrong"] == []
 
 
+EARLY = """
+import builtins, os, signal, sys
+real, left = builtins.__import__, [signal.{name}]
+def with_signal(name, *arguments, **named):
+    if name == {module!r} and left:
+        os.kill(os.getpid(), left.pop())
+    return real(name, *arguments, **named)
+from camctl.__main__ import run
+builtins.__import__ = with_signal
+sys.argv[1:] = ["solve", "-n", "2"]
+sys.exit(run())
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [
+        ("SIGTERM", "camctl.cli"),
+        ("SIGINT", "click"),
+        *(
+            pytest.param(name, module, marks=pytest.mark.slow)
+            for name in ("SIGINT", "SIGTERM", "SIGHUP")
+            for module in ("camctl.cli", "camctl.errors", "camctl.cli.commands", "numpy")
+        ),
+    ],
+)
+def test_signal_while_the_program_is_loaded(name: str, module: str, tmp_path: Path) -> None:
+    program = EARLY.format(name=name, module=module)
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    by = "" if name == "SIGINT" else f" by {name}"
+    assert (done.stderr, done.stdout) == (f"camctl: interrupted{by}\n", "")
+    assert done.returncode == 128 + getattr(signal, name)
+
+
 @pytest.mark.slow
 def test_ignored_hangup_stays_ignored(tmp_path: Path) -> None:
     """As with nohup: the capture goes on; SIGTERM still ends it."""

@@ -210,7 +210,7 @@ class NikonResponder(Responder):
     def _terminate(self, parameters: Sequence[int], data: bytes) -> Reply:
         if not self.body.is_exposing:
             return Reply(Response.INVALID_TRANSACTION)
-        self.body.end_bulb()
+        self.body.abort()
         return Reply()
 
     def _device_ready(self, parameters: Sequence[int], data: bytes) -> Reply:
