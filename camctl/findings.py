@@ -31,6 +31,7 @@ CODES: Final[dict[str, str]] = {
     "part_contradicts": "share of the comparable samples that do not fit the exposures",
     "delay_contradicts": "frames by which exposures took effect late; negative: early",
     "frame_white": "share of the frame that is saturated, though the metered light is not",
+    "frame_damaged": "share of the frame that shows no scene: its samples are any codes",
     "exposure_estimated": "exposure in the pixels over the stated one",
     "not_estimated": "nothing: an exposure, or all of them, could not be estimated from the pixels",
     "curve_repaired": "nothing: the curve of the camera was repaired; `repair` says how",

@@ -247,7 +247,7 @@ class SimulatedCamera(CameraBase):
         if number in faults.repeated_frames and self._before is not None:
             frame = replace(frame, pixels=self._before)
         if number in faults.corrupt_frames:
-            frame = replace(frame, pixels=corrupted(frame.pixels, number))
+            frame = replace(frame, pixels=corrupted(frame.pixels, number, frame.white))
         if faults.repeated_frames:
             self._before = frame.pixels
         return frame

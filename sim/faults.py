@@ -146,10 +146,10 @@ def _finite(text: str) -> float:
     return value
 
 
-def corrupted(pixels: Pixels, number: int) -> Pixels:
-    """Return a frame whose lower half is random, always the same for one frame number."""
+def corrupted(pixels: Pixels, number: int, white: int) -> Pixels:
+    """Return a frame whose lower half is random up to white, the same for one frame number."""
     half = pixels.copy()
     rest = half[half.shape[0] // 2 :]
     random = np.random.Generator(np.random.PCG64(number))
-    rest[...] = random.integers(0, np.iinfo(half.dtype).max, rest.shape, half.dtype, endpoint=True)
+    rest[...] = random.integers(0, white, rest.shape, half.dtype, endpoint=True)
     return half

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from camctl.captures.true_exposures import choose_exposures, estimate_exposures
 from camctl.captures.verdict import judge, suspects
+from camctl.evidence.damage import damaged_share
 from camctl.evidence.delay import ShotLog
 from camctl.evidence.light_ratio import MOST_CHANGE, NeighbourCheck
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Pair, Side
+from camctl.findings import Finding
 from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import ExposureControls, Layout, ResponseOrigin
 from camctl.model.noise import FrameNoise
@@ -80,7 +82,9 @@ class FrameChecks:
             return []
         checks = [frame.ratio for frame in self._frames]
         self._log.find(checks)
-        return [k for k in suspects(checks) if self._frame(k).attempts == 1]
+        # What is wrong with the exposure of a damaged frame, and of those beside it, is not known.
+        wrong = self._damaged() or suspects(checks)
+        return [k for k in wrong if self._frame(k).attempts == 1]
 
     def judge(self) -> list[ExposureRatio]:
         """Write into the report what the frames say of their exposures; return those to use."""
@@ -107,6 +111,10 @@ class FrameChecks:
             self._delay_of,
             exposures_exact=self._controls.exposures_exact,
         )
+        reasons += [
+            Finding(code="frame_damaged", frames=(position,), value=share)
+            for position, share in self._damaged().items()
+        ]
         self._capture.distrust(reasons)
         self._capture.findings += others
         return chosen
@@ -147,6 +155,25 @@ class FrameChecks:
                     pair = shown
             found.append(pair)
         return found
+
+    def _damaged(self) -> dict[int, float]:
+        """Return the share of each damaged frame that shows no scene, by position.
+
+        Where noise may be as wide as the range of the codes it is not known.
+        """
+        if self._check.scale.is_coarse:
+            return {}
+        samples = self.samples
+        codes = self._controls.white - self._controls.black + 1
+        shares = {
+            position: damaged_share(
+                each,
+                [*samples[max(position - 1, 0) : position], *samples[position + 1 :][:1]],
+                codes,
+            )
+            for position, each in enumerate(samples)
+        }
+        return {position: share for position, share in shares.items() if share}
 
     @property
     def _frames(self) -> list[StoredFrame]:

@@ -75,6 +75,13 @@ def _frame_white(finding: Finding) -> str:
     )
 
 
+def _frame_damaged(finding: Finding) -> str:
+    return (
+        f"{finding.value:.0%} of frame {finding.frames[0] + 1} shows no scene, since samples there "
+        "do not depend on their neighbours: it was damaged on its way from the camera"
+    )
+
+
 def _exposure_estimated(finding: Finding) -> str:
     frame, reference = finding.frames
     return (
@@ -246,6 +253,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "part_contradicts": _part_contradicts,
     "delay_contradicts": _delay_contradicts,
     "frame_white": _frame_white,
+    "frame_damaged": _frame_damaged,
     "exposure_estimated": _exposure_estimated,
     "not_estimated": _not_estimated,
     "curve_repaired": lambda finding: str(finding.details["repair"]),

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from small_cameras import small_camera, sum_of_frames
+from small_cameras import gradient, small_camera, sum_of_frames
 
 import camctl
 from camctl.captures.sequencer import capture
@@ -236,3 +236,27 @@ def test_noise_near_saturation_does_not_contradict(seed: int) -> None:
         report = capture(camera, CaptureRequest(ratios=(1.0, 8.9, 80.0), base_s=5.5))
     assert report.trustworthy
     assert not differing(report)
+
+
+def damaged(*numbers: int) -> CaptureReport:
+    """Return a capture of three frames in which those of these numbers are damaged."""
+    with small_camera(
+        "standard", gradient(120, 160), faults=Faults(corrupt_frames=numbers)
+    ) as camera:
+        return capture(camera, MAINS)
+
+
+@pytest.mark.parametrize("position", [0, 1, 2])
+def test_a_damaged_frame_is_shot_again(position: int) -> None:
+    report = damaged(position)
+    assert [frame.attempts for frame in report.frames] == [1 + (k == position) for k in range(3)]
+    assert report.trustworthy
+    assert not report.findings
+
+
+def test_a_frame_damaged_twice_makes_a_capture_untrustworthy() -> None:
+    report = damaged(1, 3)
+    (found,) = [each for each in report.findings if each.code == "frame_damaged"]
+    assert found.frames == (1,)
+    assert 0.4 < (found.value or 0.0) < 0.6
+    assert not report.trustworthy

@@ -23,6 +23,7 @@ _FINDINGS = (
     Finding(code="part_contradicts", frames=(0, 1), value=0.62, details={"compared": 0.031}),
     Finding(code="delay_contradicts", value=1, remedies={"calibrate_delay": "v4l2:/dev/video0"}),
     Finding(code="frame_white", frames=(0,), value=0.98, details={"metered": 0.01}),
+    Finding(code="frame_damaged", frames=(2,), value=0.5),
     Finding(code="exposure_estimated", frames=(1, 0), value=1.021, low=1.019, high=1.023),
     Finding(code="not_estimated", details={"what": "the frames are black"}),
     Finding(code="setting_differs", value=0.02, details={"field": "base_s", "requested": 0.0213}),
