@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 __version__ = "0.2.0.dev0"
 
 if TYPE_CHECKING:
+    from camctl import calibrate as calibrate
     from camctl.captures.plan import plan_capture as plan_capture
     from camctl.captures.sequence import Progress as Progress
     from camctl.captures.sequencer import capture as capture
@@ -139,12 +140,17 @@ _NAMES = {
 }
 _MODULES = {name: f"camctl.{module}" for module, names in _NAMES.items() for name in names.split()}
 
-__all__ = ["__version__", *_MODULES]
+#: Public modules.
+_SUBMODULES = ("calibrate",)
+
+__all__ = ["__version__", *_SUBMODULES, *_MODULES]
 
 if not TYPE_CHECKING:  # a type checker would take every name for one that exists
 
     def __getattr__(name: str) -> object:
         """Import the module that defines a public name, and return what it names (PEP 562)."""
+        if name in _SUBMODULES:
+            return import_module(f"camctl.{name}")
         if name not in _MODULES:
             raise AttributeError(f"module 'camctl' has no attribute '{name}'")
         value = globals()[name] = getattr(import_module(_MODULES[name]), name)

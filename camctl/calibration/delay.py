@@ -12,17 +12,19 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.calibration.light import metered
 from camctl.calibration.refusals import too_bright
 from camctl.calibration.timing import measure_stream_timing
-from camctl.errors import CameraProtocolError, CaptureError, UsageError
+from camctl.errors import CameraProtocolError, CaptureError, DataError, UsageError
 from camctl.findings import Finding
 from camctl.interface.camera import Camera, Frame, StreamingCamera
 from camctl.interface.controls import Control, ExposureSetting
-from camctl.profiles.profile import DelayRecord
+from camctl.profiles.profile import DelayRecord, FrameTiming
 
 TRIALS = 12
 #: Exposure of the bright setting over the dark one: far apart, and both within the range
@@ -143,9 +145,59 @@ def measure_delay(
         camera.clock.sleep_until(camera.clock.now() + interval_s * float(random.uniform(0, 3)))
         before, after = pair if is_up else pair[::-1]
         responses.append(stepper.response(before, after))
-    mixed = sum(response.first < response.full for response in responses)
-    if mixed:
-        stepper.warn(Finding(code="delay_irregular", value=mixed, details={"trials": trials}))
+    return _record(responses, stepper.warn, measure_stream_timing(camera))
+
+
+def delay_of_frames(
+    frames: Sequence[NDArray[Any]], exposures: Sequence[float], warn: Callable[[Finding], None]
+) -> DelayRecord:
+    """Return the delay that the frames of a stream show, without its timing.
+
+    Each exposure must last until it has been effective for two frames at least: the brightness of
+    the last frame before a change and of the last one before the next change are compared.
+
+    Args:
+        frames: consecutive frames of a steady scene
+        exposures: for each frame the exposure that was last set when its exposure began
+        warn: called with each irregularity
+
+    Raises:
+        UsageError: there are fewer than two changes of the exposure
+        CaptureError: a change is hardly visible
+        DataError: a change takes effect at no certain frame
+    """
+    starts = [k for k in range(1, len(exposures)) if exposures[k] != exposures[k - 1]]
+    if len(starts) < 2:
+        raise UsageError(
+            f"{len(starts)} changes of the exposure show no delay",
+            hint="give the frames of at least 2 changes, with several frames after each",
+        )
+    light = [float(np.mean(each)) / np.iinfo(each.dtype).max for each in frames]
+    responses = []
+    for start, end in zip(starts, [*starts[1:], len(frames)], strict=True):
+        old, new = light[start - 1], light[end - 1]
+        if abs(new - old) < _LEAST_STEP:
+            raise CaptureError(
+                f"the brightness hardly changes from frame {start - 1} to frame {end - 1}",
+                hint=f"set exposures a factor {_STEP_RATIO:g} apart that do not saturate",
+            )
+        found = find_step(light[start:end], old, new)
+        if not isinstance(found, StepResponse):
+            why = "it is too late for" if found is None else f"{found.why} after"
+            raise DataError(
+                f"{why} the change at frame {start}",
+                hint="keep scene and light steady, and let each exposure last more frames",
+            )
+        responses.append(found)
+    return _record(responses, warn, None)
+
+
+def _record(
+    responses: Sequence[StepResponse], warn: Callable[[Finding], None], timing: FrameTiming | None
+) -> DelayRecord:
+    trials = len(responses)
+    if mixed := sum(response.first < response.full for response in responses):
+        warn(Finding(code="delay_irregular", value=mixed, details={"trials": trials}))
     smallest = min(response.first for response in responses)
     largest = max(response.full for response in responses)
     return DelayRecord(
@@ -154,7 +206,7 @@ def measure_delay(
         largest=largest,
         trials=trials,
         measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
-        timing=measure_stream_timing(camera),
+        timing=timing,
     )
 
 

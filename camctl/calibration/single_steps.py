@@ -103,12 +103,7 @@ def noise_step(camera: Camera, options: StepOptions, progress: Progress) -> Foun
         f"{conversion.high:.3g}), read noise {read_noise.value:.3g} electrons "
         f"({read_noise.low:.3g} to {read_noise.high:.3g}), gains measured: {len(record.gains)}"
     )
-
-    def keep(profile: Profile) -> None:
-        earlier = profile.noises.get(mode)
-        profile.noises[mode] = record if earlier is None else record.joined(earlier)
-
-    return Found(keep, text)
+    return Found(lambda profile: profile.add_noise(mode, record), text)
 
 
 class PatternSteps:

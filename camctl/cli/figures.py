@@ -89,7 +89,7 @@ def figures(
     from camctl.errors import StorageError
     from camctl.studies.figures import draw, figure_files
     from camctl.studies.parallel import run_all
-    from camctl.studies.plots import check_plots
+    from camctl.system.plots import check_plots
 
     measured = None if profile_name is None else _measured(profile_name)
     todo = figure_files(numbers, folder, svg=svg, dpi=dpi, measured=measured)

@@ -121,8 +121,8 @@ def show(name: str, plot: Path | None, force: bool, as_json: bool) -> None:
 
     found = find_profile(name)
     if plot is not None:
-        from camctl.studies.plots import check_plots
-        from camctl.studies.profile_plot import draw_profile
+        from camctl.calibration.plots import draw_profile
+        from camctl.system.plots import check_plots
 
         check_plots((plot,), overwrite=force)
         draw_profile(found, plot)

@@ -10,60 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from camctl.errors import CameraProtocolError, DataError, UsageError
+from camctl.errors import DataError
 from camctl.findings import Detail, Finding
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.photographs.camera import Photograph
-from camctl.stills.decoding import Still, read_still
-from camctl.stills.exif import StatedExposure, stated_exposure
+from camctl.stills.exif import StatedExposure
+from camctl.stills.files import check_times, read_photograph, unknown_time
 from camctl.stills.radiance_map import read_map
-from camctl.system.input_files import check_regular, read_input
+from camctl.system.input_files import check_regular
 from camctl.system.library_output import exr_source, quiet_libraries
 
-#: Largest file of a camera that is read.
-_MOST_BYTES = 1 << 30
 #: Decoded pixels that are kept, so that files are not decoded again.
 _KEPT_BYTES = 512 << 20
 _EXR = ".exr"
 #: Code of full scale of an OpenEXR file.
 _FULL_EXR = 65535
-
-
-def check_times(files: Sequence[Path], times: tuple[float, ...] | None) -> None:
-    """Raise `UsageError` unless there is one time for each file, or none at all."""
-    if times is not None and len(times) != len(files):
-        raise UsageError(
-            f"{len(times)} exposure times were given for {len(files)} files",
-            hint="give one for each file",
-            remedies={"times": None},
-        )
-
-
-def read_photograph(path: Path) -> tuple[Still, StatedExposure]:
-    """Return the contents of a JPEG, PNG, TIFF or camera raw file, and what it states of itself.
-
-    Raises:
-        DataError: it cannot be read
-    """
-    data = read_input(path, "", most_bytes=_MOST_BYTES)
-    try:
-        return read_still(data, str(path)), stated_exposure(data)
-    except CameraProtocolError as error:
-        raise DataError(
-            error.what.removeprefix("the camera's file "),
-            hint="copy it from the camera again, or leave it out (JPEG, PNG, TIFF and camera raw "
-            "are read)",
-        ) from error
-
-
-def unknown_time(path: Path) -> UsageError:
-    """Return the error of a file that does not say its exposure time."""
-    return UsageError(
-        f"{path} does not say its exposure time",
-        hint="give the exposure time of each file",
-        remedies={"times": None},
-    )
 
 
 def _exposure(path: Path, stated: StatedExposure, time_s: float | None) -> Photograph:

@@ -215,6 +215,16 @@ class Profile(BaseModel):
         stem = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:_LONGEST_STEM].rstrip("-")
         return f"{stem}-{hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:8]}"
 
+    def add_noise(self, mode: str, record: NoiseRecord) -> None:
+        """Keep the noise in a mode, with what an earlier record has and this one lacks."""
+        earlier = self.noises.get(mode)
+        self.noises[mode] = record if earlier is None else record.joined(earlier)
+
+    def add_exposures(self, mode: str, record: ExposureRecord) -> None:
+        """Keep the exposures in a mode, with settings that an earlier record alone has."""
+        earlier = self.exposures.get(mode)
+        self.exposures[mode] = record if earlier is None else record.joined(earlier)
+
 
 def profile_directory() -> Path:
     """Return the folder of the profiles, which need not exist."""

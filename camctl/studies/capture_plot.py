@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from camctl.studies.bracket_methods import FRONT, LABELS, METHODS
 from camctl.studies.capture_rows import CaptureStudy, Rated
-from camctl.studies.plots import COLOURS, plot
+from camctl.system.plots import COLOURS, plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ from pathlib import Path
 from camctl.profiles.response import ResponseRecord
 from camctl.studies import figure_pictures, figure_responses
 from camctl.studies.figure_parts import PaperFigure
-from camctl.studies.plots import plot
+from camctl.system.plots import plot
 
 FIGURES: dict[str, PaperFigure] = {
     figure.number: figure

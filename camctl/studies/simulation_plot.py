@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from camctl.studies.plots import COLOURS, plot
 from camctl.studies.simulation_study import SimulationPoint, SimulationRun, SimulationStudy
+from camctl.system.plots import COLOURS, plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

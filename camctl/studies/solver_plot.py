@@ -6,9 +6,9 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from camctl.studies.plots import COLOURS, plot
 from camctl.studies.solver_study import CAMCTL, METHODS, Case, SolverStudy
 from camctl.system.number_text import range_text
+from camctl.system.plots import COLOURS, plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -248,7 +248,7 @@ def test_measured_exposures_are_named_where_they_contradict_the_pixels(run: Run)
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("--from", "nowhere"), "nowhere holds no capture"),
+        (("--from", "nowhere"), "cannot read nowhere"),
         (("--from", "here", "--repeats", "3"), "--from cannot be combined with --repeats"),
         (("--response", "rgb"), "unknown camera response 'rgb'"),
         (("--repeats", "1"), "invalid"),

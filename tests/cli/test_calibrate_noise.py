@@ -71,7 +71,7 @@ def test_flat_field_and_lens_cap_complete_the_record(run: Run) -> None:
 def test_lens_cap_alone_is_refused(run: Run) -> None:
     ran = run("calibrate", "noise", "--sensor", "phone", *SIZE, "--dark")
     assert ran.status == 2
-    assert "without --dark first" in ran.error
+    assert "measure the noise with light first (camctl calibrate noise)" in ran.error
 
 
 def test_light_in_dark_frames_is_refused(run: Run) -> None:
@@ -140,7 +140,8 @@ def test_frames_that_belong_to_no_capture_are_refused(run: Run) -> None:
 def test_the_frames_of_a_camera_without_a_response_are_taken_for_linear(run: Run) -> None:
     run("shoot", "--sensor", "webcam", *SIZE, "--ratios", "1,2", "-o", "hall")
     ran = run("calibrate", "exposure", "--from", "hall")
-    assert "taken for linear; give --response" in ran.err
+    assert "the response linear is assumed until it is measured" in ran.err
+    assert "--response NAME" in ran.err
 
 
 @pytest.mark.parametrize(

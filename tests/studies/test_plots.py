@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from camctl.errors import StorageError, UsageError
-from camctl.studies import plots
+from camctl.system import plots
 
 pytestmark = pytest.mark.skipif(
     find_spec("matplotlib") is None, reason="matplotlib is not installed"

@@ -192,6 +192,23 @@ def check_interval(record: ResponseRecord, exposures: Sequence[float], labels: L
     raise DataError(known, hint=helpful_exposures(exposures, intervals.brightness))
 
 
+def inexactness(record: ResponseRecord, exposures: Sequence[float]) -> Finding | None:
+    """Return why a response is not exact enough to be used; None where it is."""
+    intervals = intervals_of(record)
+    if intervals is None or intervals.widest <= KEPT:
+        return None
+    return Finding(
+        code="response_inexact",
+        value=intervals.widest,
+        details={
+            "brightness": intervals.brightness,
+            "needed": KEPT,
+            "help": helpful_exposures(exposures, intervals.brightness),
+        },
+        remedies={"keep": True},
+    )
+
+
 def helpful_exposures(exposures: Sequence[float], brightness: float) -> str:
     """Return which exposures would make a response better known at a brightness, a share."""
     ordered = np.unique(exposures)

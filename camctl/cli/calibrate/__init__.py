@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from camctl.cli import options
-from camctl.cli.calibrate.result import Findings, Result, camera_row
+from camctl.cli.calibrate.result import Rows, measured, show
 from camctl.cli.commands import LazyGroup, command
-from camctl.cli.options import CameraOptions
-from camctl.cli.output import (
-    format_delay,
-    format_duration,
-    format_fields,
-    format_table,
-    print_json,
-    print_text,
-    progress_bar,
-    without_stage,
-)
-from camctl.cli.parameter_types import PATH, WholeNumber
-from camctl.errors import DataError
+from camctl.cli.options import CameraOptions, option
+from camctl.cli.output import format_delay, format_duration, format_table
+from camctl.cli.parameter_types import PATH, Text, WholeNumber
 
 if TYPE_CHECKING:
-    from camctl.interface.camera import CameraInfo
+    from camctl.calibration.results import DelayResult, StillTiming
     from camctl.profiles.exposures import ExposureRecord
-    from camctl.profiles.profile import DelayRecord, FrameTiming, Profile
 
 calibrate = LazyGroup(
     "calibrate",
@@ -58,12 +46,11 @@ calibrate = LazyGroup(
     ),
 )
 @options.camera_options
-@click.option(
-    "--trials",
-    type=WholeNumber(least=2, most=10_000),
-    metavar="N",
+@option(
+    "--trials N",
+    "Number of exposure changes to measure.",
+    WholeNumber(least=2, most=10_000),
     default=12,
-    help="Number of exposure changes to measure.",
 )
 @options.as_json
 def delay(camera: CameraOptions, trials: int, as_json: bool) -> None:
@@ -74,83 +61,42 @@ def delay(camera: CameraOptions, trials: int, as_json: bool) -> None:
     unknown delay, the camera waits at each exposure until it has taken effect. Of a still camera,
     which has no such delay, the time from picture to picture is measured.
     """
-    from camctl.calibration.delay import measure_delay
-    from camctl.calibration.timing import measure_still_timing
-    from camctl.interface.camera import StreamingCamera
-    from camctl.profiles.profile import change_profile
+    from camctl.calibrate import delay as measure
 
-    with camera.open(profile="none") as opened, progress_bar("changing the exposure") as bar:
-        info = opened.info
-        if not isinstance(opened, StreamingCamera):
-            timing = measure_still_timing(opened)
-            if as_json:
-                content = {"frames": None, "timing": timing.model_dump()}
-                print_json({"camera": dataclasses.asdict(info), **content})
-            else:
-                print_text(format_fields(_still_rows(info, timing)))
-            return
-        findings = Findings()
-        record = measure_delay(
-            opened, trials=trials, progress=without_stage(bar), warn=findings.add
-        )
-        mode = opened.mode
+    result = measured(measure, camera, "changing the exposure", trials=trials).save()
+    show(result, lambda: ("", _delay_rows(result)), as_json=as_json)
 
-    def keep(profile: Profile) -> None:
-        profile.delays[mode] = record
 
-    result = Result(info, mode, change_profile(info, keep))
-    if as_json:
-        result.print_json({**record.model_dump(), "findings": findings.to_json()})
+def _delay_rows(result: DelayResult | StillTiming) -> Rows:
+    from camctl.calibration.results import StillTiming
+
+    if isinstance(result, StillTiming):
+        still = result.timing
+        interval = _milliseconds(still.frame_interval_s)
+        yield "control delay", "none: a still camera"
+        jitter = f"jitter {_milliseconds(still.jitter_s)}"
+        yield "picture to picture", f"{interval} beside the exposure, {jitter}"
+        yield "read-out", _milliseconds(still.readout_s)
+        yield "download", _milliseconds(still.download_s)
         return
-    rows = [
-        ("control delay", f"{format_delay(record)}, in {record.trials} trials"),
-        ("consequence", _consequence(record)),
-        *_timing_rows(record),
-    ]
-    result.print_text("", rows)
-
-
-def _timing_rows(record: DelayRecord) -> list[tuple[str, str]]:
-    """Return what is known of when the frames of a stream come."""
-    timing = record.timing
-    if timing is None:
-        return []
-    lost = f", {timing.lost} frames lost" if timing.lost else ""
-    return [
-        (
-            "frame interval",
-            f"{_milliseconds(timing.frame_interval_s)}, jitter {_milliseconds(timing.jitter_s)}"
-            f"{lost}",
-        ),
-        ("read-out", f"{_milliseconds(timing.readout_s)} after the end of an exposure"),
-    ]
-
-
-def _still_rows(info: CameraInfo, timing: FrameTiming) -> list[tuple[str, str]]:
-    interval = _milliseconds(timing.frame_interval_s)
-    return [
-        camera_row(info),
-        ("control delay", "none: a still camera"),
-        (
-            "picture to picture",
-            f"{interval} beside the exposure, jitter {_milliseconds(timing.jitter_s)}",
-        ),
-        ("read-out", _milliseconds(timing.readout_s)),
-        ("download", _milliseconds(timing.download_s)),
-    ]
+    yield "control delay", f"{format_delay(result)}, in {result.trials} trials"
+    yield "consequence", _consequence(result)
+    if (timing := result.timing) is not None:
+        lost = f", {timing.lost} frames lost" if timing.lost else ""
+        jitter = f"jitter {_milliseconds(timing.jitter_s)}"
+        yield "frame interval", f"{_milliseconds(timing.frame_interval_s)}, {jitter}{lost}"
+        yield "read-out", f"{_milliseconds(timing.readout_s)} after the end of an exposure"
 
 
 def _milliseconds(time_s: float) -> str:
     return f"{1e3 * time_s:.3g} ms"
 
 
-def _consequence(record: DelayRecord) -> str:
+def _consequence(result: DelayResult) -> str:
     """Return what the delay means for the number of frames of a capture."""
-    if record.frames is None:
-        return f"the camera waits {record.largest} frames at each exposure"
-    if record.frames == 0:
-        return "n exposures take n frames"
-    return f"n exposures take n + {record.frames} frames"
+    if result.frames is None:
+        return f"the camera waits {result.largest} frames at each exposure"
+    return f"n exposures take n{f' + {result.frames}' if result.frames else ''} frames"
 
 
 @command(
@@ -162,27 +108,20 @@ def _consequence(record: DelayRecord) -> str:
     ),
 )
 @options.camera_options
-@click.option(
-    "--repeats",
-    type=WholeNumber(least=2, most=100),
-    metavar="N",
-    default=3,
-    help="Frames of each setting.",
-)
+@option("--repeats N", "Frames of each setting.", WholeNumber(least=2, most=100), default=3)
 @options.longest("Longest shutter time to measure.")
-@click.option(
-    "--from",
-    "folder",
-    type=PATH,
-    metavar="FOLDER",
-    help="Measure the settings of a complete capture in FOLDER instead, and keep the result for "
-    "its camera.",
+@option(
+    "--from FOLDER",
+    "Measure the settings of a complete capture in FOLDER instead, and keep the result for its "
+    "camera.",
+    PATH,
+    field="folder",
 )
-@click.option(
-    "--response",
-    metavar="NAME",
-    help="Response of the camera: linear, srgb, rec709, or power:GAMMA.  [default: the measured "
-    "one, else that which the camera states; with --from else linear]",
+@option(
+    "--response NAME",
+    "Response of the camera: linear, srgb, rec709, or power:GAMMA.  [default: the measured one, "
+    "else that which the camera states; with --from else linear]",
+    Text(),
 )
 @options.as_json
 def exposure(
@@ -201,72 +140,25 @@ def exposure(
     times each; for others, change the light and measure again: settings measured earlier are kept
     where they are not measured now. Later captures use the result in place of the stated exposures.
     """
-    from camctl.profiles.profile import change_profile
+    from camctl.calibrate import exposure as measure
 
-    context = click.get_current_context()
-    findings = Findings()
     if folder is None:
-        info, mode, record = _measure(camera, repeats, longest_s, response, findings)
-    else:
-        others = options.given(context) - {"folder", "response", "as_json"}
-        options.refuse_together(context, "--from", others)
-        info, mode, record = _from_capture(folder, response)
-
-    def keep(profile: Profile) -> None:
-        earlier = profile.exposures.get(mode)
-        profile.exposures[mode] = record if earlier is None else record.joined(earlier)
-
-    result = Result(info, mode, change_profile(info, keep))
-    if as_json:
-        result.print_json({**record.model_dump(), "findings": findings.to_json()})
-    else:
-        result.print_text(_exposure_table(record), [])
-
-
-def _measure(
-    camera: CameraOptions,
-    repeats: int,
-    longest_s: float,
-    response: str | None,
-    findings: Findings,
-) -> tuple[CameraInfo, str, ExposureRecord]:
-    from camctl.calibration.exposures import measure_exposures
-    from camctl.cli.calibrate.exposure_series import response_of
-    from camctl.profiles.exposures import exposure_mode
-
-    with (
-        camera.open(profile="response,noise") as opened,
-        progress_bar("shooting each setting") as bar,
-    ):
-        record = measure_exposures(
-            opened,
+        result = measured(
+            measure,
+            camera,
+            "shooting each setting",
+            profile="response,noise",
+            how={"response": response},
             repeats=repeats,
             longest_s=longest_s,
-            response=response_of(opened.controls, response),
-            progress=without_stage(bar),
-            warn=findings.add,
         )
-        return opened.info, exposure_mode(opened.controls), record
-
-
-def _from_capture(folder: Path, response: str | None) -> tuple[CameraInfo, str, ExposureRecord]:
-    from camctl.calibration.exposures import record_of_frames
-    from camctl.cli.calibrate.exposure_series import SeriesOptions, stored_capture
-    from camctl.evidence.patches import sample_patches
-    from camctl.model.sensor import SensorModel
-
-    stored = stored_capture(SeriesOptions((folder,)))
-    if stored is None:
-        raise DataError(f"{folder} holds no capture", hint="name the folder of a capture")
-    report = stored.report
-    channels = list(stored.responses(response).values())
-    frames = [report.frame(position) for position in stored.positions]
-    record = record_of_frames(
-        [sample_patches(report.layout.planes(frame), report.white) for frame in frames],
-        [report.frames[position].applied for position in stored.positions],
-        SensorModel(channels[len(channels) // 2], stored.black),
-    )
-    return report.camera, stored.mode, record
+    else:
+        context = click.get_current_context()
+        others = options.given(context) - {"folder", "response", "as_json"}
+        options.refuse_together(context, "--from", others)
+        result = measure(folder, response=response)
+    result = result.save()
+    show(result, lambda: (_exposure_table(result), ()), as_json=as_json)
 
 
 def _exposure_table(record: ExposureRecord) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -11,11 +10,11 @@ from typing import TYPE_CHECKING
 import click
 
 from camctl.cli import options
-from camctl.cli.calibrate.result import Findings
 from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions
 from camctl.cli.output import (
     print_error,
+    print_finding,
     print_json,
     print_text,
     progress_bar,
@@ -24,6 +23,7 @@ from camctl.cli.output import (
 
 if TYPE_CHECKING:
     from camctl.calibration.single_steps import StepResult
+    from camctl.findings import Finding
     from camctl.profiles.noise import NoiseRecord
 
 _GUIDANCE = (
@@ -79,6 +79,7 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
     then to uncover it and to turn the camera a little (one view cannot show how the pixels differ,
     two can). Otherwise measure these with camctl calibrate noise --flat and --dark.
     """
+    from camctl.calibration.results import StepsResult
     from camctl.calibration.single_steps import StepOptions
     from camctl.calibration.steps import calibrate
     from camctl.errors import CaptureError
@@ -92,8 +93,13 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
     is_interactive = not as_json and sys.stdin.isatty() and sys.stderr.isatty()
     if is_interactive:
         click.pause("Press any key when all is ready ...", err=True)
-    done = []
-    findings = Findings()
+    done: list[StepResult] = []
+    findings: list[Finding] = []
+
+    def warn(finding: Finding) -> None:
+        print_finding(finding)
+        findings.append(finding)
+
     with ExitStack() as bars:
 
         def begin(name: str) -> Callable[[float], None] | None:
@@ -110,7 +116,7 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
 
         cover = asked(_COVER, "Is the lens covered?")
         turn = asked(_TURN, "Is the lens uncovered, and has the camera been turned?")
-        how = StepOptions(longest_s, begin, findings.add, cover, turn)
+        how = StepOptions(longest_s, begin, warn, cover, turn)
         for step in calibrate(lambda parts: camera.open(profile=parts), how):
             bars.close()
             done.append(step)
@@ -118,16 +124,10 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
                 print_text(_line(step))
     name = load_profile(info).name
     if as_json:
-        steps = [dataclasses.asdict(step) for step in done]
-        print_json(
-            {
-                "camera": dataclasses.asdict(info),
-                "mode": mode,
-                "steps": steps,
-                "name": name,
-                "findings": findings.to_json(),
-            }
+        result = StepsResult(
+            camera=info, mode=mode, steps=tuple(done), name=name, findings=tuple(findings)
         )
+        print_json(result.model_dump(mode="json", exclude={"file"}))
     elif any(step.result for step in done):
         print_text(f"kept in the profile {name} for the mode {mode}; see camctl profile show")
         print_text(_missing(load_profile(info).noises.get(mode)))

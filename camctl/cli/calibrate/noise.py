@@ -8,33 +8,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from camctl.cli import options
-from camctl.cli.calibrate.exposure_series import (
-    SeriesOptions,
-    StoredCapture,
-    check_levels,
-    levels_of,
-    read_stills,
-    response_named,
-    response_of,
-    series_options,
-    stored_capture,
-)
-from camctl.cli.calibrate.result import Result
+from camctl.cli.calibrate.result import Rows, SeriesOptions, measured, series_options, show
 from camctl.cli.commands import command
-from camctl.cli.options import CameraOptions
-from camctl.cli.output import (
-    format_table,
-    print_finding,
-    progress_bar,
-    without_stage,
-)
-from camctl.cli.parameter_types import WholeNumber
-from camctl.errors import DataError, UsageError
+from camctl.cli.options import CameraOptions, option
+from camctl.cli.output import format_table
+from camctl.cli.parameter_types import PATH, Text, WholeNumber
 
 if TYPE_CHECKING:
-    from camctl.interface.camera import CameraInfo
-    from camctl.profiles.noise import DarkRecord, Figure, NoiseRecord
-    from camctl.profiles.profile import Profile
+    from camctl.calibration.results import NoiseResult
+    from camctl.profiles.noise import Figure, NoiseRecord
 
 
 @command(
@@ -50,35 +32,33 @@ if TYPE_CHECKING:
 )
 @series_options
 @options.camera_options
-@click.option(
+@option(
     "--flat",
-    "is_flat",
-    is_flag=True,
-    help="An evenly lit surface fills the picture, out of focus: measure the PRNU, too.",
+    "An evenly lit surface fills the picture, out of focus: measure the PRNU, too.",
+    field="is_flat",
 )
-@click.option(
+@option(
     "--dark",
-    "is_dark",
-    is_flag=True,
-    help="The lens cap is on: measure dark current, DSNU and hot pixels, in addition to an earlier "
+    "The lens cap is on: measure dark current, DSNU and hot pixels, in addition to an earlier "
     "calibration with light.",
+    field="is_dark",
 )
-@click.option(
-    "-n",
-    "--exposures",
-    "count",
-    type=WholeNumber(least=3, most=64),
-    metavar="N",
+@option(
+    "-n --exposures N",
+    "Exposures at each gain, of two frames each.",
+    WholeNumber(least=3, most=64),
+    field="count",
     default=12,
-    help="Exposures at each gain, of two frames each.",
 )
 @options.longest("Longest shutter time to use.  [default: 2; with --dark 4]", default=None)
-@click.option(
-    "--response",
-    metavar="NAME",
-    help="Response of the camera or of FILES: linear, srgb, rec709, or power:GAMMA.  [default: the "
+@option(
+    "--response NAME",
+    "Response of the camera or of FILES: linear, srgb, rec709, or power:GAMMA.  [default: the "
     "measured one of the camera, else that which it states; of FILES srgb for JPEG, else linear]",
+    Text(),
 )
+@option("--report FILE.md", "Write the figures of EMVA 1288 to a Markdown file.", PATH)
+@options.force
 @options.as_json
 def noise(
     source: SeriesOptions,
@@ -88,6 +68,8 @@ def noise(
     count: int,
     longest_s: float | None,
     response: str | None,
+    report: Path | None,
+    force: bool,
     as_json: bool,
 ) -> None:
     """Measure the noise of a camera: electrons per level, read noise, saturation.
@@ -97,133 +79,34 @@ def noise(
     differs is noise. The result is kept in the camera's profile. For more, measure again with
     --flat before an evenly lit surface, and with --dark with the lens cap on.
     """
-    context = click.get_current_context()
-    names = options.given(context)
-    if source.files:
-        others = names & (options.CAMERA_PARAMETERS | {"count", "longest_s", "is_dark"})
-        options.refuse_together(context, "FILES", others)
-        info, mode, record = _from_files(source, response, is_flat)
+    from camctl import calibrate
+    from camctl.system.files import check_new, write_bytes
+
+    if report is not None:
+        check_new(report, overwrite=force)
+    source.check({"count", "longest_s", "is_dark"})
+    longest: dict[str, Any] = {} if longest_s is None else {"longest_s": longest_s}
+    if is_dark:
+        context = click.get_current_context()
+        options.refuse_together(context, "--dark", {"is_flat", "count", "response"})
+        result = measured(calibrate.dark, camera, "shooting dark frames", **longest)
     else:
-        hint = "name the files, or leave it out"
-        others = names & {"times", "black", "white"}
-        options.refuse_together(context, "--camera", others, hint)
-        if is_dark:
-            options.refuse_together(context, "--dark", names & {"is_flat", "count", "response"})
-            info, mode, record = _dark(camera, longest_s)
-        else:
-            info, mode, record = _from_camera(camera, count, longest_s, is_flat, response)
-    for finding in () if is_dark else record.findings:
-        print_finding(finding)
-    file = None if info is None else _keep(info, mode, record)
-    result = Result(info, mode, file)
-    if as_json:
-        result.print_json(_json(record))
-    else:
-        result.print_text(_table(record), _rows(record))
-
-
-def _from_camera(
-    camera: CameraOptions,
-    count: int,
-    longest_s: float | None,
-    is_flat: bool,
-    response: str | None,
-) -> tuple[CameraInfo, str, NoiseRecord]:
-    from camctl.calibration.light import LONGEST_S
-    from camctl.calibration.noise.shooting import measure_noise
-    from camctl.profiles.exposures import exposure_mode
-
-    with camera.open(profile="response") as opened, progress_bar("shooting pairs") as bar:
-        record = measure_noise(
-            opened,
-            is_flat=is_flat,
-            exposures=count,
-            longest_s=longest_s or LONGEST_S,
-            response=response_of(opened.controls, response),
-            progress=without_stage(bar),
+        result = measured(
+            calibrate.noise,
+            camera,
+            "shooting pairs",
+            profile="response",
+            source=source,
+            how={"response": response, "is_flat": is_flat},
+            count=count,
+            **longest,
         )
-        return opened.info, exposure_mode(opened.controls), record
-
-
-def _dark(camera: CameraOptions, longest_s: float | None) -> tuple[CameraInfo, str, NoiseRecord]:
-    from camctl.calibration.noise.dark import LONGEST_S, measure_dark
-    from camctl.profiles.exposures import exposure_mode
-    from camctl.profiles.profile import load_profile
-
-    with camera.open(profile="none") as opened, progress_bar("shooting dark frames") as bar:
-        info, mode = opened.info, exposure_mode(opened.controls)
-        earlier = load_profile(info).noises.get(mode)
-        if earlier is None:
-            raise UsageError(
-                f"the electrons per level of this camera are not known in the mode {mode}",
-                hint="take the lens cap off, and run camctl calibrate noise without --dark first",
-            )
-        found = measure_dark(
-            opened, earlier, longest_s=longest_s or LONGEST_S, progress=without_stage(bar)
-        )
-    return info, mode, earlier.model_copy(update={"dark": found})
-
-
-def _from_files(
-    source: SeriesOptions, response: str | None, is_flat: bool
-) -> tuple[CameraInfo | None, str, NoiseRecord]:
-    from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise, same_response
-
-    if (stored := stored_capture(source)) is not None:
-        return _from_capture(stored, response, is_flat)
-    from camctl.interface.controls import ExposureSetting
-
-    frames: NoiseFrames | None = None
-    for path, still, time_s in read_stills(source):
-        if frames is None:
-            is_jpeg = path.suffix.lower() in (".jpg", ".jpeg")
-            name = response or ("srgb" if is_jpeg else "linear")
-            black, white = levels_of(source, still)
-            check_levels(still.bits, black, white)
-            real = response_named(name, still.bits, black, white)
-            responses = same_response(real, still.layout)
-            frames = NoiseFrames(still.layout, black, white, responses, is_flat)
-            frames.note_format(path.suffix)
-        elif still.layout != frames.layout:
-            raise DataError(
-                f"{path} is {still.layout}, and {source.files[0]} is {frames.layout}",
-                hint="give frames of one size and format",
-            )
-        frames.add(still.pixels, ExposureSetting(time_s))
-    assert frames is not None
-    return None, "", estimate_noise(frames)
-
-
-def _from_capture(
-    stored: StoredCapture, response: str | None, is_flat: bool
-) -> tuple[CameraInfo, str, NoiseRecord]:
-    from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise
-
-    report, responses = stored.report, stored.responses(response)
-    frames = NoiseFrames(report.layout, stored.black, report.white, responses, is_flat)
-    for position in stored.positions:
-        frames.add(report.frame(position), report.frames[position].applied)
-    return report.camera, stored.mode, estimate_noise(frames)
-
-
-def _keep(info: CameraInfo, mode: str, record: NoiseRecord) -> Path:
-    from camctl.profiles.profile import change_profile
-
-    def keep(profile: Profile) -> None:
-        earlier = profile.noises.get(mode)
-        profile.noises[mode] = record if earlier is None else record.joined(earlier)
-
-    return change_profile(info, keep)
-
-
-def _json(record: NoiseRecord) -> dict[str, Any]:
-    reference = record.reference
-    return {
-        "conversion_e_per_dn": reference.conversion_e_per_dn.model_dump(),
-        "read_noise_e": reference.read_noise_e.model_dump(),
-        "emva1288": {name: each.model_dump() for name, each in record.emva().items()},
-        **record.model_dump(),
-    }
+    if result.camera is not None:
+        result = result.save()
+    if report is not None:
+        write_bytes(report, result.emva_report().encode())
+    written = [] if report is None else [("report", str(report))]
+    show(result, lambda: (_table(result), [*_rows(result), *written]), as_json=as_json)
 
 
 def _table(record: NoiseRecord) -> str:
@@ -250,30 +133,22 @@ def _text(figure: Figure, unit: str = "") -> str:
     return f"{value}{unit} (95 %: {interval})"
 
 
-def _rows(record: NoiseRecord) -> list[tuple[str, str]]:
-    seen = "" if record.saturates else "; no saturated samples seen: of the stated white level"
-    emva = record.emva()
-    rows = [
-        ("saturation", _text(record.full_well_e, " e-") + seen),
-        ("least signal", _text(emva["sensitivity_threshold_e"], " e-")),
-        ("dynamic range", _text(emva["dynamic_range"])),
-        ("largest signal to noise", _text(emva["snr_max"])),
-        (
-            "PRNU",
-            "not measured: use --flat before an evenly lit surface"
-            if record.prnu is None
-            else _text(record.prnu.scaled(100), " %"),
-        ),
-    ]
-    return rows + _dark_rows(record.dark)
-
-
-def _dark_rows(dark: DarkRecord | None) -> list[tuple[str, str]]:
+def _rows(result: NoiseResult) -> Rows:
+    seen = "" if result.saturates else "; no saturated samples seen: of the stated white level"
+    emva, dark = result.emva1288, result.dark
+    yield "saturation", _text(result.full_well_e, " e-") + seen
+    yield "least signal", _text(emva["sensitivity_threshold_e"], " e-")
+    yield "dynamic range", _text(emva["dynamic_range"])
+    yield "largest signal to noise", _text(emva["snr_max"])
+    if result.prnu is None:
+        yield "PRNU", "not measured: use --flat before an evenly lit surface"
+    else:
+        yield "PRNU", _text(result.prnu.scaled(100), " %")
     if dark is None:
-        return [("dark current, DSNU", "not measured: put the lens cap on, and use --dark")]
-    return [
-        ("dark current", _text(dark.dark_current_e_s, " e-/s")),
-        ("DSNU", _text(dark.dsnu_e, " e-")),
-        *([("DCNU", _text(dark.dcnu_e_s, " e-/s"))] if dark.dcnu_e_s else []),
-        ("hot pixels", str(len(dark.hot_pixels))),
-    ]
+        yield "dark current, DSNU", "not measured: put the lens cap on, and use --dark"
+        return
+    yield "dark current", _text(dark.dark_current_e_s, " e-/s")
+    yield "DSNU", _text(dark.dsnu_e, " e-")
+    if dark.dcnu_e_s:
+        yield "DCNU", _text(dark.dcnu_e_s, " e-/s")
+    yield "hot pixels", str(len(dark.hot_pixels))

@@ -1,58 +1,106 @@
-"""How calibrations print their result: of which camera, in which mode, and where it is kept."""
+"""What the calibrations share: frames taken before, and how a result is printed."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from camctl.cli import output
+import click
+
+from camctl.cli import options, output
+from camctl.cli.options import CameraOptions, option_group
+from camctl.cli.parameter_types import PATH
 
 if TYPE_CHECKING:
-    from camctl.findings import Finding
-    from camctl.interface.camera import CameraInfo
+    from camctl.calibration.results import Result
+
+    ResultT = TypeVar("ResultT", bound=Result)
 
 Rows = Iterable[tuple[str, str]]
 
 
-def camera_row(info: CameraInfo) -> tuple[str, str]:
-    """Return what a camera is called."""
-    return "camera", f"{info.make} {info.model} ({info.id})"
+@dataclass(frozen=True)
+class SeriesOptions:
+    """Frames that were taken before, in place of a camera."""
+
+    files: tuple[Path, ...]
+    times: tuple[float, ...] | None
+    black: int | None
+    white: int | None
+
+    def check(self, alone: Collection[str]) -> None:
+        """Raise `UsageError` where options of a camera are given beside FILES, or the reverse.
+
+        Args:
+            alone: parameters of the command that belong to a camera
+        """
+        context = click.get_current_context()
+        names = options.given(context)
+        if self.files:
+            options.refuse_together(context, "FILES", names & {*options.CAMERA_PARAMETERS, *alone})
+        else:
+            hint = "name the files, or leave it out"
+            options.refuse_together(context, "--camera", names & {"times", "black", "white"}, hint)
 
 
-@dataclasses.dataclass(frozen=True)
-class Result:
-    """What was measured; camera and file are None where photographs name no camera."""
-
-    info: CameraInfo | None
-    mode: str
-    file: Path | None
-
-    def print_json(self, content: Mapping[str, Any]) -> None:
-        """Print the content with the camera, its mode and the file."""
-        camera = None if self.info is None else dataclasses.asdict(self.info)
-        output.print_json({**content, "camera": camera, "mode": self.mode, "file": self.file})
-
-    def print_text(self, table: str, rows: Rows, more: Rows = ()) -> None:
-        """Print a table and rows, with the camera, its mode and the file between both rows."""
-        own = [] if self.info is None else [camera_row(self.info), ("mode", self.mode)]
-        kept = [] if self.file is None else [("profile", str(self.file))]
-        fields = output.format_fields([*rows, *own, *kept, *more])
-        output.print_text(f"{table}\n\n{fields}" if table else fields)
+series_options = option_group(
+    SeriesOptions,
+    "source",
+    click.argument("files", type=PATH, nargs=-1, metavar="[FILES]..."),
+    options.TIMES_OPTION,
+    options.BLACK_OPTION,
+    options.WHITE_OPTION,
+)
 
 
-class Findings:
-    """Prints findings when they are made, and keeps them for the JSON output."""
+def measured(
+    function: Callable[..., ResultT],
+    camera: CameraOptions,
+    label: str,
+    *,
+    profile: str = "none",
+    source: SeriesOptions | None = None,
+    how: dict[str, Any] | None = None,
+    **of_camera: Any,
+) -> ResultT:
+    """Return what a function of `camctl.calibrate` measures of frames, else of the camera.
 
-    def __init__(self) -> None:
-        self._kept: list[Finding] = []
+    Args:
+        function: of `camctl.calibrate`
+        camera: which one
+        label: of the progress bar
+        profile: parts of the camera's profile that are used
+        source: the frames; the camera is measured where there are none
+        how: arguments for both
+        of_camera: arguments for a camera
+    """
+    how = how or {}
+    if source is not None and source.files:
+        levels = {"black": source.black, "white": source.white}
+        return function(source.files, source.times, **levels, **how)
+    with camera.open(profile=profile) as opened, output.progress_bar(label) as bar:
+        return function(opened, progress=output.without_stage(bar), **how, **of_camera)
 
-    def add(self, finding: Finding) -> None:
-        """Print a finding as a warning, and keep it."""
+
+def show(result: Result, text: Callable[[], tuple[str, Rows]], *, as_json: bool) -> None:
+    """Print the findings of a result, and the result with its camera and its file.
+
+    Args:
+        result: what was measured
+        text: returns a table, which may be empty, and rows
+        as_json: print the result as JSON
+    """
+    for finding in result.findings:
         output.print_finding(finding)
-        self._kept.append(finding)
-
-    def to_json(self) -> list[dict[str, Any]]:
-        """Return the findings for the JSON output."""
-        return [each.model_dump() for each in self._kept]
+    if as_json:
+        output.print_json(result.model_dump(mode="json"))
+        return
+    table, rows = text()
+    info = result.camera
+    own = [] if info is None else [("camera", f"{info.make} {info.model} ({info.id})")]
+    own += [("mode", result.mode)] if info is not None and result.mode else []
+    kept = [] if result.file is None else [("profile", str(result.file))]
+    fields = output.format_fields([*rows, *own, *kept])
+    output.print_text(f"{table}\n\n{fields}" if table else fields)

@@ -47,7 +47,7 @@ class StudyOptions:
             StorageError: a plot exists, or there is no folder for it
             MissingPlotLibraryError: a plot is requested, and matplotlib is not installed
         """
-        from camctl.studies.plots import check_plots
+        from camctl.system.plots import check_plots
 
         if self.again is not None:
             options.refuse_together(context, "--again", set(run_parameters))

@@ -1,17 +1,20 @@
-"""A plot of what was measured of a camera: its responses and photon transfer curves."""
+"""Plots of what was measured of a camera: responses, photon transfer curves, true exposures."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camctl.errors import DataError
 from camctl.profiles.profile import Profile
-from camctl.studies.plots import COLOURS, plot
+from camctl.system.plots import COLOURS, plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from camctl.profiles.exposures import ExposureRecord
     from camctl.profiles.noise import NoiseRecord
     from camctl.profiles.response import ResponseRecord
 
@@ -48,13 +51,20 @@ def draw_profile(profile: Profile, path: Path) -> None:
         for column, mode in enumerate(modes):
             upper, lower = panels[:, column]
             if mode in profile.responses:
-                _draw_response(upper, mode, profile.responses[mode])
+                draw_response(upper, mode, profile.responses[mode])
             else:
                 _leave_out(upper, f"response in {mode}: not measured")
             if mode in profile.noises:
-                _draw_transfer(lower, mode, profile.noises[mode])
+                draw_transfer(lower, mode, profile.noises[mode])
             else:
                 _leave_out(lower, f"noise in {mode}: not measured")
+
+
+@contextmanager
+def panels(path: Path, caption: str, count: int = 1) -> Iterator[tuple[Axes, ...]]:
+    """Yield axes side by side; then write them to a file; raises as `plot` does."""
+    with plot((path,), (max(_NARROWEST, _PANEL * count), _HEIGHT), caption) as figure:
+        yield tuple(figure.subplots(1, count, squeeze=False)[0])
 
 
 def _leave_out(axes: Axes, title: str) -> None:
@@ -62,7 +72,8 @@ def _leave_out(axes: Axes, title: str) -> None:
     axes.set_axis_off()
 
 
-def _draw_response(axes: Axes, mode: str, record: ResponseRecord) -> None:
+def draw_response(axes: Axes, mode: str, record: ResponseRecord) -> None:
+    """Draw the curves of all channels."""
     import numpy as np
 
     from camctl.model.response.camera import srgb_to_linear
@@ -89,7 +100,8 @@ def _draw_response(axes: Axes, mode: str, record: ResponseRecord) -> None:
     axes.legend(loc="lower right", frameon=False)
 
 
-def _draw_transfer(axes: Axes, mode: str, record: NoiseRecord) -> None:
+def draw_transfer(axes: Axes, mode: str, record: NoiseRecord) -> None:
+    """Draw the photon transfer curves of all gains."""
     axes.set_title(f"photon transfer in {mode}, {record.measured_at[:10]}")
     for noise, colour in zip(record.gains, COLOURS * len(record.gains), strict=False):
         points = sorted(noise.curve, key=lambda point: point.mean)
@@ -106,3 +118,14 @@ def _draw_transfer(axes: Axes, mode: str, record: NoiseRecord) -> None:
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
     axes.legend(loc="best", frameon=False, fontsize=8)
+
+
+def draw_exposures(axes: Axes, mode: str, record: ExposureRecord) -> None:
+    """Draw true over stated exposure of each shutter time."""
+    axes.set_title(f"exposures in {mode}, {record.measured_at[:10]}")
+    times, factors = zip(*((each.value, each.factor) for each in record.times), strict=True)
+    below = [each.factor - each.low for each in record.times]
+    above = [each.high - each.factor for each in record.times]
+    axes.axhline(1.0, color="#bbbbbb", linewidth=1)
+    axes.errorbar(times, factors, (below, above), fmt="o", color=COLOURS[0], linewidth=1)
+    axes.set(xscale="log", xlabel="stated shutter time, s", ylabel="true over stated exposure")

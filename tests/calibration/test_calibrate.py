@@ -1,0 +1,226 @@
+"""`camctl.calibrate` on simulated cameras whose properties are known, and on arrays."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import camctl
+from camctl.calibration.results import StillTiming
+from camctl.interface.controls import ExposureSetting
+from camctl.model.response.camera import srgb_to_linear
+from camctl.profiles.folder import list_profiles
+from sim.sensors.sensor import load_sensor
+
+TIMES = (1 / 64, 1 / 16, 1 / 4)
+
+
+@pytest.fixture(autouse=True)
+def no_profiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path / "profiles"))
+
+
+def open_sim(sensor: str, scene: str = "tile-floor", **options: Any) -> camctl.Camera:
+    return camctl.open_camera("sim", scene=scene, sensor=sensor, size="320x240", **options)
+
+
+def levels_of(controls: camctl.ExposureControls) -> dict[str, Any]:
+    return {"black": controls.black, "white": controls.white, "layout": controls.layout}
+
+
+def shot(camera: camctl.Camera, times: list[float]) -> list[NDArray[Any]]:
+    nearest = camera.controls.time_s.nearest
+    settings = [ExposureSetting(nearest(each)) for each in times]
+    return [frame.pixels.copy() for frame in camera.shoot(settings)]
+
+
+SCENE = np.geomspace(1e-3, 1, 160) * np.random.default_rng(2).uniform(0.9, 1.1, (120, 160))
+"""Light with shades over three decades; at 1 a frame of the first time just saturates."""
+
+
+def curved_frames(levels: NDArray[np.float64]) -> list[NDArray[np.uint8]]:
+    """Return frames of `SCENE` by these thresholds."""
+    found = [np.searchsorted(levels, SCENE * each * 64, side="right") for each in TIMES]
+    return [each.clip(0, 255).astype(np.uint8) for each in found]
+
+
+SRGB = np.append(srgb_to_linear(np.arange(1, 256) / 256), np.inf)
+
+
+def test_the_module_is_imported_when_it_is_named() -> None:
+    assert camctl.calibrate.__name__ == "camctl.calibrate"
+    assert camctl.calibrate.__all__ == ["dark", "delay", "exposure", "noise", "response"]
+
+
+def test_noise_of_a_camera_and_of_its_frames() -> None:
+    true = load_sensor("phone").noise_model
+    with open_sim("phone", "room") as camera:
+        of_camera = camctl.calibrate.noise(camera, count=6)
+        times = [each for each in np.geomspace(0.001, 0.2, 7) for _ in (0, 1)]
+        frames, controls = shot(camera, times), camera.controls
+    of_frames = camctl.calibrate.noise(np.stack(frames), times, **levels_of(controls))
+    for found in (of_camera, of_frames):
+        assert found.conversion_e_per_dn.value == pytest.approx(true.conversion_e_per_dn, rel=0.02)
+        assert found.read_noise_e.value == pytest.approx(true.read_noise(1.0), rel=0.05)
+    assert of_camera.camera is not None
+    assert of_camera.mode == "rggb-320x240-1023"
+    assert of_camera.save().file is not None
+    (profile,) = list_profiles()
+    assert profile.noises[of_camera.mode] == of_camera.record
+    assert of_frames.camera is None
+    with pytest.raises(camctl.UsageError, match="do not say which camera"):
+        of_frames.save()
+
+
+def test_emva_figures_and_report() -> None:
+    with open_sim("machine-vision") as camera:
+        found = camctl.calibrate.noise(camera, count=6)
+    true = load_sensor("machine-vision")
+    noise = true.noise_model
+    full = true.electrons_per_dn * (true.white - true.black)
+    least = math.hypot(noise.read_noise(1.0), noise.conversion_e_per_dn / math.sqrt(12)) + 0.5
+    figures = {(each.symbol, each.unit): each.value for each in found.emva_figures()}
+    assert figures["K", "DN/e-"] == pytest.approx(1 / noise.conversion_e_per_dn, rel=0.02)
+    assert figures["sigma_d", "e-"] == pytest.approx(noise.read_noise(1.0), rel=0.05)
+    assert figures["mu_e.sat", "e-"] == pytest.approx(full, rel=0.02)
+    assert figures["DR", "dB"] == pytest.approx(20 * math.log10(full / least), abs=0.3)
+    assert figures["SNR_max", "bit"] == pytest.approx(math.log2(math.sqrt(full)), abs=0.03)
+    lines = found.emva_report().splitlines()
+    assert lines[0].startswith("# EMVA 1288: camctl simulated machine-vision")
+    assert sum(line.startswith("| overall system gain | K |") for line in lines) == 1
+    assert any(line.startswith("Not measured: quantum efficiency") for line in lines)
+    points = sum(len(each.curve) for each in found.gains)
+    assert sum(line.startswith("| ") for line in lines) == len(figures) + points + 1 + len(
+        found.gains
+    )
+
+
+def test_response_of_a_camera_and_of_arrays() -> None:
+    with open_sim("consumer", unknown=True) as camera:
+        of_camera = camctl.calibrate.response(camera)
+    expected = srgb_to_linear(np.arange(256) / 255)
+    for channel in of_camera.channels:
+        levels = np.array(channel.levels)
+        assert np.abs(levels[20:-1] / levels[128] / (expected[20:-1] / expected[128]) - 1).max() < (
+            0.05
+        )
+    assert of_camera.is_exact
+    kept = of_camera.save()
+    (profile,) = list_profiles()
+    assert profile.responses[kept.mode] == of_camera.record
+    of_arrays = camctl.calibrate.response(curved_frames(SRGB), TIMES)
+    (channel,) = of_arrays.channels
+    middle = srgb_to_linear((np.arange(20, 255) + 0.5) / 256)
+    ratio = np.array(channel.levels)[20:255] / middle
+    assert ratio.max() / ratio.min() < 1.03
+    curve = of_arrays.camera_response()
+    combined = camctl.combine(curved_frames(SRGB), TIMES, response=curve)
+    light = combined.irradiance / SCENE / 64
+    inside = (combined.mask == 0) & (SCENE > 0.02)
+    assert np.median(light[inside]) == pytest.approx(1, rel=0.05)
+    assert np.std(np.log(light[inside])) < 0.02
+
+
+def test_unknown_exposures_of_arrays_are_estimated() -> None:
+    found = camctl.calibrate.response(curved_frames(SRGB), estimate_ratios=True)
+    assert found.exposures[2] > found.exposures[1] > found.exposures[0] == 1
+    assert [each.code for each in found.findings] == ["exponent_unknown"]
+
+
+def test_exposures_of_a_capture_and_of_arrays() -> None:
+    with open_sim("phone") as camera:
+        report = camctl.capture(camera, camctl.CaptureRequest(ratios=(1, 2, 4)))
+        controls = camera.controls
+    of_capture = camctl.calibrate.exposure(report)
+    assert [each.factor for each in of_capture.times] == pytest.approx([1.0] * 3, rel=0.01)
+    assert of_capture.camera == report.camera
+    frames = [report.frame(k) for k in range(3)]
+    times = [frame.applied_s for frame in report.frames]
+    wrong = [times[0], times[1] * 1.1, times[2]]
+    found = camctl.calibrate.exposure(frames, wrong, **levels_of(controls))
+    assert found.times[1].factor / found.times[0].factor == pytest.approx(1 / 1.1, rel=0.01)
+    assert any(each.contradicts_label for each in found.times)
+
+
+@pytest.mark.parametrize(("sensor", "frames"), [("standard", 2), ("mobile", 3)])
+def test_delay_of_a_camera(sensor: str, frames: int) -> None:
+    with camctl.open_camera("sim", sensor=sensor, size="64x48") as camera:
+        found = camctl.calibrate.delay(camera, trials=4)
+    assert found.frames == frames  # as the sensor's file says
+    assert found.timing is not None
+
+
+@pytest.mark.parametrize("late", [0, 2, 3])
+def test_delay_of_arrays(late: int) -> None:
+    exposures = [1.0] * 6 + [4.0] * 8 + [1.0] * 8 + [4.0] * 8
+    effective = [exposures[max(0, k - late)] for k in range(len(exposures))]
+    frames = [np.full((8, 8), round(40 * each), np.uint8) for each in effective]
+    found = camctl.calibrate.delay(frames, exposures)
+    assert not isinstance(found, StillTiming)
+    assert (found.frames, found.smallest, found.largest, found.trials) == (late, late, late, 3)
+    assert found.timing is None
+
+
+def test_a_frame_with_two_exposures_is_a_finding() -> None:
+    exposures = [1.0] * 4 + [4.0] * 5 + [1.0] * 5
+    light = [40] * 5 + [100] + [160] * 3 + [40] * 5
+    frames = [np.full((8, 8), each, np.uint8) for each in light]
+    found = camctl.calibrate.delay(frames, exposures)
+    assert (found.frames, found.mode) == (None, "")
+    assert [(each.code, each.value) for each in found.findings] == [("delay_irregular", 1)]
+
+
+@pytest.mark.parametrize(
+    ("frames", "exposures", "message"),
+    [
+        ([40] * 8, [1.0] * 8, "0 changes of the exposure"),
+        ([40] * 9, [1.0] * 3 + [4.0] * 3 + [1.0] * 3, "hardly changes"),
+        ([40] * 7 + [160] + [40] * 4, [1.0] * 4 + [4.0] * 4 + [1.0] * 4, "too late"),
+        ([40] * 8, [1.0] * 7, "invalid number of exposures"),
+    ],
+)
+def test_frames_that_show_no_delay(frames: list[int], exposures: list[float], message: str) -> None:
+    arrays = [np.full((8, 8), each, np.uint8) for each in frames]
+    with pytest.raises(camctl.CamctlError, match=message):
+        camctl.calibrate.delay(arrays, exposures)
+
+
+def test_what_is_not_known_of_arrays_is_asked_for() -> None:
+    frames = [np.zeros((16, 16), np.uint16)] * 4
+    with pytest.raises(camctl.UsageError, match="exposures of the frames are not known"):
+        camctl.calibrate.noise(frames)
+    with pytest.raises(camctl.UsageError, match="white level of 16-bit frames"):
+        camctl.calibrate.noise(frames, [1.0] * 4)
+    with pytest.raises(camctl.UsageError, match="invalid levels: black 300"):
+        camctl.calibrate.noise(frames, [1.0] * 4, black=300, white=255)
+    real = camctl.linear_response(8)
+    with pytest.raises(camctl.UsageError, match="255 levels, and white - black is 4095"):
+        camctl.calibrate.noise(frames, [1.0] * 4, white=4095, response=real)
+
+
+def test_plots_are_files(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    with open_sim("phone") as camera:
+        noise = camctl.calibrate.noise(camera, count=4)
+        exposure = camctl.calibrate.exposure(camera, repeats=2, longest_s=0.05)
+    noise.plot(tmp_path / "noise.svg")
+    exposure.plot(tmp_path / "exposure.svg")
+    camctl.calibrate.response(curved_frames(SRGB), TIMES).plot(tmp_path / "response.svg")
+    texts = {path.stem: path.read_text() for path in tmp_path.glob("*.svg")}
+    assert "variance, DN squared" in texts["noise"]
+    assert "true over stated exposure" in texts["exposure"]
+    assert "irradiance" in texts["response"]
+
+
+def test_results_are_json_with_their_version() -> None:
+    found = camctl.calibrate.response(curved_frames(SRGB), TIMES)
+    content = json.loads(found.model_dump_json())
+    assert content["format_version"] == 1
+    assert len(content["channels"][0]["levels"]) == 256
+    assert "replaces_exposures" not in content
