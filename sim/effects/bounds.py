@@ -18,12 +18,15 @@ With S the set of effects left out, in the order in which light goes through the
 
        ``|s2 - s1| <= R m / (s(m) + s((1 - R) m))``,  ``|a2 - a1| <= min(1/6, -ln(1 - R) / 24)``.
    z is at most 4.325.  Where whole electrons are counted it is at most 6.34, and counts differ
-   from the formula by `COUNT_ERROR_E` more.
+   from the formula by `COUNT_ERROR_E` more.  A change of nothing but rounding flips one count.
 5. *Well.*  Clipping does not enlarge a difference.  Blooming does, at most by the number of rows:
    it moves charge along a column, and can move all differences of the column to one sample.
 6. *Reading* adds its bounded noises, *gain* and the slope of the *ADC* multiply, the bow adds.
    Where light fills the reset level, too, its change is added, at most a full well.
-7. *Rounding* in float32 is counted for each operation in which the two frames can differ.
+7. *Rounding* in float32 is counted for each operation in which the two frames can differ.  Before
+   photon noise it is a share of the sample's mean, since light is multiplied by factors and
+   averaged with weights >= 0, and dark current is added; where DCNU takes dark current away again
+   it is that share of the whole dark current.
 """
 
 from __future__ import annotations
@@ -37,14 +40,18 @@ import numpy as np
 
 from sim.effects import EFFECTS
 from sim.effects.lens import rounding_count
-from sim.effects.record import LARGEST_NOISE, Change, Shot
+from sim.effects.record import LARGEST_NOISE, Change, Shot, Stage
 from sim.photon_counts import COUNT_ERROR_E, LARGEST_COUNT_NOISE
 
 _ULP = 2.0**-23  # twice the unit of rounding in float32, for the two frames
 _TILE_OPERATIONS, _ADC_OPERATIONS = 24, 6  # roundings of charge, and from charge to brightness
 _TRANSFORM_ROUNDING = 1e-12  # relative to the brightest light: Fourier transforms of diffraction
 _ROUNDING_MARGIN = 1e-5  # relative: more than all float32 roundings of a sample's light together
+_FLIPPED_E = 1.0  # by a change of the mean that is less than the distance of two counts
 _LARGEST_SHARE = 1e30  # instead of an infinite one, whose product with no light is not a number
+
+_BEFORE_NOISE = frozenset(effect.name for effect in EFFECTS if effect.stage < Stage.CHARGE)
+"""Effects that change the mean of photon noise."""
 
 _MOST_BELOW_ZERO_E = LARGEST_NOISE**2 / 4 + 1 / 6
 """How far below 0 photon noise can take the charge: the least ``m + z s - a`` for ``s <= sqrt m``
@@ -189,11 +196,21 @@ class Bounds:
         return self.shot.gain / sensor.full_scale_e / gap if gap > 0 else math.inf
 
     @cached_property
+    def _rounding_share(self) -> float:
+        """Rounding of a sample's charge, relative to the largest intermediate result."""
+        return (_TILE_OPERATIONS + rounding_count(self.shot)) * _ULP
+
+    @cached_property
+    def _cancelled_e(self) -> float:
+        """Charge that one effect adds to the mean and another one may take away."""
+        if not any(change.least_e < 0 for change in self.changes.values()):
+            return 0.0
+        return sum(change.mean_e for change in self.changes.values())
+
+    @cached_property
     def _rounding_e(self) -> float:
-        sensor = self.shot.sensor
-        largest = min(self.peak_e, 2 * sensor.full_well_e)
-        count = _TILE_OPERATIONS + rounding_count(self.shot)
-        return count * _ULP * largest + _TRANSFORM_ROUNDING * self.peak_e
+        largest = min(self.peak_e, 2 * self.shot.sensor.full_well_e) + self._cancelled_e
+        return self._rounding_share * largest + _TRANSFORM_ROUNDING * self.peak_e
 
     def joint(self, left_out: Collection[str], *, moves_streaks: bool = True) -> float:
         """Return the bound of leaving out these effects together, in DN before the ADC.
@@ -213,8 +230,6 @@ class Bounds:
         if all(change.nothing or change.only_below_well for change in gone):
             return 0.0
         charge = self._charge_e(left_out, gone, stay)
-        if charge > 0:
-            charge += self._rounding_e
         if not is_below_well:
             charge *= 1 + sum(change.spreads for change in stay)
         # Whatever came before, the well holds no more, and noise takes no more from nothing.
@@ -263,9 +278,21 @@ class Bounds:
         if any(change.is_noise for change in gone):
             noise = _largest_photon_noise(self._largest_mean_e, self._noise_limit)
             return charge + noise + self._count_error_e
-        if self._has_photon_noise and charge > 0:
+        before = [
+            self.changes[name] for name in left_out if name in _BEFORE_NOISE & set(self.changes)
+        ]
+        if all(change.nothing for change in before):
+            return charge
+        if self._has_photon_noise:
             least = self._smallest_light_e + sum(change.least_e for change in stay)
             least += sum(min(change.least_e, 0.0) for change in gone)
+            is_rounding = charge == 0
+            shift += self._rounding_share * self._cancelled_e
+            if self.shot.sensor.lens.diffraction:
+                shift += _TRANSFORM_ROUNDING * self._largest_mean_e
             charge += absolute_shift(shift, max(least, 0.0), self._noise_limit)
-            charge += relative_shift(share, most, self._noise_limit) + self._count_error_e
-        return charge
+            charge += relative_shift(share, most, self._noise_limit)
+            charge += relative_shift(self._rounding_share, self._largest_mean_e, self._noise_limit)
+            if self.shot.counts_photons:
+                charge += _FLIPPED_E if is_rounding else COUNT_ERROR_E
+        return charge + self._rounding_e

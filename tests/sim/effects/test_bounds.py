@@ -1,7 +1,9 @@
 """Leaving effects out never changes a frame by more than its bound.
 
-Scenes, sensors and exposures are random.  The frame with effects left out and the frame with every
-effect have the same random bits, so that only what was left out makes a difference.
+Scenes, sensors and exposures are random, half of them of the kinds in which rounding matters most:
+sensors that count photons, light that is nearly uniform, much dark current, long exposures.  The
+frame with effects left out and the frame with every effect have the same random bits, so that only
+what was left out makes a difference.
 """
 
 from __future__ import annotations
@@ -182,14 +184,37 @@ class Case:
         return before, np.clip(before, 0, 2**self.sensor.bits - 1).astype(np.uint16)
 
 
+def where_rounding_matters(
+    random: np.random.Generator, scene: Scene, sensor: Sensor
+) -> tuple[Scene, Sensor]:
+    """Return the scene with nearly uniform light, before the sensor with photons counted."""
+    if random.random() < 0.6:
+        differs = 1e-5 * random.random(scene.irradiance.shape) * random.integers(2)
+        scene = replace(scene, irradiance=(0.5 + differs).astype(np.float32))
+    fields = sensor.model_dump()
+    fields["photon_noise"] = True
+    fields["read_noise_e"] = float(random.choice([0.0, 0.27, 1.0, 2.4]))
+    if random.random() < 0.5:
+        fields["dark"] |= {
+            "current_e_s": log_uniform(random, 1, 1e5),
+            "dcnu_e_s": log_uniform(random, 1, 1e5),
+        }
+    return scene, Sensor.model_validate(fields)
+
+
 def a_case(random: np.random.Generator) -> Case:
     scene, sensor = a_scene(random), a_sensor(random)
+    is_hard = random.random() < 0.5
+    if is_hard:
+        scene, sensor = where_rounding_matters(random, scene, sensor)
     renderer = Renderer(
         View.of(scene, sensor), sensor, seed=int(random.integers(1 << 60)), threads=1
     )
     light = float(scene.irradiance.max()) * scene.photons_per_unit * sensor.quantum_efficiency
     # From almost dark to far beyond the full well.
     time_s = min(log_uniform(random, 1e-4, 5) * sensor.full_well_e / light, 900.0)
+    if is_hard and random.random() < 0.4:
+        time_s = log_uniform(random, 0.1, 900)
     shot = renderer.shot(
         max(time_s, 1e-6),
         float(random.choice([1.0, 2.0, 8.0])),
@@ -236,6 +261,15 @@ def test_leaving_effects_out_changes_no_sample_by_more_than_the_bound(
                 name = left_out[0]
                 tightest[name] = max(tightest.get(name, 0.0), before / bound)
     print({name: round(value, 3) for name, value in sorted(tightest.items())})
+
+
+def test_rounding_that_flips_a_count_is_in_the_bound() -> None:
+    """Glare of uniform light changes its rounding alone, and that a count, of 9 DN."""
+    sensor = Sensor.model_validate(load_sensor("qcmos").model_dump() | {"lens": {"glare": 0.02}})
+    renderer = Renderer(View.of(load_scene("uniform", (600, 800)), sensor), sensor, seed=0)
+    case = Case(renderer, renderer.shot(0.002, 1.0, 0), sensor)
+    before, _ = case.measured(("veiling glare",))
+    assert 9 < before <= case.bounds.single["veiling glare"] < 12
 
 
 def test_the_adc_floors_and_clips_what_is_before_it() -> None:
