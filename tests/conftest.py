@@ -70,6 +70,8 @@ def own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("CAMCTL_PROFILES", str(tmp_path_factory.mktemp("profiles")))
         patch.setenv("CAMCTL_CACHE", str(of_run / "solved-exposures"))
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        patch.setenv("CAMCTL_CONFIG", str(base / "no-configuration.toml"))
+        patch.delenv("CAMCTL_CAMERA", raising=False)
         yield
 
 

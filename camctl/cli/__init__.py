@@ -44,6 +44,7 @@ COMMANDS = (
     "table",
     "tradeoff",
     "figures",
+    "doctor",
 )
 """Each is a module of this package that holds a command of the same name."""
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
+from camctl.cli.configuration import Configuration
 from camctl.cli.output import (
     format_duration,
     format_effective,
@@ -59,8 +60,12 @@ CHOSEN_BY = {
 }
 
 
-def new_directory(parent: Path = Path(), kind: str = "capture") -> Path:
-    """Return the path of a folder in `parent` that does not exist, named by date and time."""
+def new_directory(kind: str = "capture") -> Path:
+    """Return the path of a folder that does not exist, named by date and time.
+
+    It is in the folder for results of the configuration file, else in the working directory.
+    """
+    parent = Configuration.load().folder
     stem = f"{kind}-{datetime.now():%Y%m%d-%H%M%S}"
     names = (stem if number == 1 else f"{stem}-{number}" for number in range(1, 1000))
     return next(parent / name for name in names if not (parent / name).exists())

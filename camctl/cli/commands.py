@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import click
 
+from camctl.cli.configuration import Defaults
 from camctl.cli.old_options import new_command, new_options
 from camctl.cli.output import logged_warnings, print_text, print_warning
 from camctl.errors import UsageError, unknown_name, visible
@@ -75,6 +76,23 @@ class Command(click.Command):
         super().__init__(*arguments, **settings)
         self.examples, self._others_refused = examples, others_refused
         self.params.append(_debug_option())
+
+    def make_context(
+        self,
+        info_name: str | None,
+        args: list[str],
+        parent: click.Context | None = None,
+        **extra: Any,
+    ) -> click.Context:
+        """Return a context with the defaults of the user's configuration file."""
+        if not isinstance(self, click.Group):
+            extra["default_map"] = Defaults(self)
+        return super().make_context(info_name, args, parent, **extra)
+
+    def get_help(self, ctx: click.Context) -> str:
+        """Return the help page, with the defaults that hold without a configuration file."""
+        ctx.default_map = None
+        return super().get_help(ctx)
 
     def get_help_option(self, ctx: click.Context) -> click.Option | None:
         """Return the help option, which prints through `print_text`."""

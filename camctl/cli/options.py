@@ -245,15 +245,25 @@ def _absolute(value: str) -> str:
     return str(path.resolve()) if (path.suffix or "/" in value) and path.exists() else value
 
 
+def _simulated_or(context: click.Context, parameter: click.Parameter, value: str) -> str:
+    """Return the camera: a scene or sensor on the command line asks for the simulated one."""
+    is_given = context.get_parameter_source(parameter.name or "") is ParameterSource.COMMANDLINE
+    asks = {"scene", "sensor"} & given(context)
+    return "sim" if asks and not is_given else value
+
+
 camera_options = option_group(
     CameraOptions,
     "camera",
     option(
         "--camera ID",
-        "Camera; `camctl cameras` lists the ids.",
+        "Camera; `camctl cameras` lists the ids.  [default: $CAMCTL_CAMERA, else sim]",
         CAMERA,
         field="camera_id",
         default="sim",
+        envvar="CAMCTL_CAMERA",
+        show_default=False,
+        callback=_simulated_or,
     ),
     camera_settings,
     scene_option(),

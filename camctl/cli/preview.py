@@ -140,5 +140,8 @@ def _unseen(shown: ResponsePreview) -> float:
 
 def _free_name() -> Path:
     """Return a name of a picture that does not exist, by date and time."""
-    stem = new_directory(kind="preview").name
-    return Path(f"{stem}{_SUFFIX}")
+    from camctl.system.files import make_folder
+
+    folder = new_directory(kind="preview")
+    make_folder(folder.parent)
+    return folder.with_name(f"{folder.name}{_SUFFIX}")

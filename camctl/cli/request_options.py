@@ -10,6 +10,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import click
+
+from camctl.cli.configuration import yield_to_given
 from camctl.cli.options import Decorator, all_of, option
 from camctl.cli.parameter_types import (
     PATH,
@@ -323,6 +326,7 @@ def request_options(*fields: str, has_light: bool = False, **more: Any) -> Decor
         @functools.wraps(function)
         def call(*arguments: Any, **values: Any) -> Any:
             given = {name: values.pop(name) for name in fields}
+            yield_to_given(given, click.get_current_context())
             given |= _once(given.pop("settings", ()))
             request = RequestOptions(
                 (name, value)

@@ -134,7 +134,7 @@ def _load_error(kind: str, point: EntryPoint, error: Exception) -> UsageError:
     missing = error.name if isinstance(error, ImportError) else None
     package = point.module.partition(".")[0]
     in_package = missing is None or missing.partition(".")[0] == package
-    if in_package and (shadowing := _shadowing_path(package)) is not None:
+    if in_package and (shadowing := shadowing_path(package)) is not None:
         owner = f" of {point.dist.name}" if point.dist is not None else ""
         return UsageError(
             f"{kind} '{point.name}' cannot be loaded: {shadowing} shadows the package "
@@ -158,7 +158,7 @@ def shadowing_error(error: ImportError) -> UsageError | None:
     `error` was raised by an import within camctl's own distribution.
     """
     package = (error.name or "").partition(".")[0]
-    if package not in OWN_PACKAGES or (shadowing := _shadowing_path(package)) is None:
+    if package not in OWN_PACKAGES or (shadowing := shadowing_path(package)) is None:
         return None
     return UsageError(
         f"{error.name} cannot be loaded: {shadowing} shadows the package {package} of camctl",
@@ -166,7 +166,7 @@ def shadowing_error(error: ImportError) -> UsageError | None:
     )
 
 
-def _shadowing_path(package: str) -> str | None:
+def shadowing_path(package: str) -> str | None:
     """Return the first of several modules called `package` on the path; None where there is one.
 
     In the working directory it is written "./NAME".

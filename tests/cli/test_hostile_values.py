@@ -106,6 +106,7 @@ BASES = {
     "calibrate noise": ("--sensor phone --scene tile-floor -O size=64x48",),
     "calibrate response": ("--scene tile-floor -O size=160x120 -n 6",),
     "help": ("",),
+    "doctor": ("",),
 }
 """Command lines that work, and are quick, by command; each option is added to each.  There is no
 figure 11: drawing one takes half a minute."""
