@@ -25,7 +25,7 @@ from camctl.exposure.objective import Objective
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls
 from camctl.model.effective import EffectiveCamera
-from camctl.model.inverse import Posterior
+from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.noise import FrameNoise, MeasuredNoise
 from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.details import PictureDetails, ShownFrame
@@ -169,7 +169,7 @@ def _effective_camera(
         desired,
         noise,
         [
-            Posterior(EffectiveCamera.of(each, exposures), desired, noise)
+            posterior_of(EffectiveCamera.of(each, exposures), desired, noise)
             for each in controls.responses or (controls.levels,)
         ],
         full_scale_exposure,

@@ -23,7 +23,7 @@ from camctl.findings import Finding
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureControls
 from camctl.model.effective import EffectiveCamera
-from camctl.model.inverse import Posterior
+from camctl.model.inverse import posterior_of
 from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.render import DARK, sum_mask
 from camctl.records.capture_plan import CapturePlan, PlannedLight
@@ -138,7 +138,7 @@ def _dark_share(light: Light, end: float, chosen: Chosen, controls: ExposureCont
     """
     settings, irradiance = chosen.settings, light.irradiance / end
     camera = EffectiveCamera.of(controls.levels, relative_exposures(settings))
-    posterior = Posterior(camera, chosen.desired, controls.frame_noise(settings))
+    posterior = posterior_of(camera, chosen.desired, controls.frame_noise(settings))
     E = np.geomspace(irradiance[0], irradiance[-1], _NODES)
     dark = posterior.shares(E, sum_mask(posterior) == DARK)
     return float(np.interp(irradiance, E, dark) @ light.shares)

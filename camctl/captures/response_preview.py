@@ -26,7 +26,7 @@ from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
-from camctl.model.inverse import Posterior
+from camctl.model.inverse import posterior_of
 from camctl.model.response.desired import desired_response
 from camctl.model.response.names import RESPONSES
 from camctl.pictures.preview import tone_map
@@ -176,7 +176,7 @@ def _light(camera: Camera, settings: tuple[ExposureSetting, ...]) -> tuple[Light
     least = _LEAST_LEVEL * float(controls.levels.levels[0]) / max(exposures)
     desired = desired_response("log", 1 / least)
     tables = tuple(
-        Tables.of(Posterior(EffectiveCamera.of(each, exposures), desired, noise), 1.0)
+        Tables.of(posterior_of(EffectiveCamera.of(each, exposures), desired, noise), 1.0)
         for each in controls.responses or (controls.levels,)
     )
     rendering = Rendering(controls.layout, tables, desired, 1.0, controls.hot_pixels)
@@ -200,7 +200,7 @@ def _panel(
 ) -> Panel:
     """Return what a capture by `plan` would make of the light; E = 1 saturates `exposure`."""
     effective = EffectiveCamera.of(controls.levels, relative_exposures(plan.settings))
-    posterior = Posterior(effective, plan.desired, controls.frame_noise(plan.settings))
+    posterior = posterior_of(effective, plan.desired, controls.frame_noise(plan.settings))
     table = Tables.of(posterior, 1.0)
     E = light.irradiance * np.float32(plan.settings[0].exposure / exposure)
     sums = posterior.sum.black + np.searchsorted(effective.levels, E, side="right")

@@ -11,7 +11,7 @@ import numpy as np
 from camctl.errors import UsageError, unknown_name
 from camctl.model.distribution import check_noise
 from camctl.model.effective import EffectiveCamera, effective_levels
-from camctl.model.inverse import Posterior
+from camctl.model.inverse import posterior_of
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import FloatArray
 from camctl.model.response.desired import DesiredResponse
@@ -81,7 +81,7 @@ def predicted_mse(
     Raises:
         UsageError: there is not one noise for each exposure, or one is out of range
     """
-    return Posterior(camera, desired, noise).mse
+    return posterior_of(camera, desired, noise).mse
 
 
 def noisy_effective_levels(

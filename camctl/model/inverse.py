@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,10 @@ _GAUSS_HERMITE = ((-np.sqrt(3.0), 1 / 6), (0.0, 2 / 3), (np.sqrt(3.0), 1 / 6))
 
 _LEAST_KNOWN = 1e-12
 """Probability of a sum from which its posterior mean is computed."""
+
+_KEPT = 4
+"""Posteriors that are kept: of the three colours of a plan, and of one that it is compared with.
+Each has as many megabytes as its sum has tens of thousands of values."""
 
 _NOTABLE_DSNU = 0.01
 """Share of the variance in the dark from which the offsets of the pixels are integrated over."""
@@ -268,6 +272,42 @@ class Posterior:
         for part, columns, probability in self._joint(self._response.v(E)):
             found[part] += np.sum(probability * marked[columns], axis=1)
         return found
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What a posterior depends on: equal cases have equal posteriors."""
+
+    levels: bytes
+    exposures: tuple[float, ...]
+    response: tuple[str, float]
+    noise: tuple[FrameNoise, ...]
+    camera: EffectiveCamera = field(compare=False)
+    desired: DesiredResponse = field(compare=False)
+
+
+@lru_cache(maxsize=_KEPT)
+def _posterior(case: _Case) -> Posterior:
+    return Posterior(case.camera, case.desired, case.noise)
+
+
+def posterior_of(
+    camera: EffectiveCamera, desired: DesiredResponse, noise: Sequence[FrameNoise]
+) -> Posterior:
+    """Return `Posterior(camera, desired, noise)`; the last ones are kept, with what they computed.
+
+    A capture needs the same one for its plan, its verdict and its pictures.
+    """
+    return _posterior(
+        _Case(
+            levels=camera.response.levels.tobytes(),
+            exposures=camera.exposures,
+            response=(desired.key, desired.dynamic_range),
+            noise=tuple(noise),
+            camera=camera,
+            desired=desired,
+        )
+    )
 
 
 def _deviation(frames: Sequence[NoisyFrame], E: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from camctl.exposure.objective import Objective
 from camctl.exposure.search.settings import relative_exposures, search_choices
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import MAX_EXPOSURES, EffectiveCamera
-from camctl.model.inverse import Posterior
+from camctl.model.inverse import posterior_of
 from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import PhotographCamera
 from camctl.pictures.render import DARK, sum_mask
@@ -141,7 +141,7 @@ def with_dark_share(
     total = np.sum(used, axis=0)
     exposures, noise = relative_exposures(plan.settings), controls.frame_noise(plan.settings)
     masks = {
-        each: sum_mask(Posterior(EffectiveCamera.of(each, exposures), plan.desired, noise))
+        each: sum_mask(posterior_of(EffectiveCamera.of(each, exposures), plan.desired, noise))
         for each in dict.fromkeys(planes)
     }
     count = sum(

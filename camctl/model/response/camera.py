@@ -85,7 +85,7 @@ class CameraResponse:
 
         Processors differ in the last bit of a power, which would give one camera two fingerprints.
         """
-        text = " ".join(f"{level:.9g}" for level in self.levels.tolist())
+        text = " ".join(["%.9g"] * self.M) % tuple(self.levels.tolist())
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def slope(self, E: ArrayLike) -> FloatArray:
