@@ -12,8 +12,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SOME_TESTS = (
     "tests/menu/test_camera_job.py::test_settings_reviewed_are_the_settings_shot[0-1-3]",
-    "tests/pictures/test_contact_sheet.py",
-    "tests/pictures/test_files.py",
+    "tests/pictures/test_contact_sheet.py::test_nothing_overlaps_or_leaves_the_sheet",
+    "tests/pictures/test_files.py::test_files_and_memory_hold_the_same_arrays",
+    "tests/pictures/test_files.py::test_channels_of_radiance_exr",
 )
 
 

@@ -116,11 +116,11 @@ class CameraConformance(LightChecks, FaultChecks):
             camera.shoot([between])
         assert refusal.value.nearest in (pytest.approx(first), pytest.approx(second))
 
-    @pytest.mark.parametrize("time_s", [0.0, -1.0, float("nan"), float("inf")])
-    def test_impossible_shutter_time_is_a_usage_error(self, camera: Camera, time_s: float) -> None:
+    def test_impossible_shutter_time_is_a_usage_error(self, camera: Camera) -> None:
         """A shutter time is a positive, finite number."""
-        with pytest.raises(UsageError):
-            camera.shoot([ExposureSetting(time_s)])
+        for time_s in (0.0, -1.0, float("nan"), float("inf")):
+            with pytest.raises(UsageError):
+                camera.shoot([ExposureSetting(time_s)])
 
     def test_closing_the_iterator_cancels(self, camera: Camera) -> None:
         """After a cancelled sequence the camera works, without frames of the cancelled one."""

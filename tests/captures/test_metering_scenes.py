@@ -19,7 +19,7 @@ MOST_OUTSIDE = 0.02
 EXCEPTIONS = {
     "stars": "the sky gives 1 electron in the longest exposure, 60 s, and a level has 39",
 }
-SIZE = "320x240"
+SIZE = "240x180"
 LIGHT = {"light_above_range", "light_below_range", "light_changed"}
 """Codes of findings that more than a share of the picture is outside its range."""
 

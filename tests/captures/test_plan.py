@@ -239,7 +239,7 @@ def test_setting_of_a_control_that_the_camera_lacks_is_refused() -> None:
 
 @pytest.mark.parametrize("response", PRINTED)
 def test_list_of_shutter_times_is_searched_not_rounded_to(response: str) -> None:
-    times = Choices(tuple(2.0 ** (k / 3) for k in range(-33, 10)))
+    times = Choices(tuple(2.0 ** (k / 3) for k in range(-20, 10, 2)))
     with small_camera() as camera:
         request = CaptureRequest(response, 1000.0, 3, base_s=2.0**-6)
         plan = plan_capture(WrappedCamera(camera, times), request)

@@ -67,7 +67,7 @@ def test_suspects_are_the_frames_that_disagree_with_their_neighbours(
     assert suspects(checks) == expected
 
 
-@pytest.mark.parametrize("factor", [0.1, 0.5, 0.95, 1.05, 2, 10])
+@pytest.mark.parametrize("factor", [0.1, 0.95, 1.05, 2])
 @pytest.mark.parametrize(
     ("sensor", "position"), [("standard", 0), ("machine-vision", 2), ("phone", 1)]
 )
@@ -120,7 +120,7 @@ def test_untrustworthy_capture_has_all_its_files(tmp_path: Path) -> None:
     ],
 )
 def test_light_that_spreads_and_noise_are_no_wrong_exposure(scene: str, sensor: str) -> None:
-    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="320x240") as camera:
+    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="160x120") as camera:
         report = capture(camera, WIDE)
     assert report.trustworthy
     assert not differing(report)
@@ -138,7 +138,7 @@ def test_light_that_spreads_and_noise_are_no_wrong_exposure(scene: str, sensor: 
 def test_moving_things_are_in_parts_of_the_picture(sensor: str, ratios: tuple[float, ...]) -> None:
     """Only the wheel moves: no sentence says that a frame as a whole is wrong."""
     request = CaptureRequest("log", 1000.0, ratios=ratios)
-    with camctl.open_camera("sim", scene="moving-target", sensor=sensor, size="320x240") as camera:
+    with camctl.open_camera("sim", scene="moving-target", sensor=sensor, size="160x120") as camera:
         report = capture(camera, request)
     assert report.trustworthy
     assert not differing(report)
@@ -156,7 +156,7 @@ def test_flicker_of_the_whole_picture_is_said_and_mended(sensor: str, trusted: b
         request = replace(request, base_s=0.0283)
 
     def shot(request: CaptureRequest) -> CaptureReport:
-        with camctl.open_camera("sim", scene="pwm-lamp", sensor=sensor, size="320x240") as camera:
+        with camctl.open_camera("sim", scene="pwm-lamp", sensor=sensor, size="160x120") as camera:
             return capture(camera, request)
 
     report = shot(request)
@@ -183,7 +183,7 @@ SENSORS = ("standard", "ccd", "ideal-6", "phone")
     ],
 )
 def test_true_exposures_are_trusted(scene: str, sensor: str) -> None:
-    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="320x240") as camera:
+    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="160x120") as camera:
         assert capture(camera, WIDE).trustworthy
 
 
@@ -195,7 +195,7 @@ def test_wrong_control_delay_makes_a_capture_untrustworthy(
     late: int, ratios: tuple[float, ...]
 ) -> None:
     faults = Faults(late_frames=late)
-    with camctl.open_camera("sim", sensor="phone", size="320x240", faults=faults) as camera:
+    with camctl.open_camera("sim", sensor="phone", size="160x120", faults=faults) as camera:
         # Metering may end with an exposure so long that two late frames are white altogether.
         report = capture(camera, CaptureRequest(ratios=ratios, base_s=0.01))
     assert not report.trustworthy
@@ -223,7 +223,7 @@ def test_wrong_control_delay_is_noticed_where_all_frames_are_white(late: int) ->
     ("scene", "sensor"), [("moving-target", "ideal-4"), ("night-street", "machine-vision")]
 )
 def test_lamps_and_moving_things_are_not_a_wrong_control_delay(scene: str, sensor: str) -> None:
-    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="320x240") as camera:
+    with camctl.open_camera("sim", scene=scene, sensor=sensor, size="160x120") as camera:
         assert capture(camera, WIDE).trustworthy
 
 
@@ -231,7 +231,7 @@ def test_lamps_and_moving_things_are_not_a_wrong_control_delay(scene: str, senso
 def test_noise_near_saturation_does_not_contradict(seed: int) -> None:
     # At gain 15 noise saturates a part of each patch of the evenly lit sky.
     with camctl.open_camera(
-        "sim", scene="stars", sensor="mobile", size="320x240", seed=seed
+        "sim", scene="stars", sensor="mobile", size="160x120", seed=seed
     ) as camera:
         report = capture(camera, CaptureRequest(ratios=(1.0, 8.9, 80.0), base_s=5.5))
     assert report.trustworthy

@@ -19,7 +19,7 @@ from camctl.model.response.desired import desired_response
 
 
 def test_one_picture_is_written_and_nothing_else(run: Run) -> None:
-    done = run("preview", "-O", "size=80x60", "-o", "p.png", "--json")
+    done = run("preview", "-O", "size=32x24", "-o", "p.png", "--json")
     assert done.status == 0
     said = json.loads(done.out)
     assert [path.name for path in Path().iterdir()] == ["p.png"]
@@ -33,7 +33,7 @@ def test_one_picture_is_written_and_nothing_else(run: Run) -> None:
 
 
 def test_text_says_what_it_is_computed_from(run: Run) -> None:
-    done = run("preview", "-O", "size=80x60", "-o", "p.png")
+    done = run("preview", "-O", "size=32x24", "-o", "p.png")
     assert "computed from  preview frames of " in done.out
     assert "nothing was shot" in done.out
     assert "left out" not in done.out
@@ -41,13 +41,13 @@ def test_text_says_what_it_is_computed_from(run: Run) -> None:
 
 @pytest.mark.slow
 def test_exposures_too_long_for_a_preview_are_named(run: Run) -> None:
-    done = run("preview", "--scene", "room", "-O", "size=80x60", "-o", "p.png")
+    done = run("preview", "--scene", "room", "-O", "size=32x24", "-o", "p.png")
     assert re.search(r"^left out +\d+.*s: too long for a preview$", done.out, re.MULTILINE)
 
 
 @pytest.mark.parametrize(("scene", "unseen"), [("stars", True), ("uniform", False)])
 def test_light_that_metering_does_not_see_is_named(run: Run, scene: str, unseen: bool) -> None:
-    line = ("preview", "--scene", scene, "-O", "size=80x60", "--range", "high")
+    line = ("preview", "--scene", scene, "-O", "size=32x24", "--range", "high", "-n", "2")
     done = run(*line, "-o", "p.png")
     assert ("not seen" in done.out) == unseen
     said = run(*line, "-o", "q.png", "--json").json
@@ -56,10 +56,10 @@ def test_light_that_metering_does_not_see_is_named(run: Run, scene: str, unseen:
 
 def test_existing_picture_is_kept_unless_forced(run: Run) -> None:
     Path("p.png").write_bytes(b"mine")
-    refused = run("preview", "-O", "size=80x60", "-o", "p.png")
+    refused = run("preview", "-O", "size=32x24", "-o", "p.png")
     assert (refused.status, Path("p.png").read_bytes()) == (1, b"mine")
     assert "p.png exists; choose another file, or have it replaced (--force)" in refused.err
-    assert run("preview", "-O", "size=80x60", "-o", "p.png", "--force").status == 0
+    assert run("preview", "-O", "size=32x24", "-o", "p.png", "--force").status == 0
     assert Path("p.png").read_bytes()[:4] == b"\x89PNG"
 
 
@@ -98,7 +98,7 @@ def test_three_pictures_to_choose_from(scene: str) -> None:
 def test_shares_are_those_that_the_capture_has(sensor: str) -> None:
     """A given range of a linear response is dark in the room; the preview predicts how much."""
     fields: dict[str, Any] = {"response": "linear", "dynamic_range": 1000.0, "count": 2}
-    with camctl.open_camera("sim", scene="room", sensor=sensor, size="320x240") as camera:
+    with camctl.open_camera("sim", scene="room", sensor=sensor, size="160x120") as camera:
         request = camctl.CaptureRequest(**fields)
         shown = preview_responses(camera, request)
         report = camctl.capture(camera, request, plan=shown.plan)

@@ -43,8 +43,9 @@ def test_photographs_of_one_scene_do_not_contradict_each_other() -> None:
     assert found({}) == []
 
 
-@pytest.mark.parametrize("changed", range(len(TIMES)))
-@pytest.mark.parametrize("light", [0.004, 0.12])
+@pytest.mark.parametrize(
+    ("changed", "light"), [(0, 0.12), (1, 0.004), (2, 0.12), (3, 0.12), (4, 0.004)]
+)
 def test_the_photograph_and_the_place_are_named(changed: int, light: float) -> None:
     (finding,) = found({changed: (200, 300, light)})
     assert (finding.code, finding.frames) == ("part_differs", (changed,))

@@ -73,7 +73,7 @@ def test_bytes_are_compared_as_wider_samples_are(colours: int) -> None:
 
 
 def test_frames_without_noise_have_no_false_alarms() -> None:
-    assert found(shot("ideal-8", "tile-floor", size="320x240"))[0] == 0
+    assert found(shot("ideal-8", "tile-floor", size="240x180"))[0] == 0
 
 
 def test_a_moving_target_is_found_where_it_was_and_the_picture_stays_trustworthy() -> None:
@@ -114,7 +114,9 @@ def test_folder_and_memory_have_the_same_marks(sensor: str, tmp_path: Path) -> N
     """The phone's mosaic marks all pixels that a sample contributed to."""
     masks = []
     for path in (None, tmp_path / "capture"):
-        with camctl.open_camera("sim", scene="moving-target", sensor=sensor) as camera:
+        with camctl.open_camera(
+            "sim", scene="moving-target", sensor=sensor, size="160x120"
+        ) as camera:
             request = camctl.CaptureRequest(ratios=(1.0, 4.0))
             masks.append(camctl.capture(camera, request, path).mask())
     assert np.array_equal(masks[0], masks[1])
@@ -149,7 +151,7 @@ def test_light_that_flows_out_of_lamps_is_named_as_that() -> None:
 
 @pytest.mark.parametrize("sensor", ["standard", "phone", "complete"])
 def test_things_that_move_before_a_saturated_wall_are_reported(sensor: str) -> None:
-    report = shot(sensor, "moving-target", size="320x240")
+    report = shot(sensor, "moving-target", size="240x180")
     assert report.movement is not None
     assert min(frame.saturated_fraction for frame in report.frames[1:]) > 0.5
     assert report.movement.share > 0.02
@@ -158,13 +160,13 @@ def test_things_that_move_before_a_saturated_wall_are_reported(sensor: str) -> N
 
 @pytest.mark.parametrize("sensor", ["consumer", "complete", "ccd", "webcam"])
 def test_a_moving_target_is_found_by_sensors_whose_charge_spreads(sensor: str) -> None:
-    share, stated = found(shot(sensor, "moving-target", seed=1, size="320x240"))
+    share, stated = found(shot(sensor, "moving-target", seed=1, size="240x180"))
     assert share > 10 * stated
 
 
 @pytest.mark.parametrize("sensor", ["standard", "phone", "ideal-6"])
 def test_things_that_moved_are_not_shot_again(sensor: str) -> None:
-    with camctl.open_camera("sim", scene="moving-target", sensor=sensor, size="320x240") as camera:
+    with camctl.open_camera("sim", scene="moving-target", sensor=sensor, size="240x180") as camera:
         report = camctl.capture(camera, camctl.CaptureRequest(ratios=(1.0, 2.0, 8.0)))
     assert [frame.attempts for frame in report.frames] == [1, 1, 1]
 

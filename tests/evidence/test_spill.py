@@ -12,7 +12,7 @@ import camctl
 from camctl.captures.advice import MUCH_SPREAD, spread_findings
 from sim.sensors.sensor import load_sensor
 
-SIZE = "320x240"
+SIZE = "240x180"
 
 
 @cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -44,6 +45,12 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path / "cache"))
 
 
+@cache
+def standard() -> Front:
+    """Return the front of `STREAM`, once for all tests: it is the same, and searched as asked."""
+    return Front(STREAM, LOG, BASE_S)
+
+
 def levels_of(front: Front, point: FrontPoint) -> float:
     """Return the exact prediction for the settings of a point."""
     controls = front.controls
@@ -52,7 +59,7 @@ def levels_of(front: Front, point: FrontPoint) -> float:
 
 
 def test_points_go_from_the_fastest_set_to_where_more_time_brings_nothing() -> None:
-    front = Front(STREAM, LOG, BASE_S)
+    front = standard()
     points = front.points
     assert POINTS - 2 <= len(points) <= POINTS + 1
     assert all(a.time_s < b.time_s and a.levels < b.levels for a, b in pairwise(points))
@@ -66,14 +73,17 @@ def test_points_go_from_the_fastest_set_to_where_more_time_brings_nothing() -> N
 
 def test_no_point_pays_better_than_the_recommended_one() -> None:
     """Levels^2 / time is the same for averages of any number of captures."""
-    front = Front(STREAM, LOG, BASE_S)
+    front = standard()
     best = max(point.levels**2 / point.time_s for point in front.points)
     recommended = front.recommended
     assert recommended.levels**2 / recommended.time_s >= 0.95 * best
     assert front.chosen is recommended
 
 
-@pytest.mark.parametrize(("read_noise_e", "longest_s"), [(8.0, 10.0), (8.0, 0.2), (60.0, 10.0)])
+@pytest.mark.parametrize(
+    ("read_noise_e", "longest_s"),
+    [(8.0, 10.0), (8.0, 0.2), pytest.param(60.0, 10.0, marks=pytest.mark.slow)],
+)
 def test_a_picture_in_little_light_is_no_noisier_than_one_of_three_exposures(
     read_noise_e: float, longest_s: float
 ) -> None:
@@ -92,9 +102,9 @@ def test_a_picture_in_little_light_is_no_noisier_than_one_of_three_exposures(
         assert found.time_s <= three.time_s
 
 
-@pytest.mark.parametrize("budget_s", [0.2, 0.5, 2.0, 4.0])
+@pytest.mark.parametrize("budget_s", [0.2, 2.0])
 def test_a_time_budget_is_kept_and_used(budget_s: float) -> None:
-    front = Front(STREAM, LOG, BASE_S)
+    front = standard()
     point = front.at_time(budget_s)
     assert point.time_s <= budget_s * (1 + 1e-8)
     assert point.levels == pytest.approx(levels_of(front, point), rel=2e-3)
@@ -103,7 +113,7 @@ def test_a_time_budget_is_kept_and_used(budget_s: float) -> None:
 
 
 def test_an_accuracy_is_reached_and_not_in_less_time() -> None:
-    front = Front(STREAM, LOG, BASE_S)
+    front = standard()
     point = front.at_accuracy(99.0)
     assert 99.0 <= levels_of(front, point) < 99.5
     assert front.at_time(0.97 * point.time_s).levels < 99.0
@@ -111,7 +121,7 @@ def test_an_accuracy_is_reached_and_not_in_less_time() -> None:
 
 def test_more_frames_than_six_are_taken_where_they_pay() -> None:
     """With six at most, 156 levels took 3.88 s, and 1.217 s were needed for 99 levels."""
-    front = Front(STREAM, LOG, BASE_S)
+    front = standard()
     point = front.at_time(4.0)
     assert point.n > 6
     assert point.levels > 180
@@ -127,11 +137,11 @@ def test_a_given_number_is_kept() -> None:
 @pytest.mark.parametrize("budget_s", [1e-4, 0.05])
 def test_a_budget_below_the_shortest_exposure_says_the_least(budget_s: float) -> None:
     with pytest.raises(UsageError, match=r"one exposure takes 0\.126\d* s at least"):
-        Front(STREAM, LOG, BASE_S).at_time(budget_s)
+        standard().at_time(budget_s)
 
 
 def test_an_accuracy_that_no_set_reaches_says_the_best_and_its_time() -> None:
-    front = Front(STREAM, LOG, BASE_S)
+    front = standard()
     with pytest.raises(TooInaccurateError) as raised:
         front.at_accuracy(1e4)
     words = raised.value.hint.split()
@@ -140,7 +150,7 @@ def test_an_accuracy_that_no_set_reaches_says_the_best_and_its_time() -> None:
 
 
 def test_without_known_noise_quantisation_alone_decides() -> None:
-    known = Front(STREAM, LOG, BASE_S).at_time(1.0)
+    known = standard().at_time(1.0)
     front = Front(replace(STREAM, noise=None), LOG, BASE_S)
     assert not front.has_noise
     point = front.at_time(1.0)
@@ -148,11 +158,10 @@ def test_without_known_noise_quantisation_alone_decides() -> None:
     assert point.levels > 2 * known.levels
 
 
-@pytest.mark.parametrize("points", [2, 9, 10_000])
-@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize(("points", "flat"), [(2, False), (9, True), (10_000, False)])
 def test_tabulated_responses_have_a_front(points: int, flat: bool) -> None:
     u = np.linspace(0.0, 1.0, points)
-    if flat and points > 2:
+    if flat:
         u = np.maximum(np.minimum(u, 0.4), u - 0.3)
     desired: DesiredResponse = tabulated_desired(np.geomspace(1e-3, 1, points), u)
     front = Front(STREAM, desired, BASE_S)

@@ -47,7 +47,9 @@ def test_up_to_four_exposures_are_within_half_a_percent_of_the_best_known(cell: 
 @pytest.mark.parametrize(
     "cell",
     [
-        pytest.param(cell, marks=pytest.mark.slow) if cell.n == 6 else cell
+        cell
+        if (cell.response, cell.n) == ("log", 5)
+        else pytest.param(cell, marks=pytest.mark.slow)
         for cell in CELLS
         if cell.n >= 5
     ],
@@ -158,7 +160,7 @@ def test_search_ends_when_the_time_limit_is_reached(
     assert math.isfinite(found.xi)
 
 
-@pytest.mark.parametrize("limit", [3.5, 10.0, 60.0])
+@pytest.mark.parametrize("limit", [3.5, 60.0])
 def test_total_exposure_uses_its_limit_and_stays_within_it(limit: float) -> None:
     limited = solve(EIGHT_BIT, LOG, 3, total_limit=limit)
     unlimited = solve(EIGHT_BIT, LOG, 3)

@@ -106,8 +106,18 @@ def smooth_bracket(
     return sights
 
 
-@pytest.mark.parametrize("shifted", [0, 1, 2, 3])
-@pytest.mark.parametrize(("columns", "rows"), [(9, 0), (0, -3), (-2, 2), (40, -57)])
+SHIFTS = ((9, 0), (0, -3), (-2, 2), (40, -57))
+
+
+@pytest.mark.parametrize(
+    ("shifted", "columns", "rows"),
+    [
+        # By default each photograph by one of the shifts.
+        pytest.param(k, *shift, marks=() if k == place else pytest.mark.slow)
+        for k in range(4)
+        for place, shift in enumerate(SHIFTS)
+    ],
+)
 def test_a_shift_of_a_smooth_photograph_is_named(shifted: int, columns: int, rows: int) -> None:
     def shift(k: int, scene: Light) -> Light:
         return np.roll(scene, (rows, columns), (0, 1)) if k == shifted else scene

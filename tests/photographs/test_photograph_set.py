@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bracketed_photographs import SCENE, TIMES, film, photograph, save
+from bracketed_photographs import FEW, SCENE, TIMES, film, photograph, save
 from numpy.typing import NDArray
 
 from camctl import CaptureRequest, DataError, PhotographOptions
@@ -30,17 +30,18 @@ def slow(*cases: tuple[Any, ...]) -> list[Any]:
 
 
 def test_shutters_that_are_not_exact_are_corrected_from_the_pixels(opened: Opened) -> None:
-    found = opened(TIMES, labels=[each * (1.12 if k == 5 else 1) for k, each in enumerate(TIMES)])
-    assert found.camera.photographs[5].time_s == pytest.approx(TIMES[5], rel=0.01)
+    times = TIMES[1:7]
+    found = opened(times, labels=[each * (1.12 if k == 3 else 1) for k, each in enumerate(times)])
+    assert found.camera.photographs[3].time_s == pytest.approx(times[3], rel=0.01)
     (corrected,) = [each for each in found.facts if each.code == "exposure_corrected"]
-    assert corrected.frames == (5,)
+    assert corrected.frames == (3,)
     assert corrected.value == pytest.approx(1 / 1.12, rel=0.01)
     assert found.notes == ()
 
 
-@pytest.mark.parametrize("pair", [(3, 4), *slow(((1, 5),), ((0, 6),))])
+@pytest.mark.parametrize("pair", [(2, 3), *slow(((0, 5),))])
 def test_swapped_labels_are_named(opened: Opened, pair: tuple[int, int]) -> None:
-    labels = list(times := TIMES[1:8])
+    labels = list(times := TIMES[1:7])
     one, other = pair
     labels[one], labels[other] = labels[other], labels[one]
     with pytest.raises(DataError, match=" are swapped") as raised:
@@ -52,10 +53,10 @@ def test_swapped_labels_are_named(opened: Opened, pair: tuple[int, int]) -> None
 
 def test_reversed_labels_are_named(opened: Opened) -> None:
     with pytest.raises(DataError, match="are in the reverse order"):
-        opened(TIMES, labels=TIMES[::-1])
+        opened(FEW, labels=FEW[::-1])
 
 
-@pytest.mark.parametrize("place", [4, *slow((0,), (5,))])
+@pytest.mark.parametrize("place", [4, *slow((0,))])
 def test_one_wrong_label_is_named(opened: Opened, place: int) -> None:
     times = TIMES[1:7]
     labels = [each * (1.7 if k == place else 1) for k, each in enumerate(times)]
@@ -78,7 +79,7 @@ def test_an_exact_label_that_is_wrong_is_left_out(opened: Opened) -> None:
     assert len(found.camera.photographs) == 5
 
 
-@pytest.mark.parametrize(("place", "factor"), [(0, 1.6), *slow((3, 0.6), (5, 1.6))])
+@pytest.mark.parametrize(("place", "factor"), [(0, 1.6), *slow((3, 0.6))])
 def test_one_wrong_label_does_not_bend_the_response(
     opened: Opened, place: int, factor: float
 ) -> None:
@@ -155,7 +156,7 @@ def test_a_shifted_photograph_is_left_out(opened: Opened, suffix: str) -> None:
     def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         return np.roll(pixels, (5, -7), axis=(0, 1)) if k == 4 else pixels
 
-    found = opened(TIMES[1:8], suffix=suffix, change=shift)
+    found = opened(TIMES[1:7], suffix=suffix, change=shift)
     (shifted,) = found.notes
     assert (shifted.code, shifted.frames) == ("shifted", (4,))
     assert (shifted.details["columns"], shifted.details["rows"]) == (-7, 5)
@@ -244,11 +245,11 @@ def test_copies_are_left_out_or_refused(opened: Opened) -> None:
 
 def test_photographs_of_one_colour_are_left_out(opened: Opened) -> None:
     def white(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
-        return np.full_like(pixels, 255) if k >= 5 else pixels
+        return np.full_like(pixels, 255) if k >= 4 else pixels
 
-    found = opened(TIMES[2:9], change=white)
-    assert [(each.code, each.frames) for each in found.notes] == [("empty", (5,)), ("empty", (6,))]
-    assert len(found.camera.photographs) == 5
+    found = opened(TIMES[2:8], change=white)
+    assert [(each.code, each.frames) for each in found.notes] == [("empty", (4,)), ("empty", (5,))]
+    assert len(found.camera.photographs) == 4
 
 
 def test_different_sizes_and_formats_are_named(opened: Opened) -> None:

@@ -24,7 +24,7 @@ from camctl.studies.capture_study import (
 )
 from camctl.studies.paper_table import PRINTED_TABLE
 
-RUN = CaptureRun("equal", 1, "log", 1000.0, 0.019, sensor="standard", size="320x240", seeds=(0, 1))
+RUN = CaptureRun("equal", 1, "log", 1000.0, 0.019, sensor="standard", size="160x120", seeds=(0, 1))
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_mosaics_and_curved_responses_are_measured_on_their_own_samples(sensor: 
     )
 
 
-@pytest.mark.parametrize("sensor", ["webcam", "consumer"])
+@pytest.mark.parametrize("sensor", ["consumer", pytest.param("webcam", marks=pytest.mark.slow)])
 def test_the_stated_time_is_that_of_a_capture_after_metering(
     sensor: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

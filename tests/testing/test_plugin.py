@@ -109,7 +109,9 @@ def test_unknown_fault(camctl_camera): ...
 
 def test_fixture_gives_the_camera_of_the_marker(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(test_uses=USES)
-    result = pytester.runpytest_subprocess("-q", "--strict-markers", "-W", "error")
+    result = pytester.runpytest_inprocess(
+        "-q", "--strict-markers", "-W", "error", "-p", "no:cacheprovider"
+    )
     result.assert_outcomes(passed=12)
 
 
