@@ -6,7 +6,7 @@ import math
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,6 +27,9 @@ from sim.sensors.curve import LevelLookup
 from sim.sensors.sensor import Sensor
 
 _MAX_THREADS = 2  # measured, see `sim.noise.TILE`
+
+#: Plans that are kept: more than a capture has exposures.
+_PLANS = 64
 
 TileWork = Callable[[Tile], None]
 
@@ -97,6 +100,7 @@ class Renderer:
         response = sensor.response
         self._curve = LevelLookup.of(response.levels) if response is not None else None
         self._cache = FrameCache(cache_bytes)
+        self._plans: dict[Hashable, FramePlan] = {}
         self._kernels = KernelChoice(compiled)
 
     def shot(
@@ -112,8 +116,18 @@ class Renderer:
         return Shot(self._view, self._sensor, self._seed, time_s, gain, number, start_s, previous_s)
 
     def plan(self, shot: Shot, *, share: float = 1.0) -> FramePlan:
-        """Return which effects a frame has if it may use `share` of the tolerance."""
-        return plan_frame(shot, self._tolerance_dn * share)
+        """Return which effects a frame has if it may use `share` of the tolerance.
+
+        It is decided once for an exposure, as far as effects do not vary from frame to frame.
+        """
+        varying = tuple(e.varies(shot) for e in EFFECTS if e.varies and e.present(shot))
+        key = (shot.time_s, shot.gain, shot.lag_ratio, share, varying)
+        plan = self._plans.get(key)
+        if plan is None:
+            if len(self._plans) >= _PLANS:
+                self._plans.clear()
+            plan = self._plans[key] = plan_frame(shot, self._tolerance_dn * share)
+        return plan
 
     def frame(self, time_s: float, gain: float, number: int) -> Pixels:
         """Return the pixels of frame `number`, exposed for `time_s` at linear `gain`.

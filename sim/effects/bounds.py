@@ -108,6 +108,16 @@ class Bounds:
         return {e.name: e.change(self.shot) for e in EFFECTS if e.present(self.shot)}
 
     @cached_property
+    def changes_nothing(self) -> frozenset[str]:
+        """The effects that change no bit of this frame."""
+        return frozenset(
+            name
+            for name, change in self.changes.items()
+            if not change.never
+            and (change.nothing or (change.only_below_well and self._is_below_well))
+        )
+
+    @cached_property
     def single(self) -> dict[str, float]:
         """Bound of leaving out each effect alone, DN; infinite if it is never left out."""
         return {name: self.joint((name,)) for name in self.changes}
@@ -171,6 +181,10 @@ class Bounds:
         return peak * (1 + _ROUNDING_MARGIN)
 
     @property
+    def _is_below_well(self) -> bool:
+        return self.peak_e <= self.shot.sensor.full_well_e
+
+    @property
     def overflows(self) -> bool:
         """Whether charge can flow out of full wells into others."""
         flows = any(change.spreads for change in self.changes.values())
@@ -224,13 +238,12 @@ class Bounds:
             stay = [replace(change, spreads=0.0) for change in stay]
         if any(change.never for change in gone):
             return math.inf
-        is_below_well = self.peak_e <= sensor.full_well_e
-        if not is_below_well and any(change.only_below_well for change in gone):
+        if not self._is_below_well and any(change.only_below_well for change in gone):
             return math.inf
-        if all(change.nothing or change.only_below_well for change in gone):
+        if self.changes_nothing.issuperset(name for name in left_out if name in changes):
             return 0.0
         charge = self._charge_e(left_out, gone, stay)
-        if not is_below_well:
+        if not self._is_below_well:
             charge *= 1 + sum(change.spreads for change in stay)
         # Whatever came before, the well holds no more, and noise takes no more from nothing.
         charge = min(charge, sensor.full_well_e + _MOST_BELOW_ZERO_E)

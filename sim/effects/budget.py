@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from camctl.errors import UsageError
@@ -48,34 +49,41 @@ class Decision:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FramePlan:
     """Which effects a frame has.
 
     Attributes:
         tolerance_dn: tolerance of this frame
-        joint_bound_dn: bound of the change of any sample before the ADC by all effects left out
-            together, DN; after the ADC the change is at most that many levels, rounded up
-        effects: a decision for each effect, in the order of `sim.effects.EFFECTS`
+        bounds: of the exposure
+        left_out: names of the effects that sensor and scene have, but not this frame
     """
 
     tolerance_dn: float
-    joint_bound_dn: float
-    effects: tuple[Decision, ...]
+    bounds: Bounds
+    left_out: frozenset[str]
+
+    @cached_property
+    def joint_bound_dn(self) -> float:
+        """Bound of the change of any sample before the ADC by all effects left out together, DN.
+
+        After the ADC the change is at most that many levels, rounded up.
+        """
+        return self.bounds.joint(self.left_out) if self.left_out else 0.0
+
+    @cached_property
+    def effects(self) -> tuple[Decision, ...]:
+        """A decision for each effect, with words for users, in the order of `EFFECTS`."""
+        return tuple(_decision(effect, self) for effect in EFFECTS)
 
     def runs(self, name: str) -> bool:
         """Return whether the frame has the effect `name`."""
-        return any(one.ran for one in self.effects if one.name == name)
+        return name in self.bounds.changes and name not in self.left_out
 
     @property
     def simulated(self) -> tuple[str, ...]:
         """Names of the effects that the frame has."""
-        return tuple(e.name for e in self.effects if e.ran)
-
-    @property
-    def left_out(self) -> frozenset[str]:
-        """Names of the effects that sensor and scene have, but not this frame."""
-        return frozenset(e.name for e in self.effects if e.is_present and not e.ran)
+        return tuple(effect.name for effect in EFFECTS if self.runs(effect.name))
 
     def as_data(self) -> dict[str, Any]:
         """Return the plan for JSON; an infinite bound is None."""
@@ -88,7 +96,7 @@ class FramePlan:
 
     def summary(self) -> dict[str, Any]:
         """Return tolerance, bound, and the bound of each effect left out, for a report."""
-        bounds = {e.name: e.bound_dn for e in self.effects if e.name in self.left_out}
+        bounds = {e.name: self.bounds.single[e.name] for e in EFFECTS if e.name in self.left_out}
         return {
             "tolerance_dn": self.tolerance_dn,
             "joint_bound_dn": self.joint_bound_dn,
@@ -125,14 +133,12 @@ def plan_frame(
     check_tolerance(tolerance_dn)
     bounds = bounds or Bounds(shot)
     if left_out is not None:
-        chosen: tuple[str, ...] = tuple(n for n in check_names(left_out) if n in bounds.changes)
+        chosen = frozenset(check_names(left_out)) & set(bounds.changes)
     elif tolerance_dn == 0:
-        chosen = tuple(name for name, bound in bounds.single.items() if bound == 0)
+        chosen = bounds.changes_nothing
     else:
-        chosen = greedy(bounds, tolerance_dn)
-    joint = bounds.joint(chosen) if chosen else 0.0
-    decisions = tuple(_decision(e, bounds, chosen, tolerance_dn, joint) for e in EFFECTS)
-    return FramePlan(tolerance_dn, joint, decisions)
+        chosen = frozenset(greedy(bounds, tolerance_dn))
+    return FramePlan(tolerance_dn, bounds, chosen)
 
 
 def candidates(bounds: Bounds, tolerance_dn: float) -> tuple[Effect, ...]:
@@ -170,10 +176,9 @@ def saved(effects: Sequence[Effect]) -> float:
     return sum(effect.cost for effect in effects)
 
 
-def _decision(
-    effect: Effect, bounds: Bounds, chosen: Collection[str], tolerance_dn: float, joint: float
-) -> Decision:
-    name, shot = effect.name, bounds.shot
+def _decision(effect: Effect, plan: FramePlan) -> Decision:
+    name, bounds, tolerance_dn, chosen = effect.name, plan.bounds, plan.tolerance_dn, plan.left_out
+    shot = bounds.shot
     if name not in bounds.changes:
         return Decision(name, 0.0, 0.0, False, "neither scene nor sensor has it", is_present=False)
     alone = bounds.single[name]
@@ -188,7 +193,11 @@ def _decision(
             " a row earlier)"
         )
     if name in chosen:
-        together = f" alone, {joint:.3g} DN with all others left out" if len(chosen) > 1 else ""
+        together = (
+            f" alone, {plan.joint_bound_dn:.3g} DN with all others left out"
+            if len(chosen) > 1
+            else ""
+        )
         why = f"changes at most {size}{together}"
         if alone == 0:
             why = change.nothing or "changes nothing in this frame"

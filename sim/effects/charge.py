@@ -233,6 +233,7 @@ CHARGE = (
         present=lambda shot: shot.sensor.read_out.cosmic_rate_s > 0,
         change=_cosmic_change,
         cost=0.4,
+        varies=lambda shot: shot.number if cosmic_hits(shot)[0].size else None,
         apply=_cosmic,
     ),
     Effect(

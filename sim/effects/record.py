@@ -8,7 +8,7 @@ effect by its name: what `sim.render` must do for it is a field of its `Effect`,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TypeAlias
@@ -296,6 +296,7 @@ class Effect:
         present: returns whether sensor and scene have it at all
         change: returns what leaving it out changes
         cost: nanoseconds for each of `samples`, measured on one core (bench_sensor_costs.py)
+        varies: what `change` depends on from frame to frame of the same exposure, if on anything
         timing: for `Stage.SCENE`, returns the timing as the effect changes it
         picture: returns the whole picture as the effect changes it, (rows, columns[, 3]): light for
             `Stage.LENS` and `Stage.SAMPLES`, charge for `Stage.WELL` (in place)
@@ -309,6 +310,7 @@ class Effect:
     present: Callable[[Shot], bool]
     change: Callable[[Shot], Change]
     cost: float
+    varies: Callable[[Shot], Hashable] | None = None
     timing: Callable[[RowTiming, Shot], RowTiming] | None = None
     picture: Callable[[Light, Shot], Light] | None = None
     lines: Callable[[Shot, RowTiming], Lines] | None = None

@@ -17,6 +17,7 @@ from sim.camera import SimulatedCamera
 from sim.effects import EFFECTS, effect_names
 from sim.effects.bounds import Bounds, absolute_shift, relative_shift
 from sim.effects.budget import FramePlan, candidates, greedy, plan_frame, saved
+from sim.effects.charge import cosmic_hits
 from sim.effects.record import Shot
 from sim.noise import TileNoise, largest_noise, normal_quantiles
 from sim.render import Renderer
@@ -246,7 +247,7 @@ def test_planning_reads_no_pixels_once_the_statistics_are_known() -> None:
         _ = unreadable.statistics
     vars(unreadable)["statistics"] = shot.view.statistics
     plan = plan_frame(Renderer(unreadable, sensor, seed=1).shot(0.01, 1.0, 0), 0.5)
-    assert plan == plan_frame(shot, 0.5)
+    assert plan.as_data() == plan_frame(shot, 0.5).as_data()
     assert plan.left_out
 
 
@@ -264,3 +265,24 @@ def test_the_own_bound_is_without_streaks_of_overflowing_wells() -> None:
             assert "DN where full wells overflow" in prnu.why
         else:
             assert prnu.own_dn == prnu.bound_dn
+
+
+def test_a_plan_is_made_once_for_an_exposure() -> None:
+    sensor = load_sensor("complete")
+    renderer = Renderer(View.of(load_scene("ramp", (60, 80)), sensor), sensor, tolerance_dn=0.5)
+    plans = [renderer.plan(renderer.shot(time_s, 1.0, k)) for k, time_s in enumerate((1e-3, 1e-3))]
+    assert plans[0] is plans[1]
+    assert renderer.plan(renderer.shot(1e-3, 1.0, 2), share=0.5) is not plans[0]
+    assert renderer.plan(renderer.shot(2e-3, 1.0, 2)) is not plans[0]
+
+
+def test_a_frame_with_cosmic_rays_has_a_plan_of_its_own() -> None:
+    sensor = load_sensor("complete")
+    fields = sensor.model_dump()
+    fields["read_out"]["cosmic_rate_s"] = 1e5
+    sensor = type(sensor).model_validate(fields)
+    renderer = Renderer(View.of(load_scene("ramp", (60, 80)), sensor), sensor, tolerance_dn=0.5)
+    shots = [renderer.shot(1e-3, 1.0, number) for number in range(40)]
+    hits = [cosmic_hits(shot)[0].size > 0 for shot in shots]
+    assert [renderer.plan(shot).runs("cosmic rays") for shot in shots] == hits
+    assert 0 < sum(hits) < len(hits)
