@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.goal import XI, CaptureRequest
 from camctl.exposure.light import NOTABLE_SHARE, Light
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls
@@ -12,6 +12,8 @@ from camctl.records.capture_plan import CapturePlan
 
 #: Relative difference between requested and applied exposure from which there is a finding.
 _DIFFERENCE = 0.01
+#: The search may choose a shortest exposure a third of a stop below its limit, to fit the steps.
+_SLACK_STOPS = 0.34
 #: A plan below this share of the effective levels of the requested ratios has a finding.
 _GOOD_SHARE = 0.9
 
@@ -40,6 +42,7 @@ def setting_findings(
         ):
             found.append(Finding(code="highlights_cut", value=metering.clipped))
         found += _compensation_finding(controls, request, plan)
+        found += _shortened_finding(controls, request, plan)
     if request.base_s is not None:
         requested_s = request.base_s * 2.0**request.compensation_stops
         if abs(plan.base_s / requested_s - 1) > _DIFFERENCE:
@@ -84,6 +87,7 @@ def _compensation_finding(
     if time.minimum * 0.99 <= requested_s <= time.maximum * 1.01:
         return []
     possible = math.log2(plan.base_s / plan.metering.limit_s)
+    towards_zero = math.floor(10 * abs(possible)) / 10  # more would be beyond the camera again
     return [
         Finding(
             code="setting_differs",
@@ -96,6 +100,22 @@ def _compensation_finding(
                 "least_s": time.minimum,
                 "most_s": time.maximum,
             },
-            remedies={"compensation_stops": round(possible, 1)},
+            remedies={"compensation_stops": math.copysign(towards_zero, stops) + 0.0},
         )
     ]
+
+
+def _shortened_finding(
+    controls: ExposureControls, request: CaptureRequest, plan: CapturePlan
+) -> list[Finding]:
+    """Return a finding where the shortest exposure is shorter than the light requires.
+
+    By accuracy any shortest exposure may be the best; whole periods of lamps are shorter, too.
+    """
+    assert plan.metering is not None  # as the caller has checked
+    allowed_s = plan.metering.limit_s * 2.0**request.compensation_stops
+    longer = controls.time_s.between(plan.base_s * 2.0**_SLACK_STOPS, allowed_s, 1)
+    if plan.objective != XI or request.mains_hz is not None or not longer:
+        return []
+    stops = math.log2(allowed_s / plan.base_s)
+    return [Finding(code="base_shortened", value=plan.base_s, details={"stops": stops})]

@@ -279,6 +279,10 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
         "aperture, or put a filter before the lens"
     ),
     "setting_differs": _setting_differs,
+    "base_shortened": lambda finding: (
+        f"the shortest exposure is {finding.value:.4g} s, {finding.details['stops']:.1f} stops "
+        "less than the light allows, so that the longest one is within the camera's controls"
+    ),
     "steps_cost_levels": lambda finding: (
         f"the camera's steps allow {finding.value:.0f} effective levels; the requested ratios "
         f"would give {finding.details['possible']:.0f}"

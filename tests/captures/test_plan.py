@@ -113,7 +113,8 @@ def test_time_is_used_first_then_gain_then_the_aperture_on_request() -> None:
     assert long.time_s >= 0.099
     assert long.exposure / short.exposure == pytest.approx(40, rel=0.01)
 
-    chooser, _ = chooser_of(controls_of(time_s, gain), (1.0, 200.0))
+    given_base = CaptureRequest("log", 1000.0, 2, base_s=0.01)
+    chooser, _ = chooser_of(controls_of(time_s, gain), (1.0, 200.0), request=given_base)
     with pytest.raises(CaptureError, match=r"200 x .* beyond the camera's controls"):
         chooser.best(0.01, 400)
     lens = Choices((4.0, 5.6, 8.0))
@@ -127,11 +128,16 @@ def test_time_is_used_first_then_gain_then_the_aperture_on_request() -> None:
 
 
 def test_exposure_beyond_the_controls_names_the_nearest_and_what_to_do() -> None:
-    chooser, _ = chooser_of(controls_of(Steps(1e-4, 1.0, 1e-4)), (1.0, 2.0, 500.0))
+    request, times = CaptureRequest("log", 1000.0, 3, base_s=0.01), Steps(1e-4, 1.0, 1e-4)
+    chooser, _ = chooser_of(controls_of(times), (1.0, 2.0, 500.0), request=request)
     with pytest.raises(CaptureError) as failure:
         chooser.best(0.01, 400)
-    assert "the nearest possible is 100 x" in failure.value.hint
-    assert failure.value.remedies == {"compensation_stops": round(math.log2(100 / 500), 1)}
+    assert "the largest possible is 100 x" in failure.value.hint
+    assert failure.value.remedies == {"base_s": pytest.approx(1.0 / 500)}
+    chooser, _ = chooser_of(controls_of(times), (1.0, 2.0, 500.0))  # metered: it is shortened
+    short, _, long = chooser.best(0.01, 400)
+    assert short.time_s <= 0.002
+    assert long.exposure / short.exposure == pytest.approx(500, rel=0.01)
 
 
 def test_whole_flicker_periods_are_preferred_and_others_cause_a_warning() -> None:
@@ -186,7 +192,7 @@ def test_compensation_beyond_the_camera_is_a_finding_with_numbers(stops: float) 
     assert (differs.value, details["least_s"], details["most_s"]) == (1e-5, 1e-5, 60.0)
     assert isinstance(possible, float)
     assert stops < possible < 0
-    assert differs.remedies == {"compensation_stops": round(possible, 1)}
+    assert differs.remedies == {"compensation_stops": math.ceil(10 * possible) / 10}
 
 
 def test_compensation_within_the_camera_is_no_warning() -> None:

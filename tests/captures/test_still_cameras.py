@@ -111,13 +111,16 @@ def test_gain_extends_the_longest_shutter_time() -> None:
 
 
 @pytest.mark.slow
-def test_base_that_leaves_too_few_exposures_is_refused_with_a_compensation_that_works() -> None:
+def test_metered_base_is_shortened_until_enough_exposures_follow() -> None:
     with StillCamera(ramp(1e-2)) as camera:
-        with pytest.raises(CaptureError, match="leaves fewer than 4 exposures") as error:
-            plan_capture(camera, replace(METERED, count=4))
-        stops = error.value.remedies["compensation_stops"]
-        plan = plan_capture(camera, replace(METERED, count=4, compensation_stops=stops))
+        plan = plan_capture(camera, replace(METERED, count=4))
         assert plan.settings[-1].time_s == THIRDS.maximum
+        (shortened,) = [each for each in plan.findings if each.code == "base_shortened"]
+        assert shortened.value == plan.base_s
+        with pytest.raises(CaptureError, match="leaves fewer than 4 exposures") as error:
+            plan_capture(camera, replace(METERED, count=4, base_s=32.0))
+        base_s = error.value.remedies["base_s"]
+        assert plan_capture(camera, replace(METERED, count=4, base_s=base_s)).base_s >= plan.base_s
 
 
 def test_base_beyond_the_longest_time_is_refused_with_the_nearest() -> None:

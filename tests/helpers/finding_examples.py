@@ -32,6 +32,7 @@ _FINDINGS = (
         details={"repair": "brightness 0.02 without light was subtracted"},
     ),
     Finding(code="flicker", value=0.004, details={"period_s": 0.01}),
+    Finding(code="base_shortened", value=0.5, details={"stops": 1.5}),
     Finding(code="steps_cost_levels", value=61.0, details={"possible": 75.0}),
     Finding(code="time_differs", value=1.9, details={"planned_s": 1.2}),
     Finding(code="highlights_cut", value=0.012),

@@ -23,6 +23,7 @@ from camctl.exposure.search.ranges import Chosen, choose_range
 from camctl.exposure.search.settings import (
     SettingChooser,
     at_most,
+    longest_base_on_list,
     reach_shadows,
     search_choices,
 )
@@ -314,7 +315,10 @@ def _settings_by_xi(
     score = missing_levels if request.ratios is None else deviation
     chooser = SettingChooser(controls, request, ratios, score)
     if request.ratios is None and isinstance(controls.time_s, Choices) and chooser.sets_time_only:
-        return search_choices(controls, request, desired, len(ratios), limit_s)
+        count = len(ratios)
+        if request.base_s is None:  # a metered base is shortened until enough exposures follow
+            limit_s = min(limit_s, longest_base_on_list(controls, count))
+        return search_choices(controls, request, desired, count, limit_s)
     evaluations = _MOST_LEVELS_SORTED // (len(ratios) * real.M)
     return chooser.best(limit_s, max(_LEAST_SETS, min(_MOST_SETS, evaluations)))
 

@@ -73,12 +73,13 @@ class SettingChooser:
 
         Every shortest exposure is tried with its nearest settings; around the best of them the
         neighbours of each setting are tried: all combinations where they are few, else one
-        setting at a time.  `limit_s` is the longest shutter time of the shortest exposure, s.
+        setting at a time.  `limit_s` is the longest shutter time of the shortest exposure, s; where
+        the request leaves it to metering, it is shortened until the longest exposure is possible.
 
         Raises:
             CaptureError: an exposure is beyond the camera's controls
         """
-        bases = self._bases(limit_s)
+        bases = self._bases(self._possible_limit_s(limit_s))
         rounded = [tuple(options[0] for options in self._options(base)) for base in bases]
         scores = [self.score(settings) for settings in rounded]
         ranked = sorted(range(len(bases)), key=scores.__getitem__)  # equals: the longer base first
@@ -107,11 +108,36 @@ class SettingChooser:
         f_number = self._smallest_aperture()
         if self.request.base_s is not None:
             return [ExposureSetting(given_base(time, limit_s), gain, f_number)]
-        times = self._whole_periods(time.between(limit_s * 2.0**-BASE_SLACK_STOPS, limit_s, _BASES))
+        times = time.between(limit_s * 2.0**-BASE_SLACK_STOPS, limit_s, _BASES)
         if not times:
-            below = time.between(time.minimum, limit_s, 1)
-            times = below or (time.minimum,)
+            times = (at_most(time, limit_s),)
+        times = self._whole_periods(times, count=_whole_below)
         return [ExposureSetting(t, gain, f_number) for t in reversed(times)]
+
+    def _largest_exposure(self, gain: float) -> float:
+        """Return the largest exposure that there is over one second at `gain`, the base's, s."""
+        controls, f_number = self.controls, self._smallest_aperture()
+        lens = controls.f_number
+        opening = (f_number / lens.minimum) ** 2 if f_number and lens is not None else 1.0
+        return controls.time_s.maximum * controls.gain.maximum / gain * opening
+
+    def _possible_limit_s(self, limit_s: float) -> float:
+        """Return the longest shortest exposure from which the longest one is possible, s.
+
+        Raises:
+            CaptureError: there is none
+        """
+        time, largest_ratio = self.controls.time_s, self.ratios[-1]
+        if self.request.base_s is not None:
+            return limit_s  # as given: what is beyond the camera is refused
+        largest_s = self._largest_exposure(self.controls.gain.nearest(1.0))
+        if largest_s * (1 + _WARNING_DIFFERENCE) < time.minimum * largest_ratio:
+            raise CaptureError(
+                f"exposures up to 1:{largest_ratio:.6g} are beyond the camera's controls, which "
+                f"reach 1:{largest_s / time.minimum:.6g}",
+                hint="choose a smaller range or fewer exposures",
+            )
+        return min(limit_s, largest_s / largest_ratio)
 
     def _smallest_aperture(self) -> float | None:
         """Return the largest f-number, where the aperture may be changed."""
@@ -136,14 +162,14 @@ class SettingChooser:
         if base.f_number is not None and self.controls.f_number is not None:
             lens = self.controls.f_number
             wider = lens.between(lens.minimum, base.f_number * 0.999, _APERTURES)
-            apertures += list(reversed(wider))
+            apertures += dict.fromkeys([*reversed(wider), lens.minimum])
         for f_number in apertures:
             # The aperture lets in this many times the light of the base exposure.
             opening = (base.f_number / f_number) ** 2 if f_number and base.f_number else 1.0
             gain_ratio = time_s / time.maximum / opening
             if gain_ratio > gain.maximum / base.gain * (1 + _WARNING_DIFFERENCE):
                 continue
-            gains = gain.near(base.gain * gain_ratio, 2 * _NEIGHBOURS)
+            gains = gain.near(base.gain * max(1.0, gain_ratio), 2 * _NEIGHBOURS)
             settings = [
                 ExposureSetting(t, g, f_number)
                 for g in gains
@@ -151,28 +177,37 @@ class SettingChooser:
                 for t in time.near(time_s * base.gain / g / opening, _NEIGHBOURS)
             ]
             return _nearest_first(settings, base.exposure * ratio)[:_NEIGHBOURS]
-        widest = apertures[-1]
-        opening = (base.f_number / widest) ** 2 if widest and base.f_number else 1.0
-        largest = time.maximum * gain.maximum / base.gain * opening / base.time_s
+        largest = self._largest_exposure(base.gain) / base.time_s
+        base_s = time.between(time.minimum, base.time_s * largest / ratio, 1)
         raise CaptureError(
             f"exposure {ratio:.6g} x {base.time_s:.6g} s is beyond the camera's controls",
-            hint=f"the nearest possible is {largest:.6g} x; choose a smaller range or fewer "
-            "exposures, or shorten the shortest exposure",
-            remedies={"compensation_stops": round(math.log2(largest / ratio), 1)},
+            hint=f"the largest possible is {largest:.6g} x; choose a smaller range or fewer "
+            "exposures" + (", or this shortest exposure" if base_s else ""),
+            remedies={"base_s": float(f"{base_s[0]:.6g}")} if base_s else {},
         )
 
-    def _whole_periods(self, times: tuple[float, ...]) -> tuple[float, ...]:
-        """Replace times of a flicker period or more by whole periods, where there are any."""
+    def _whole_periods(
+        self, times: tuple[float, ...], count: Callable[[float], int] = round
+    ) -> tuple[float, ...]:
+        """Replace times of a flicker period or more by whole periods, where there are any.
+
+        `count` makes the whole number of periods from a number of them.
+        """
         if self.request.mains_hz is None:
             return times
         period_s = 0.5 / self.request.mains_hz
         whole: set[float] = set()
         for time_s in times:
             if time_s >= period_s:
-                near = self.controls.time_s.nearest(round(time_s / period_s) * period_s)
+                near = self.controls.time_s.nearest(count(time_s / period_s) * period_s)
                 if abs(near / period_s - round(near / period_s)) < _WARNING_DIFFERENCE:
                     whole.add(near)
         return tuple(sorted(whole)) or times
+
+
+def _whole_below(number: float) -> int:
+    """Return the largest whole number that is not above `number` (>= 1)."""
+    return math.floor(number * (1 + _SAME))
 
 
 def reach_shadows(
@@ -242,6 +277,31 @@ def at_most(time: Control, limit_s: float) -> float:
     return (*time.between(time.minimum, limit_s * (1 + _SAME), 1), time.minimum)[0]
 
 
+def _listed_exposures(controls: ExposureControls) -> dict[float, ExposureSetting]:
+    """Return the settings of a list of shutter times by their true exposure, s at the base gain.
+
+    Gain extends the longest time.
+    """
+    gain = controls.gain.nearest(1.0)
+    times = controls.time_s.between(controls.time_s.minimum, controls.time_s.maximum, 1 << 16)
+    settings = [ExposureSetting(time_s, gain) for time_s in times]
+    gains = controls.gain.between(gain, controls.gain.maximum, _GAINS)
+    settings += [ExposureSetting(times[-1], more) for more in gains]
+    # The first of equal exposures is kept: time is changed before gain.
+    return {controls.exposure(each) / gain: each for each in reversed(settings)}
+
+
+def longest_base_on_list(controls: ExposureControls, count: int) -> float:
+    """Return the longest time on a list from which on it has `count` exposures, s.
+
+    The shortest time, where the list has fewer.
+    """
+    available = _listed_exposures(controls)
+    exposures = sorted(available)
+    setting = available[exposures[-min(count, len(exposures))]]
+    return setting.time_s
+
+
 def search_choices(
     controls: ExposureControls,
     request: CaptureRequest,
@@ -259,26 +319,25 @@ def search_choices(
         CaptureError: the list has too few exposures from the base on
     """
     gain = controls.gain.nearest(1.0)
-    times = controls.time_s.between(controls.time_s.minimum, controls.time_s.maximum, 1 << 16)
 
-    def true_s(time_s: float, at_gain: float = gain) -> float:
-        return controls.exposure(ExposureSetting(time_s, at_gain)) / gain
+    def true_s(time_s: float) -> float:
+        return controls.exposure(ExposureSetting(time_s, gain)) / gain
 
-    available = {true_s(time_s): ExposureSetting(time_s, gain) for time_s in times}
-    for more in controls.gain.between(gain, controls.gain.maximum, _GAINS):
-        available.setdefault(true_s(times[-1], more), ExposureSetting(times[-1], more))
-    base_s = true_s(max((t for t in times if t <= limit_s * (1 + _SAME)), default=times[0]))
+    available = _listed_exposures(controls)
+    base_s = true_s(at_most(controls.time_s, limit_s))
     least_s = base_s * 2.0**-_BASE_SLACK_ON_LIST_STOPS
     if request.base_s is not None:
         least_s = base_s = true_s(given_base(controls.time_s, limit_s))
     exposures = sorted(available)
     if count <= len(exposures) and exposures[-count] < least_s * (1 - _SAME):
-        stops = math.floor(10 * math.log2(exposures[-count] / base_s)) / 10
         raise CaptureError(
             f"a shortest exposure of {base_s:.4g} s leaves fewer than {count} exposures up to "
             f"{exposures[-1]:.4g} s, the longest on this camera",
-            hint=f"take fewer exposures, or shorten it by {-stops:.1f} stops",
-            remedies={"count": None, "compensation_stops": stops},
+            hint="take fewer exposures, or this shortest exposure",
+            remedies={
+                "count": None,
+                "base_s": float(f"{longest_base_on_list(controls, count):.6g}"),
+            },
         )
     total_s = math.inf if request.time_budget_s is None else request.time_budget_s
     shortest_s = sum([each for each in exposures if each >= least_s * (1 - _SAME)][:count])

@@ -1,0 +1,123 @@
+"""Metering ends in a plan or in one refusal, over all presets of sensors and lists of times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from camctl.captures.plan import plan_for
+from camctl.errors import CamctlError, CaptureError, UsageError
+from camctl.exposure.goal import CaptureRequest
+from camctl.exposure.light import Light, Metering
+from camctl.exposure.search.best import Search
+from camctl.interface.controls import (
+    Choices,
+    Control,
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+    ResponseOrigin,
+    Steps,
+)
+from camctl.records.capture_plan import CapturePlan
+from sim.sensors.sensor import load_sensor, sensor_names
+
+#: Lists as still cameras have them, down to three times, and the steps of webcams.
+TIMES: dict[str, Control] = {
+    "thirds": Choices(tuple(2.0 ** (k / 3) for k in range(-36, 16))),
+    "stops": Choices(tuple(2.0**k for k in range(-10, 1))),
+    "two stops": Choices(tuple(4.0**k for k in range(-5, 1))),
+    "three": Choices((1 / 60, 1 / 30, 1 / 15)),
+    "100 us": Steps(1e-4, 0.5, 1e-4),
+    "4 ms": Steps(4e-3, 0.04, 4e-3),
+    "continuous": Steps(1e-5, 0.033),
+}
+GAINS: tuple[Control, ...] = (Choices((1.0,)), Steps(1.0, 8.0, 0.25))
+REQUESTS = (
+    CaptureRequest("log", 1000.0, 3),
+    CaptureRequest("linear", 256.0, 2),
+    CaptureRequest("gamma", 16000.0, 5),
+    CaptureRequest(ratios=(1.0, 4.96393)),
+    CaptureRequest(ratios=(1.0, 4.96393), mains_hz=50.0),
+    CaptureRequest(ratios=(1.0, 8.0, 64.0, 512.0)),
+    CaptureRequest(ratios=(1.0, 30.0), use_aperture=True),
+)
+
+
+def controls_of(time_s: Control, gain: Control, f_number: Control | None) -> ExposureControls:
+    return ExposureControls(
+        time_s,
+        (4, 4),
+        Layout.MONO,
+        8,
+        white=255,
+        gain=gain,
+        f_number=f_number,
+        response_origin=ResponseOrigin.STATED,
+    )
+
+
+def light_of(controls: ExposureControls, limit_s: float, request: CaptureRequest) -> Light:
+    """Light of which an exposure of `limit_s` is just saturated."""
+    aperture = controls.f_number
+    f_number = aperture.maximum if aperture is not None and request.use_aperture else None
+    setting = ExposureSetting(controls.time_s.nearest(limit_s), controls.gain.minimum, f_number)
+    irradiance = np.geomspace(1e-4, 1.0, 50)
+    return Light(
+        Metering(limit_s, setting, 0.9, 0.0, 3), irradiance, np.full(50, 1 / 50), 1e-4, last=setting
+    )
+
+
+def all_cases() -> Iterator[tuple[ExposureControls, CaptureRequest]]:
+    lens = Choices((2.8, 4.0, 5.6, 8.0))
+    controls = [controls_of(time_s, gain, lens) for time_s in TIMES.values() for gain in GAINS]
+    for each in controls:
+        for request in REQUESTS:
+            yield each, request
+
+
+def plan_or_error(
+    controls: ExposureControls, request: CaptureRequest, limit_s: float
+) -> CapturePlan | CamctlError:
+    try:
+        return plan_for(controls, Search(controls, request), light_of(controls, limit_s, request))
+    except (CaptureError, UsageError) as error:
+        return error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("places", [(0.0, 0.62), (0.87, 1.0)], ids=["short", "long"])
+def test_no_metered_light_leads_to_hints_that_do_not_end(places: tuple[float, ...]) -> None:
+    for controls, request in all_cases():
+        shortest, longest = controls.time_s.minimum, controls.time_s.maximum
+        for place in places:
+            limit_s = shortest * (longest / shortest) ** place
+            plan = plan_or_error(controls, request, limit_s)
+            if isinstance(plan, CamctlError):  # no shift of the exposure makes one possible
+                assert plan.hint
+                assert "\n" not in f"{plan.what}{plan.hint}"
+                assert "compensation_stops" not in plan.remedies
+                continue
+            assert plan.base_s <= max(limit_s * (1 + 1e-9), shortest)
+            for setting in plan.settings:
+                controls.check(setting)
+            for finding in plan.findings:
+                assert "compensation_stops" not in finding.remedies
+
+
+@pytest.mark.parametrize("preset", sensor_names())
+def test_every_preset_has_a_plan_at_its_longest_time(preset: str) -> None:
+    sensor = load_sensor(preset)
+    request = CaptureRequest(ratios=(1.0, 4.96393, 24.6))
+    time_s, gain = sensor.times, sensor.gains
+    controls = controls_of(time_s, gain, None)
+    span = time_s.maximum * gain.maximum / (time_s.minimum * gain.nearest(1.0))
+    light = light_of(controls, time_s.maximum, request)
+    if span < 24.6:
+        with pytest.raises(CaptureError, match=r"beyond the camera's controls, which reach"):
+            plan_for(controls, Search(controls, request), light)
+    else:
+        plan = plan_for(controls, Search(controls, request), light)
+        assert plan.exposures[-1] == pytest.approx(24.6, rel=0.35)
