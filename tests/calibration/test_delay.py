@@ -71,7 +71,7 @@ def test_constant_delay_is_measured_with_every_sensor(sensor: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_constant_delay_is_measured_before_every_scene(sensor: str) -> None:
-    for delay, scene in product(range(6), SCENES):
+    for delay, scene in product((0, 2, 5), SCENES):
         check_constant_delay(delay, sensor, scene)
 
 

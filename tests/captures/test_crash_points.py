@@ -41,7 +41,6 @@ def sweep(folder: Path, scenario: str, step: int) -> list[dict[str, Any]]:
 @pytest.mark.parametrize(
     ("scenario", "least", "saved", "completed"),
     [
-        ("fresh", 80, {0, 1, 2}, {"shot anew", "resumed", "complete"}),
         ("resume", 55, {1, 2}, {"resumed", "complete"}),
         ("force", 80, {0, 1, 2}, {"resumed", "complete"}),
         ("retry", 120, {0, 2, 4}, {"shot anew", "resumed", "complete"}),

@@ -51,8 +51,10 @@ def error(report: CaptureReport) -> float:
     return report.timing["planned_wall_s"] / report.timing["actual_wall_s"] - 1
 
 
-@pytest.mark.parametrize("sensor", ["standard", "machine-vision", "phone", "webcam"])
-@pytest.mark.parametrize("count", [1, 2, 3, 5])
+@pytest.mark.parametrize(
+    ("sensor", "count"),
+    [("standard", 1), ("standard", 5), ("machine-vision", 2), ("phone", 3), ("webcam", 5)],
+)
 def test_a_constant_delay_is_predicted_exactly_in_virtual_time(sensor: str, count: int) -> None:
     for ratios in (RATIOS[:count], (1.0,) * count):
         with camctl.open_camera("sim", sensor=sensor, size="32x24") as camera:
@@ -202,10 +204,9 @@ def test_ptp_is_timed_by_its_first_capture(config: dict[str, Any]) -> None:
         first = captured(camera, RATIOS[:3], base_s=1 / 500)
         assert not first.plan.is_wall_known
         assert error(first) <= 0
-        for count in (3, 5):
-            report = captured(camera, RATIOS[:count], base_s=1 / 500)
-            assert report.plan.is_wall_known
-            assert abs(error(report)) < 0.05  # its events are polled
+        report = captured(camera, RATIOS, base_s=1 / 500)
+        assert report.plan.is_wall_known
+        assert abs(error(report)) < 0.05  # its events are polled
 
 
 @pytest.mark.usefixtures("cv2")  # the virtual camera makes JPEG files

@@ -58,9 +58,11 @@ def errors(found: RatioEstimates, true: NDArray[np.float64]) -> NDArray[np.float
     [
         (linear_response(8, phase=0.5), 0),
         (linear_response(10, phase=0.5, levels=959), 64),
-        (linear_response(12), 0),
+        pytest.param(linear_response(12), 0, marks=pytest.mark.slow),
         (standard_response("srgb", 8, phase=0.5), 0),
-        (standard_response("power", 10, phase=0.5, gamma=1.8), 0),
+        pytest.param(
+            standard_response("power", 10, phase=0.5, gamma=1.8), 0, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_ratios_are_unbiased_and_their_intervals_are_honest(

@@ -2,9 +2,9 @@
 
     python crash_sweep.py FOLDER SCENARIO STEP
 
-SCENARIO is "fresh" (into a new folder), "resume" (of a capture with one frame of two), "force"
-(over an older capture), or "retry" (one frame has a wrong exposure and is shot again; the camera
-makes files of its own).  Each crash point is checked twice: as a kill leaves the folder, and as a
+SCENARIO is "resume" (of a capture with one frame of two), "force" (over an older capture), or
+"retry" (into a new folder; one frame has a wrong exposure and is shot again, and the camera makes
+files of its own).  Each crash point is checked twice: as a kill leaves the folder, and as a
 power failure at the same moment leaves it.  Then the capture is resumed, or what the folder advises
 is done.  Prints one JSON object for each check.
 
@@ -101,7 +101,6 @@ def interrupted(folder: Path) -> None:
 
 
 SCENARIOS: dict[str, tuple[Callable[[Path], object], Callable[[Path], int]]] = {
-    "fresh": (lambda _: None, capture),
     "resume": (interrupted, resume),
     "force": (lambda f: capture(f, seed=1), lambda f: capture(f, overwrite=True)),
     "retry": (lambda _: None, capture_with_retry),

@@ -275,7 +275,9 @@ class FolderStates(RuleBasedStateMachine):
         assert self.tampered or np.array_equal(total, np.sum(clipped, axis=0))
 
 
-FolderStates.TestCase.settings = settings(stateful_step_count=15)
+FolderStates.TestCase.settings = settings(
+    stateful_step_count=15, max_examples=settings().max_examples * 2 // 5
+)
 TestFolderStates = pytest.mark.slow(FolderStates.TestCase)
 
 

@@ -17,9 +17,16 @@ from sim.scenes.view import View
 from sim.sensors.sensor import load_sensor, sensor_names
 
 
-@pytest.mark.parametrize("sensor", sensor_names())
-@pytest.mark.parametrize("scene", ["ball", "night-street"])
-def test_frames_are_the_same_with_and_without_numba(scene: str, sensor: str) -> None:
+@pytest.mark.parametrize(
+    ("sensor", "scene"),
+    [
+        # By default each sensor before one of the scenes.
+        pytest.param(name, scene, marks=() if place == k % 2 else pytest.mark.slow)
+        for k, name in enumerate(sensor_names())
+        for place, scene in enumerate(("ball", "night-street"))
+    ],
+)
+def test_frames_are_the_same_with_and_without_numba(sensor: str, scene: str) -> None:
     pytest.importorskip("numba")
     chosen = load_sensor(sensor)
     view = View.of(load_scene(scene, (261, 347)), chosen)
