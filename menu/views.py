@@ -71,10 +71,11 @@ def progress_view(progress: CaptureProgress) -> Progress:
 
 def summary_view(report: CaptureReport, folder: Path) -> Summary:
     """Return what the menu shows of a complete capture."""
+    achieved = report.achieved
     return Summary(
-        effective_levels=report.achieved.effective_levels,
-        effective_levels_noise_free=report.achieved.effective_levels_noise_free,
-        noise_known=report.achieved.noise is not None,
+        effective_levels=achieved.levels_with_noise or achieved.effective_levels,
+        effective_levels_noise_free=achieved.effective_levels_noise_free,
+        noise_known=achieved.levels_with_noise is not None,
         planned_levels=report.plan.effective_levels,
         saturated=report.achieved.saturated_fraction,
         folder=str(folder),

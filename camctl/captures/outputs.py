@@ -1,7 +1,7 @@
-"""The last step of a capture: from the sum of its frames to its pictures and its report.
+"""The last step of a capture: from its frames and their sum to its pictures and its report.
 
 The stages pass values: the true exposures -> the effective camera and its tables -> the light
-outside the range -> what the frames say of each other -> pictures -> report.
+outside the range -> what the frames say of each other and of their noise -> pictures -> report.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.noise import FrameNoise, MeasuredNoise
 from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.details import PictureDetails, ShownFrame
+from camctl.pictures.frame_light import FrameLight, Quality, frame_light, parts_of
 from camctl.pictures.light_shares import LightShares, light_shares
 from camctl.pictures.render import Rendering, Tables
 from camctl.records.frame import ExposureRatio, FrameRecord, StoredFrame
@@ -65,9 +66,9 @@ class _Shot:
     unit: str
 
     @property
-    def tables(self) -> tuple[Tables, ...]:
-        """Irradiance, code and mask for each value of the sum."""
-        return tuple(Tables.of(each, self.full_scale_exposure) for each in self.posteriors)
+    def gains(self) -> list[float]:
+        """Linear gain of each frame."""
+        return [frame.applied.gain for frame in self.frames]
 
     @property
     def posterior(self) -> Posterior:
@@ -96,17 +97,21 @@ def complete(
     """
     began = time.perf_counter()
     shot = _effective_camera(unfinished, checks.judge(), controls)
-    tables = shot.tables
+    tables = tuple(map(Tables.of, shot.posteriors))
     outside = light_shares(controls.layout, total, tables, shot.desired)
     achieved = _achieved(unfinished, shot, controls, outside)
     movement, measured = _evidence(shot, checks, controls, store, achieved.effective_levels)
-    achieved = achieved.model_copy(update={"measured": measured})
+    light = _light(shot, checks, controls)
+    quality = light.quality(checks.samples)
+    achieved = achieved.model_copy(update={"measured": measured, "gain_over_sum": quality.gain})
     return_free_memory()
     rendering = Rendering(
         controls.layout,
         tables,
         shot.desired,
-        shot.full_scale_exposure,
+        light,
+        store.rows,
+        len(shot.frames),
         controls.hot_pixels,
         movement,
     )
@@ -121,6 +126,7 @@ def complete(
                 *unfinished.findings,
                 *_light_findings(unfinished, total, controls, achieved),
                 *_evidence_findings(unfinished, movement, achieved, repeatable=controls.repeatable),
+                *_noise_findings(quality),
             ],
             "taken_at": details.taken_at,
             "timing": {**unfinished.timing, "writing_s": writing_s},
@@ -220,9 +226,8 @@ def _evidence(
     """
     pairs = checks.pairs(shot.exposures, shot.noise if controls.noise else None)
     movement = find_movement(store.frame, pairs)
-    gains = [frame.applied.gain for frame in shot.frames]
     measured = measure_noise(
-        controls.levels, shot.desired, checks.samples, shot.exposures, shot.noise, gains
+        controls.levels, shot.desired, checks.samples, shot.exposures, shot.noise, shot.gains
     )
     is_of_movement = (
         measured is not None
@@ -232,6 +237,25 @@ def _evidence(
         and measured.contradicts(effective_levels)
     )
     return movement, None if is_of_movement else measured
+
+
+def _light(shot: _Shot, checks: FrameChecks, controls: ExposureControls) -> FrameLight:
+    """Return what estimates the light, with the known noise or the one that the pixels show."""
+    return frame_light(
+        parts_of(controls.layout, controls.responses or (controls.levels,)),
+        shot.exposures,
+        shot.noise if controls.noise else None,
+        checks.samples,
+        black=controls.black,
+        unit=shot.full_scale_exposure,
+        gains=shot.gains,
+        prior=shot.desired,
+    )
+
+
+def _noise_findings(quality: Quality) -> list[Finding]:
+    """Return that standard deviations are not known, where the frames do not show their noise."""
+    return [Finding(code="noise_unknown", value=quality.unknown)] if quality.unknown else []
 
 
 def _details(

@@ -1,8 +1,8 @@
 """What a capture in each desired response would show of a scene, before anything is shot.
 
-Preview frames from short to long are summed as a capture is, which gives the light.  Each response
-then has a plan of its own, and its picture has the levels, the range and the noise that the sum of
-the planned exposures would have.
+Preview frames from short to long are combined as the frames of a capture are, which gives the
+light.  Each response then has a plan of its own, and its picture has the levels, the range and the
+noise that the sum of the planned exposures would have.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.accumulator import Accumulator
 from camctl.captures.metering import meter_light
 from camctl.captures.plan import plan_capture
 from camctl.captures.response_sheet import PANEL_WIDTH, Panel, response_sheet
 from camctl.errors import CaptureError, UsageError
+from camctl.evidence.patches import sample_patches
 from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
@@ -29,6 +29,8 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import posterior_of
 from camctl.model.response.desired import desired_response
 from camctl.model.response.names import RESPONSES
+from camctl.pictures.accumulator import Accumulator
+from camctl.pictures.frame_light import frame_light, parts_of
 from camctl.pictures.preview import tone_map
 from camctl.pictures.preview_light import ALL, Light, LightReducer
 from camctl.pictures.render import DARK, GOOD, SATURATED, Rendering, Tables
@@ -165,23 +167,39 @@ def _in_response(request: CaptureRequest, name: str, plan: CapturePlan) -> Captu
 def _light(camera: Camera, settings: tuple[ExposureSetting, ...]) -> tuple[Light, float]:
     """Return the light that preview frames give, and the exposure that E = 1 saturates."""
     controls = camera.controls
-    total: Accumulator | None = None
-    for frame in _frames(camera, settings):
-        if total is None:
-            shape, dtype = frame.pixels.shape, frame.pixels.dtype
-            total = Accumulator(shape, dtype, len(settings), controls.white)
-        total.accumulate(frame.pixels)
-    assert total is not None  # there is at least one setting
+    pixels = [frame.pixels for frame in _frames(camera, settings)]
+    total = Accumulator(pixels[0].shape, pixels[0].dtype, len(settings), controls.white)
+    for each in pixels:
+        total.accumulate(each)
     noise, exposures = controls.frame_noise(settings), relative_exposures(settings)
+    responses = controls.responses or (controls.levels,)
     least = _LEAST_LEVEL * float(controls.levels.levels[0]) / max(exposures)
     desired = desired_response("log", 1 / least)
     tables = tuple(
-        Tables.of(posterior_of(EffectiveCamera.of(each, exposures), desired, noise), 1.0)
-        for each in controls.responses or (controls.levels,)
+        Tables.of(posterior_of(EffectiveCamera.of(each, exposures), desired, noise))
+        for each in responses
     )
-    rendering = Rendering(controls.layout, tables, desired, 1.0, controls.hot_pixels)
+    light = frame_light(
+        parts_of(controls.layout, responses),
+        exposures,
+        noise if controls.noise else None,
+        [sample_patches(controls.layout.planes(each), controls.white) for each in pixels],
+        black=controls.black,
+        unit=1.0,
+        gains=[each.gain for each in settings],
+        prior=desired,
+    )
+    rendering = Rendering(
+        controls.layout,
+        tables,
+        desired,
+        light,
+        lambda place, rows: pixels[place][rows],
+        len(pixels),
+        controls.hot_pixels,
+    )
     rows, columns = total.total.shape[:2]
-    reducer = LightReducer(rows, columns, rendering.unlit, rendering.full, 2 * PANEL_WIDTH)
+    reducer = LightReducer(rows, columns, rendering.full, 2 * PANEL_WIDTH)
     for render in rendering.strips(total.total):
         reducer.add(render())
     return reducer.light(), min(setting.exposure for setting in settings)
@@ -199,13 +217,13 @@ def _panel(
     name: str, plan: CapturePlan, light: Light, exposure: float, controls: ExposureControls
 ) -> Panel:
     """Return what a capture by `plan` would make of the light; E = 1 saturates `exposure`."""
-    effective = EffectiveCamera.of(controls.levels, relative_exposures(plan.settings))
-    posterior = posterior_of(effective, plan.desired, controls.frame_noise(plan.settings))
-    table = Tables.of(posterior, 1.0)
+    camera = EffectiveCamera.of(controls.levels, relative_exposures(plan.settings))
+    posterior = posterior_of(camera, plan.desired, controls.frame_noise(plan.settings))
+    table, inverse = Tables.of(posterior), posterior.inverse
     E = light.irradiance * np.float32(plan.settings[0].exposure / exposure)
-    sums = posterior.sum.black + np.searchsorted(effective.levels, E, side="right")
-    irradiance, mask = table.irradiance[sums], table.mask[sums]
-    noise = np.minimum(table.deviation[sums], irradiance) / irradiance
+    sums = posterior.sum.black + np.searchsorted(camera.levels, E, side="right")
+    irradiance, mask = inverse.E.astype(np.float32)[sums], table.mask[sums]
+    noise = np.minimum(inverse.deviation[sums] / irradiance, 1.0).astype(np.float32)
     white = light.white.copy()
     white[(mask == SATURATED).all(axis=2)] = ALL
 

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from camctl.captures.accumulator import Accumulator
 from camctl.captures.frame_checks import FrameChecks
 from camctl.captures.outputs import complete
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
@@ -28,6 +27,7 @@ from camctl.exposure.search.wall_time import predicted_wall_s, wall_time_finding
 from camctl.interface.camera import Camera, Frame, Pixels
 from camctl.interface.clock import cancelled_by, check_cancelled
 from camctl.interface.controls import Layout
+from camctl.pictures.accumulator import Accumulator
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.frame import StoredFrame
 from camctl.records.frame_store import AfterFailure, CaptureStore

@@ -20,7 +20,7 @@ from camctl.errors import DataError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Camera
 from camctl.interface.clock import VirtualClock, cancelled_by
-from camctl.pictures.combine import sum_dtype
+from camctl.pictures.accumulator import sum_dtype
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import FolderStore
 from camctl.records.frame_store import CaptureStore, MemoryStore

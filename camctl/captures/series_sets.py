@@ -14,7 +14,7 @@ from camctl.captures.sequencer import capture, resume
 from camctl.exposure.table import ExposureTable
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Layout
-from camctl.pictures.combine import sum_dtype
+from camctl.pictures.accumulator import sum_dtype
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import read_report
 from camctl.records.journal import SeriesJournal

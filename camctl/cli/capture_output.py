@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from camctl.evidence.movement import FoundMovement
     from camctl.model.noise import MeasuredNoise
     from camctl.records.capture_plan import CapturePlan, PlannedLight
-    from camctl.records.report import CaptureReport
+    from camctl.records.report import Achieved, CaptureReport
 
 Complete: TypeAlias = "Callable[[CaptureReport], CaptureReport]"
 """Takes the report of a complete capture, and returns it."""
@@ -223,12 +223,7 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
         frames = f"frame{'s' if len(again) > 1 else ''} {', '.join(map(str, again))}"
         rows.append(("shot again", f"{frames}: the brightness did not fit the exposure at first"))
     rows += [
-        (
-            "effective levels",
-            format_effective(achieved, noise_known=achieved.noise is not None)
-            + f" (planned {format_number(plan.effective_levels, 4)})",
-        ),
-        *_measured_rows(achieved.measured),
+        *_levels_rows(achieved, plan),
         *_front_rows(plan),
         (
             "missing levels (xi)",
@@ -312,18 +307,34 @@ def _front_rows(plan: CapturePlan) -> list[tuple[str, str]]:
     return [("time / accuracy", ", ".join(costs))]
 
 
-def _measured_rows(measured: MeasuredNoise | None) -> list[tuple[str, str]]:
-    """Return the effective levels that the pixels show, where they could be measured."""
-    if measured is None:
-        return []
-    levels, uncertainty = measured.effective_levels, measured.uncertainty
-    return [
-        (
-            "  from the pixels",
-            f"{format_number(levels, 4)} with the noise measured in {measured.samples:,} pixels, "
-            f"+- {format_percent(uncertainty / levels)}",
-        )
-    ]
+def _levels_rows(achieved: Achieved, plan: CapturePlan) -> list[tuple[str, str]]:
+    """Return the effective levels, with the noise that is known or the one that the pixels show."""
+    planned = format_number(plan.effective_levels, 4)
+    measured, free = achieved.measured, achieved.effective_levels_noise_free
+    rows = []
+    if achieved.noise is None and measured is not None and free is not None:
+        levels = format_number(measured.effective_levels, 4)
+        text = f"{levels} with the noise that the pixels show, {format_number(free, 4)} without"
+        rows.append(("effective levels", f"{text} (planned {planned} without)"))
+        rows.append(("", _measured_text(measured)))
+    else:
+        text = format_effective(achieved, noise_known=achieved.noise is not None)
+        rows.append(("effective levels", f"{text} (planned {planned})"))
+        if measured is not None:
+            levels = format_number(measured.effective_levels, 4)
+            rows.append(
+                ("  from the pixels", f"{levels} with the noise {_measured_text(measured)}")
+            )
+    if achieved.gain_over_sum is not None:
+        times = format_number(achieved.gain_over_sum, 3)
+        text = f"estimated from all frames; the light of their sum has {times} times its error"
+        rows.append(("radiance", text))
+    return rows
+
+
+def _measured_text(measured: MeasuredNoise) -> str:
+    share = format_percent(measured.uncertainty / measured.effective_levels)
+    return f"measured in {measured.samples:,} pixels, +- {share}"
 
 
 def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:

@@ -4,11 +4,11 @@ Each frame says of the light E that its own sample, of exposure e_j, lies within
 quantiser.  Where noise of half a step or more dithers the quantiser and clips nothing, a sample is
 a normal measurement of E with variance (photons + reading + step^2 / 12) / e_j^2, and maximum
 likelihood is the mean weighted with the inverse variances, taken at a first estimate of E, which
-does not depend on the value of a single sample.  A sample that noise may saturate is a measurement
-if it is not saturated, and else says that its light is above full scale.  Elsewhere the posterior
-mean is computed from the exact probabilities of the steps, once for each combination of samples
-that occurs; the prior is flat in E >= 0.  Light is irradiance at exposure 1, where full scale,
-M + 1 levels, is 1.
+the sum of the samples gives and no single one decides.  A sample that noise may saturate is a
+measurement if it is not saturated, and else says that its light is above full scale.  Elsewhere the
+posterior mean is computed from the exact probabilities of the steps, once for each combination of
+samples that occurs; the prior is flat in E >= 0.  Light is irradiance at exposure 1, where full
+scale, M + 1 levels, is 1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from camctl.model.distribution import normal_cdf
 from camctl.model.response.camera import FloatArray
-from camctl.model.sensor import CLIPPING_SIGMAS, RESPONSE_ERROR, SensorModel
+from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 from camctl.model.step_posterior import REACH, FrameSet, StepPosterior
 
 Floats32 = NDArray[np.float32]
@@ -43,10 +43,6 @@ _DECISIVE, _NOTABLE = 0.05, 0.02
 #: A light of fewer standard deviations is truncated at 0: beyond it, 0.1 % of the probability is.
 _NEAR_ZERO = CLIPPING_SIGMAS
 
-#: A sample that differs from the estimate by more standard deviations contradicts it: 1e-8 of
-#: normal ones do, and skew ones of few electrons rarely.
-_CONTRADICTING = 6.0
-
 
 @dataclass(frozen=True, eq=False)
 class _Weights:
@@ -59,6 +55,8 @@ class _Weights:
         steps: that of noise alone in steps of the quantiser
         clipped, saturated: whether noise clips the sample at the lowest value, or saturates it
         deviation: standard deviation of the mean, pattern noise included
+        of_sum: that of the light that the sum of the samples shows, likewise: each of the frames
+            that are not saturated adds its slope, levels / light, and its noise
     """
 
     share: FloatArray
@@ -68,6 +66,7 @@ class _Weights:
     clipped: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
     deviation: FloatArray
+    of_sum: FloatArray
 
     @classmethod
     def at(cls, frames: FrameSet, sensor: SensorModel, E: FloatArray) -> _Weights:
@@ -99,6 +98,11 @@ class _Weights:
         offsets = np.array([each.dsnu_levels * unit for each in frames.noise])[:, np.newaxis]
         pattern = (weight * offsets / exposures).sum(axis=0) ** 2
         prnu = max(each.prnu for each in frames.noise)
+        deviation = np.sqrt(1 / sums + pattern + (prnu * E) ** 2)
+        counts = (x < sensor.full) | (exposures == exposures.min())
+        slopes = np.where(counts, exposures / step, 0.0)
+        of_sum = (slopes**2 * variance).sum(axis=0)
+        of_sum += (slopes * offsets / exposures).sum(axis=0) ** 2
         return cls(
             information / np.maximum(total, 1e-300),
             weight,
@@ -106,7 +110,8 @@ class _Weights:
             np.sqrt(noise) / step,
             clipped,
             saturated,
-            np.sqrt(1 / sums + pattern + (prnu * E) ** 2),
+            deviation,
+            np.sqrt(of_sum / slopes.sum(axis=0) ** 2 + (prnu * E) ** 2),
         )
 
 
@@ -119,7 +124,9 @@ class LightTables:
     Attributes:
         sensor: the camera
         irradiance: (n, white + 1) float32, the light of each value in each frame
-        deviation: (B,) float32, standard deviation of an estimate in each bin of light
+        lights: (B,) the middle of each bin of light
+        deviation: (B,) float32, standard deviation of an estimate in each bin
+        of_sum: (B,) that of the light that the sum of the frames shows
     """
 
     def __init__(self, frames: FrameSet) -> None:
@@ -127,16 +134,8 @@ class LightTables:
         self._posterior = StepPosterior(frames, sensor)
         exposures = np.array(frames.exposures)
         dark = np.array([each.dark_levels * sensor.level for each in frames.noise])
-        # The first estimate adds light over exposure of the samples that are not saturated.
-        # Without read noise this is maximum likelihood.  Its weights do not depend on the values:
-        # smaller ones of smaller values would lower the mean.
-        highest = np.array([sensor.highest(each) for each in frames.noise])
-        values = np.arange(sensor.white + 1)
-        self._used = ((values <= highest[:, np.newaxis]) * exposures[:, np.newaxis]).astype("f4")
         light = (sensor.light - dark[:, np.newaxis]) / exposures[:, np.newaxis]
         self.irradiance: Floats32 = light.astype(np.float32)
-        self._portions = self._used * self.irradiance
-        self._shortest = int(np.argmin(exposures))
         self._brightest = np.float32(sensor.full / exposures.min())
         step = float(np.min(sensor.gap[sensor.gap > 0])) / exposures.max()
         self._lowest = np.float32(2.0 ** np.floor(np.log2(step / 16)))
@@ -147,19 +146,21 @@ class LightTables:
         found = _Weights.at(frames, sensor, self.lights)
         self._weights = found.weight.astype(np.float32)
         self.deviation: Floats32 = found.deviation.astype(np.float32)
+        self.of_sum = found.of_sum
         near = found.saturated & (found.share > 0)
         self._kept = (found.share > _NOTABLE) | near
         self._near = near & (found.weight == 0)
-        self._near_any = self._near.any(axis=0)
         self._spreads: Floats32 = found.spread.astype(np.float32)
         lost = np.where(found.clipped, found.share, 0.0).sum(axis=0) > _DECISIVE
         undithered = (found.share > _DECISIVE) & (found.steps < _DITHERED)
         self._exact = lost | undithered.any(axis=0)
-        systematic = (
-            RESPONSE_ERROR * self.lights
-            + sensor.step(exposures[:, None] * self.lights) / (exposures[:, None])
-        )
-        self._limits = (_CONTRADICTING * found.spread + systematic).astype(np.float32)
+        # The light of each sum without noise: the levels of all frames, merged.
+        edges = (frames.response.levels - dark[:, np.newaxis]) / exposures[:, np.newaxis]
+        edges = np.concatenate(([0.0], np.sort(edges, axis=None), [np.inf]))
+        first = np.maximum((edges[1:] + edges[:-1]) / 2, 0.0)
+        places = np.arange(len(exposures) * sensor.white + 1) - len(exposures) * sensor.black
+        first = np.minimum(first, self._brightest)[np.maximum(places, 0)]
+        self._first = self.bins(first.astype(np.float32))
 
     def _bin_number(self, light: np.float32) -> int:
         return int(np.float32(light).view(np.uint32)) >> _DROPPED
@@ -170,25 +171,16 @@ class LightTables:
         return found.astype(np.intp) - self._first_bin
 
     def estimate(
-        self, values: Sequence[NDArray[Any]]
-    ) -> tuple[Floats32, Floats32, NDArray[np.bool_]]:
-        """Return light, its standard deviation, and whether a frame contradicts it.
+        self, values: Sequence[NDArray[Any]], total: NDArray[Any]
+    ) -> tuple[Floats32, Floats32]:
+        """Return the light of samples and its standard deviation, as irradiance at exposure 1.
 
         Args:
             values: samples of each frame, (S,) up to white, black included
-
-        Returns:
-            three arrays (S,); both lights are irradiance at exposure 1
+            total: their sum, (S,)
         """
         samples = [table.take(each) for table, each in zip(self.irradiance, values, strict=True)]
-        total = self._portions[0].take(values[0])
-        used = self._used[0].take(values[0])
-        for place in range(1, len(values)):
-            total += self._portions[place].take(values[place])
-            used += self._used[place].take(values[place])
-        with np.errstate(invalid="ignore", divide="ignore"):
-            first = np.where(used > 0, total / used, self._brightest)
-        bins = self.bins(first)
+        bins = self._first.take(total)
         E = self._weights[0].take(bins)
         E *= samples[0]
         for place in range(1, len(values)):
@@ -206,7 +198,7 @@ class LightTables:
             mean, spread = self._posterior.of(here, kept)
             known = np.isfinite(mean)  # else all probabilities are 0
             E[chosen[known]], deviation[chosen[known]] = mean[known], spread[known]
-        return E, deviation, self._contradicting(samples, E)
+        return E, deviation
 
     def _add_saturated(
         self,
@@ -241,17 +233,6 @@ class LightTables:
             above, narrower = _truncated(E[near] / spread)
             E[near] += spread * above
             deviation[near] = spread * np.sqrt(np.maximum(1 - narrower, 1e-6))
-
-    def _contradicting(self, samples: list[Floats32], E: Floats32) -> NDArray[np.bool_]:
-        """Return where a frame's sample differs from the light by more than noise explains."""
-        bins = self.bins(E)
-        found = np.zeros(E.shape, bool)
-        for place, sample in enumerate(samples):
-            difference = np.minimum(E, self.irradiance[place, -1])
-            difference -= sample
-            np.abs(difference, out=difference)
-            found |= difference > self._limits[place].take(bins)
-        return found
 
 
 def _truncated(a: FloatArray) -> tuple[FloatArray, FloatArray]:

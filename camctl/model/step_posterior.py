@@ -27,6 +27,13 @@ REACH = 5.0
 #: sum of a wider normal one has an error of 2 exp(-2 (3 pi)^2).  Combinations computed at once.
 _NODES, _CHUNK = 48, 4096
 
+#: Odd, without a pattern (2^64 over the golden ratio): a combination of samples, as the digits of a
+#: number to this base modulo 2^64, is another one's number in 1 of 2^64 cases.
+_FACTOR = np.uint64(0x9E3779B97F4A7C15)
+
+#: Combinations whose results are kept: 24 MB.
+_MOST_KNOWN = 1 << 20
+
 
 @dataclass(frozen=True)
 class FrameSet:
@@ -51,6 +58,32 @@ class FrameSet:
         object.__setattr__(self, "fingerprint", self.response.fingerprint)
 
 
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Results for combinations of samples: numbers that stand for them, ascending, and both."""
+
+    keys: NDArray[np.uint64]
+    mean: FloatArray
+    deviation: FloatArray
+
+    def with_others(self, more: _Known) -> _Known:
+        """Return these results and others, none of which is among them."""
+        keys = np.concatenate((self.keys, more.keys))
+        order = np.argsort(keys, kind="stable")
+        mean = np.concatenate((self.mean, more.mean))
+        deviation = np.concatenate((self.deviation, more.deviation))
+        return _Known(keys[order], mean[order], deviation[order])
+
+
+def _places(known: _Known, key: NDArray[np.uint64]) -> NDArray[np.intp]:
+    """Return where the results for some combinations are; -1 for those that are not there."""
+    if not known.keys.size:
+        return np.full(key.size, -1, np.intp)
+    place = np.minimum(np.searchsorted(known.keys, key), known.keys.size - 1)
+    place[known.keys[place] != key] = -1
+    return place
+
+
 class StepPosterior:
     """The posterior of the light after values of each frame.
 
@@ -61,6 +94,7 @@ class StepPosterior:
 
     def __init__(self, frames: FrameSet, sensor: SensorModel) -> None:
         self._frames, self.sensor = frames, sensor
+        self._known = _Known(np.empty(0, np.uint64), np.empty(0), np.empty(0))
 
     @cached_property
     def _edges(self) -> tuple[FloatArray, FloatArray]:
@@ -78,27 +112,31 @@ class StepPosterior:
             values: samples of each frame, (S,), black included
             kept: whether each sample counts, likewise
         """
-        key, size = np.zeros(values[0].size, np.int64), 1
-        count = self.sensor.white + 2
+        key = np.zeros(values[0].size, np.uint64)
         for each, used in zip(values, kept, strict=True):
-            if size > (1 << 62) // count:
-                key = np.unique(key, return_inverse=True)[1].astype(np.int64)
-                size = int(key.max()) + 1
-            key = key * count + np.where(used, each.astype(np.int64) + 1, 0)
-            size *= count
-        _, place, inverse = np.unique(key, return_index=True, return_inverse=True)
-        rows = np.stack(
-            [
-                np.where(used[place], each[place].astype(np.intp), -1)
-                for each, used in zip(values, kept, strict=True)
+            key = key * _FACTOR + np.where(used, each.astype(np.uint64) + np.uint64(1), 0)
+        known = self._known
+        place = _places(known, key)
+        missing = np.flatnonzero(place < 0)
+        if missing.size:
+            _, first = np.unique(key[missing], return_index=True)
+            first = missing[first]
+            rows = np.stack(
+                [
+                    np.where(used[first], each[first].astype(np.intp), -1)
+                    for each, used in zip(values, kept, strict=True)
+                ]
+            )
+            parts = [
+                self._posterior(rows[:, start : start + _CHUNK])
+                for start in range(0, first.size, _CHUNK)
             ]
-        )
-        parts = [
-            self._posterior(rows[:, first : first + _CHUNK])
-            for first in range(0, place.size, _CHUNK)
-        ]
-        mean, spread = (np.concatenate(each)[inverse] for each in zip(*parts, strict=True))
-        return mean, spread
+            more = _Known(key[first], *map(np.concatenate, zip(*parts, strict=True)))
+            known = known.with_others(more)
+            place = _places(known, key)
+            if known.keys.size <= _MOST_KNOWN:  # what threads lose to each other is computed again
+                self._known = known
+        return known.mean[place], known.deviation[place]
 
     def _posterior(self, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
         """Return mean and deviation of the light after values (n, U); -1: the frame is left out."""

@@ -3,47 +3,42 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from camctl.errors import UsageError, unknown_name
-from camctl.evidence.noise import NoiseFit, electrons_per_level, fit_noise
+from camctl.errors import unknown_name
+from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.patches import Patches, sample_patches
+from camctl.evidence.residual import Pair, Side
 from camctl.findings import Finding
 from camctl.interface.controls import Layout
-from camctl.model.distribution import MAX_READ_NOISE
-from camctl.model.effective import EffectiveCamera
-from camctl.model.inverse import Inverse, Posterior
-from camctl.model.light import Floats32, is_certain, light_tables
 from camctl.model.noise import FrameNoise
-from camctl.model.response.camera import CameraResponse
-from camctl.model.response.desired import desired_response
-from camctl.model.step_posterior import FrameSet
+from camctl.model.sensor import SensorModel
+from camctl.pictures.accumulator import Accumulator
 from camctl.pictures.combine_arguments import (
     Noise,
     Response,
     channel_responses,
     checked_frames,
+    frame_layout,
     known_noise,
     white_level,
 )
+from camctl.pictures.frame_light import FrameLight, Part, frame_light, parts_of
 from camctl.pictures.render import CONTRADICTING, DARK, SATURATED
+from camctl.system.threads import in_threads
 
 METHODS = ("likelihood", "sum")
 
-#: Samples of a block: its arrays, some 20 of 4 bytes a sample, stay in a cache of some megabytes.
-_BLOCK = 1 << 18
+#: Samples of a strip: two of them are in work.
+_STRIP = 1 << 20
 
-#: Standard deviations that are more uncertain than by this share are not stated: their intervals
-#: of 95 % hold 92 to 97 % of the errors.
-_MOST_UNCERTAIN = 0.1
-
-_LETTERS = "RGB"
+_View: TypeAlias = Callable[[NDArray[Any]], NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,29 +63,6 @@ class Combination:
     sum: NDArray[np.unsignedinteger]
     noise: tuple[tuple[FrameNoise, ...], ...]
     findings: tuple[Finding, ...]
-
-
-_Estimate: TypeAlias = Callable[
-    [list[NDArray[Any]], NDArray[np.unsignedinteger]],
-    tuple[Floats32, Floats32, NDArray[np.uint8]],
-]
-"""From samples of each frame up to white, (S,), and their sum: irradiance at exposure 1, standard
-deviation and mask."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """The samples of a frame that have one response and one noise.
-
-    Attributes:
-        view: (rows, columns[, channels]) of a frame to those samples
-        response: of the camera
-        planes: of the same samples to one plane a colour, for patches of equal light
-    """
-
-    view: Callable[[NDArray[Any]], NDArray[Any]]
-    response: CameraResponse
-    planes: Callable[[NDArray[Any]], list[NDArray[Any]]]
 
 
 def combine(
@@ -132,191 +104,88 @@ def combine(
     shortest = min(exposures)
     relative = tuple(each / shortest for each in exposures)
     top = white_level(pictures[0].dtype, response, black, white)
-    parts = _parts(pictures[0], channel_responses(response, black, top), layout)
+    responses = channel_responses(response, black, top)
+    kind = frame_layout(pictures[0].shape, len(responses), layout)
+    # Also without a layout the frames may be a mosaic: neighbours of one colour make a patch.
+    planes = Layout.RGGB.planes if kind is Layout.MONO else kind.planes
+    samples = [sample_patches(planes(each), top) for each in pictures]
     known = None if noise is None else known_noise(noise, exposures, black)
-    total = np.zeros(pictures[0].shape, sum_dtype(len(pictures), top))
-    irradiance = np.empty(total.shape, np.float32)
-    sd, mask = np.empty_like(irradiance), np.empty(total.shape, np.uint8)
-    noises, findings = [], []
-    for part in parts:
-        fit = None if known else _fit(part, pictures, relative, black, top)
-        is_known = known is not None or fit is not None
-        found = _frame_set(part.response, black, relative, known, fit)
-        if method == "sum":
-            estimate = _sum(found, is_known=is_known)
-        else:
-            estimate = _likelihood(found, fit, is_known=is_known)
-        views = [part.view(each) for each in (*pictures, total, irradiance, sd, mask)]
-        _fill(views, len(pictures), top, estimate)
-        if is_known:
-            noises.append(found.noise)
-    irradiance /= np.float32(shortest)
-    sd /= np.float32(shortest)
-    if np.isnan(sd).any():
-        findings.append(Finding(code="noise_unknown", value=float(np.isnan(sd).mean())))
-    return Combination(irradiance, sd, mask, total, tuple(noises), tuple(findings))
+    parts = parts_of(kind, responses)
+    light = frame_light(parts, relative, known, samples, black=black, unit=shortest, method=method)
+    found = _combined(light, pictures, black)
+    findings = []
+    if method != "sum":
+        # Developed colours have errors at edges, too: they are measured where noise is unknown.
+        shown = known if known or kind is Layout.RGB or not light.noise else light.noise[0]
+        for movement, view in _movements(pictures, parts, relative, shown, samples, black):
+            marks = view(found.mask)
+            marks |= movement.rows(0, len(marks)) * np.uint8(CONTRADICTING)
+            findings += movement.found.findings
+    if (unknown := float(np.isnan(found.sd).mean())) > 0:
+        findings.append(Finding(code="noise_unknown", value=unknown))
+    return replace(found, findings=tuple(findings))
 
 
-def sum_dtype(count: int, white: int) -> np.dtype[np.unsignedinteger]:
-    """Return the narrowest unsigned type that holds the sum of `count` samples of up to `white`.
+def _combined(light: FrameLight, pictures: list[NDArray[Any]], black: int) -> Combination:
+    """Return what all frames show, without findings; strips are estimated in threads."""
+    shape, count = pictures[0].shape, len(pictures)
+    total = Accumulator(shape, pictures[0].dtype, count, light.white)
+    for picture in pictures:
+        total.accumulate(picture)
+    irradiance, sd = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    mask = np.zeros(shape, np.uint8)
 
-    Raises:
-        UsageError: 32 bits are not enough
-    """
-    for kind in (np.uint16, np.uint32):
-        if count * white <= np.iinfo(kind).max:
-            return np.dtype(kind)
-    raise UsageError(
-        f"the sum of {count} exposures of up to {white} does not fit in 32 bits",
-        hint=f"take at most {np.iinfo(np.uint32).max // white} exposures",
-    )
+    def fill(rows: slice) -> None:
+        sums = total.total[rows]
+        found = light.rows([each[rows] for each in pictures], sums)
+        irradiance[rows], sd[rows] = found
+        mask[rows][(sums <= count * black) | (sd[rows] >= irradiance[rows])] = DARK
+        mask[rows][sums == count * light.white] = SATURATED
 
-
-def _parts(
-    picture: NDArray[Any], responses: tuple[CameraResponse, ...], layout: Layout | str | None
-) -> list[_Part]:
-    """Return the parts of the frames: colours have their own noise, samples of a mosaic have not.
-
-    Developed colours were multiplied by a white balance.
-    """
-    if picture.ndim == 3:
-        of_colours = responses if len(responses) == 3 else responses * 3
-        return [
-            _Part(lambda each, at=at: each[..., at], real, lambda each: [each])  # type: ignore[misc]
-            for at, real in enumerate(of_colours)
-        ]
-    if len(responses) == 1:
-        return [_Part(lambda each: each, responses[0], Layout.RGGB.planes)]
-    mosaic = Layout(layout) if layout is not None else Layout.MONO
-    if not mosaic.is_mosaic:
-        raise UsageError(
-            "three responses for frames of one channel", hint="give the layout, such as rggb"
-        )
-    return [
-        _Part(
-            lambda each, row=row, column=column: each[row::2, column::2],  # type: ignore[misc]
-            responses[_LETTERS.index(mosaic.value.upper()[2 * row + column])],
-            lambda each: [each],
-        )
-        for row in (0, 1)
-        for column in (0, 1)
-    ]
+    step = max(2, _STRIP // math.prod(shape[1:]) & ~1)
+    strips = (slice(first, first + step) for first in range(0, shape[0], step))
+    for _ in in_threads(fill, strips):
+        pass
+    return Combination(irradiance, sd, mask, total.total, light.noise, ())
 
 
-def _fit(
-    part: _Part,
+def _movements(
     pictures: list[NDArray[Any]],
-    exposures: tuple[float, ...],
+    parts: list[Part],
+    exposures: Sequence[float],
+    noise: Sequence[FrameNoise] | None,
+    samples: list[Patches],
     black: int,
-    white: int,
-) -> NoiseFit | None:
-    """Return the noise that the frames show; None where they do not."""
-    samples: list[Patches] = [
-        sample_patches(part.planes(part.view(each)), white) for each in pictures
-    ]
-    return fit_noise(part.response, samples, exposures, [1.0] * len(exposures), black)
+) -> list[tuple[Movement, _View]]:
+    """Return where the frames contradict each other, and which samples that is about.
 
-
-def _frame_set(
-    response: CameraResponse,
-    black: int,
-    exposures: tuple[float, ...],
-    known: tuple[FrameNoise, ...] | None,
-    fit: NoiseFit | None,
-) -> FrameSet:
-    """Return the frames with their noise; photon noise stands for one that is not known."""
-    if known is not None:
-        return FrameSet(response, black, exposures, known)
-    noise = (1.0, 0.0) if fit is None else fit.noise.tolist()
-    return FrameSet(response, black, exposures, (_frame_noise(noise, black),) * len(exposures))
-
-
-def _frame_noise(noise: Sequence[float], black: int) -> FrameNoise:
-    inverse, square = noise
-    read = min(math.sqrt(square), MAX_READ_NOISE)
-    return FrameNoise(electrons_per_level(inverse), read, black=black)
-
-
-def _likelihood(frames: FrameSet, fit: NoiseFit | None, *, is_known: bool) -> _Estimate:
-    """Return the estimator from all frames."""
-    tables = light_tables(frames)
-    certain = np.full(tables.deviation.shape, is_known)
-    if fit is not None:
-        others = [
-            replace(frames, noise=(_frame_noise(each.tolist(), frames.black),) * len(frames.noise))
-            for each in fit.neighbours
+    Samples of a mosaic with responses of their own are compared apart, and those of colours where
+    the noise is measured from brightness to brightness, as if it were unknown.
+    """
+    apart = len(parts) if pictures[0].ndim == 2 else 1
+    if len({part.response.fingerprint for part in parts}) > 1 and apart == 1:
+        noise = None
+    colours = 3 if noise is None and pictures[0].ndim == 3 else 1
+    order = np.argsort(exposures, kind="stable").tolist()
+    found = []
+    for at in range(apart):
+        part = parts[at if apart > 1 else len(parts) // 2]
+        view: _View = part.view if apart > 1 else np.asarray
+        sensor = SensorModel(part.response, black)
+        patches = [np.array_split(each, apart)[at] for each in samples]
+        sides = [Side(k, exposures[k], None if noise is None else noise[k]) for k in order]
+        pairs = [
+            Pair(
+                sensor,
+                short,
+                long,
+                long.exposure / short.exposure,
+                (patches[short.position], patches[long.position]),
+                colours,
+            )
+            for short, long in pairwise(sides)
         ]
-        certain = is_certain(frames, others, _MOST_UNCERTAIN)
-    full = np.float32(frames.response.levels[-1])
-    black_total = len(frames.exposures) * frames.black
-    top = black_total + len(frames.exposures) * frames.response.M
-
-    def estimate(
-        values: list[NDArray[Any]], total: NDArray[np.unsignedinteger]
-    ) -> tuple[Floats32, Floats32, NDArray[np.uint8]]:
-        E, deviation, contradicts = tables.estimate(values)
-        if not certain.all():
-            deviation[~certain.take(tables.bins(E))] = np.nan
-        mask = contradicts * np.uint8(CONTRADICTING)
-        mask[(total <= black_total) | (deviation >= E)] |= DARK
-        white = total == top
-        if white.any():
-            E[white], deviation[white], mask[white] = full, np.inf, SATURATED
-        return E, deviation, mask
-
-    return estimate
-
-
-def _sum(frames: FrameSet, *, is_known: bool) -> _Estimate:
-    """Return the estimator from the sum of the frames."""
-    noise = frames.noise
-    if not is_known:
-        noise = (FrameNoise(math.inf, 0.0, black=frames.black),) * len(noise)
-    inverse = _inverse(replace(frames, noise=noise))
-    light, deviation = inverse.E.astype(np.float32), inverse.deviation.astype(np.float32)
-    if not is_known:
-        deviation[:] = np.nan
-    light[-1], deviation[-1] = frames.response.levels[-1], np.inf
-    mask = np.zeros(light.shape, np.uint8)
-    mask[(np.arange(light.size) <= len(noise) * frames.black) | (deviation >= light)] = DARK
-    mask[-1] = SATURATED
-
-    def estimate(
-        values: list[NDArray[Any]], total: NDArray[np.unsignedinteger]
-    ) -> tuple[Floats32, Floats32, NDArray[np.uint8]]:
-        return light.take(total), deviation.take(total), mask.take(total)
-
-    return estimate
-
-
-@lru_cache(maxsize=16)
-def _inverse(frames: FrameSet) -> Inverse:
-    """Return the inverse of the sum for a prior that is flat in the light, as `LightTables` has."""
-    longest = max(frames.exposures)
-    desired = desired_response("linear", frames.response.M * longest)
-    camera = EffectiveCamera.of(frames.response, frames.exposures)
-    return Posterior(camera, desired, frames.noise).inverse
-
-
-def _fill(views: list[NDArray[Any]], count: int, white: int, estimate: _Estimate) -> None:
-    """Estimate the last four views (sum, irradiance, sd, mask) from `count` frames, in blocks."""
-    clips = white < np.iinfo(views[0].dtype).max
-    for rows in _blocks(views[0].shape):
-        values = [np.ravel(each[rows]) for each in views[:count]]
-        if clips:
-            values = [np.minimum(each, each.dtype.type(white)) for each in values]
-        total, irradiance, sd, mask = (each[rows] for each in views[count:])
-        added = values[0].astype(total.dtype)
-        for each in values[1:]:
-            added += each
-        total[...] = added.reshape(total.shape)
-        light, deviation, marks = estimate(values, added)
-        irradiance[...] = light.reshape(irradiance.shape)
-        sd[...] = deviation.reshape(sd.shape)
-        mask[...] = marks.reshape(mask.shape)
-
-
-def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
-    rows = max(1, _BLOCK // math.prod(shape[1:]))
-    for first in range(0, shape[0], rows):
-        yield slice(first, first + rows)
+        moved = find_movement(lambda k, view=view: view(pictures[k]), pairs)  # type: ignore[misc]
+        if moved is not None:
+            found.append((moved, view))
+    return found

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camctl.errors import DataError, UsageError
+from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response
 
@@ -91,3 +92,15 @@ def known_noise(noise: Noise, exposures: Sequence[float], black: int) -> tuple[F
         return tuple(noise.frame(gain=1.0, time_s=each, black=black) for each in exposures)
     given = (noise,) * len(exposures) if isinstance(noise, FrameNoise) else tuple(noise)
     return tuple(replace(each, black=black) for each in given)
+
+
+def frame_layout(shape: Sequence[int], count: int, layout: Layout | str | None) -> Layout:
+    """Return the layout of frames of that shape with `count` responses."""
+    if len(shape) == 3:
+        return Layout.RGB
+    found = Layout.MONO if layout is None else Layout(layout)
+    if count > 1 and not found.is_mosaic:
+        raise UsageError(
+            "three responses for frames of one channel", hint="give the layout, such as rggb"
+        )
+    return found

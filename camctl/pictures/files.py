@@ -74,7 +74,7 @@ def write_picture_files(
     """
     tags, radiance = tiff_tags(details), directory / RADIANCE
     height, width = total.shape[:2]
-    reducer = LightReducer(height, width, rendering.unlit, rendering.full)
+    reducer = LightReducer(height, width, rendering.full)
     with (
         ThreadPoolExecutor(2) as threads,
         atomic_file(radiance) as radiance_part,

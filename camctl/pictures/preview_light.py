@@ -20,10 +20,12 @@ ALL = 255
 
 Floats = NDArray[np.float32]
 
-#: Light that counts as none; a sum without light has an irradiance of more than this.
+#: Light that counts as none.
 NO_LIGHT = np.float32(1e-30)
 #: The noise counts as this share of the light at most: its logarithm is no longer normal.
 _LARGEST_NOISE = 2.0
+#: Irradiance that is saturated is rounded by less than this share, see `render`.
+_ROUNDED = 2.0**-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +56,13 @@ class LightReducer:
     Args:
         rows: of the picture
         columns: of the picture
-        unlit: largest irradiance of samples without light
         full: least irradiance of samples that every frame saturated
         side: most pixels a side; None: `PREVIEW_SIDE`
     """
 
-    def __init__(
-        self, rows: int, columns: int, unlit: float, full: float, side: int | None = None
-    ) -> None:
-        # Interpolation rounds.
-        self._unlit, self._full = np.float32(unlit * (1 + 1e-5)), np.float32(full * (1 - 1e-5))
+    def __init__(self, rows: int, columns: int, full: float, side: int | None = None) -> None:
+        # What is saturated was rounded to so many bits as noise allows.
+        self._full = np.float32(full * (1 - _ROUNDED))
         self._step = -(-max(rows, columns) // (side or PREVIEW_SIDE))
         self._shape = max(1, rows // self._step), max(1, columns // self._step)
         self._rest: tuple[NDArray[Any], ...] = ()
@@ -72,7 +71,10 @@ class LightReducer:
 
     def add(self, strip: Strip) -> None:
         """Take the next strip, from top to bottom."""
-        deviation = strip.deviation
+        # Noise that is not known counts as none.
+        deviation = tuple(
+            np.nan_to_num(sd, posinf=np.inf) if np.isnan(sd).any() else sd for sd in strip.deviation
+        )
         saturated = [(mask & SATURATED) != 0 for mask in strip.mask]
         white = np.zeros_like(saturated[0])
         if any(each.any() for each in saturated):
@@ -81,7 +83,7 @@ class LightReducer:
             # The mask of a mosaic does not say which of its channels is saturated.
             white = reduce(np.minimum, strip.light) >= self._full
         dark = _counts([(mask & DARK) != 0 for mask in strip.mask])
-        unlit = _counts([light <= self._unlit for light in strip.light])
+        unlit = _counts([light <= 0 for light in strip.light])
         parts = (*strip.light, *deviation, *saturated, dark, unlit, white)
         if self._rest:
             missing = self._step - len(self._rest[0])

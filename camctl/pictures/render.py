@@ -1,23 +1,27 @@
-"""From the sum of the frames to irradiance and to the image in the desired response.
+"""From the frames to irradiance, and from their sum to the image in the desired response.
 
-A table turns each value of the sum into irradiance, another one into the desired response.  A
-mosaic becomes irradiance first and is interpolated afterwards, in linear light.
+Irradiance is estimated from all frames, see `camctl.pictures.frame_light`; a table turns each value
+of the sum into the desired response.  A mosaic becomes irradiance first and is interpolated
+afterwards, in linear light.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.movement import Movement
+from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.model.inverse import Posterior
 from camctl.model.response.desired import DesiredResponse
+from camctl.pictures.frame_light import FrameLight
 from camctl.system.picture_operations import channels_apart, channels_together, correlated, dilated
 
 #: Values of a mask: within the range, light below the range, saturated in every frame.
@@ -36,13 +40,15 @@ _LETTERS = "RGB"
 #: Bilinear weights: every second pixel is green, every fourth one red or blue.
 _GREEN_WEIGHTS = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
 _RED_BLUE_WEIGHTS = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
-#: Bits kept of a float32's fraction: standard deviations are exact to 0.1 %, and irradiance that is
-#: interpolated to 4e-6 of it.  Files are a quarter smaller, and are written in half the time.
-_DEVIATION_BITS, _INTERPOLATED_BITS = 9, 17
-#: Error of a standard deviation, as a share of the light, that equals the rounding of the light.
-_NEGLIGIBLE = 2.0 ** -(_INTERPOLATED_BITS + 1)
+#: Bits kept of a float32's fraction: standard deviations are exact to 0.1 %.  Of irradiance as many
+#: as make the rounding 1/20 of the standard deviation, which adds 0.1 % to it, from 8 (0.2 %) to 17
+#: (4e-6).  Files are smaller, and are written in half the time.
+_DEVIATION_BITS, _LEAST_BITS, _MOST_BITS, _ROUNDING = 9, 8, 17, 1 / 20
 #: Stands for an infinite standard deviation while they are interpolated; its square is finite.
 _LARGEST_DEVIATION = np.float32(1e18)
+
+FrameRows = Callable[[int, slice], Pixels]
+"""Returns some rows of a frame by its position, black included."""
 
 
 def colour_of(layout: Layout, row: int, column: int) -> int:
@@ -54,15 +60,17 @@ def colour_of(layout: Layout, row: int, column: int) -> int:
 _Planes = tuple[NDArray[np.float32], ...]
 
 
-def demosaic(mosaic: NDArray[np.float32], layout: Layout, first_row: int) -> _Planes:
+def demosaic(
+    mosaic: NDArray[np.float32], layout: Layout, first_row: int, bits: int = _MOST_BITS
+) -> _Planes:
     """Return R, G and B by bilinear interpolation of (rows, columns), borders mirrored.
 
     OpenCV's own demosaicing takes integers only, which would lose levels; this one keeps linear
-    light linear, to 4e-6 of it.  `first_row` is the row of the whole frame at which `mosaic`
-    begins.
+    light linear, but for the rounding to so many bits.  `first_row` is the row of the whole frame
+    at which `mosaic` begins.
     """
     colours = _interpolated(mosaic, layout, first_row, _GREEN_WEIGHTS, _RED_BLUE_WEIGHTS)
-    return tuple(_rounded(each, _INTERPOLATED_BITS) for each in colours)
+    return tuple(_rounded(each, bits) for each in colours)
 
 
 def demosaic_deviation(deviation: NDArray[np.float32], layout: Layout, first_row: int) -> _Planes:
@@ -73,10 +81,16 @@ def demosaic_deviation(deviation: NDArray[np.float32], layout: Layout, first_row
     """
     # A finite number stands for an infinite one: the product with a weight of 0 is 0.
     finite = np.minimum(deviation, _LARGEST_DEVIATION)
+    unknown = np.isnan(deviation)
+    if has_unknown := bool(unknown.any()):
+        finite[unknown] = 0.0
+        unknown = dilated(unknown.view(np.uint8), (3, 3)).view(np.bool_)
     found = _interpolated(finite**2, layout, first_row, _GREEN_WEIGHTS**2, _RED_BLUE_WEIGHTS**2)
     for each in found:
         np.sqrt(each, out=each)
         each[each > _LARGEST_DEVIATION / 100] = np.inf
+        if has_unknown:
+            each[unknown] = np.nan
     return tuple(_rounded(each, _DEVIATION_BITS) for each in found)
 
 
@@ -148,47 +162,32 @@ def sum_mask(posterior: Posterior) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class Tables:
-    """Irradiance, code and mask for each value of the sum: arrays indexed by it, black included.
+    """Code and mask for each value of the sum: arrays indexed by it, black included.
 
     Attributes:
-        irradiance: float32, E / full-scale exposure, as `Inverse.E`; the last level for sums that
-            are saturated in every frame
-        deviation: float32, standard deviation of `irradiance`; infinite where it is saturated
         code: uint16, the desired response, 0 to `FULL_CODE`, as `Inverse.u`
         shown: float32, the irradiance of `code`, from which the image of a mosaic is interpolated
         mask: uint8, `GOOD`, `DARK` (light below the desired range) or `SATURATED` (in every frame)
-        unlit: `irradiance` of a sum without light
-        full: `irradiance` of a sum that is saturated in every frame
+        unlit: largest sum without light
+        full: irradiance of a sum that is saturated in every frame
     """
 
-    irradiance: NDArray[np.float32]
-    deviation: NDArray[np.float32]
     code: NDArray[np.uint16]
     shown: NDArray[np.float32]
     mask: NDArray[np.uint8]
-    unlit: float
+    unlit: int
     full: float
 
     @classmethod
-    def of(
-        cls,
-        posterior: Posterior,
-        full_scale_exposure: float,
-    ) -> Tables:
+    def of(cls, posterior: Posterior) -> Tables:
         """Tabulate the inverse of the noisy sum."""
-        inverse, black_total = posterior.inverse, posterior.sum.black
-        E, deviation = inverse.E.copy(), inverse.deviation.copy()
-        E[-1], deviation[-1] = posterior.sum.camera.levels[-1], np.inf
+        u = posterior.inverse.u
         return cls(
-            irradiance=(E / full_scale_exposure).astype(np.float32),
-            deviation=_rounded(
-                (deviation / full_scale_exposure).astype(np.float32), _DEVIATION_BITS
-            ),
-            code=np.rint(inverse.u * FULL_CODE).astype(np.uint16),
-            shown=posterior.desired.inverse(inverse.u).astype(np.float32),
+            code=np.rint(u * FULL_CODE).astype(np.uint16),
+            shown=posterior.desired.inverse(u).astype(np.float32),
             mask=sum_mask(posterior),
-            unlit=float(E[black_total]) / full_scale_exposure,
-            full=float(E[-1]) / full_scale_exposure,
+            unlit=posterior.sum.black,
+            full=float(posterior.sum.camera.levels[-1]),
         )
 
 
@@ -198,7 +197,7 @@ class Strip:
 
     Attributes:
         irradiance: of each channel, (rows, columns) float32, one channel or R, G and B
-        light: `irradiance` without hot pixels, the same where there are none
+        light: `irradiance`, 0 where no frame shows light, and without hot pixels
         deviation: standard deviation of each channel, float32
         mask: of each channel, uint8
         code: of the image, (rows, columns) or (rows, columns, 3) uint16
@@ -213,14 +212,15 @@ class Strip:
 
 @dataclass(frozen=True)
 class Rendering:
-    """How a sum becomes pictures.
+    """How frames and their sum become pictures.
 
     Attributes:
         layout: pixel layout of the frames
-        tables: irradiance, code and mask for each value of the sum: one table, or three for
-            R, G, B
+        tables: code and mask for each value of the sum: one table, or three for R, G, B
         desired: desired response of the image
-        full_scale_exposure: irradiance in the pictures times this is E, 1 at full scale
+        light: estimates the irradiance
+        frames: returns rows of each of the frames
+        count: number of frames
         hot_pixels: (row, column) of pixels that have the mask `HOT`; the image has the median of
             their neighbours of the same colour in their place, the irradiance stays as it is
         movement: where the frames contradict each other; such samples have the mask
@@ -230,41 +230,35 @@ class Rendering:
     layout: Layout
     tables: tuple[Tables, ...]
     desired: DesiredResponse
-    full_scale_exposure: float
+    light: FrameLight
+    frames: FrameRows
+    count: int
     hot_pixels: tuple[tuple[int, int], ...] = ()
     movement: Movement | None = None
 
     @property
-    def unlit(self) -> float:
-        """The largest irradiance in the pictures where no frame shows light."""
-        return max(table.unlit for table in self.tables)
-
-    @property
     def full(self) -> float:
         """The least irradiance in the pictures where every frame is saturated."""
-        return min(table.full for table in self.tables)
+        return min(table.full for table in self.tables) / self.light.unit
 
-    @property
+    @cached_property
     def deviations_are_halves(self) -> bool:
         """Whether float16 has all standard deviations of the pictures.
 
-        float16 has deviations of at least 2^-15 exactly, since they have `_DEVIATION_BITS` bits,
-        and smaller ones to 2^-25.  These count as exact if the error is less than 4e-6 of the
-        light, to which the light itself is known in a file, as between levels that nearly coincide.
+        It has those of at least 2^-15 exactly, since they have `_DEVIATION_BITS` bits; of few
+        samples, as between levels that nearly coincide, they are less than `deviations` says.
         """
-        # Interpolation at most halves a deviation; a sample has a weight of 1/4 at least.
-        halved, weight = (2, 1 / 4) if self.layout.is_mosaic else (1, 1.0)
-        kinds = np.finfo(np.float16)
-        error = float(kinds.smallest_subnormal) / 2
-        least = 2 * error * 2**_DEVIATION_BITS
-        for table in self.tables:
-            deviation = table.deviation[np.isfinite(table.deviation)] / halved
-            light = table.irradiance[np.isfinite(table.deviation)] * weight
-            is_small = (deviation > error) & (error <= _NEGLIGIBLE * light)
-            is_exact = (deviation >= least) | (deviation == 0)
-            if not (is_exact | is_small).all() or deviation.max() * halved > kinds.max:
-                return False
-        return True
+        least, most = self.light.deviations
+        # Interpolation at most halves a deviation.
+        halved = 2 if self.layout.is_mosaic else 1
+        return bool(least / halved >= 2.0**-15 and most * 2 <= float(np.finfo(np.float16).max))
+
+    @cached_property
+    def _bits(self) -> int:
+        """Bits of the fraction of irradiance: the rounding is at most 2^-bits / sqrt(12) of it."""
+        least = self.light.least_relative * _ROUNDING * math.sqrt(12)
+        bits = math.ceil(-math.log2(least)) if least > 0 else _MOST_BITS
+        return min(_MOST_BITS, max(_LEAST_BITS, bits))
 
     @property
     def channels(self) -> str:
@@ -297,7 +291,7 @@ class Rendering:
         hot: NDArray[np.uint8] | None,
         rows: slice,
     ) -> Strip:
-        """Return these rows of the pictures of a sum; `shown` and `hot` as of hot pixels."""
+        """Return these rows of the pictures; `shown` and `hot` as of hot pixels."""
         # A mosaic is interpolated from its neighbouring rows, too.
         border = 2 if self.layout.is_mosaic else 0
         first, last = max(0, rows.start - border), min(len(total), rows.stop + border)
@@ -305,51 +299,73 @@ class Rendering:
         marks = [] if hot is None else [hot[first:last]]
         if self.movement is not None:
             marks.append(self.movement.rows(first, last) * np.uint8(CONTRADICTING))
+        frames = [self.frames(place, slice(first, last)) for place in range(self.count)]
+        estimate, deviation = self.light.rows(frames, sums)
+        bare = self._bare(estimate, sums, shown, None if hot is None else hot[first:last])
         if self.layout.is_mosaic:
             inner = slice(rows.start - first, rows.stop - first)
-            return self._mosaic_strip(sums, None if hot is None else shown, marks, first, inner)
-        planes = shown_planes = channels_apart(sums)
-        irradiance = light = self._look_up("irradiance", planes)
-        if hot is not None:
-            shown_planes = channels_apart(shown)
-            light = self._look_up("irradiance", shown_planes)
-        mask = self._look_up("mask", planes)
+            found = estimate, bare, deviation
+            return self._mosaic_strip(sums, shown, found, marks, first, inner)
+        irradiance = tuple(_rounded(each, self._bits) for each in channels_apart(estimate))
+        light = irradiance if bare is estimate else channels_apart(bare)
+        mask = self._look_up("mask", channels_apart(sums))
         for more in marks:
             mask = tuple(map(np.bitwise_or, mask, channels_apart(more)))
-        code = channels_together(self._look_up("code", shown_planes))
-        return Strip(irradiance, light, self._look_up("deviation", planes), mask, code)
+        code = channels_together(self._look_up("code", channels_apart(shown)))
+        errors = tuple(_rounded(each, _DEVIATION_BITS) for each in channels_apart(deviation))
+        return Strip(irradiance, light, errors, mask, code)
+
+    def _bare(
+        self,
+        estimate: NDArray[np.float32],
+        sums: NDArray[np.unsignedinteger],
+        shown: NDArray[np.unsignedinteger],
+        hot: NDArray[np.uint8] | None,
+    ) -> NDArray[np.float32]:
+        """Return irradiance without that of hot pixels, and 0 where no frame shows light.
+
+        `estimate` itself is returned where that is the same.
+        """
+        unlit = sums <= max(table.unlit for table in self.tables)
+        if hot is None and not unlit.any():
+            return estimate
+        found = np.where(unlit, np.float32(0), estimate)
+        if hot is not None and hot.any():
+            places = hot > 0
+            found[places] = self.tables[0].shown.take(shown[places]) / np.float32(self.light.unit)
+        return found
 
     def _mosaic_strip(
         self,
         sums: NDArray[np.unsignedinteger],
-        shown: NDArray[np.unsignedinteger] | None,
+        shown: NDArray[np.unsignedinteger],
+        light: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
         marks: list[NDArray[np.uint8]],
         first: int,
         inner: slice,
     ) -> Strip:
         """Return the `inner` rows of these of a mosaic, which begin at row `first` of the frame.
 
-        `shown` is None without hot pixels.
+        `light` is irradiance, the same without hot pixels, and its standard deviation.
         """
 
-        def colours(name: str, sums: NDArray[np.unsignedinteger]) -> _Planes:
-            planes = demosaic(self._mosaic_values(name, sums), self.layout, first)
+        def colours(values: NDArray[np.float32], bits: int) -> _Planes:
+            planes = demosaic(values, self.layout, first, bits)
             return tuple(each[inner] for each in planes)
 
-        deviation = demosaic_deviation(self._mosaic_values("deviation", sums), self.layout, first)
+        estimate, bare, error = light
+        deviation = demosaic_deviation(error, self.layout, first)
         mask = demosaic_mask(self._mosaic_values("mask", sums))
         for more in marks:  # each by itself: of several values the largest spreads
             mask |= demosaic_mask(more)
-        irradiance = light = colours("irradiance", sums)
-        if shown is not None:
-            light = colours("irradiance", shown)
-        coded = channels_together(colours("shown", sums if shown is None else shown))
+        irradiance = colours(estimate, self._bits)
+        coded = self._mosaic_values("shown", shown)
         return Strip(
             irradiance,
-            light,
+            irradiance if bare is estimate else colours(bare, self._bits),
             tuple(each[inner] for each in deviation),
             (mask[inner],) * 3,
-            encode(self.desired, coded),
+            encode(self.desired, channels_together(colours(coded, _MOST_BITS))),
         )
 
     def _look_up(

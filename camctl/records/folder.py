@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,8 @@ from camctl.system.interrupts import uninterrupted
 
 #: Bytes that are read as one file of a frame at most: 250 megapixels in 16 bits.
 _LARGEST_FRAME = 500 << 20
+#: Bytes that hold the header of such a file, which has 128.
+_HEADER = 1024
 
 
 @dataclass(frozen=True)
@@ -187,19 +190,37 @@ class CaptureFolder:
             data = data[: file.readinto(data.data)]
         if checksum is not None and hashlib.sha256(data.data).hexdigest() != checksum:
             raise ValueError("its content has changed since it was shot (wrong checksum)")
-        stream = io.BytesIO(data[:1024].tobytes())  # the header of such an array has 128 bytes
-        if np.lib.format.read_magic(stream) != (1, 0):
-            raise ValueError("it is not a .npy file of version 1.0")
-        try:
-            shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-        except Exception as error:  # numpy raises errors of any type for a damaged header
-            raise ValueError("its header is damaged") from error
-        if fortran or dtype not in (np.uint8, np.uint16) or len(shape) not in (2, 3):
-            raise ValueError(f"it holds {dtype} {shape} instead of a picture in uint8 or uint16")
-        size = math.prod(shape) * dtype.itemsize
-        if min(shape) < 1 or size != len(data) - stream.tell():
-            raise ValueError(f"it has not the size of {dtype} {shape}")
-        return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape)
+        shape, dtype, start = _header(data[:_HEADER].tobytes(), len(data))
+        return np.frombuffer(data, dtype, offset=start).reshape(shape)
+
+    def rows(self, name: str, part: slice) -> Pixels:
+        """Return some rows of the samples in a file of a frame; raises as `samples`."""
+        file, length = open_own_file(self.directory / name, _LARGEST_FRAME)
+        with file:
+            shape, dtype, start = _header(file.read(_HEADER), length)
+            first, last, _ = part.indices(shape[0])
+            file.seek(start + first * math.prod(shape[1:]) * dtype.itemsize)
+            found = np.empty((max(0, last - first), *shape[1:]), dtype)
+            if file.readinto(found.data) != found.nbytes:
+                raise ValueError("it has become shorter")
+        return found
+
+
+def _header(begin: bytes, length: int) -> tuple[tuple[int, ...], np.dtype[Any], int]:
+    """Return shape and type of the array in a file of that length, and where its samples begin."""
+    stream = io.BytesIO(begin)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError("it is not a .npy file of version 1.0")
+    try:
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    except Exception as error:  # numpy raises errors of any type for a damaged header
+        raise ValueError("its header is damaged") from error
+    if fortran or dtype not in (np.uint8, np.uint16) or len(shape) not in (2, 3):
+        raise ValueError(f"it holds {dtype} {shape} instead of a picture in uint8 or uint16")
+    size = math.prod(shape) * dtype.itemsize
+    if min(shape) < 1 or size != length - stream.tell():
+        raise ValueError(f"it has not the size of {dtype} {shape}")
+    return shape, dtype, stream.tell()
 
 
 def staged_name(name: str) -> str:

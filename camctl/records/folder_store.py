@@ -259,13 +259,20 @@ class FolderStore:
         name, record = frame_file(position), self._record(position)
         is_trusted = position in self._kept and not isinstance(self.report, CaptureReport)
         checksum = None if record is None or is_trusted else record.sha256
+        return self._read(name, lambda: self._folder.samples(name, checksum))
+
+    def rows(self, position: int, part: slice) -> Pixels:
+        name = frame_file(position)
+        return self._read(name, lambda: self._folder.rows(name, part))
+
+    def _read(self, name: str, read: Callable[[], Pixels]) -> Pixels:
         hint = "shoot the capture again"
         if not isinstance(self.report, CaptureReport):
             hint = "move it away, and resume: it is shot again"
         path = self.directory / name
         try:
             self._folder.check_frames_folder()
-            return self._folder.samples(name, checksum)
+            return read()
         except (OSError, ValueError) as error:
             raise DataError(f"{path} cannot be read: {error}", hint=hint) from error
         except (DataError, StorageError) as error:

@@ -69,6 +69,9 @@ class CaptureStore(Pictures, Protocol):
         `details` is what the files say of the capture.
         """
 
+    def rows(self, position: int, part: slice) -> Pixels:
+        """Return some rows of a frame; raises as `frame`, but does not compare checksums."""
+
     def after_failure(self, done: int, count: int) -> AfterFailure:
         """Return what an error adds: how many frames are kept, and how to continue."""
 
@@ -120,6 +123,9 @@ class MemoryStore:
 
     def frame(self, position: int) -> Pixels:
         return self._frames[position]
+
+    def rows(self, position: int, part: slice) -> Pixels:
+        return self._frames[position][part]
 
     def picture(self, kind: str) -> NDArray[Any]:
         if not self._pictures:

@@ -43,6 +43,9 @@ class Achieved(ReportModel):
         effective_levels_noise_free: the same by quantisation alone; None in earlier versions
         noise: the noise of the camera; None where it is unknown
         measured: what the pixels show; None where too few are in range in two frames
+        gain_over_sum: standard deviation of the light that the sum of the frames shows over that of
+            the radiance, which is estimated from all frames: the median of the samples; None where
+            the noise is not known, and in earlier versions
         levels: number of levels of the sum
         levels_distinct: number of them that differ
         saturated_fraction: share of the samples that are saturated in every frame
@@ -55,11 +58,19 @@ class Achieved(ReportModel):
     effective_levels_noise_free: float | None = None
     noise: NoiseModel | None = None
     measured: MeasuredNoise | None = None
+    gain_over_sum: float | None = None
     levels: int
     levels_distinct: int
     saturated_fraction: float
     dark_fraction: float
     light_shares: tuple[float, ...] = ()
+
+    @property
+    def levels_with_noise(self) -> float | None:
+        """Effective levels with the noise that is known, else with the one that pixels show."""
+        if self.noise is not None:
+            return self.effective_levels
+        return None if self.measured is None else self.measured.effective_levels
 
 
 class Irradiance(ReportModel):

@@ -32,14 +32,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
-from camctl.captures.accumulator import Accumulator
 from camctl.captures.sequencer import capture
 from camctl.exposure.goal import CaptureRequest
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import desired_response
-from camctl.pictures.render import Tables
+from camctl.pictures.accumulator import Accumulator
 from camctl.profiles.calibrated import open_camera
 from sim.scenes.scene import load_scene
 from sim.scenes.view import View
@@ -244,7 +243,7 @@ def times(case: Case, megapixels: float) -> dict[str, float]:
     desired = desired_response("log", RANGE)
     effective = EffectiveCamera.of(case.response, case.exposures)
     noise = case.sensor.noise_model.frame(gain=1.0, time_s=0.0)
-    tables = Tables.of(Posterior(effective, desired, [noise] * len(frames)), 1.0)
+    inverse = Posterior(effective, desired, [noise] * len(frames)).inverse.E.astype(np.float32)
     values = [case.table / e for e in case.exposures]
     weights = [np.where(np.arange(256) < 255, e / (value + 1e-3), 0.0)
                for e, value in zip(case.exposures, values, strict=True)]  # fmt: skip
@@ -260,7 +259,7 @@ def times(case: Case, megapixels: float) -> dict[str, float]:
         sums = total.total.reshape(-1)
         for start in range(0, sums.size, _STRIP):
             part = slice(start, start + _STRIP)
-            result.reshape(-1)[part] = tables.irradiance[sums[part]]
+            result.reshape(-1)[part] = inverse[sums[part]]
 
     def weighted_mean() -> None:
         for start in range(0, result.size, _STRIP):

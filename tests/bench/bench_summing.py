@@ -17,13 +17,12 @@ from functools import partial
 import cv2
 import numpy as np
 
-from camctl.captures.accumulator import Accumulator
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
-from camctl.pictures.render import Tables
+from camctl.pictures.accumulator import Accumulator
 
 WHITE = 250
 _STRIP = 1 << 20
@@ -55,14 +54,14 @@ def measure(name: str, shape: tuple[int, ...], count: int, rounds: int) -> None:
     real = linear_response(8, levels=WHITE)
     exposures = [1.0, 3.98, 16.0, 64.2, 305.4, 1130.0][:count]
     effective = EffectiveCamera.of(real, exposures)
-    tables = Tables.of(
-        Posterior(effective, desired_response("log", 16000), [FrameNoise(40.0, 0.1)] * count), 1.0
-    )
+    noise = [FrameNoise(40.0, 0.1)] * count
+    posterior = Posterior(effective, desired_response("log", 16000), noise)
+    irradiance = posterior.inverse.E.astype(np.float32)
     flat = total.total.reshape(-1)
 
     def last_pass() -> None:
         for start in range(0, flat.size, _STRIP):
-            tables.irradiance[flat[start : start + _STRIP]]
+            irradiance[flat[start : start + _STRIP]]
 
     print(
         f"{name:5} accumulate {add * 1e3:7.2f} ms   copyto of {moved / 1e6:.0f} MB moved "

@@ -8,9 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.interface.camera import CameraInfo
-from camctl.interface.controls import ExposureSetting
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.model.effective import EffectiveCamera
+from camctl.model.inverse import posterior_of
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import linear_response
+from camctl.model.response.desired import desired_response
 from camctl.pictures.details import PictureDetails, ShownFrame
+from camctl.pictures.frame_light import frame_light, parts_of
 from camctl.pictures.preview_light import ALL, Light
+from camctl.pictures.render import Rendering, Tables
 
 TAKEN_AT = datetime(2026, 5, 17, 21, 4, 9, tzinfo=timezone(timedelta(hours=2)))
 
@@ -58,3 +65,44 @@ def light_of(
         np.full(light.shape, noise, np.float32),
         *((ALL * share).astype(np.uint8) for share in shares),
     )
+
+
+#: Frames of `rendered`: 6 bits above a black level.
+BLACK, EXPOSURES, NOISE = 2, (1.0, 4.0), FrameNoise(50.0, 0.2, black=2)
+
+
+def rendered(
+    layout: Layout,
+    response: str = "log",
+    unit: float = 2.0,
+    shape: tuple[int, int] = (37, 22),
+    light: NDArray[np.floating] | None = None,
+    noise: FrameNoise | None = NOISE,
+) -> tuple[NDArray[np.uint16], Rendering]:
+    """Return the sum of two frames of random light, and what makes their pictures."""
+    size = (*shape, 3) if layout is Layout.RGB else shape
+    rng, real = np.random.default_rng(0), linear_response(6)
+    E = rng.uniform(0, 1.1, size) ** 3 if light is None else light
+    frames = [
+        (BLACK + np.searchsorted(real.levels, exposure * E, "right")).astype(np.uint8)
+        for exposure in EXPOSURES
+    ]
+    desired = desired_response(response, 100.0)
+    known = (noise or FrameNoise(np.inf, 0.0, black=BLACK),) * 2
+    estimator = frame_light(
+        parts_of(layout, [real]),
+        EXPOSURES,
+        known if noise else None,
+        [np.zeros((0, 64), np.uint16)] * 2,
+        black=BLACK,
+        unit=unit,
+    )
+    how = Rendering(
+        layout,
+        (Tables.of(posterior_of(EffectiveCamera.of(real, EXPOSURES), desired, known)),),
+        desired,
+        estimator,
+        lambda place, rows: frames[place][rows],
+        len(frames),
+    )
+    return np.asarray(np.sum(frames, axis=0, dtype=np.uint16)), how

@@ -8,37 +8,16 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
-from numpy.typing import NDArray
-from picture_parts import details
+from picture_parts import NOISE, details, rendered
 
 from camctl.errors import DataError
 from camctl.interface.controls import Layout
-from camctl.model.effective import EffectiveCamera
-from camctl.model.inverse import Posterior
-from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import linear_response
-from camctl.model.response.desired import desired_response
 from camctl.pictures import render as pictures
+from camctl.pictures.combine import combine
 from camctl.pictures.files import PICTURE_FILES, write_picture_files
-from camctl.pictures.render import Rendering, Tables
 from camctl.records.folder_store import FolderStore
 from camctl.records.frame_store import MemoryStore
-
-BLACK = 5
-EFFECTIVE = EffectiveCamera.of(linear_response(6), [1.0, 4.0])
-NOISE = [FrameNoise(50.0, 0.2, black=2), FrameNoise(50.0, 0.2, black=3)]
-
-
-def rendering(layout: Layout, response: str = "log") -> Rendering:
-    desired = desired_response(response, 100.0)
-    tables = Tables.of(Posterior(EFFECTIVE, desired, NOISE), 2.0)
-    return Rendering(layout, (tables,), desired, 2.0)
-
-
-def random_sum(layout: Layout) -> NDArray[np.uint16]:
-    shape = (37, 22, 3) if layout is Layout.RGB else (37, 22)
-    top = EFFECTIVE.levels_total + BLACK
-    return np.random.default_rng(0).integers(0, top + 1, shape).astype(np.uint16)
 
 
 @pytest.mark.parametrize("layout", list(Layout))
@@ -46,7 +25,7 @@ def random_sum(layout: Layout) -> NDArray[np.uint16]:
 def test_strips_leave_no_seam(
     layout: Layout, response: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    total, how = random_sum(layout), rendering(layout, response)
+    total, how = rendered(layout, response)
     stores = []
     for samples in (1 << 20, 150):
         monkeypatch.setattr(pictures, "STRIP_SAMPLES", samples)
@@ -56,14 +35,14 @@ def test_strips_leave_no_seam(
         write_picture_files(total, how, details(), folder)
     whole, strips = stores
     for kind in ("image", "radiance", "deviation", "mask"):
-        assert np.array_equal(whole.picture(kind), strips.picture(kind))
+        assert np.array_equal(whole.picture(kind), strips.picture(kind), equal_nan=True)
     if not layout.is_mosaic:
         assert np.array_equal(whole.picture("image"), how.tables[0].code[total])
 
 
 @pytest.mark.parametrize("layout", list(Layout))
 def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -> None:
-    total, how = random_sum(layout), rendering(layout)
+    total, how = rendered(layout)
     folder, memory = FolderStore(tmp_path), MemoryStore()
     write_picture_files(total, how, details(), tmp_path)
     assert memory.keep_pictures(total, how, details()) == {}
@@ -84,10 +63,7 @@ def test_channels_of_radiance_exr(
     layout: Layout, full_scale: float, halves: bool, tmp_path: Path
 ) -> None:
     """Deviations are float16 where that has them: neither tiny nor huge."""
-    how = rendering(layout)
-    desired, posterior = how.desired, Posterior(EFFECTIVE, how.desired, NOISE)
-    how = Rendering(layout, (Tables.of(posterior, full_scale),), desired, full_scale)
-    total = random_sum(layout)
+    total, how = rendered(layout, unit=full_scale)
     write_picture_files(total, how, details(), tmp_path)
     with OpenEXR.File(str(tmp_path / "radiance.exr"), separate_channels=True) as file:
         types = {name: channel.pixels.dtype for name, channel in file.channels().items()}
@@ -102,8 +78,41 @@ def test_channels_of_radiance_exr(
     memory.keep_pictures(total, how, details())
     assert found.dtype == np.float32
     assert np.array_equal(found, memory.picture("deviation"))
-    if not layout.is_mosaic:
-        assert np.array_equal(found, how.tables[0].deviation[total])
+
+
+@pytest.mark.parametrize("layout", list(Layout))
+def test_radiance_is_the_estimate_from_all_frames(layout: Layout, tmp_path: Path) -> None:
+    """It is rounded by a 20th of its deviation; the pixels of a mosaic are interpolated."""
+    total, how = rendered(layout)
+    write_picture_files(total, how, details(), tmp_path)
+    frames = [how.frames(place, slice(None)) for place in range(how.count)]
+    found = combine(frames, [2.0, 8.0], black=2, noise=NOISE, white=65, response=linear_response(6))
+    store = FolderStore(tmp_path)
+    radiance, deviation = store.picture("radiance"), store.picture("deviation")
+    if layout.is_mosaic:
+        letters = layout.value.upper()
+        for place, letter in enumerate(letters):
+            own = (slice(place // 2, None, 2), slice(place % 2, None, 2))
+            channel = "RGB".index(letter)
+            close = np.abs(radiance[own][..., channel] - found.irradiance[own])
+            assert (close <= found.sd[own] / 10).all()
+        return
+    known = np.isfinite(found.sd)
+    assert (np.abs(radiance - found.irradiance)[known] <= found.sd[known] / 10).all()
+    assert np.array_equal(known, np.isfinite(deviation))
+    np.testing.assert_allclose(deviation, found.sd, rtol=1e-3)
+
+
+@pytest.mark.parametrize("layout", list(Layout))
+def test_noise_that_is_not_known_has_no_deviation(layout: Layout, tmp_path: Path) -> None:
+    total, how = rendered(layout, noise=None)
+    write_picture_files(total, how, details(), tmp_path)
+    store = FolderStore(tmp_path)
+    light, deviation = store.picture("radiance"), store.picture("deviation")
+    assert np.isfinite(light).all()
+    within = store.picture("mask") & 2 == 0
+    assert np.isnan(deviation[within]).all()
+    assert (tmp_path / "preview.png").exists()
 
 
 def test_preview_is_made_from_reduced_light(
@@ -111,8 +120,9 @@ def test_preview_is_made_from_reduced_light(
 ) -> None:
     monkeypatch.setattr("camctl.pictures.preview_light.PREVIEW_SIDE", 10)
     monkeypatch.setattr(pictures, "STRIP_SAMPLES", 100)
-    total = np.linspace(BLACK, EFFECTIVE.levels_total, 23 * 37 * 3).astype(np.uint16)
-    write_picture_files(total.reshape(23, 37, 3), rendering(Layout.RGB), details(), tmp_path)
+    light = np.linspace(0, 0.99, 23 * 37 * 3).reshape(23, 37, 3)
+    total, how = rendered(Layout.RGB, light=light)
+    write_picture_files(total, how, details(), tmp_path)
     preview = cv2.imread(str(tmp_path / "preview.png"), cv2.IMREAD_UNCHANGED)
     assert preview is not None
     assert preview.shape == (5, 9, 3)

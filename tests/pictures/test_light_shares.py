@@ -18,17 +18,17 @@ BLACK = 5
 EFFECTIVE = EffectiveCamera.of(linear_response(6), [1.0, 4.0])
 
 
-def tables_of(desired: DesiredResponse) -> Tables:
+def posterior(desired: DesiredResponse) -> Posterior:
     noise = [FrameNoise(math.inf, 0.0, black=2), FrameNoise(math.inf, 0.0, black=3)]
-    return Tables.of(Posterior(EFFECTIVE, desired, noise), 1.0)
+    return Posterior(EFFECTIVE, desired, noise)
 
 
 @pytest.mark.parametrize("dynamic_range", [10.0, 100.0, math.inf])
 def test_light_below_the_range_is_dark_though_frames_have_it(dynamic_range: float) -> None:
     desired = desired_response("linear", dynamic_range)
-    tables = tables_of(desired)
+    tables = Tables.of(posterior(desired))
     total = np.arange(tables.mask.size, dtype=np.uint16).reshape(1, -1)
-    E = tables.irradiance[BLACK + 1 : -1]
+    E = posterior(desired).inverse.E[BLACK + 1 : -1]
     found = light_shares(Layout.MONO, total, [tables], desired)
     dark = BLACK + 1 + np.count_nonzero(desired.e_min > E)
     assert found.dark == pytest.approx(dark / total.size)
@@ -38,7 +38,7 @@ def test_light_below_the_range_is_dark_though_frames_have_it(dynamic_range: floa
 
 def test_histogram_has_equal_steps_of_stops() -> None:
     desired = desired_response("log", 100.0)
-    tables = tables_of(desired)
+    tables = Tables.of(posterior(desired))
     for place in (3, 20, BINS - 1):
         E = 100.0 ** ((place + 0.5) / BINS - 1)
         value = int(np.argmin(np.abs(np.log(tables.shown / E))))

@@ -15,19 +15,13 @@ import numpy as np
 import OpenEXR
 import pytest
 import tifffile
-from picture_parts import TAKEN_AT, details
+from picture_parts import TAKEN_AT, details, rendered
 
 import camctl
 from camctl.interface.camera import CameraInfo
 from camctl.interface.controls import Layout
-from camctl.model.effective import EffectiveCamera
-from camctl.model.inverse import Posterior
-from camctl.model.noise import FrameNoise
-from camctl.model.response.camera import linear_response
-from camctl.model.response.desired import desired_response
 from camctl.pictures.files import write_picture_files
 from camctl.pictures.metadata import exr_attributes, png_with_metadata
-from camctl.pictures.render import Rendering, Tables
 from sim.devices.still_files import RawImage, encode
 
 SUMMARY = "sum of the exposures 1/4 s, 1 s at gain 2; desired response log, range 1:1,000"
@@ -42,12 +36,8 @@ def layout(request: pytest.FixtureRequest) -> Layout:
 
 @pytest.fixture
 def folder(layout: Layout, tmp_path: Path) -> Path:
-    effective = EffectiveCamera.of(linear_response(6), [1.0, 4.0])
-    desired = desired_response("log", 100.0)
-    tables = Tables.of(Posterior(effective, desired, [FrameNoise(50.0, 0.2)] * 2), 2.0)
-    shape = (12, 16, 3) if layout is Layout.RGB else (12, 16)
-    total = np.random.default_rng(0).integers(0, effective.levels_total, shape).astype(np.uint16)
-    write_picture_files(total, Rendering(layout, (tables,), desired, 2.0), details(), tmp_path)
+    total, how = rendered(layout, shape=(12, 16))
+    write_picture_files(total, how, details(), tmp_path)
     return tmp_path
 
 
@@ -170,12 +160,8 @@ def test_png_chunks_are_whole_and_pixels_stay(cv2: Any) -> None:
 
 
 def test_hostile_names_of_a_camera_leave_the_files_readable(tmp_path: Path, cv2: Any) -> None:
-    effective = EffectiveCamera.of(linear_response(4), [1.0])
-    desired = desired_response("log", 100.0)
-    tables = Tables.of(Posterior(effective, desired, [FrameNoise(50.0, 0.2)]), 2.0)
-    total = np.full((4, 5), 3, np.uint8)
-    hostile = replace(details(), camera=HOSTILE)
-    write_picture_files(total, Rendering(Layout.MONO, (tables,), desired, 2.0), hostile, tmp_path)
+    total, how = rendered(Layout.MONO, shape=(4, 5))
+    write_picture_files(total, how, replace(details(), camera=HOSTILE), tmp_path)
     with OpenEXR.File(str(tmp_path / "radiance.exr"), separate_channels=True) as file:
         assert file.header()["cameraMake"] == "ab" + "ä" * 98
         assert file.channels()["Y"].pixels.shape == (4, 5)

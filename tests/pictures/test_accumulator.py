@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.captures.accumulator import Accumulator
 from camctl.errors import CaptureError, UsageError
-from camctl.pictures.combine import sum_dtype
+from camctl.pictures.accumulator import Accumulator, sum_dtype
 
 
 @given(

@@ -1,4 +1,4 @@
-"""The sum of the frames, taken while they arrive.
+"""The sum of frames, taken one after the other: those of a capture while they arrive.
 
 By the paper's theorem 1 the plain sum keeps all the information of the single frames.  Each frame
 is clipped at its white level first: saturated samples that still vary would otherwise add their
@@ -13,9 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.errors import CaptureError
+from camctl.errors import CaptureError, UsageError
 from camctl.interface.camera import Pixels
-from camctl.pictures.combine import sum_dtype
 
 #: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small.
 _TILE = 1 << 20
@@ -75,3 +74,18 @@ class Accumulator:
                 np.copyto(wide, tile)
                 tile = wide
             operation(here, tile, out=here)
+
+
+def sum_dtype(count: int, white: int) -> np.dtype[np.unsignedinteger]:
+    """Return the narrowest unsigned type that holds the sum of `count` samples of up to `white`.
+
+    Raises:
+        UsageError: 32 bits are not enough
+    """
+    for kind in (np.uint16, np.uint32):
+        if count * white <= np.iinfo(kind).max:
+            return np.dtype(kind)
+    raise UsageError(
+        f"the sum of {count} exposures of up to {white} does not fit in 32 bits",
+        hint=f"take at most {np.iinfo(np.uint32).max // white} exposures",
+    )
