@@ -1,6 +1,8 @@
 """The pages of findings, of the report's fields and of the options are what the code gives."""
 
 import runpy
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -14,3 +16,22 @@ def test_a_generated_page_is_up_to_date(page: str) -> None:
     """Update it with: python docs/write_reference.py."""
     text = (DOCS / "reference" / f"{page}.md").read_text(encoding="utf-8")
     assert text == SCRIPT[f"{page}_page"]()
+
+
+def test_man_pages_of_all_commands_are_valid(tmp_path: Path) -> None:
+    runpy.run_path(str(DOCS / "write_man_pages.py"))["main"](tmp_path)
+    pages = {path.stem: path.read_text(encoding="utf-8") for path in tmp_path.glob("*.1")}
+    assert {"camctl", "camctl-shoot", "camctl-calibrate-noise", "camctl-schema"} <= set(pages)
+    shoot = pages["camctl-shoot"].splitlines()
+    assert shoot[:3] == [
+        shoot[0],
+        ".ad l",
+        ".SH NAME",
+    ]
+    assert "camctl\\-shoot \\- Take a picture of high dynamic range" in shoot
+    assert ".B \\-n, \\-\\-exposures N" in shoot
+    if shutil.which("groff") is None:
+        pytest.skip("groff is not installed")
+    command = ["groff", "-man", "-Tutf8", "-ww", "-z", *sorted(map(str, tmp_path.glob("*.1")))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -45,6 +45,7 @@ COMMANDS = (
     "tradeoff",
     "figures",
     "doctor",
+    "schema",
 )
 """Each is a module of this package that holds a command of the same name."""
 

@@ -155,8 +155,17 @@ def logged_warnings() -> Iterator[None]:
             logger.setLevel(level)
 
 
+FORMAT_VERSION = 1
+"""Of the JSON objects that have no version of their own; see `camctl.cli.json_types`."""
+
+
 def print_json(value: object) -> None:
-    """Write one JSON value to standard output; NaN and infinity become null."""
+    """Write one JSON value to standard output; NaN and infinity become null.
+
+    An object gets a version of its format where it has none.
+    """
+    if isinstance(value, Mapping) and not {"format_version", "$schema"} & set(value):
+        value = {"format_version": FORMAT_VERSION, **value}
     encoding = sys.stdout.encoding if sys.stdout is not None else "utf-8"
     is_unicode = encoding.lower() in ("utf-8", "utf8")
     text = json.dumps(to_json(value), indent=2, allow_nan=False, ensure_ascii=not is_unicode)

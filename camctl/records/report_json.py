@@ -29,6 +29,15 @@ FOLLOWS: Final[dict[str, str]] = {
 }
 """Fields of a report that its JSON has in another form, or not at all, and where they are then."""
 
+#: Fields that `to_json` leaves out, by the model in the schema; "" is the report.
+_NOT_REQUIRED: Final[dict[str, set[str]]] = {
+    "": {"white"},
+    "CapturePlan": {"exposures", "shutter_s"},
+    "FrameRecord": {"requested", "applied"},
+    "ExposureRatio": {"exposure"},
+    "FoundMovement": {"places"},
+    "SimulationSummary": {"left_out"},
+}
 #: What scripts may look for, whatever its value is.
 _ALWAYS = {"format_version", "status", "trustworthy", "findings", "warnings"}
 _PLAN_NOISE = "plan.noise"
@@ -60,6 +69,22 @@ def to_json(report: CaptureReport | UnfinishedCapture) -> Json:
         if achieved.setdefault("noise", None) == plan["noise"] is not None:
             achieved["noise"] = _PLAN_NOISE
     return content
+
+
+def report_schema() -> Json:
+    """Return the JSON schema of what `to_json` returns for a complete capture."""
+    schema = CaptureReport.model_json_schema(mode="serialization")
+    parts = {"": schema, **schema["$defs"]}
+    for name, fields in _NOT_REQUIRED.items():
+        part = parts[name]
+        part["required"] = [each for each in part.get("required", ()) if each not in fields]
+    schema["properties"]["versions"] = {"type": "string"}
+    noise = parts["Achieved"]["properties"]["noise"]
+    noise["anyOf"] = [*noise["anyOf"], {"const": _PLAN_NOISE}]
+    settings = parts["ExposureSetting"]["properties"]
+    frame = parts["FrameRecord"]["properties"]
+    frame |= {name: kind for name, kind in settings.items() if name != "time_s"}
+    return schema
 
 
 def _shorten_frame(frame: Json, setting: Json) -> None:

@@ -107,6 +107,7 @@ BASES = {
     "calibrate response": ("--scene tile-floor -O size=160x120 -n 6",),
     "help": ("",),
     "doctor": ("",),
+    "schema": ("",),
 }
 """Command lines that work, and are quick, by command; each option is added to each.  There is no
 figure 11: drawing one takes half a minute."""
