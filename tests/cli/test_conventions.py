@@ -316,7 +316,7 @@ def test_error_with_json_is_an_object_and_one_line(
 ) -> None:
     fail_with(monkeypatch, error)
     ran = run("cameras", "--json")
-    assert ran.json == {"error": content}
+    assert ran.json == {"format_version": 1, "error": content}
     assert ran.err == run("cameras").err
     assert ran.err.count("\n") == 1
     assert ran.status == status
@@ -334,7 +334,7 @@ def test_error_with_json_is_an_object_and_one_line(
 def test_usage_error_with_json_is_an_object(run: Run, line: str, message: str, hint: str) -> None:
     ran = run(*line.split())
     content = {"type": "UsageError", "message": message, "hint": hint}
-    assert ran.json == {"error": content}
+    assert ran.json == {"format_version": 1, "error": content}
     assert ran.err == f"camctl: {message}; {hint}\n"
     assert ran.status == 2
 
