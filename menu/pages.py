@@ -141,7 +141,7 @@ def _summary(summary: Summary) -> Screen:
             Line(
                 (
                     f"{levels} effective levels, {planned} planned",
-                    f"{levels} lv, {planned} plan",
+                    f"{levels}/{planned} levels",
                     f"{levels} levels",
                 )
             ),

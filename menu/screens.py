@@ -176,8 +176,9 @@ def _cost_note(model: Model, index: int) -> tuple[str, ...]:
     shutter, wall = _times(cost)
     return (
         f"{shutter:>9}{wall:>9}{levels:>6} levels",
-        f"{shutter} {levels:>4} lv",
-        f"{levels} lv",
+        f"{shutter} {levels:>4} levels",
+        f"{levels} levels",
+        levels,
         "",
     )
 
@@ -207,8 +208,8 @@ def _cost_detail(model: Model, index: int) -> tuple[str, ...]:
         f"{exposed}{total}, {levels} {quality}",
         f"{shutter} exposed{total}, {levels} levels",
         f"{short}/{wall.replace(' ', '')} {levels} levels" if wall else f"{short} {levels} levels",
-        f"{short}/{wall.replace(' ', '')} {levels}lv" if wall else f"{short} {levels}lv",
-        f"{short} {levels}lv",
+        f"{short} {levels} levels",
+        f"{levels} levels",
     )
 
 

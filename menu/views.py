@@ -24,8 +24,7 @@ _PICTURE_BYTES = 40
 
 def entry_of(info: CameraInfo) -> CameraEntry:
     """Return what a camera is called."""
-    name = f"{info.make} {info.model}".strip() or info.id
-    return CameraEntry(info.id, name)
+    return CameraEntry(info.id, info.name)
 
 
 def needed_bytes(plan: CapturePlan, controls: ExposureControls) -> int:

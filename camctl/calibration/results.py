@@ -168,7 +168,7 @@ class NoiseResult(NoiseRecord, Result):
     def emva_report(self) -> str:
         """Return the figures of EMVA 1288 and the photon transfer curve, in Markdown."""
         camera = self.camera
-        name = "" if camera is None else f"{camera.make} {camera.model} {camera.serial}".strip()
+        name = "" if camera is None else f"{camera.name} {camera.serial}".strip()
         return emva.report(self, name, self.mode)
 
     def plot(self, path: str | Path) -> None:

@@ -99,10 +99,9 @@ def write_gallery(directory: Path, journal: SeriesJournal) -> None:
         parts.append(f"{failed} failed")
     if journal.skipped:
         parts.append(f"{journal.skipped} starts left out")
-    camera = f"{journal.camera.make} {journal.camera.model}".strip()
     page = _PAGE.format(
         title=_text(directory.resolve().name),
-        summary=_text(", ".join([*parts, camera])),
+        summary=_text(", ".join([*parts, journal.camera.name])),
         cards="\n".join(_card(each) for each in journal.sets if each.state != "begun"),
     )
     write_bytes(directory / GALLERY, page.encode("utf-8", "replace"))

@@ -13,6 +13,7 @@ import click
 
 from camctl.cli.configuration import Configuration
 from camctl.cli.output import (
+    camera_text,
     format_duration,
     format_effective,
     format_fields,
@@ -204,7 +205,7 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
     plan = report.plan
     shortest = min(report.frames, key=lambda frame: frame.exposure)
     rows = [
-        ("camera", f"{report.camera.make} {report.camera.model} ({report.camera.id})"),
+        ("camera", camera_text(report.camera)),
         ("desired", format_request(plan.desired.name, plan.dynamic_range, len(plan.settings))),
         ("shortest exposure", f"{format_duration(shortest.applied_s)}, {_metering_text(report)}"),
     ]
@@ -221,7 +222,7 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
         rows.append(("not trustworthy", report.untrustworthy_because))
     if again := [number for number, frame in enumerate(report.frames, 1) if frame.attempts > 1]:
         frames = f"frame{'s' if len(again) > 1 else ''} {', '.join(map(str, again))}"
-        rows.append(("shot again", f"{frames}: the brightness did not fit the exposure at first"))
+        rows.append(("shot again", f"{frames}: the first one did not fit the other frames"))
     rows += [
         *_levels_rows(achieved, plan),
         *_front_rows(plan),
@@ -270,6 +271,8 @@ def light_bars(report: CaptureReport) -> str:
 
 
 def _timing_text(report: CaptureReport) -> str:
+    if not report.repeatable:  # of photographs, nothing was planned and shot
+        return format_duration(sum(report.timing.get(key, 0.0) for key in TIMES))
     return ", ".join(
         f"{label} {format_duration(report.timing[key])}"
         for key, label in TIMES.items()
@@ -345,6 +348,7 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
         f"{format_percent(movement.share)} of the samples differ between frames, "
         f"at most {format_percent(movement.false_alarms)} by noise"
     )
+    by_noise = f"{format_percent(movement.share)} of the samples differ, as by noise"
     spread = []
     if movement.spread:
         bright = f"{format_percent(movement.spread)} of the picture is too bright"
@@ -355,7 +359,7 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
         )
         return [("movement", f"not known: {compared} in range")]
     if not movement.places:
-        return [("movement", f"none; {shares}"), *spread]
+        return [("movement", f"none ({by_noise})"), *spread]
     area = format_percent(movement.area)
     first = movement.places[0]
     place = f"columns {first.left}-{first.right - 1}, rows {first.top}-{first.bottom - 1}"

@@ -19,6 +19,7 @@ from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
     from camctl.findings import Finding
+    from camctl.interface.camera import CameraInfo
     from camctl.profiles.profile import DelayRecord
 
 
@@ -205,6 +206,11 @@ def format_number(value: float, digits: int = 6) -> str:
         return f"{value:.{digits}g}"
     text = f"{value:.{max(places, 0)}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def camera_text(camera: CameraInfo) -> str:
+    """Return what a camera is called, and its id if that is another name."""
+    return camera.name if camera.name == camera.id else f"{camera.name} ({camera.id})"
 
 
 def format_duration(seconds: float) -> str:

@@ -100,8 +100,8 @@ def _go_on(
         begun, present = journal.camera, camera.info
         if (begun.make, begun.model, begun.serial) != (present.make, present.model, present.serial):
             raise DataError(
-                f"{directory} was begun with {begun.make} {begun.model} {begun.serial}, and this "
-                f"camera is {present.make} {present.model} {present.serial}",
+                f"{directory} was begun with {begun.name} {begun.serial}, and this "
+                f"camera is {present.name} {present.serial}",
                 hint="connect the same camera",
             )
         run_series(camera, journal, hook, directory, as_json=as_json)

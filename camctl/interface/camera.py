@@ -44,6 +44,16 @@ class CameraInfo:
     driver: str
     remark: str = ""
 
+    @property
+    def name(self) -> str:
+        """Maker and model as people write them: a model that begins with the maker's name has it.
+
+        The id where both are unknown.
+        """
+        first = self.make.split()[0].lower() if self.make.strip() else ""
+        has_make = bool(first) and self.model.lower().startswith(first)
+        return self.model if has_make else f"{self.make} {self.model}".strip() or self.id
+
 
 @dataclass(frozen=True)
 class OriginalFile:

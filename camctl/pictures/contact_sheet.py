@@ -102,7 +102,7 @@ def contact_sheet(
 def _title(details: PictureDetails) -> str:
     count = len(details.frames)
     parts = [
-        f"{details.camera.make} {details.camera.model}".strip() or details.camera.id,
+        details.camera.name,
         f"{details.desired}, {range_text(details.highest / details.lowest)}"
         if details.lowest > 0
         else details.desired,

@@ -118,7 +118,7 @@ def png_with_metadata(png: bytes, details: PictureDetails) -> bytes:
     """Return a PNG file in sRGB with the chunk that says so, and with date, camera and software."""
     texts = {
         "Software": details.software,
-        "Source": f"{details.camera.make} {details.camera.model}".strip(),
+        "Source": details.camera.name,
     }
     if details.taken_at is not None:
         texts["Creation Time"] = format_datetime(details.taken_at)  # as PNG asks, RFC 1123

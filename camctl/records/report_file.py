@@ -177,8 +177,8 @@ def check_camera(
     begun, present, controls = report.camera, camera.info, camera.controls
     if (begun.make, begun.model, begun.serial) != (present.make, present.model, present.serial):
         raise DataError(
-            f"{directory} was begun with {begun.make} {begun.model} {begun.serial}, "
-            f"and this camera is {present.make} {present.model} {present.serial}",
+            f"{directory} was begun with {begun.name} {begun.serial}, "
+            f"and this camera is {present.name} {present.serial}",
             hint="connect the same camera",
         )
     black_total = controls.black * len(report.plan.settings)

@@ -72,7 +72,9 @@ class PtpBackend:
         if not matching:
             ids = ", ".join(info.id for info in known)
             raise CameraNotFoundError(
-                f"there is no still camera ptp:{address}".rstrip(":"),
+                f"there is no still camera ptp:{address}"
+                if address
+                else "no still camera is there",
                 hint=f"connected: {ids}"
                 if ids
                 else "plug it in, switch it on, and set its USB mode to PTP",
@@ -80,7 +82,8 @@ class PtpBackend:
         if len(matching) > 1:
             ids = ", ".join(f"ptp:{d.bus:03d}:{d.address:03d}" for d in matching)
             raise CameraNotFoundError(
-                f"several cameras match ptp:{address}".rstrip(":"), hint=f"choose one of: {ids}"
+                f"several cameras match ptp:{address}" if address else "several cameras are there",
+                hint=f"choose one of: {ids}",
             )
         return matching[0]
 

@@ -256,7 +256,7 @@ def test_a_frame_shot_again_and_a_fault_that_did_not_happen_are_named(run: Run) 
         "shoot", "-O", "size=160x120", "-O", "faults=wrong@1=0.5,drop@9,unplug@7", "-o", "here"
     )
     assert ran.status == 0
-    assert "\nshot again           frame 2: the brightness did not fit" in ran.out
+    assert "\nshot again           frame 2: the first one did not fit" in ran.out
     assert "fewer frames were taken: unplug@7, drop@9\n" in ran.err
     ran = run("shoot", "-O", "size=160x120", "-O", "faults=drop@1,clamp=60", "-o", "there")
     assert "shot again" not in ran.out

@@ -208,3 +208,17 @@ def test_missing_module_is_named(
     with pytest.raises(UsageError) as failure:
         load(CAMERAS, "camera", "broken")
     assert str(failure.value) == message
+
+
+@pytest.mark.parametrize(
+    ("make", "model", "name"),
+    [
+        ("Canon", "Canon EOS 5D", "Canon EOS 5D"),
+        ("NIKON CORPORATION", "NIKON D90", "NIKON D90"),
+        ("FUJIFILM", "X-T2", "FUJIFILM X-T2"),
+        ("", "photographs", "photographs"),
+        ("", "", "sim"),
+    ],
+)
+def test_the_name_of_a_camera_has_its_maker_once(make: str, model: str, name: str) -> None:
+    assert CameraInfo("sim", make, model, "1", "test").name == name

@@ -99,7 +99,7 @@ def show(result: Result, text: Callable[[], tuple[str, Rows]], *, as_json: bool)
         return
     table, rows = text()
     info = result.camera
-    own = [] if info is None else [("camera", f"{info.make} {info.model} ({info.id})")]
+    own = [] if info is None else [("camera", output.camera_text(info))]
     own += [("mode", result.mode)] if info is not None and result.mode else []
     kept = [] if result.file is None else [("profile", str(result.file))]
     fields = output.format_fields([*rows, *own, *kept])
