@@ -15,7 +15,7 @@ from pathlib import Path
 
 import camctl
 from camctl.exposure.accuracy_lookup import accuracy_jobs
-from camctl.exposure.build import build_table
+from camctl.exposure.build import build_table, discard_rows
 from camctl.exposure.search.front import accuracy_problem
 from camctl.model.response.desired import desired_response
 from camctl.model.response.names import RANGES, RESPONSES
@@ -34,14 +34,16 @@ def main() -> None:
         with camctl.open_camera("sim", sensor=sensor, scene="uniform", size="16x16") as camera:
             problems += [accuracy_problem(camera.controls, each) for each in desired]
     workers = int(sys.argv[1]) if len(sys.argv) > 1 else 2
+    jobs, parts = accuracy_jobs(problems), OUTPUT.with_suffix(".parts")
     with ProcessPoolExecutor(workers) as executor:
         table = build_table(
-            accuracy_jobs(problems),
+            jobs,
             executor=executor,
-            state=OUTPUT.with_suffix(".parts"),
+            state=parts,
             progress=lambda done, rows: print(f"\r{done} of {rows} rows", end="", file=sys.stderr),
         )
     table.save(OUTPUT)
+    discard_rows(jobs, parts)
     print(f"\nwrote {OUTPUT}: {len(table.entries)} rows", file=sys.stderr)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from camctl.errors import CamctlError, DataError
-from camctl.system.files import make_folder, remove_leftovers, storage_error, write_bytes
+from camctl.system.files import make_folder, storage_error, write_bytes
 from camctl.system.input_files import read_own_file
 from menu.data import Settings
 from menu.entries import KEPT
@@ -30,10 +30,8 @@ class _File(BaseModel):
 def load_settings(path: Path) -> tuple[Settings, str]:
     """Return the settings in a file, and why they are the defaults, "" where they are not.
 
-    A missing file is the first start, and needs no remark.  What a kill has left of an earlier
-    `save_settings` is removed.
+    A missing file is the first start, and needs no remark.
     """
-    remove_leftovers(path)
     if not path.exists() and not path.is_symlink():
         return Settings(), ""
     try:

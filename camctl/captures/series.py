@@ -176,8 +176,8 @@ class Series:
             self._run_hook(directory, record)
         record.seconds = self._tools.clock.now() - began
         self._seconds += (record.seconds - self._seconds) / record.number
+        write_gallery(self.directory, self.journal)  # before the series counts as complete
         self._save()
-        write_gallery(self.directory, self.journal)
 
     def _twice(self, action: Callable[[], _Result], record: SetRecord | None = None) -> _Result:
         """Return what `action` returns; where it fails, try it once again.

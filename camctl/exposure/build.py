@@ -35,6 +35,7 @@ from camctl.model.effective import check_count
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.response.names import RANGES, RESPONSES
+from camctl.system.files import storage_error, sync_folder
 from camctl.system.interrupts import uninterrupted
 
 _log = logging.getLogger(__name__)
@@ -250,8 +251,8 @@ def build_table(
     Args:
         jobs: the rows, see `table_jobs`
         executor: any `concurrent.futures.Executor` (local processes, Dask, MPI); None: this process
-        state: folder in which solved rows are kept, so that an interrupted build can be continued;
-            they are deleted when the table is complete
+        state: folder in which solved rows are kept, so that an interrupted build can be continued,
+            until `discard_rows` once the table is saved
         progress: called with the number of solved rows and of all rows
 
     Raises:
@@ -290,12 +291,27 @@ def build_table(
             save(job, solve_job(job))
     else:
         _solve_all(executor, waiting, save)
-    if folder is not None:
+    return ExposureTable(done[job.name] for job in jobs)
+
+
+def discard_rows(jobs: Iterable[TableJob], state: str | Path) -> None:
+    """Remove the rows that `build_table` has kept in `state`; call it when the table is saved.
+
+    Raises:
+        StorageError: they cannot be removed
+    """
+    folder = Path(state)
+    try:
         for job in jobs:
             (folder / f"{job.name}.json").unlink(missing_ok=True)
-        if folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
-    return ExposureTable(done[job.name] for job in jobs)
+        if folder.is_dir():
+            if any(folder.iterdir()):
+                sync_folder(folder)
+            else:
+                folder.rmdir()
+                sync_folder(folder.parent)
+    except OSError as error:
+        raise storage_error(folder, error) from error
 
 
 def _solve_all(

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from camctl.errors import DataError
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
-from camctl.system.files import storage_error, write_bytes
+from camctl.system.files import make_folder, storage_error, write_bytes
 from camctl.system.input_files import first_problem, read_input, read_input_text
 
 _REBUILD = "build the table again"
@@ -117,7 +117,7 @@ def write_text(path: Path, text: str) -> None:
         StorageError: it could not be written
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
     except OSError as error:
         raise storage_error(path, error) from error
     write_bytes(path, text.encode())

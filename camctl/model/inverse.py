@@ -164,7 +164,9 @@ class Posterior:
         wide = gap > _WIDE_GAP * noise
         count = np.where(wide, float(per_gap), 0.0)  # 0 in a gap that v does not resolve
         np.divide(gap, _CELL * noise, out=count, where=~wide & (noise > 0))
-        outside = np.where(v[1:] <= 0, -v[0], np.where(v[:-1] >= 1, v[-1] - 1, 1.0))
+        # By E and not by v, which rounding puts beside 0 and 1 at the ends of a very narrow range.
+        is_below, is_above = E[1:] <= self._response.desired.e_min, E[:-1] >= 1
+        outside = np.where(is_below, -v[0], np.where(is_above, v[-1] - 1, 1.0))
         coarsest = _COARSEST * np.maximum(outside, 1.0)
         density = np.concatenate([[0.0], np.cumsum(np.maximum(count, gap / coarsest))])
         steps = np.linspace(0.0, density[-1], int(np.ceil(density[-1])) + 1)

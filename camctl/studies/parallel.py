@@ -31,6 +31,7 @@ def run_all(
     items: Sequence[ItemT],
     *,
     workers: int | None = None,
+    may_leave: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> list[ResultT]:
     """Return `function` of each item, in the order of the items.
@@ -38,14 +39,16 @@ def run_all(
     Args:
         function: a function at the top level of a module
         items: what it is called with; they and its results can be pickled
-        workers: number of processes; 1: this process; None: one for each processor
+        workers: number of processes, in whose place is a cluster that is named; 1: this process;
+            None: one for each processor
+        may_leave: False where the work needs a device of this computer: no cluster does it
         progress: called with the completed share, 0 to 1
 
     Raises what `function` raises; the items that have not begun are then left out.
     """
     count = min(workers or os.cpu_count() or 1, len(items))
-    address = os.environ.get(SCHEDULER)
-    if count <= 1:
+    address = os.environ.get(SCHEDULER) if items and may_leave else None
+    if count <= 1 and not address:
         results = []
         for place, item in enumerate(items, 1):
             results.append(function(item))

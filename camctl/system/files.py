@@ -162,7 +162,12 @@ def _is_another_process(number: int) -> bool:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write `data` to `path`, atomically.  Raises `StorageError`."""
+    """Write `data` to `path`, atomically; what a kill has left of an earlier write is removed.
+
+    Raises:
+        StorageError: it cannot be written
+    """
+    remove_leftovers(path)
     with atomic_file(path) as part:
         part.write_bytes(data)
 

@@ -56,6 +56,16 @@ def test_zero_noise_gives_the_noise_free_effective_levels(exposures: tuple[float
         assert noisy == pytest.approx(effective_levels(camera, desired), rel=1e-9)
 
 
+@pytest.mark.parametrize("dynamic_range", [1.0000000000000002, 1.0000001, 1.00001, 1.001])
+@pytest.mark.parametrize("name", ["linear", "gamma", "log"])
+def test_a_very_narrow_range_takes_no_more_cells_than_a_wide_one(
+    name: str, dynamic_range: float
+) -> None:
+    camera, noise = EffectiveCamera.of(EIGHT_BIT, (1, 2, 4)), [FrameNoise(10.0, 0.1)] * 3
+    cells = Posterior(camera, desired_response(name, dynamic_range), noise)._cells
+    assert cells.size < 100_000
+
+
 def test_interleaved_exposures_gain_nothing_with_half_a_level_of_noise() -> None:
     desired = desired_response("linear", 256.0)
     found = sensitivity(EIGHT_BIT, desired, (1, 1.003))

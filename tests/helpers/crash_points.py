@@ -5,8 +5,8 @@ counts every system call that changes something below one folder, and kills the 
 operation number `die_at`.  It sees what any library does: libtiff and OpenEXR included.
 
 A power failure loses more than a kill does.  `PowerLoss` follows the operations and rebuilds the
-folder as a strict file system may leave it: files end where their last fsync found them, and a
-directory has the entries that its own last fsync found.
+folder as a file system may leave it: of a file what its last fsync found, of a directory the
+entries that its own last fsync found; and of everything later nothing, or any part in any order.
 
 Linux on x86-64 only.
 """
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import random
 import shutil
 import signal
 import stat
@@ -62,6 +63,8 @@ _CALLS: dict[int, tuple[str, tuple[tuple[int | None, int | None], ...]]] = {
     258: ("mkdir", ((0, 1),)),
 }
 _OPEN_FLAGS = {2: 1, 257: 2}
+_BLOCK = 64
+"""Bytes of a file that are on disk together; less than a sector: the files of tests are small."""
 
 
 class _Filter(ctypes.Structure):
@@ -233,10 +236,18 @@ def _string(tid: int, address: int) -> bytes:
 
 @dataclass
 class _File:
-    """A file with content: where its bytes are kept, and how many of them are on disk."""
+    """A file with content: where its bytes are kept, and those that are on disk for certain."""
 
     backup: Path
-    synced: int = 0
+    synced: bytes = b""
+
+
+@dataclass(frozen=True)
+class _Change:
+    """A change of the entries of one directory that no fsync has brought to disk."""
+
+    operation: Operation
+    inode: int | None  # of the file; None: of a directory
 
 
 class PowerLoss:
@@ -251,15 +262,18 @@ class PowerLoss:
         self._folder, self._backups = folder, backups
         self._files: dict[int, _File] = {}
         self._on_disk: dict[str, int | None] = {}  # entry -> inode of a file, None: a directory
+        self._pending: list[_Change] = []
+        self._made: Operation | None = None  # its file is there once the operation was made
         self._seen = 0
         for path in [folder, *folder.rglob("*")] if folder.exists() else []:
             self._on_disk[str(path)] = None if path.is_dir() else self._keep(path)
         for path_name, inode in self._on_disk.items():
             if inode is not None:
-                self._files[inode].synced = Path(path_name).stat().st_size
+                self._files[inode].synced = Path(path_name).read_bytes()
 
     def before(self, operation: Operation) -> None:
         """Take note of an operation that is about to happen."""
+        self._note_made()
         path = Path(operation.path)
         for each in (operation.path, operation.target):
             if each and Path(each).is_file() and not Path(each).is_symlink():
@@ -268,26 +282,54 @@ class PowerLoss:
             if path.is_dir():
                 self._sync_folder(path)
             elif path.is_file():
-                self._files[path.stat().st_ino].synced = path.stat().st_size
-        elif operation.name == "truncate" or (operation.name == "open" and path.is_file()):
-            self._files[path.stat().st_ino].synced = 0
+                self._files[path.stat().st_ino].synced = path.read_bytes()
+        elif operation.name in ("rename", "link", "unlink", "rmdir"):
+            inode = path.stat().st_ino if path.is_file() else None
+            self._pending.append(_Change(operation, inode))
+        elif operation.name == "mkdir":
+            self._pending.append(_Change(operation, None))
+        elif operation.name == "open" and not path.exists():
+            self._made = operation
+        elif operation.name in ("open", "truncate") and path.is_file():
+            self._files[path.stat().st_ino].synced = b""  # that it is empty may be on disk first
 
-    def strike(self) -> None:
-        """Leave the folder as a power cut at this moment may leave it."""
+    def strike(
+        self, into: Path | None = None, rng: random.Random | None = None, *, torn: bool = True
+    ) -> None:
+        """Leave the folder as a power cut at this moment may leave it.
+
+        Args:
+            into: where that is written; None: the folder itself
+            rng: chooses which changes that were not synchronised are on disk nevertheless, each by
+                itself, so in any order; None: none of them is
+            torn: with `rng`, blocks of a file are on disk or not by themselves, too
+        """
+        self._note_made()
+        entries = dict(self._on_disk)
+        for change in self._pending:
+            if rng is not None and rng.random() < 0.5:
+                _apply(change, entries)
         contents = {
-            name: None if inode is None else self._bytes(inode)
-            for name, inode in self._on_disk.items()
+            name: None if inode is None else self._bytes(inode, rng, torn=torn)
+            for name, inode in entries.items()
         }
-        if self._folder.exists():
-            shutil.rmtree(self._folder)
+        target = into or self._folder
+        if target.exists():
+            shutil.rmtree(target)
         for name in sorted(contents):
-            data = contents[name]
-            if not Path(name).parent.exists():
+            data, path = contents[name], target / Path(name).relative_to(self._folder)
+            if not path.parent.exists():
                 continue  # its folder was not on disk
             if data is None:
-                Path(name).mkdir()
+                path.mkdir()
             else:
-                Path(name).write_bytes(data)
+                path.write_bytes(data)
+
+    def _note_made(self) -> None:
+        """Keep the file that the operation before has made."""
+        made, self._made = self._made, None
+        if made is not None and Path(made.path).is_file():
+            self._pending.append(_Change(made, self._keep(Path(made.path))))
 
     def _keep(self, path: Path) -> int:
         """Hold on to the bytes of a file, whatever happens to its name."""
@@ -299,12 +341,22 @@ class PowerLoss:
             self._files[inode] = _File(backup)
         return inode
 
-    def _bytes(self, inode: int) -> bytes:
+    def _bytes(self, inode: int, rng: random.Random | None, *, torn: bool) -> bytes:
+        """Return what is on disk of a file: what was synchronised, and, with `rng`, some later."""
         file = self._files[inode]
-        return file.backup.read_bytes()[: file.synced]
+        synced, latest = file.synced, file.backup.read_bytes()
+        if rng is None or synced == latest:
+            return synced
+        if not torn:
+            return rng.choice((synced, latest))
+        length = rng.choice((len(synced), len(latest)))
+        old, new = synced.ljust(length, b"\0"), latest.ljust(length, b"\0")
+        blocks = range(0, length, _BLOCK)
+        return b"".join(rng.choice((old, new))[at : at + _BLOCK] for at in blocks)[:length]
 
     def _sync_folder(self, folder: Path) -> None:
         """Make the entries of one directory those that it has now."""
+        self._pending = [each for each in self._pending if not _is_in(each, folder)]
         for name in [name for name in self._on_disk if Path(name).parent == folder]:
             if not os.path.lexists(name):
                 for lost in [n for n in self._on_disk if n == name or n.startswith(name + "/")]:
@@ -315,3 +367,24 @@ class PowerLoss:
                 self._on_disk.setdefault(entry.path, None)
             elif stat.S_ISREG(mode):
                 self._on_disk[entry.path] = self._keep(Path(entry.path))
+
+
+def _is_in(change: _Change, folder: Path) -> bool:
+    """Return whether a change is one of a directory's entries; a rename is within one directory."""
+    return Path(change.operation.path).parent == folder
+
+
+def _apply(change: _Change, entries: dict[str, int | None]) -> None:
+    """Make a change among the entries on disk, where what it needs is there."""
+    operation = change.operation
+    if operation.name in ("unlink", "rmdir"):
+        entries.pop(operation.path, None)
+    elif operation.name == "rename":
+        assert operation.target is not None
+        entries.pop(operation.path, None)
+        entries[operation.target] = change.inode
+    elif operation.name == "link":
+        assert operation.target is not None
+        entries[operation.target] = change.inode
+    else:
+        entries[operation.path] = change.inode

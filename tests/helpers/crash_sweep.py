@@ -1,21 +1,10 @@
-"""Kill a small capture before each of its file operations, and check what can be made of the rest.
+"""What is wrong with the folder of a capture after a crash, and captures to be killed.
 
-    python crash_sweep.py FOLDER SCENARIO STEP
-
-SCENARIO is "resume" (of a capture with one frame of two), "force" (over an older capture), or
-"retry" (into a new folder; one frame has a wrong exposure and is shot again, and the camera makes
-files of its own).  Each crash point is checked twice: as a kill leaves the folder, and as a
-power failure at the same moment leaves it.  Then the capture is resumed, or what the folder advises
-is done.  Prints one JSON object for each check.
-
-A program of its own: it forks, which a process with threads must not.
+`crash_witness` kills them; tests of signals and limits check their folders, too.
 """
 
 from __future__ import annotations
 
-import json
-import shutil
-import sys
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from hashlib import sha256
@@ -23,10 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import filelock  # noqa: F401  imported before the fork, once for all crash points
 import numpy as np
 import tifffile
-from crash_points import PowerLoss, run
 from numpy.typing import NDArray
 from small_cameras import WrappedCamera
 
@@ -41,7 +28,6 @@ from sim.scenes.scene import load_scene
 from sim.sensors.sensor import load_sensor
 
 REQUEST = camctl.CaptureRequest(ratios=(1.0, 8.0), base_s=0.01)
-NAME = "out"
 
 
 def open_camera(seed: int = 0) -> SimulatedCamera:
@@ -68,46 +54,6 @@ class LyingCamera(WrappedCamera):
             yield replace(frame, pixels=pixels, original=original)
 
 
-def capture(folder: Path, *, overwrite: bool = False, seed: int = 0) -> int:
-    with open_camera(seed) as camera:
-        camctl.capture(camera, REQUEST, folder, overwrite=overwrite)
-    return 0
-
-
-def capture_with_retry(folder: Path) -> int:
-    with LyingCamera(open_camera().open()) as camera:
-        camctl.capture(camera, REQUEST, folder)
-    return 0
-
-
-def resume(folder: Path) -> int:
-    with open_camera() as camera:
-        camctl.resume(camera, folder)
-    return 0
-
-
-def interrupted(folder: Path) -> None:
-    """Leave a capture with one frame of two."""
-    calls = iter((False, True))
-    with open_camera() as camera:
-        try:
-            camctl.capture(camera, REQUEST, folder, cancelled=lambda: next(calls, True))
-        except camctl.InterruptedCaptureError:
-            frames = folder / "frames"
-            (frames / "frame-02.npy").unlink()
-            report = json.loads((folder / "report.json").read_text())
-            report["frames"][1] = None
-            (folder / "report.json").write_text(json.dumps(report))
-
-
-SCENARIOS: dict[str, tuple[Callable[[Path], object], Callable[[Path], int]]] = {
-    "resume": (interrupted, resume),
-    "force": (lambda f: capture(f, seed=1), lambda f: capture(f, overwrite=True)),
-    "retry": (lambda _: None, capture_with_retry),
-}
-"""What is in the folder before, and what is killed."""
-
-
 def damaged(folder: Path) -> list[str]:
     """Return the files that are neither hidden nor whole."""
     wrong = []
@@ -118,12 +64,12 @@ def damaged(folder: Path) -> list[str]:
         ".raw": lambda path: np.frombuffer(path.read_bytes(), np.uint8).reshape(16, 24),
     }
     for path in sorted(folder.rglob("*")):
-        if path.is_dir() or path.name.startswith("."):
+        if path.is_dir() or path.name.startswith(".") or path.name in ("series.json", "index.html"):
             continue
         try:
             if path.name == "report.json":
                 read_capture(folder)
-            elif path.suffix == ".png":
+            elif path.suffix in (".png", ".jpg"):
                 assert cv2.imdecode(np.fromfile(path, np.uint8), -1) is not None
             else:
                 readers[path.suffix](path)
@@ -188,32 +134,3 @@ def checked(folder: Path) -> dict[str, Any]:
 def sum_of_frames(folder: Path, report: camctl.CaptureReport) -> NDArray[np.int64]:
     frames = [np.load(folder / str(frame.file)).astype(np.int64) for frame in report.frames]
     return np.asarray(np.sum([np.minimum(frame, report.white) for frame in frames], axis=0))
-
-
-def main(base: Path, scenario: str, step: int) -> None:
-    cv2.setNumThreads(1)
-    prepare, body = SCENARIOS[scenario]
-    template, work, other, backups = (base / name for name in ("template", "work", "other", "kept"))
-    template.mkdir(parents=True)
-    prepare(template / NAME)
-    shutil.copytree(template, work)
-    operations = run(lambda: body(work / NAME), work).operations
-    points = [*range(0, len(operations), step), len(operations)]
-    for point in points:
-        for folder in (work, other, backups):
-            shutil.rmtree(folder, ignore_errors=True)
-        shutil.copytree(template, work)
-        backups.mkdir()
-        loss = PowerLoss(work, backups)
-        outcome = run(lambda: body(work / NAME), work, die_at=point, before=loss.before)
-        assert outcome.status == (0 if point == len(operations) else None), outcome
-        shutil.copytree(work, other)
-        loss.strike()
-        before = operations[point].name if point < len(operations) else "end"
-        for cause, folder in (("kill", other / NAME), ("power", work / NAME)):
-            found = checked(folder)
-            print(json.dumps({"point": point, "before": before, "cause": cause, **found}))
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from math import sqrt
 
 import pytest
@@ -16,6 +17,23 @@ def test_results_are_in_the_order_of_the_items_in_this_process() -> None:
     assert parallel.run_all(sqrt, [9.0, 4.0], workers=1, progress=shares.append) == [3.0, 2.0]
     assert shares == [0.5, 1.0]
     assert parallel.run_all(sqrt, []) == []
+
+
+@pytest.mark.parametrize("may_leave", [True, False])
+def test_a_cluster_that_is_named_takes_the_place_of_one_process(
+    monkeypatch: pytest.MonkeyPatch, may_leave: bool
+) -> None:
+    called: list[str] = []
+
+    def cluster(address: str) -> ThreadPoolExecutor:
+        called.append(address)
+        return ThreadPoolExecutor(1)
+
+    monkeypatch.setenv(parallel.SCHEDULER, "tcp://host:8786")
+    monkeypatch.setattr(parallel, "cluster_executor", cluster)
+    assert parallel.run_all(sqrt, [9.0], workers=1, may_leave=may_leave) == [3.0]
+    assert parallel.run_all(sqrt, []) == []
+    assert called == ["tcp://host:8786"] * may_leave
 
 
 @pytest.mark.slow

@@ -106,7 +106,7 @@ def build(
     Takes seconds per row, most for rows of five exposures and more. Finished rows are kept beside
     the table: after an interruption, the same command continues.
     """
-    from camctl.exposure.build import build_table, table_jobs
+    from camctl.exposure.build import build_table, discard_rows, table_jobs
     from camctl.studies.parallel import processes
     from camctl.system.files import check_new
 
@@ -124,6 +124,7 @@ def build(
 
     finished_rows = output.with_name(f"{output.name}.parts")
     counts = range(1, content.count + 1)
+    jobs = table_jobs(real, content.responses, content.ranges, counts, seed=seed)
     count = min(workers or os.cpu_count() or 1, content.rows)
     try:
         with (
@@ -131,7 +132,7 @@ def build(
             nullcontext() if count == 1 else processes(count) as executor,
         ):
             table = build_table(
-                table_jobs(real, content.responses, content.ranges, counts, seed=seed),
+                jobs,
                 executor=executor,
                 state=finished_rows,
                 progress=count_rows,
@@ -146,6 +147,7 @@ def build(
             else "",
         ) from None
     table.save(output)
+    discard_rows(jobs, finished_rows)
     if as_json:
         print_json({"file": output, "entries": [entry.model_dump() for entry in table.entries]})
     else:

@@ -186,13 +186,14 @@ def capture(context: click.Context, brackets: Brackets, study: StudyOptions, as_
 
     with progress_bar("metering") as bar:
         runs = brackets.runs() if study.again is None else read_runs(study.again, CaptureRun)
-        workers = study.workers if all(run.camera == SIMULATED for run in runs) else 1
+        is_simulated = all(run.camera == SIMULATED for run in runs)
         # The longest first, so that no process waits for one at the end.
         order = sorted(range(len(runs)), key=lambda place: -runs[place].n)
         ranked = run_all(
             rate,
             [runs[place] for place in order],
-            workers=workers,
+            workers=study.workers if is_simulated else 1,
+            may_leave=is_simulated,
             progress=None if bar is None else lambda share: bar(share, f"{len(runs)} brackets"),
         )
     points = [point for _, point in sorted(zip(order, ranked, strict=True), key=lambda x: x[0])]

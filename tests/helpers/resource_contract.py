@@ -1,0 +1,212 @@
+"""Run every command at the corners of its numeric options, with limits on memory and time.
+
+    python resource_contract.py [--seconds S] [--only TEXT] [--every N]
+
+The lines come from the table of options of the command line: each numeric option of each command,
+added to a line of `command_bases.BASES`, at the least and the largest value that its type accepts,
+just beyond them, and at tiny, huge and endless ones where the type has no bound.  Each runs in a
+process of its own, with 500 MB of memory beyond what the process has before, and S seconds of
+processor time (60).  It must end with a result, or be refused in one line that is not about memory.
+Lines of `COSTLY` may take longer: they show progress, and their pages state the cost.
+
+Prints one JSON object for each line, with what is wrong, its processor time and its memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import resource
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import click
+from command_bases import BASES, COMMANDS, write_photographs
+
+from camctl.cli import main as camctl
+from camctl.cli.parameter_types import (
+    DynamicRange,
+    FrameSize,
+    ListOf,
+    Number,
+    Seconds,
+    SettingOf,
+    Settings,
+    WholeNumber,
+)
+
+MOST_BYTES = 500 << 20
+
+COSTLY: dict[str, str] = {}
+"""Options whose largest values take longer, by "command --option": why, and where it is stated."""
+
+LEFT_OUT = {"--workers"}
+"""They start processes, each with memory of its own."""
+
+
+def _beside(value: float, towards: float) -> str:
+    return repr(math.nextafter(value, towards))
+
+
+def corners(kind: Any) -> Iterator[str]:
+    """Yield texts of values at and just beyond the bounds of an option's type."""
+    if isinstance(kind, WholeNumber):
+        yield from (str(kind._least), str(kind._least - 1))
+        if kind._most is None:
+            yield from ("1000", str(10**18))
+        else:
+            yield from (str(kind._most), str(kind._most + 1))
+    elif isinstance(kind, Number):
+        low, high = max(kind._above, kind._least), min(kind._below, kind._most)
+        if math.isfinite(low):
+            yield from (repr(low), _beside(low, math.inf), _beside(low, -math.inf))
+        else:
+            yield from ("-1e308", "-1e6")
+        if math.isfinite(high):
+            yield from (repr(high), _beside(high, -math.inf), _beside(high, math.inf))
+        else:
+            yield from ("1e6", "1e308")
+    elif isinstance(kind, Seconds):
+        yield from ("1e-300", "1e-9", repr(kind._least or 1e-6), "1e9", "1e308")
+    elif isinstance(kind, DynamicRange):
+        yield from ("1", _beside(1, 2), "1.0000001", "1.00001", "1.01", "1e6", "1e12", "1e308")
+    elif isinstance(kind, FrameSize):
+        yield from ("1x1", "999999999x1", "1x999999999", "999999999x999999999", "65536x65536")
+    elif isinstance(kind, Settings):
+        yield from ("1e-9", "1e-9:1:1e-9", "1:1e308:1e-3", ",".join(map(str, range(1, 2000))))
+    elif isinstance(kind, ListOf):
+        single = list(corners(kind._item))
+        yield from (",".join(single[:2]), *single[2:], ",".join(["1", *single[-2:]]))
+        yield ",".join(str(1 + k / 1000) for k in range(17))
+        yield ",".join(str(k) for k in range(1, 17))
+        yield ",".join(str(k) for k in range(1, 3001))
+
+
+def options_of(command: str) -> Iterator[tuple[str, str, list[str]]]:
+    """Yield name, prefix of the value, and values of each numeric option."""
+    for option in COMMANDS[command].params:
+        if not isinstance(option, click.Option) or LEFT_OUT & set(option.opts):
+            continue
+        name = option.opts[-1]
+        if isinstance(option.type, SettingOf):
+            for field, (_, kind) in option.type._table.items():
+                yield name, f"{field}=", list(corners(kind))
+        else:
+            yield name, "", list(corners(option.type))
+
+
+def lines() -> Iterator[tuple[str, list[str]]]:
+    """Yield "command --option" and the arguments of each command line."""
+    for command, bases in BASES.items():
+        for place, (name, prefix, values) in enumerate(options_of(command)):
+            base = bases[place % len(bases)].split()
+            for value in values:
+                yield (
+                    f"{command} {name} {prefix}".strip(),
+                    [
+                        *command.split(),
+                        *base,
+                        f"{name}={prefix}{value}" if name.startswith("--") else name,
+                        *([] if name.startswith("--") else [f"{prefix}{value}"]),
+                    ],
+                )
+
+
+def import_all(folder: Path) -> None:
+    """Run a line of each command in this process: its children need not import anything."""
+    for command, bases in BASES.items():
+        with (
+            chdir(folder / "work"),
+            (folder / "out").open("w") as output,
+            redirect_stdout(output),
+            redirect_stderr(output),
+        ):
+            camctl([*command.split(), *bases[0].split()])
+
+
+def run_line(arguments: list[str], seconds: int, folder: Path) -> dict[str, Any]:
+    """Run a command line in a child process; return how it ended."""
+    before = _resident()
+    child = os.fork()
+    if child == 0:
+        _child(arguments, seconds, folder)
+    _, status, used = os.wait4(child, 0)
+    error = (folder / "err").read_text(errors="replace")
+    found = {
+        "seconds": round(used.ru_utime + used.ru_stime, 1),
+        "mb": max(0, round(used.ru_maxrss / 1024 - before / 2**20)),
+    }
+    return {"wrong": _wrong(status, error), **found}
+
+
+def _resident() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+def _child(arguments: list[str], seconds: int, folder: Path) -> None:
+    status = 99
+    try:
+        os.chdir(folder / "work")
+        for descriptor, name in ((1, "out"), (2, "err")):
+            file = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(file, descriptor)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        sys.stdout = os.fdopen(1, "w", closefd=False)
+        sys.stderr = os.fdopen(2, "w", closefd=False)
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        most = pages * resource.getpagesize() + MOST_BYTES
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        status = camctl(arguments)
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(status)
+
+
+def _wrong(status: int, error: str) -> str:
+    """Return what is wrong with how a line ended, "" where nothing is."""
+    if os.WIFSIGNALED(status):
+        return f"ended by signal {os.WTERMSIG(status)}"
+    code = os.WEXITSTATUS(status)
+    errors = [line for line in error.splitlines() if not line.startswith("camctl: warning: ")]
+    if code not in (0, 1, 2, 3):
+        return f"status {code}: {error[-300:]}"
+    if "not enough memory" in error or "internal error" in error:
+        return error[-300:]
+    if len(errors) != (code in (1, 2)):
+        return f"{len(errors)} lines: {error[:300]}"
+    return ""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=int, default=60)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--every", type=int, default=1)
+    given = parser.parse_args()
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # libraries then start no threads
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        (folder / "work").mkdir()
+        write_photographs(folder / "work")
+        names = {"CAMCTL_CACHE": "cache", "CAMCTL_PROFILES": "profiles", "XDG_STATE_HOME": "state"}
+        os.environ.update({name: str(folder / each) for name, each in names.items()})
+        import_all(folder)
+        for place, (name, arguments) in enumerate(lines()):
+            if given.only in name and place % given.every == 0:
+                found = run_line(arguments, given.seconds, folder)
+                line = " ".join(arguments)
+                shown = line if len(line) < 200 else f"{line[:150]} ... {line[-40:]}"
+                print(json.dumps({"option": name, "line": shown, **found}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
