@@ -14,7 +14,7 @@ from menu.machine import choices, selected
 from menu.model import Action, Goal, Model, State
 from menu.ports import Line, Mood, Screen
 from menu.tables import STATES, Kind
-from menu.text import format_levels, format_short_time, format_total
+from menu.text import format_levels, format_short_time, format_total, gain_in_words
 
 #: Text of a waiting screen until there is progress to show.
 _WAITING = {
@@ -150,8 +150,6 @@ def _gain(model: Model, index: int) -> tuple[str, ...]:
     costs = [each for each in (cost, before) if each is not None and not each.problem]
     if cost is None or before is None or len(costs) < 2 or cost.count != before.count + 1:
         return ()
-    from camctl.exposure.tradeoff import gain_in_words  # imports numpy, loaded since the costs came
-
     seconds = [each.shutter_s if each.wall_s is None else each.wall_s for each in (cost, before)]
     more = format_short_time(max(seconds[0] - seconds[1], 0.0))
     if cost.is_relative:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 NOISE_KINDS = ("paper", "time", "aperture", "gain")
 
 CONFLICTS = {
-    "tolerance": {"p", "noise", "jitter", "total_limit", "settings", "time_limit"},
+    "tolerance": {"p", "noise", "jitter", "settings", "time_limit"},
     "settings": {"noise", "jitter", "time_limit"},
     "gains": {"total_limit"},
     "certificate": {"p", "noise", "jitter", "total_limit", "settings", "tolerance"},

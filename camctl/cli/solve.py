@@ -134,34 +134,24 @@ def _solve(
     from camctl.exposure.settings_grid import SettingsGrid
     from camctl.exposure.solver import SearchOptions
     from camctl.exposure.solver import solve as search
-    from camctl.exposure.tradeoff import fewest_exposures
 
     real, desired = camera.response, request.desired()
     levels_wanted, count = request.get("levels_wanted"), count_of(request)
     total_limit = math.inf if limits.total_limit is None else limits.total_limit
     with progress_bar("searching") as bar:
-        if "tolerance" in request and levels_wanted is not None:
-            found = fewest_exposures(
-                real,
-                desired,
-                request["tolerance"],
-                levels_wanted,
-                seed=limits.seed,
-                max_count=request.get("count", MOST_FOR_TOLERANCE),
-                progress=without_stage(bar),
-            )
-        else:
-            found = search(
-                real,
-                desired,
-                count,
-                objective=Objective(
-                    levels_wanted, objective.p, objective.noise_term(), objective.jitter
-                ),
-                total_limit=total_limit if limits.settings is None else math.inf,
-                search=SearchOptions(limits.seed, time_limit_s=limits.time_limit),
-                progress=without_stage(bar),
-            )
+        tolerance = request.get("tolerance")
+        found = search(
+            real,
+            desired,
+            request.get("count", MOST_FOR_TOLERANCE) if tolerance is not None else count,
+            objective=Objective(
+                levels_wanted, objective.p, objective.noise_term(), objective.jitter
+            ),
+            tolerance=tolerance,
+            total_limit=total_limit if limits.settings is None else math.inf,
+            search=SearchOptions(limits.seed, time_limit_s=limits.time_limit),
+            progress=without_stage(bar),
+        )
         if limits.settings is None:
             return SolveResult(camera, desired, found)
         restricted = solve_settings(

@@ -73,7 +73,6 @@ def solve_accuracy(
     total_limit: float = math.inf,
     accuracy: float | None = None,
     near_tie: float = NEAR_TIE,
-    recommended: bool = False,
     progress: Progress | None = None,
 ) -> AccuracySolution:
     """Return the exposures of the most effective levels, or the shortest that reach `accuracy`.
@@ -88,8 +87,6 @@ def solve_accuracy(
             the available times
         accuracy: effective levels, noise included, to reach in the least time
         near_tie: relative difference in effective levels up to which the shorter set is preferred
-        recommended: return the set beyond which more time brings no more than averaging does: the
-            shortest whose levels^2 / time is within 2 % of the largest, instead of the best
         progress: called with the completed share, 0 to 1
 
     Raises:
@@ -114,12 +111,10 @@ def solve_accuracy(
     search = sets_within(problem, counts, limit)
     report = progress or (lambda _: None)
     report(0.2)
-    if recommended:
-        chosen = search.recommended()
-    elif accuracy is None:
-        chosen = _most_accurate(search, limit, near_tie)
+    if accuracy is None:
+        chosen = most_accurate(search, limit, near_tie)
     else:
-        chosen = _least_time(search, limit, accuracy)
+        chosen = least_time(search, limit, accuracy)
     report(1.0)
     return replace(
         _solution(problem, chosen),
@@ -158,7 +153,9 @@ def sets_within(problem: AccuracyProblem, counts: Sequence[int], limit: float) -
     return search
 
 
-def _most_accurate(search: AccurateSets, limit: float, near_tie: float) -> Rated:
+def most_accurate(
+    search: AccurateSets, limit: float = math.inf, near_tie: float = NEAR_TIE
+) -> Rated:
     """Return the most accurate set; where time does not bind, the shortest nearly as accurate."""
     best = search.within(limit)
     if not near_tie or (limit < search.longest_of_use and not search.enumerated):
@@ -167,12 +164,18 @@ def _most_accurate(search: AccurateSets, limit: float, near_tie: float) -> Rated
     return best if near is None else min(best, near, key=_time_then_count)
 
 
-def _least_time(search: AccurateSets, limit: float, accuracy: float) -> Rated:
-    """Return the shortest set that has `accuracy` effective levels."""
+def least_time(search: AccurateSets, limit: float, accuracy: float) -> Rated:
+    """Return the shortest set that has `accuracy` effective levels.
+
+    Raises:
+        TooInaccurateError: none has
+    """
     found = search.reaching(accuracy, limit)
     if found is not None:
         return found
     best = search.within(limit)
+    if best.levels >= accuracy:
+        return best
     fewest, most = search.counts
     numbers = f"{fewest}" if fewest == most else f"{fewest} to {most}"
     raise TooInaccurateError(

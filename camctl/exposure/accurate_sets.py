@@ -18,7 +18,7 @@ from camctl.exposure.design import Design, DesignSearch
 from camctl.exposure.estimate import FrameAccuracy
 from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, bases
 from camctl.exposure.judge import Judge
-from camctl.exposure.least_quantisation import ROUNDS, least_quantisation
+from camctl.exposure.least_quantisation import least_quantisation
 from camctl.exposure.listed_sets import ListedSets
 from camctl.exposure.random_sets import interleave_step
 from camctl.model.distribution import deviation
@@ -34,6 +34,9 @@ KNEE = 0.97
 """Share of the largest levels^2 / time from which more time counts as no better than averaging.
 Predictions and an independent simulator differ by up to 1.05 % (42 cells), so that levels^2 of two
 sets can be told apart from 2 sqrt(2) x 1.05 % on."""
+
+NEAR_USUAL = 0.995
+"""Share of the levels of the usual number of exposures that are enough: 0.5 % is not seen."""
 
 NEARLY = 0.98
 """Share of this from which a traced set is refined: that changes the levels by less than 1 %."""
@@ -51,18 +54,24 @@ SPREADS = (0.5, 1.0, 1.5)
 POLISHED_SHARES = (0.1, 0.05, 0.05, 0.03, 0.03, 0.02, 0.01)
 """Shares by which one exposure after the other is changed there."""
 
-FEW_ROUNDS = 5
-"""Rounds of the search for the least quantisation error where a set is not polished."""
+UNPOLISHED = 0.15
+"""Share of the work of the search for the least quantisation error where a set is not polished."""
 
-JUDGED = 3
-"""Every how many sets of a front are judged, where noise dithers the quantiser: the ratio of the
-exact levels to the estimate changes by less than 1 % between them, and is interpolated."""
+FEW = 5
+"""Frames up to which every set of a front is judged: the ratio of the exact levels to the estimate
+differs by some per cent between them; from there on it changes by less than 1 %."""
 
 CORRECTIONS = 6
 """Attempts to reach an accuracy by another time; each leaves about a tenth of what was missing."""
 
+JUDGEMENTS = 4
+"""Sets with the same gains that are judged for an accuracy, at most; two are usually enough."""
+
 CLOSE = 1.001
 """Ratio of effective levels up to which a set has not more of them than asked for."""
+
+MIDDLE = (1 + CLOSE) / 2
+"""Ratio that is aimed at."""
 
 TRACED = 1.1
 """Share of an accuracy up to which the front is traced: estimates err by less."""
@@ -109,11 +118,16 @@ class AccurateSets:
         """The time of the most accurate set: longer ones are no better."""
         return max(search.most_accurate.time for search in self.searches)
 
-    def estimated(self, limit: float) -> float:
-        """Return about the most effective levels within a time: those of the best estimated set."""
-        both = [(search.within(limit), search) for search in self._possible(limit)]
-        design, search = max(both, key=lambda pair: pair[0].levels)
-        return self.judge(search.shots(design)).levels
+    def estimated(self, limit: float) -> Rated:
+        """Return about the most accurate set within a time: the best by the estimate."""
+        design, search = self._best_estimated(limit)
+        return self.judge(search.shots(design))
+
+    def _best_estimated(
+        self, limit: float, *, thorough: bool = False
+    ) -> tuple[Design, DesignSearch]:
+        both = [(each.within(limit, thorough=thorough), each) for each in self._possible(limit)]
+        return max(both, key=lambda pair: pair[0].levels)
 
     def _possible(self, limit: float) -> list[DesignSearch]:
         fewest, limit = self.counts[0], limit * (1 + SAME)
@@ -128,7 +142,7 @@ class AccurateSets:
         listed = self._listed.most_accurate(limit) if self._listed.numbers else None
         found = [] if listed is None else [listed]
         possible = [] if self.enumerated else self._possible(limit)
-        designs = [(search.within(limit), search) for search in possible]
+        designs = [(search.within(limit, thorough=polished), search) for search in possible]
         most = max((design.levels for design, _ in designs), default=0.0)
         for design, search in designs:
             if design.levels < NEAR_BEST * most:
@@ -137,32 +151,33 @@ class AccurateSets:
             if polished and not self.problem.noise.is_none:
                 found.append(self._polished(search, design, limit))
             if not self.dithered and not search.is_list and design.n > 1:
-                rounds = ROUNDS if polished else FEW_ROUNDS
-                sets = least_quantisation(search, design, limit, rounds=rounds)
+                share = 1.0 if polished else UNPOLISHED
+                sets = least_quantisation(search, design, limit, share=share)
                 found += [self.judge(each) for each in sets]
         return max(found, key=lambda each: (each.levels, -each.time))
 
     def front(self, limits: Sequence[float]) -> list[Rated]:
-        """Return about the most accurate set within each of some ascending times."""
+        """Return about the most accurate set within each of some ascending times.
+
+        Where noise dithers the quantiser, sets of more than `FEW` frames are not all judged: the
+        ratio of the exact levels to the estimate is interpolated between some of them.
+        """
         if not self.dithered or self._listed.numbers:
             return [self.within(limit, polished=False) for limit in limits]
-        designs = []
-        for limit in limits:
-            both = [(search.within(limit), search) for search in self._possible(limit)]
-            designs.append(max(both, key=lambda pair: pair[0].levels))
-        judged = sorted({*range(0, len(designs), JUDGED), len(designs) - 1})
-        ratios = [
-            self.judge(designs[k][1].shots(designs[k][0])).levels / designs[k][0].levels
-            for k in judged
-        ]
-        return [
-            Rated(
-                search.shots(design),
-                design.levels * float(np.interp(place, judged, ratios)),
-                design.time,
-            )
-            for place, (design, search) in enumerate(designs)
-        ]
+        both = [self._best_estimated(limit) for limit in limits]
+        few = [place for place, (design, _) in enumerate(both) if design.n <= FEW]
+        known = sorted({*few, (len(few) + len(both)) // 2, len(both) - 1} - {len(both)})
+        times, ratios = [], []
+        chosen = sorted([self._recommended, *(both[k] for k in known)], key=lambda p: p[0].time)
+        for design, search in chosen:
+            times.append(math.log(design.time + self.problem.available.costs.fixed))
+            ratios.append(self.judge(search.shots(design)).levels / design.levels)
+        found = []
+        for design, search in both:
+            at = math.log(design.time + self.problem.available.costs.fixed)
+            levels = design.levels * float(np.interp(at, times, ratios))
+            found.append(Rated(search.shots(design), levels, design.time))
+        return found
 
     def _polished(self, search: DesignSearch, design: Design, limit: float) -> Rated:
         best = self.judge(search.shots(design))
@@ -192,10 +207,39 @@ class AccurateSets:
         best = self._listed.quickest(levels, limit) if self._listed.numbers else None
         if self.enumerated:
             return best
-        fixed, low = self.problem.available.costs.fixed, self.least_time(self.counts[0])
+        low = self.least_time(self.counts[0])
         time = max(low, min(self._estimated_time(levels), limit))
         if not any(search.trace(levels=levels)[-1].levels >= levels for search in self.searches):
             limit = min(limit, max(low, self.longest_of_use))
+        if not self.dithered or self.searches[0].is_list:
+            return self._shortest(levels, limit, time, best)
+        design, search = self._best_estimated(time)
+        rated = self.judge(search.shots(design))
+        goal = levels * design.levels / rated.levels  # as much as the estimate errs
+        time = max(low, min(self._estimated_time(goal), limit))
+        design, search = self._best_estimated(time, thorough=True)
+        for _ in range(JUDGEMENTS):
+            rated = self.judge(search.shots(design))
+            if rated.levels >= levels and (best is None or rated.time < best.time):
+                best = rated
+            if levels <= rated.levels <= levels * CLOSE:
+                break
+            time = max(low, min(search.time_of(design, levels * MIDDLE / rated.levels), limit))
+            design = search.scaled(design, time)
+        return best
+
+    def _shortest(
+        self, levels: float, limit: float, time: float, best: Rated | None
+    ) -> Rated | None:
+        """Return the shortest set that has `levels`, by sets within different times.
+
+        Args:
+            levels: effective levels
+            limit: longest time
+            time: the first that is tried
+            best: a set that has them
+        """
+        fixed, low = self.problem.available.costs.fixed, self.least_time(self.counts[0])
         # Near a time the levels grow as its power w/2; `missed` is the longest time that failed.
         weight, missed, last = 1.0, low, None
         for _ in range(CORRECTIONS):
@@ -207,8 +251,10 @@ class AccurateSets:
             if last is not None and abs(found.time - last.time) > SAME * found.time:
                 change = math.log((last.time + fixed) / (found.time + fixed))
                 weight = 2 * math.log(last.levels / found.levels) / change
+            if levels <= found.levels <= levels * CLOSE:
+                break
             last, weight = found, min(max(weight, WEIGHT_LIMITS[0]), WEIGHT_LIMITS[1])
-            goal = math.log(levels * (1 + CLOSE) / 2 / found.levels)
+            goal = math.log(levels * MIDDLE / found.levels)
             time = (found.time + fixed) * math.exp(2 * goal / weight) - fixed
             top = limit if best is None else best.time
             if top + fixed <= (missed + fixed) * NEAR_TIME:
@@ -248,19 +294,31 @@ class AccurateSets:
                     return refined, search
         return chosen, search
 
-    def recommended(self) -> Rated:
+    def recommended(
+        self, floor: tuple[float, int] | None = None, *, polished: bool = True
+    ) -> Rated:
         """Return the set beyond which more time brings no more than averaging does.
 
         Levels of averages grow as the square root of the time.  It is the shortest set whose
         levels^2 / time, the fixed time counted in, is within `KNEE` of the largest.
+
+        Args:
+            floor: effective levels that it has at least, or a number of exposures: as many as the
+                most accurate so many have, if these are fewer
+            polished: see `within`
         """
         design, search = self._recommended
-        if self.dithered and not self.enumerated:
-            return self.judge(search.shots(design))
-        return self.within(design.time)
-
-    @property
-    def estimated_recommended(self) -> float:
-        """About the effective levels of the recommended set."""
-        design, search = self._recommended
-        return self.judge(search.shots(design)).levels
+        if (self.dithered and not self.enumerated) or not polished:
+            found = self.judge(search.shots(design))
+        else:
+            found = self.within(design.time)
+        if floor is None or found.levels >= floor[0]:
+            return found
+        usual = max(
+            (self.judge(each.shots(each.of_count(floor[1]))) for each in self.searches),
+            key=lambda rated: rated.levels,
+        )
+        least = min(floor[0], NEAR_USUAL * usual.levels)
+        if found.levels >= least:
+            return found
+        return self.reaching(least, usual.time) or usual

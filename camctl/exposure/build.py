@@ -10,18 +10,14 @@ therefore be of one kind.
 from __future__ import annotations
 
 import hashlib
-import logging
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Protocol
 
-from platformdirs import user_cache_dir
-
-from camctl.errors import DataError, StorageError, UsageError
+from camctl.errors import UsageError
+from camctl.exposure.cache import kept, read_kept
 from camctl.exposure.objective import Objective
 from camctl.exposure.solver import Progress, SearchOptions, solve
 from camctl.exposure.table import (
@@ -38,37 +34,13 @@ from camctl.model.response.names import RANGES, RESPONSES
 from camctl.system.files import storage_error, sync_folder
 from camctl.system.interrupts import uninterrupted
 
-_log = logging.getLogger(__name__)
-
 COUNTS: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
 """Numbers of exposures of a table, by default."""
 
 
-class TableJob(Protocol):
-    """One row to solve."""
-
-    @property
-    def name(self) -> str:
-        """Text that identifies the row, used as a file name."""
-        ...
-
-    @property
-    def work(self) -> float:
-        """Estimate of the time that solving it takes, in any unit."""
-        ...
-
-    def solve(self, progress: Progress | None = None) -> TableEntry:
-        """Solve the row."""
-        ...
-
-    def matches(self, entry: TableEntry) -> bool:
-        """Return whether `entry` is this row."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One row to solve, chosen by xi.  It can be pickled and sent to another process.
+    """One row to solve.  It can be pickled and sent to another process.
 
     Attributes:
         response: the response of the real camera
@@ -115,34 +87,16 @@ class Job:
             search=SearchOptions(seed=seed),
             progress=progress,
         )
-        return TableEntry(
-            response=self.desired.key,
-            dynamic_range=self.desired.dynamic_range,
-            n=self.n,
-            camera=self.response.fingerprint,
-            camera_name=self.response.name,
-            levels_wanted=found.levels_wanted,
-            exposures=found.exposures,
-            xi=found.xi,
-            effective_levels=found.effective_levels,
-            total_exposure=found.total_exposure,
-        )
+        return TableEntry.of(self.response, self.desired, found)
 
     def matches(self, entry: TableEntry) -> bool:
         """Return whether `entry` is this row, whatever its seed."""
         return entry.matches(self.response, self.desired, self.n, self.levels_wanted)
 
 
-def solve_job(job: TableJob, progress: Progress | None = None) -> TableEntry:
+def solve_job(job: Job, progress: Progress | None = None) -> TableEntry:
     """Solve one row."""
     return job.solve(progress)
-
-
-def cache_folder() -> Path:
-    """Return the folder of solved rows: $CAMCTL_CACHE/exposure, else in the user's cache folder."""
-    if chosen := os.environ.get("CAMCTL_CACHE"):
-        return Path(chosen) / "exposure"
-    return Path(user_cache_dir("camctl")) / "exposure"
 
 
 def look_up(
@@ -168,40 +122,15 @@ def look_up(
     found = default_table().find(response, desired, n, levels_wanted)
     if found is not None:
         return found
-    return cached_row(Job(response, desired, n, levels_wanted=levels_wanted), progress)
+    job = Job(response, desired, n, levels_wanted=levels_wanted)
+    return kept(
+        job.name, partial(read_row, job=job), lambda: solve_job(job, progress), TableEntry.to_json
+    )
 
 
-def cached_row(job: TableJob, progress: Progress | None = None) -> TableEntry:
-    """Return a row from `cache_folder()`, or solve it and keep it there.
-
-    If the folder cannot be written, the row is solved again the next time.
-    """
-    path = cache_folder() / f"{job.name}.json"
-    entry = _saved_row(path, job)
-    if entry is None:
-        entry = solve_job(job, progress)
-        with suppress(StorageError):
-            write_text(path, entry.to_json() + "\n")
-    return entry
-
-
-def _saved_row(path: Path, job: TableJob) -> TableEntry | None:
-    """Return the row in a file; None where there is none.
-
-    A file that cannot be used is renamed, with a warning in the log, and does not count.
-    """
-    try:
-        return read_entry(path, job.matches) if path.exists() else None
-    except OSError:  # the folder cannot be searched
-        return None
-    except DataError as error:
-        aside = path.with_name(f"{path.name}.damaged")
-        try:
-            path.replace(aside)
-            _log.warning("%s; set aside as %s, and computed again", error.what, aside.name)
-        except OSError:
-            _log.warning("%s; computed again", error.what)
-        return None
+def read_row(path: Path, job: Job) -> TableEntry:
+    """Return the row of `job` from a file; raises what `read_entry` raises."""
+    return read_entry(path, job.matches)
 
 
 def table_jobs(
@@ -240,7 +169,7 @@ def table_jobs(
 
 
 def build_table(
-    jobs: Sequence[TableJob],
+    jobs: Sequence[Job],
     *,
     executor: Executor | None = None,
     state: str | Path | None = None,
@@ -267,20 +196,22 @@ def build_table(
     folder = None if state is None else Path(state)
     done: dict[str, TableEntry] = {}
 
-    def keep(job: TableJob, entry: TableEntry) -> None:
+    def keep(job: Job, entry: TableEntry) -> None:
         done[job.name] = entry
         if progress is not None:
             progress(len(done), len(jobs))
 
     @uninterrupted  # a row that is saved is counted
-    def save(job: TableJob, entry: TableEntry) -> None:
+    def save(job: Job, entry: TableEntry) -> None:
         if folder is not None:
             write_text(folder / f"{job.name}.json", entry.to_json() + "\n")
         keep(job, entry)
 
-    waiting: list[TableJob] = []
+    waiting: list[Job] = []
     for job in jobs:
-        saved = None if folder is None else _saved_row(folder / f"{job.name}.json", job)
+        saved = None
+        if folder is not None:
+            saved = read_kept(folder / f"{job.name}.json", partial(read_row, job=job))
         if saved is None:
             waiting.append(job)
         else:
@@ -294,7 +225,7 @@ def build_table(
     return ExposureTable(done[job.name] for job in jobs)
 
 
-def discard_rows(jobs: Iterable[TableJob], state: str | Path) -> None:
+def discard_rows(jobs: Iterable[Job], state: str | Path) -> None:
     """Remove the rows that `build_table` has kept in `state`; call it when the table is saved.
 
     Raises:
@@ -315,11 +246,9 @@ def discard_rows(jobs: Iterable[TableJob], state: str | Path) -> None:
 
 
 def _solve_all(
-    executor: Executor, jobs: Sequence[TableJob], save: Callable[[TableJob, TableEntry], None]
+    executor: Executor, jobs: Sequence[Job], save: Callable[[Job, TableEntry], None]
 ) -> None:
-    futures: dict[Future[TableEntry], TableJob] = {
-        executor.submit(solve_job, job): job for job in jobs
-    }
+    futures: dict[Future[TableEntry], Job] = {executor.submit(solve_job, job): job for job in jobs}
     pending = set(futures)
     try:
         while pending:

@@ -75,10 +75,9 @@ class FrameAccuracy:
         noise = problem.noise
         self.fixed = float(np.mean((noise.prnu * E * slope) ** 2))
         available = problem.available
-        unit_s = available.unit_s if available.dark_unit_s is None else available.dark_unit_s
         self.has_shift = noise.dsnu_e > 0 or noise.dcnu_e_s > 0
         has_dark = noise.dark_current_e_s > 0 or noise.dcnu_e_s > 0
-        self.unit_s = unit_s if has_dark else 0.0
+        self.unit_s = available.unit_s if has_dark else 0.0
         self._tables = {gain: self._table(gain) for gain in available.gains}
 
     def _table(self, gain: float) -> _Table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,9 +20,6 @@ MAX_CHOICES = 600
 
 MAX_BASES = 12
 """Shortest exposures that are tried on a list, at most."""
-
-NOTABLE_DARK = 0.02
-"""Share of the variance of the read noise from which the noise of the dark current counts."""
 
 SAME = 1e-9
 """Relative difference up to which two exposures, or two times, are the same."""
@@ -108,7 +105,6 @@ class AvailableExposures:
             decides the light that just saturates; None: any.  Where any time can be set the
             shortest exposure is time 1 at the smallest gain
         unit_s: seconds in the unit of time; 0: unknown, and the dark current is left out
-        dark_unit_s: the same for the dark current alone; None: `unit_s`
         costs: what is counted as the time of a set
 
     Raises:
@@ -122,7 +118,6 @@ class AvailableExposures:
     longest: float = math.inf
     base: tuple[float, float] | None = None
     unit_s: float = 0.0
-    dark_unit_s: float | None = None
     costs: TimeCosts = TimeCosts()
 
     def __post_init__(self) -> None:
@@ -138,30 +133,6 @@ class AvailableExposures:
                 f"invalid limits {self.shortest:g} and {self.longest:g} of the times: expected the "
                 "shortest exposure, 1, between them"
             )
-
-    def without_idle_limits(self, reach: float, noise: NoiseModel) -> AvailableExposures:
-        """Return the same with limits left out that do not bind, and the longest time rounded down.
-
-        So exposures that were solved for one shortest exposure serve for others.
-
-        Args:
-            reach: the longest exposure that can be of use
-            noise: the noise of the camera; its dark current is left out where it and its pattern
-                add less than `NOTABLE_DARK` to the variance of the read noise
-        """
-        if self.times is not None:
-            return self
-        longest = math.inf if self.longest >= reach else max(1.0, _rounded_down(self.longest))
-        shortest = self.shortest
-        if shortest * max(self.gains) <= min(self.gains):
-            shortest = 0.0
-        dark_s = self.unit_s * min(longest, reach)
-        dark_e = noise.dark_current_e_s * dark_s + (noise.dcnu_e_s * dark_s) ** 2
-        dark_unit_s = 0.0
-        if dark_e > NOTABLE_DARK * noise.read_noise(min(self.gains)) ** 2:
-            # Rounded up, by 19 % at most, so that an accuracy is not promised with too little.
-            dark_unit_s = 2.0 ** (math.ceil(4 * math.log2(self.unit_s)) / 4)
-        return replace(self, shortest=shortest, longest=longest, dark_unit_s=dark_unit_s)
 
     def duration(self, time: float) -> str:
         """Return the time of a set, given without its fixed time in this unit, as text."""
@@ -206,21 +177,13 @@ class AccuracyProblem:
             self.black,
             times,
             (available.gains, available.shortest, available.longest, available.base),
-            available.unit_s if available.dark_unit_s is None else available.dark_unit_s,
+            available.unit_s,
         )
 
     def frame_noise(self, shot: Shot) -> FrameNoise:
         """Return the noise of a frame with this exposure."""
-        available = self.available
-        unit_s = available.unit_s if available.dark_unit_s is None else available.dark_unit_s
-        time_s = shot.time * unit_s
+        time_s = shot.time * self.available.unit_s
         return self.noise.frame(gain=shot.gain, time_s=time_s, black=self.black)
-
-
-def _rounded_down(value: float) -> float:
-    """Return a positive number rounded down to two digits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return math.floor(value / unit * (1 + SAME)) * unit
 
 
 def bases(problem: AccuracyProblem) -> list[float]:

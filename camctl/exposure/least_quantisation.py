@@ -18,8 +18,11 @@ from camctl.exposure.random_sets import RandomSets
 from camctl.model.response.camera import FloatArray, every_nth_level
 
 STARTS, KEPT, MOVES, ROUNDS = 48, 8, 24, 12
-"""Random sets, sets that are improved, changes of each, and rounds: the result is within about 1 %
-of a long search."""
+"""Random sets, sets that are improved, changes of each, and rounds, at most: the result is within
+about 1 % of a long search."""
+
+MOST_SORTED = 12_000_000
+"""Levels that are sorted, at most: about 0.1 s."""
 
 MAX_LEVELS = 511
 """Cameras of more levels are searched by every second, fourth, ... of them; the distances between
@@ -30,7 +33,7 @@ BEST = 2
 
 
 def least_quantisation(
-    search: DesignSearch, design: Design, limit: float, *, rounds: int = ROUNDS
+    search: DesignSearch, design: Design, limit: float, *, share: float = 1.0
 ) -> list[Shots]:
     """Return sets of little quantisation error that take `limit` at most, at the lowest gain.
 
@@ -38,7 +41,7 @@ def least_quantisation(
         search: for one shortest exposure, where any time can be set
         design: a set that the estimate found; the result has as many exposures
         limit: longest time of the sets, without their fixed time
-        rounds: rounds of changes
+        share: of the work that it may be, see `MOST_SORTED`
     """
     problem = search.problem
     finer = 2 ** max(0, math.ceil(math.log2((problem.response.M + 1) / (MAX_LEVELS + 1))))
@@ -51,7 +54,10 @@ def least_quantisation(
     starts = np.concatenate([moves.starts(STARTS), design.log_exposure + spread])
     sets = _in_time(search, moves.normalised(starts), limit)
     scores = score(np.exp(sets))
-    for _ in range(rounds):
+    most = share * MOST_SORTED / (design.n * response.M)
+    for _ in range(ROUNDS):
+        if score.evaluations > most:
+            break
         best = np.argsort(scores, kind="stable")[:KEPT]
         changed = moves.around(sets[best], MOVES).reshape(-1, design.n)
         changed = _in_time(search, changed, limit)

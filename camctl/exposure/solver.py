@@ -77,6 +77,12 @@ MAX_DIRECT_LEVELS = 1023
 FINALISTS = 4
 """Sets of the coarse search that the finer one starts from: their order may be another one."""
 
+QUICK_EFFORT = 0.1
+"""Effort of the first search for each number of exposures: within a few per cent of the best."""
+
+QUICK_MARGIN = 1.25
+"""A quick search with more than this many times the tolerance is not repeated with full effort."""
+
 SHARE_BETWEEN = 0.05
 """Share of the evaluations for a camera between the coarsest and the finest one."""
 
@@ -163,23 +169,30 @@ def solve(
     n: int,
     *,
     objective: Objective | None = None,
+    tolerance: float | None = None,
     total_limit: float = math.inf,
     search: SearchOptions | None = None,
     progress: Progress | None = None,
 ) -> Solution:
     """Return the best n exposures found for a camera to approximate a desired response.
 
+    With a `tolerance` they are the fewest, n at most, that leave so few levels missing (Grossberg
+    and Nayar, section 3.2); with a `total_limit` they take no more time in all (footnote 10).
+
     Args:
         response: the response of the real camera
         desired: the desired response
-        n: number of exposures, 1 to 16
+        n: number of exposures, 1 to 16; with a `tolerance` the largest number
         objective: the quantity to minimise; None: missing levels of n * M
+        tolerance: largest objective, >= 0; it needs `Objective.levels_wanted`, since the default
+            n * M grows with n; None: as small as n exposures make it
         total_limit: largest sum of the exposures, in units of the shortest; infinite: no limit
         search: how long to search, and with which random numbers
         progress: called with the completed share, 0 to 1
 
     Raises:
-        UsageError: n is out of range, or the limit is below n
+        UsageError: n is out of range, the limit is below n, the tolerance is negative, or n
+            exposures do not reach it; states the objective that they reach
 
     >>> from camctl.model.response.camera import linear_response
     >>> from camctl.model.response.desired import desired_response
@@ -188,28 +201,67 @@ def solve(
     [1.0, 32.4]
     """
     problem = ExposureProblem(response, desired, n, objective or Objective())
-    options = search or SearchOptions()
+    options, started = search or SearchOptions(), process_time()
+    if tolerance is None:
+        found = _best_of_count(problem, options, total_limit, progress)
+    else:
+        found = _fewest(problem, options, total_limit, tolerance, progress)
+    if progress is not None:
+        progress(1.0)
+    return replace(found, seconds=process_time() - started)
+
+
+def _best_of_count(
+    problem: ExposureProblem, options: SearchOptions, total_limit: float, progress: Progress | None
+) -> Solution:
+    n = problem.n
     if not total_limit >= n:
         raise UsageError(
             f"invalid limit {total_limit:g} of the total exposure: {n} exposures have at least {n} "
             "times the shortest",
             hint="raise the limit, or request fewer exposures",
         )
-    started = process_time()
     equal = (1.0,) * n
     # xi is never below 0, and no set is shorter than equal exposures.
     if n == 1 or total_limit == n or problem.score(equal) == 0:
-        found = Solution.of(problem, equal)
-    else:
-        running = _Search(problem, options, total_limit, progress)
-        known = None
-        if response.M > MAX_DIRECT_LEVELS and problem.objective.noise is None:
-            known = _coarse_starts(problem, options, total_limit)
-        exposures = running.run(known)
-        found = Solution.of(problem, exposures, evaluations=running.score.evaluations)
-    if progress is not None:
-        progress(1.0)
-    return replace(found, seconds=process_time() - started)
+        return Solution.of(problem, equal)
+    running = _Search(problem, options, total_limit, progress)
+    known = None
+    if problem.response.M > MAX_DIRECT_LEVELS and problem.objective.noise is None:
+        known = _coarse_starts(problem, options, total_limit)
+    exposures = running.run(known)
+    return Solution.of(problem, exposures, evaluations=running.score.evaluations)
+
+
+def _fewest(
+    problem: ExposureProblem,
+    options: SearchOptions,
+    total_limit: float,
+    tolerance: float,
+    progress: Progress | None,
+) -> Solution:
+    """Return the best set of the fewest exposures whose objective is `tolerance` at most."""
+    if not (math.isfinite(tolerance) and tolerance >= 0):
+        raise UsageError(f"invalid tolerance {tolerance:g}: expected a number of levels >= 0")
+    if problem.objective.levels_wanted is None:
+        raise UsageError("a tolerance needs the number of desired levels")
+    most, best = int(min(problem.n, max(1.0, total_limit))), math.inf
+    quick = replace(options, effort=QUICK_EFFORT * options.effort)
+    for n in range(1, most + 1):
+        fewer = replace(problem, n=n)
+        found = _best_of_count(fewer, quick, total_limit, None)
+        if tolerance < found.xi < QUICK_MARGIN * tolerance or n == most:
+            found = _best_of_count(fewer, options, total_limit, None)
+        if progress is not None:
+            progress(n / most)
+        if found.xi <= tolerance:
+            return found
+        best = min(best, found.xi)
+    raise UsageError(
+        f"no set of up to {most} exposures reduces xi to {tolerance:g}",
+        hint=f"the best one has {best:.4g}: allow that many missing levels, or request fewer "
+        f"levels than {problem.levels_wanted:g}",
+    )
 
 
 def _coarse_starts(

@@ -7,7 +7,7 @@ bits, with a black level or with a rounding quantiser never gets the row of an 8
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -16,6 +16,9 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from camctl.errors import DataError
+from camctl.exposure.evaluation import evaluate
+from camctl.exposure.objective import Objective
+from camctl.exposure.solver import Solution
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
 from camctl.system.files import make_folder, storage_error, write_bytes
@@ -39,14 +42,8 @@ class TableEntry(BaseModel):
         levels_wanted: G, the number of levels of the desired camera
         exposures: relative, ascending from 1
         xi: the objective with p = 1: missing levels
-        effective_levels: L; with noise in a row chosen by accuracy, without in all others
+        effective_levels: L, without noise
         total_exposure: sum of the exposures: total exposure time in units of the shortest
-        accuracy: in a row chosen by accuracy, the key of what it was chosen for: noise, gains and
-            limits; None: chosen by xi
-        times: shutter time of each exposure in such a row, in the unit of `AvailableExposures`;
-            None: as the exposures
-        gains: gain of each; None: 1
-        effective_levels_noise_free: L without noise in such a row
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -61,23 +58,35 @@ class TableEntry(BaseModel):
     xi: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     effective_levels: Positive
     total_exposure: Positive
-    accuracy: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = None
-    times: tuple[Positive, ...] | None = None
-    gains: tuple[Positive, ...] | None = None
-    effective_levels_noise_free: Positive | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> TableEntry:
         if len(self.exposures) != self.n:
             raise ValueError(f"it has {len(self.exposures)} exposures, but n is {self.n}")
-        for name, values in (("times", self.times), ("gains", self.gains)):
-            if values is not None and len(values) != self.n:
-                raise ValueError(f"it has {len(values)} {name}, but n is {self.n}")
         if self.exposures[0] != 1 or list(self.exposures) != sorted(self.exposures):
             raise ValueError("the exposures do not ascend from 1")
         if not math.isclose(sum(self.exposures), self.total_exposure, rel_tol=1e-9):
             raise ValueError("total_exposure is not the sum of the exposures")
         return self
+
+    @classmethod
+    def of(cls, response: CameraResponse, desired: DesiredResponse, found: Solution) -> TableEntry:
+        """Return the row of exposures that were found."""
+        quality = evaluate(
+            response, desired, found.exposures, objective=Objective(found.levels_wanted)
+        )
+        return cls(
+            response=desired.key,
+            dynamic_range=desired.dynamic_range,
+            n=len(found.exposures),
+            camera=response.fingerprint,
+            camera_name=response.name,
+            levels_wanted=found.levels_wanted,
+            exposures=found.exposures,
+            xi=quality.xi,
+            effective_levels=quality.effective_levels_noise_free,
+            total_exposure=quality.total_exposure,
+        )
 
     def matches(
         self,
@@ -89,8 +98,7 @@ class TableEntry(BaseModel):
         """Return whether this row is for that camera, desired response, n and G (None: n * M)."""
         G = n * response.M if levels_wanted is None else levels_wanted
         return (
-            self.accuracy is None
-            and self.n == n
+            self.n == n
             and self.camera == response.fingerprint
             and self.response == desired.key
             and math.isclose(self.dynamic_range, desired.dynamic_range, rel_tol=1e-12)
@@ -192,16 +200,6 @@ class ExposureTable:
 def default_table() -> ExposureTable:
     """Return the table that is part of camctl: 8-bit linear, three responses and ranges, n <= 6."""
     return _packaged("default_table.json")
-
-
-@cache
-def accuracy_rows() -> Mapping[str, TableEntry]:
-    """Return the rows chosen by accuracy that are part of camctl, by their `accuracy`.
-
-    They are for the built-in simulated sensors: three responses and ranges, n <= 6.
-    """
-    table = _packaged("default_accuracy_table.json")
-    return {entry.accuracy: entry for entry in table.entries if entry.accuracy is not None}
 
 
 def _packaged(name: str) -> ExposureTable:

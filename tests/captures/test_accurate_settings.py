@@ -11,21 +11,11 @@ from small_cameras import small_camera
 import camctl
 from camctl.captures.plan import plan_capture
 from camctl.errors import UsageError
-from camctl.exposure.accuracy import solve_accuracy
-from camctl.exposure.accuracy_lookup import (
-    AccuracyJob,
-    accuracy_jobs,
-    look_up_accurate,
-    without_idle_limits,
-)
-from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.best import objective_of
 from camctl.exposure.search.front import Front, gain_choices
-from camctl.exposure.table import accuracy_rows, default_table
 from camctl.interface.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
 from camctl.model.noise import NoiseModel
-from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
 
 NOISE = NoiseModel(39.0, ((1.0, 3.0),))
@@ -170,61 +160,6 @@ def test_gain_choices_are_doublings_of_the_smallest() -> None:
     assert gain_choices(Steps(1.0, 16.0, 0.0625)) == (1.0, 2.0, 4.0, 8.0, 16.0)
     assert gain_choices(Choices((1.0,))) == (1.0,)
     assert gain_choices(Choices((2.0, 3.0, 8.0))) == (2.0, 3.0, 8.0)
-
-
-def problem_with(available: AvailableExposures) -> AccuracyProblem:
-    return AccuracyProblem(linear_response(8), desired_response("log", 300.0), NOISE, available)
-
-
-def test_solved_exposures_are_kept(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = problem_with(AvailableExposures(gains=(1.0, 2.0)))
-    first = look_up_accurate(problem, [2], total_limit=5.0)
-    assert len(list(own_cache.glob("accuracy-*.json"))) == 1
-    monkeypatch.setattr(AccuracyJob, "solve", None)
-    again = look_up_accurate(problem, [2], total_limit=5.0)
-    assert (again.exposures, again.times, again.gains) == (
-        first.exposures,
-        first.times,
-        first.gains,
-    )
-    assert again.effective_levels == first.effective_levels
-
-
-def test_limits_that_do_not_bind_share_a_row() -> None:
-    free = without_idle_limits(problem_with(AvailableExposures()))
-    idle = without_idle_limits(
-        problem_with(AvailableExposures(shortest=0.01, longest=2000.0, unit_s=0.02))
-    )
-    binding = without_idle_limits(problem_with(AvailableExposures(longest=20.0)))
-    keys = [AccuracyJob(problem, (3,)).key for problem in (free, idle, binding)]
-    assert keys[0] == keys[1] != keys[2]
-
-
-def test_rows_for_the_sensors_are_part_of_camctl(monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = accuracy_rows()
-    assert len(rows) == 5 * 3 * 3 * 6
-    assert not set(rows.values()) & set(default_table().entries)
-    with small_camera() as camera:
-        controls = camera.controls
-        available = AvailableExposures(longest=controls.time_s.maximum / 0.01, unit_s=0.01)
-        assert controls.noise is not None
-        problem = AccuracyProblem(
-            controls.levels, desired_response("gamma", 1000.0), controls.noise, available
-        )
-    solved = solve_accuracy(problem, [2])
-    monkeypatch.setattr(AccuracyJob, "solve", None)  # it must not be needed
-    row = look_up_accurate(problem, [2])
-    assert row.total_time == pytest.approx(solved.total_time, rel=5e-3)
-    assert row.effective_levels == pytest.approx(solved.effective_levels, rel=1e-3)
-
-
-def test_rows_of_a_table_are_jobs_for_every_count() -> None:
-    jobs = accuracy_jobs([problem_with(AvailableExposures())], (1, 2))
-    assert [job.counts for job in jobs] == [(1,), (2,)]
-    entry = jobs[0].solve()
-    assert jobs[0].matches(entry)
-    assert not jobs[1].matches(entry)
-    assert entry.effective_levels < (entry.effective_levels_noise_free or 0)
 
 
 @pytest.mark.parametrize(

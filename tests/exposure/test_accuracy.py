@@ -228,7 +228,7 @@ def test_few_sets_are_rated_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_dark_current_changes_the_exposures() -> None:
-    noisy = NoiseModel(39.0, ((1.0, 3.0),), dark_current_e_s=500.0)
+    noisy = NoiseModel(39.0, ((1.0, 3.0),), dark_current_e_s=5000.0)
     available = AvailableExposures(unit_s=0.1)
     dark = solve_accuracy(problem_of("log", noise=noisy, available=available), [2])
     none = solve_accuracy(problem_of("log"), [2])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cache
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 from camctl.errors import UsageError
+from camctl.exposure import cache
 from camctl.exposure.accuracy import TooInaccurateError
+from camctl.exposure.cache import cache_folder
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
+from camctl.exposure.search import front as front_module
 from camctl.exposure.search.front import POINTS, SMOOTH_LEVELS, Front, FrontPoint
 from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.clock import CaptureTiming
@@ -45,7 +48,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path / "cache"))
 
 
-@cache
+@lru_cache
 def standard() -> Front:
     """Return the front of `STREAM`, once for all tests: it is the same, and searched as asked."""
     return Front(STREAM, LOG, BASE_S)
@@ -176,3 +179,45 @@ def test_a_list_of_times_and_gains_is_kept() -> None:
     assert {setting.time_s for setting in point.settings} <= set(times.values)
     assert {setting.gain for setting in point.settings} <= {1.0, 2.0, 4.0}
     assert point.time_s <= 0.6
+
+
+def test_points_are_kept_for_the_next_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    request = CaptureRequest(time_budget_s=0.5)
+    first = Front(STREAM, LOG, BASE_S, request=request)
+    known = first.points, first.chosen, first.levels_within(0.2), first.estimated_levels
+    assert first.levels_within(1e-4) is None
+    monkeypatch.setattr(front_module, "accurate_sets", None)  # no search must be needed
+    again = Front(STREAM, LOG, BASE_S, request=request)
+    assert (again.points, again.chosen) == known[:2]
+    assert (again.levels_within(0.2), again.estimated_levels) == known[2:]
+    assert again.levels_within(1e-4) is None
+    assert again.chosen.time_s == predicted_wall_s(STREAM, again.chosen.settings)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'[{"settings": [], "time_s": "x"}]'])
+def test_a_damaged_point_is_found_again(content: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    point = Front(STREAM, LOG, BASE_S).recommended
+    (path,) = cache_folder().iterdir()
+    path.write_bytes(content)
+    assert Front(STREAM, LOG, BASE_S).recommended == point
+
+
+def test_another_camera_light_or_goal_has_points_of_its_own() -> None:
+    for front in (
+        Front(STREAM, LOG, BASE_S),
+        Front(STREAM, LOG, 2 * BASE_S),
+        Front(STREAM, desired_response("log", 500.0), BASE_S),
+        Front(replace(STREAM, frame_interval_s=0.1), LOG, BASE_S),
+        Front(replace(STREAM, noise=NoiseModel(30.0, ((1.0, 3.0),))), LOG, BASE_S),
+        Front(STREAM, LOG, BASE_S, request=CaptureRequest(count=2)),
+    ):
+        assert front.recommended.levels > 20
+    assert len(list(cache_folder().iterdir())) == 6
+
+
+def test_the_oldest_kept_points_are_deleted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "MOST_FILES", 3)
+    front = Front(STREAM, LOG, BASE_S)
+    for time_s in (0.2, 0.3, 0.4, 0.5, 0.6):
+        front.at_time(time_s)
+    assert len(list(cache_folder().iterdir())) == 3

@@ -258,3 +258,41 @@ def test_extreme_problems_are_solved_without_a_warning(
     assert math.isfinite(found.xi)
     assert found.xi >= 0
     assert found.effective_levels >= 1 - 1e-9
+
+
+def test_the_fewest_exposures_for_a_tolerance() -> None:
+    found = solve(EIGHT_BIT, LOG, 16, objective=Objective(300), tolerance=60)
+    fewer = solve(EIGHT_BIT, LOG, len(found.exposures) - 1, objective=Objective(300))
+    assert found.xi <= 60 < fewer.xi
+    assert found.levels_wanted == 300
+
+
+def test_a_tolerance_and_a_limit_of_the_time_hold_together() -> None:
+    free = solve(EIGHT_BIT, LOG, 16, objective=Objective(300), tolerance=100)
+    limit = 0.5 * free.total_exposure
+    found = solve(EIGHT_BIT, LOG, 16, objective=Objective(300), tolerance=100, total_limit=limit)
+    assert found.xi <= 100
+    assert found.total_exposure <= limit * (1 + 1e-9)
+    assert len(found.exposures) >= len(free.exposures)
+
+
+@pytest.mark.parametrize(("n", "limit"), [(2, math.inf), (16, 2.0)])
+def test_an_unreachable_tolerance_is_refused_with_the_reachable_one(n: int, limit: float) -> None:
+    message = r"no set of up to 2 exposures reduces xi to 1; the best one has \d+(\.\d+)?: allow"
+    with pytest.raises(UsageError, match=message):
+        solve(EIGHT_BIT, LOG, n, objective=Objective(300), tolerance=1, total_limit=limit)
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "levels", "message"),
+    [
+        (-1.0, 300.0, "invalid tolerance -1: expected a number of"),
+        (float("nan"), 300.0, "invalid tolerance nan: expected a number of"),
+        (1.0, None, "a tolerance needs the number of desired levels"),
+    ],
+)
+def test_an_invalid_tolerance_is_refused(
+    tolerance: float, levels: float | None, message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        solve(EIGHT_BIT, LOG, 3, objective=Objective(levels), tolerance=tolerance)

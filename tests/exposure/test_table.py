@@ -11,7 +11,8 @@ import pytest
 
 from camctl.errors import DataError, StorageError, UsageError
 from camctl.exposure import build
-from camctl.exposure.build import Job, build_table, cache_folder, look_up, table_jobs
+from camctl.exposure.build import Job, build_table, look_up, table_jobs
+from camctl.exposure.cache import cache_folder
 from camctl.exposure.objective import xi
 from camctl.exposure.solver import Progress
 from camctl.exposure.table import ExposureTable, TableEntry, default_table

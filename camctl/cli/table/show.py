@@ -78,19 +78,14 @@ def show(
     Each row is for one camera, response, dynamic range and number of exposures. With --bits,
     --phase or --curve, or with --sensor or --camera, only rows of that camera are shown. Where the
     noise is known (--sensor, --camera, --electrons, --read-noise), effective levels count it in.
-    The built-in table has exposures chosen by xi, and for some sensors (standard, webcam, consumer,
-    phone, machine-vision) others chosen by accuracy with their noise.
+    The built-in table has exposures chosen by xi; where the noise is known, others chosen by
+    accuracy are solved and shown beside them.
     """
     from camctl.exposure.table import ExposureTable, default_table
 
     found = default_table() if path is None else ExposureTable.load(path)
     camera = noise.camera(real_camera)
     real = camera.response if noise.names_camera else None
-    if path is None and not sensitivity:
-        found = ExposureTable((*found.entries, *_chosen_by_accuracy(camera)))
-    if real is not None and all(entry.camera != real.fingerprint for entry in found.entries):
-        name = "the built-in table" if path is None else f"table {path}"
-        raise DataError(f"{name} has no row for {real.name}", hint=_other_ways(noise))
     entries = [
         entry
         for entry in found.entries
@@ -99,6 +94,15 @@ def show(
         and count in (None, entry.n)
         and (real is None or entry.camera == real.fingerprint)
     ]
+    accurate = []
+    if path is None and not sensitivity:
+        accurate = _chosen_by_accuracy(camera, response, dynamic_range, count)
+    has_rows = real is None or any(entry.camera == real.fingerprint for entry in found.entries)
+    if real is not None and not (has_rows or accurate):
+        name = "the built-in table" if path is None else f"table {path}"
+        raise DataError(f"{name} has no row for {real.name}", hint=_other_ways(noise))
+    chosen_by = ["xi"] * len(entries) + ["accuracy"] * len(accurate)
+    entries += accurate
     if not (entries or as_json):
         raise UsageError(
             "the table has no such row",
@@ -110,11 +114,11 @@ def show(
         rows = [
             entry.model_dump()
             | {
-                "chosen_by": _chosen_by(entry),
+                "chosen_by": how,
                 "effective_levels": with_noise,
-                "effective_levels_noise_free": _noise_free(entry),
+                "effective_levels_noise_free": entry.effective_levels,
             }
-            for entry, with_noise in zip(entries, levels, strict=True)
+            for entry, how, with_noise in zip(entries, chosen_by, levels, strict=True)
         ]
         for row, each in zip(rows, robustness, strict=False):
             row["sensitivity"] = sensitivity_json(each)
@@ -124,9 +128,16 @@ def show(
         text = (
             sensitivity_table(entries, robustness)
             if robustness
-            else _rows_text(entries, levels, noise_known=noise_known)
+            else _rows_text(list(zip(entries, chosen_by, levels, strict=True)), noise_known)
         )
-        print_text(f"{text}\n{_hint(entries, camera)}" if path is None else text)
+        print_text(text if path is not None or sensitivity else f"{text}\n{_hint(noise_known)}")
+
+
+def _hint(noise_known: bool) -> str:
+    """Return what the exposures chosen by accuracy are, or how to see them."""
+    if noise_known:
+        return "chosen by accuracy: least error with the noise of this camera, at gain 1"
+    return "exposures chosen by accuracy belong to a camera's noise: name one with --sensor"
 
 
 def _other_ways(noise: NoiseOptions) -> str:
@@ -139,44 +150,34 @@ def _other_ways(noise: NoiseOptions) -> str:
     )
 
 
-def _chosen_by_accuracy(camera: KnownCamera) -> list[TableEntry]:
-    """Return the built-in rows chosen by accuracy with the noise of a camera, at gain 1."""
+def _chosen_by_accuracy(
+    camera: KnownCamera, response: str | None, dynamic_range: float | None, count: int | None
+) -> list[TableEntry]:
+    """Return rows chosen by accuracy with the noise of a camera, at gain 1; none if unknown."""
     if camera.noise is None:
         return []
-    from camctl.exposure.accuracy_lookup import accuracy_jobs
+    from camctl.exposure.accuracy import solve_accuracy
+    from camctl.exposure.build import COUNTS
     from camctl.exposure.exposure_choices import AccuracyProblem
-    from camctl.exposure.table import accuracy_rows
+    from camctl.exposure.table import TableEntry
     from camctl.model.response.desired import desired_response
     from camctl.model.response.names import RANGES, RESPONSES
 
-    problems = [
-        AccuracyProblem(
-            camera.response, desired_response(name, span), camera.noise, black=camera.black
-        )
-        for name in RESPONSES
-        for span in RANGES
+    rows = [
+        (desired_response(name, span), n)
+        for name in ([response] if response in RESPONSES else RESPONSES if not response else [])
+        for span in ([dynamic_range] if dynamic_range else RANGES.values())
+        for n in ([count] if count else COUNTS)
     ]
-    rows = accuracy_rows()
-    return [rows[job.key] for job in accuracy_jobs(problems) if job.key in rows]
-
-
-def _chosen_by(entry: TableEntry) -> str:
-    return "xi" if entry.accuracy is None else "accuracy"
-
-
-def _noise_free(entry: TableEntry) -> float:
-    """Return the effective levels of a row without noise."""
-    counted = entry.effective_levels_noise_free
-    return entry.effective_levels if counted is None else counted
-
-
-def _hint(entries: list[TableEntry], camera: KnownCamera) -> str:
-    """Return how to see exposures chosen by accuracy, where there are none."""
-    if any(entry.accuracy is not None for entry in entries):
-        return "chosen by accuracy: least error with the noise of this camera, at gain 1"
-    if camera.noise is None:
-        return "exposures chosen by accuracy belong to a camera's noise: name one with --sensor"
-    return "this table has no exposures chosen by accuracy for this noise: see camctl solve --help"
+    found = []
+    with progress_bar(f"solving {len(rows)} rows") as bar:
+        for desired, n in rows:
+            problem = AccuracyProblem(camera.response, desired, camera.noise, black=camera.black)
+            solution = solve_accuracy(problem, [n])
+            found.append(TableEntry.of(camera.response, desired, solution))
+            if bar is not None:
+                bar(len(found) / len(rows), "")
+    return found
 
 
 def _effective_levels(
@@ -189,9 +190,7 @@ def _effective_levels(
         return [entry.effective_levels for entry in entries]
     cameras = _cameras(entries, real)
     return [
-        entry.effective_levels
-        if entry.accuracy is not None
-        else replace(camera, response=cameras[entry.camera])
+        replace(camera, response=cameras[entry.camera])
         .rate(desired_response(entry.response, entry.dynamic_range), entry.exposures)
         .effective_levels
         for entry in entries
@@ -240,8 +239,8 @@ def _linear_camera(entry: TableEntry) -> CameraResponse:
     )
 
 
-def _rows_text(entries: list[TableEntry], levels: list[float], *, noise_known: bool) -> str:
-    cameras = dict.fromkeys(entry.camera_name for entry in entries)
+def _rows_text(rated: list[tuple[TableEntry, str, float]], noise_known: bool) -> str:
+    cameras = dict.fromkeys(entry.camera_name for entry, _, _ in rated)
     blocks = []
     for name in cameras:
         rows = [
@@ -249,18 +248,16 @@ def _rows_text(entries: list[TableEntry], levels: list[float], *, noise_known: b
                 entry.response,
                 range_text(entry.dynamic_range),
                 str(entry.n),
-                _chosen_by(entry),
+                how,
                 format_number(with_noise, 4),
-                f"with noise, {format_number(_noise_free(entry), 4)} without"
+                f"with noise, {format_number(entry.effective_levels, 4)} without"
                 if noise_known
                 else NOISE_UNKNOWN,
                 f"{format_number(entry.xi, 5)} of {format_number(entry.levels_wanted)}",
                 format_number(entry.total_exposure, 4),
                 "  ".join(map(format_number, entry.exposures)),
             )
-            for entry, with_noise in sorted(
-                zip(entries, levels, strict=True), key=lambda pair: _place(pair[0])
-            )
+            for entry, how, with_noise in sorted(rated, key=lambda row: _place(row[0]))
             if entry.camera_name == name
         ]
         headings = (

@@ -7,19 +7,32 @@ Where the noise is unknown, quantisation alone decides (`Front.has_noise`).
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
+from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
-from camctl.errors import CaptureError, UsageError
-from camctl.exposure.accuracy import COUNTS, TooInaccurateError, accurate_sets
-from camctl.exposure.accuracy_lookup import look_up_accurate
+from camctl.errors import CaptureError, DataError, UsageError
+from camctl.exposure.accuracy import (
+    COUNTS,
+    TooInaccurateError,
+    accurate_sets,
+    least_time,
+    most_accurate,
+    sets_within,
+)
+from camctl.exposure.accurate_sets import AccurateSets
+from camctl.exposure.cache import kept
 from camctl.exposure.exposure_choices import (
     AccuracyProblem,
     AvailableExposures,
+    Rated,
     Shot,
     TimeCosts,
 )
@@ -32,6 +45,9 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
 
+VERSION = 1
+"""Part of the key of a kept point; it changes where the search finds other settings."""
+
 POINTS = 12
 """Points of a front, evenly over the logarithm of the time."""
 
@@ -42,6 +58,8 @@ SMOOTH_LEVELS = 66.0
 """Effective levels at which noise is just not seen: its standard deviation in the brightness of a
 display with a contrast of 1:100, ln(100) / (sqrt(12) L), is 2 %, Weber's fraction of the eye."""
 
+#: Fewest effective levels of the recommended point, or as many as so many exposures have.
+_FLOOR = SMOOTH_LEVELS, DEFAULT_COUNT
 #: Whole flicker periods that are tried as shutter times, at most.
 _PERIODS = 200
 #: Factors on the effective levels asked of the search until the camera's own steps reach them.
@@ -79,10 +97,26 @@ class FrontPoint:
         return len(self.settings)
 
 
+_POINTS = TypeAdapter(tuple[FrontPoint, ...])
+
+
+def _read_points(path: Path, *, least: int) -> tuple[FrontPoint, ...]:
+    """Return the points in a file, `least` at least.
+
+    Raises:
+        DataError: it is damaged
+    """
+    with suppress(ValidationError):
+        points = _POINTS.validate_json(path.read_bytes())
+        if len(points) >= least:
+            return points
+    raise DataError(f"cached settings {path} are damaged")
+
+
 class Front:
     """The settings of most effective levels for each time.
 
-    What is asked of it is computed when it is asked for, and then kept.
+    What is asked of it is computed when it is asked for, and then kept, on disk too.
 
     Args:
         controls: of the camera
@@ -115,21 +149,18 @@ class Front:
         self._counts = COUNTS if count is None else (count,)
         self._problem = self._timed_problem(limit_s)
         self._unit_s = self._problem.available.unit_s
-        self._at_times: dict[float, FrontPoint] = {}
+        self._answers: dict[str, tuple[FrontPoint, ...]] = {}
 
-    @cached_property
+    @property
     def points(self) -> tuple[FrontPoint, ...]:
         """Points from the fastest set to the most accurate one, ascending in time and levels."""
-        sets = accurate_sets(self._problem, self._counts)
-        fixed = self._problem.available.costs.fixed
+        return self._kept("points", self._points)
+
+    def _points(self) -> tuple[FrontPoint, ...]:
+        sets, fixed = self._sets, self._problem.available.costs.fixed
         first, last = sets.least_time(min(self._counts)), sets.longest_of_use
         times = np.geomspace(first + fixed, max(first, last) + fixed, POINTS) - fixed
-        found = [
-            self._point_of(
-                [shot.time for shot in each.shots], [shot.gain for shot in each.shots], each.levels
-            )
-            for each in sets.front(times.tolist())
-        ]
+        found = [self._point(each) for each in sets.front(times.tolist())]
         found.append(self.recommended)
         found.sort(key=lambda point: (point.time_s, -point.levels))
         front: list[FrontPoint] = []
@@ -138,7 +169,7 @@ class Front:
                 front.append(point)
         return tuple(front)
 
-    @cached_property
+    @property
     def recommended(self) -> FrontPoint:
         """The point beyond which more time brings no more than averaging does.
 
@@ -147,26 +178,22 @@ class Front:
         many poor frames pay best in the dark, it is the fastest point with `SMOOTH_LEVELS`, or with
         the accuracy of `DEFAULT_COUNT` exposures where these have fewer.
         """
-        found = self._found(recommended=True)
-        if found.levels >= SMOOTH_LEVELS or self._request.count is not None:
-            return found
-        usual = self._most_accurate((DEFAULT_COUNT,))
-        if found.levels >= usual.levels:
-            return found
-        try:
-            better = self.at_accuracy(min(SMOOTH_LEVELS, usual.levels))
-        except TooInaccurateError:  # the other search counts no more than shutter time
-            return usual
-        return min(better, usual, key=lambda point: point.time_s)
 
-    @cached_property
+        def find() -> tuple[FrontPoint, ...]:
+            floor = _FLOOR if self._request.count is None else None
+            return (self._point(self._sets.recommended(floor)),)
+
+        return self._kept("recommended", find)[0]
+
+    @property
     def most_accurate(self) -> FrontPoint:
         """The fastest point within 0.5 % of the most effective levels, shutter times counted."""
-        return self._most_accurate(self._counts)
 
-    def _most_accurate(self, counts: Sequence[int]) -> FrontPoint:
-        found = look_up_accurate(self._without_costs, counts)
-        return self._point_of(found.times, found.gains)
+        def find() -> tuple[FrontPoint, ...]:
+            found = most_accurate(accurate_sets(self._without_costs, self._counts))
+            return (self._point(found, is_exact=True),)
+
+        return self._kept("most accurate", find)[0]
 
     def at_time(self, budget_s: float) -> FrontPoint:
         """Return the most accurate settings that take a time budget at most.
@@ -175,20 +202,54 @@ class Front:
             UsageError: no settings are over as soon as that; says the least time
             CaptureError: with the camera's own steps none fit
         """
-        if budget_s not in self._at_times:
-            self._at_times[budget_s] = self._within(budget_s)
-        return self._at_times[budget_s]
+        return self._kept(f"time {budget_s!r}", lambda: (self._within(budget_s),))[0]
 
     def levels_within(self, time_s: float) -> float | None:
         """Return the most effective levels of any number of exposures in a time.
 
         None: no settings are over as soon as that.  It is rated without the camera's steps.
         """
-        sets = accurate_sets(self._problem, COUNTS)
-        limit = time_s / self._unit_s - self._problem.available.costs.fixed
-        if sets.least_time(min(COUNTS)) > limit:
-            return None
-        return sets.within(limit, polished=False).levels
+
+        def find() -> tuple[FrontPoint, ...]:
+            sets = accurate_sets(self._problem, COUNTS)
+            limit = time_s / self._unit_s - self._problem.available.costs.fixed
+            if sets.least_time(min(COUNTS)) > limit:
+                return ()
+            return (self._point(sets.within(limit, polished=False)),)
+
+        found = self._kept(f"levels within {time_s!r}", find, least=0)
+        return found[0].levels if found else None
+
+    def _kept(
+        self, question: str, find: Callable[[], tuple[FrontPoint, ...]], *, least: int = 1
+    ) -> tuple[FrontPoint, ...]:
+        """Return the points that answer a question: known, from the cache, or found now.
+
+        `least` is the number that there must be: an answer may be that there is none.
+        """
+        if question not in self._answers:
+            parts = repr((VERSION, *self._identity, question)).encode()
+            self._answers[question] = kept(
+                f"front-{hashlib.sha256(parts).hexdigest()[:24]}",
+                partial(_read_points, least=least),
+                find,
+                lambda points: _POINTS.dump_json(points).decode(),
+            )
+        return self._answers[question]
+
+    @property
+    def _identity(self) -> tuple[object, ...]:
+        """Everything that decides the points."""
+        controls, problem = self.controls, self._problem
+        return (
+            *(*problem.identity, problem.available.costs, self._counts, self._before),
+            *(controls.time_s, controls.gain, controls.true_exposures, controls.timing),
+            *(controls.frame_interval_s, controls.delay_frames),
+        )
+
+    @property
+    def _sets(self) -> AccurateSets:
+        return accurate_sets(self._problem, self._counts)
 
     @property
     def chosen(self) -> FrontPoint:
@@ -208,7 +269,7 @@ class Front:
         allowed_s = budget_s
         for _ in range(_ATTEMPTS):
             try:
-                point = self._found(total_limit=allowed_s / self._unit_s * (1 + _SAME / 10))
+                point = self._point(self._most_within(allowed_s))
             except UsageError:
                 if allowed_s == budget_s:
                     raise
@@ -224,6 +285,15 @@ class Front:
             f"no settings of this camera were found that fit into {budget_s:.4g} s",
             hint="allow more time, or take fewer exposures",
         )
+
+    def _most_within(self, budget_s: float) -> Rated:
+        limit = self._limit(budget_s)
+        return most_accurate(sets_within(self._problem, self._counts, limit), limit)
+
+    def _limit(self, budget_s: float) -> float:
+        """Return a time budget in the unit of the problem, without the fixed time of a set."""
+        limit = budget_s / self._unit_s * (1 + _SAME / 10)
+        return limit - self._problem.available.costs.fixed
 
     def _shortest_steps(self, point: FrontPoint) -> FrontPoint:
         """Return a point with its times rounded down to the camera's steps."""
@@ -248,10 +318,15 @@ class Front:
         Raises:
             TooInaccurateError: none have; says the most levels that there are, and their time
         """
-        limit, best = budget_s / self._unit_s * (1 + _SAME / 10), None
+        question = f"accuracy {levels!r} {budget_s!r}"
+        return self._kept(question, lambda: (self._reaching(levels, budget_s),))[0]
+
+    def _reaching(self, levels: float, budget_s: float) -> FrontPoint:
+        limit, best = self._limit(budget_s), None
+        sets = sets_within(self._problem, self._counts, limit)
         for factor in _MORE_LEVELS:
             try:
-                best = self._found(total_limit=limit, accuracy=levels * factor)
+                best = self._point(least_time(sets, limit, levels * factor), is_exact=True)
             except TooInaccurateError:
                 if best is None:
                     raise
@@ -269,70 +344,49 @@ class Front:
 
         Where an accuracy is asked for, the most that there are; None: no set is short enough.
         """
-        request, sets = self._request, accurate_sets(self._problem, self._counts)
-        limit = math.inf
-        if request.time_budget_s is not None:
-            limit = request.time_budget_s / self._unit_s - self._problem.available.costs.fixed
-        elif request.accuracy is None and request.count is None:
-            usual = accurate_sets(self._problem, (DEFAULT_COUNT,)).estimated(math.inf)
-            return max(sets.estimated_recommended, min(SMOOTH_LEVELS, usual))
-        if sets.least_time(min(self._counts)) > limit:
-            return None
-        return sets.estimated(limit)
+        budget_s = self._request.time_budget_s
+        is_free = budget_s is None and self._request.accuracy is None
 
-    def _found(
-        self,
-        *,
-        total_limit: float = math.inf,
-        accuracy: float | None = None,
-        recommended: bool = False,
-    ) -> FrontPoint:
-        found = look_up_accurate(
-            self._problem,
-            self._counts,
-            total_limit=total_limit,
-            accuracy=accuracy,
-            recommended=recommended,
-        )
-        levels = None if accuracy is not None else found.effective_levels
-        return self._point_of(found.times, found.gains, levels)
+        def find() -> tuple[FrontPoint, ...]:
+            sets = self._sets
+            if is_free and self._request.count is None:
+                return (self._point(sets.recommended(_FLOOR, polished=False)),)
+            limit = math.inf if budget_s is None else self._limit(budget_s)
+            if sets.least_time(min(self._counts)) > limit:
+                return ()
+            return (self._point(sets.estimated(limit)),)
 
-    def _point_of(
-        self, times: Sequence[float], gains: Sequence[float], levels: float | None = None
-    ) -> FrontPoint:
-        """Return the point of shutter times in the unit of the problem and their gains.
+        found = self._kept(f"estimate {budget_s!r} {is_free}", find, least=0)
+        return found[0].levels if found else None
 
-        Args:
-            times: shutter times
-            gains: their gains
-            levels: effective levels before the times are rounded to the camera's steps, which
-                changes them as it changes the estimate; None: they are predicted exactly
+    def _point(self, rated: Rated, *, is_exact: bool = False) -> FrontPoint:
+        """Return the point of a set, with its times rounded to the camera's steps.
+
+        The steps change the levels as they change the estimate; with `is_exact` the levels are
+        predicted exactly.
         """
-        controls, settings, asked = self.controls, [], []
-        for time, gain in zip(times, gains, strict=True):
-            gain = controls.gain.nearest(gain)
-            time_s = controls.nearest_time(time * self._unit_s, gain)
+        controls, settings = self.controls, []
+        for shot in rated.shots:
+            gain = controls.gain.nearest(shot.gain)
+            time_s = controls.nearest_time(shot.time * self._unit_s, gain)
             settings.append(ExposureSetting(time_s, gain))
-            asked.append(time * gain)
+        asked = [shot.time * shot.gain for shot in rated.shots]
         pairs = sorted(zip(settings, asked, strict=True), key=lambda pair: pair[0].exposure)
         settings = [setting for setting, _ in pairs]
         exposures = controls.relative_exposures(settings)
         ratios = tuple(exposure / min(asked) for exposure in sorted(asked))
         changed = max(abs(math.log(a / b)) for a, b in zip(exposures, ratios, strict=True))
-        if levels is None:
+        levels = rated.levels
+        if is_exact:
             camera = EffectiveCamera.of(controls.levels, exposures)
             levels = noisy_effective_levels(camera, self.desired, controls.frame_noise(settings))
         elif changed > _SAME_LEVELS:
-            sets, unit_s = accurate_sets(self._problem, self._counts), self._unit_s
+            sets, unit_s = self._sets, self._unit_s
             shots = tuple(
                 Shot(exposure, setting.time_s / unit_s, setting.gain)
                 for exposure, setting in zip(exposures, settings, strict=True)
             )
-            before = tuple(
-                Shot(ratio, exposure / setting.gain, setting.gain)
-                for ratio, exposure, (setting, _) in zip(ratios, sorted(asked), pairs, strict=True)
-            )
-            levels *= sets.judge.estimated(shots) / sets.judge.estimated(before)
+            levels *= sets.judge.estimated(shots) / sets.judge.estimated(rated.shots)
             if not sets.dithered:
                 levels = sets.judge(shots).levels
         time_s = predicted_wall_s(controls, settings, before=self._before)
