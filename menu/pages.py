@@ -141,6 +141,7 @@ def _summary(summary: Summary) -> Screen:
             Line(
                 (
                     f"{levels} effective levels, {planned} planned",
+                    f"{levels} levels, {planned} planned",
                     f"{levels}/{planned} levels",
                     f"{levels} levels",
                 )
@@ -155,6 +156,7 @@ def _summary(summary: Summary) -> Screen:
         ),
         histogram=summary.histogram,
         picture=summary.picture,
+        folder=summary.folder,
     )
 
 

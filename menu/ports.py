@@ -77,6 +77,7 @@ class Screen:
         share: progress, 0 to 1; None: no bar
         histogram: shares of the samples, dark to bright
         picture: a small picture
+        folder: of the capture whose result is shown, for panels that hand over its files; ""
         mood: what lights beside the panel show
         is_dark: the screen saver; panels switch their light off
     """
@@ -93,6 +94,7 @@ class Screen:
     share: float | None = None
     histogram: tuple[float, ...] = ()
     picture: Picture | None = None
+    folder: str = ""
     mood: Mood = Mood.READY
     is_dark: bool = False
 

@@ -12,16 +12,14 @@ import json
 import os
 import queue
 import re
-import socket
 import sys
 import threading
 import time
 from base64 import b64encode
-from contextlib import suppress
 from hashlib import sha256
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
@@ -31,6 +29,7 @@ from camctl.system.interrupts import uninterrupted
 from camctl.system.picture_operations import png
 from menu.drawing import draw
 from menu.layout import grid
+from menu.panels.web_connections import LimitedServer
 from menu.ports import Key, Screen
 
 DEFAULT_PORT = 8080  # http-alt (IANA)
@@ -45,8 +44,16 @@ _POLL_S = 20.0
 _KEYS = {key.name.lower(): key for key in Key}
 _COOKIE = "camctl_token"
 
-_MOST_CONNECTIONS = 32
-"""A browser opens six connections at most; a new one ends the one that is silent for longest."""
+_KINDS = {
+    ".exr": "image/x-exr",
+    ".json": "application/json",
+    ".png": "image/png",
+    ".tiff": "image/tiff",
+}
+"""Files of a capture that are handed over, by suffix, and their media types."""
+
+_PART_BYTES = 1 << 20
+"""Bytes of a file that are read at a time."""
 
 _GUESS_S = 0.5
 """Wrong tokens are refused one at a time, after this time each, s: two guesses a second in all."""
@@ -62,7 +69,7 @@ _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
         f"default-src 'none'; script-src {_hashes(b'script')}; style-src {_hashes(b'style')}; "
-        "img-src data:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; "
+        "img-src data: 'self'; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; "
         "form-action 'none'"
     ),
     "Referrer-Policy": "no-referrer",
@@ -99,9 +106,10 @@ class WebPanel:
         self.version = 0
         self._screen: Screen | None = None
         self._picture = b""
+        self._result: Path | None = None
         self.is_open = False
         self.guesses = threading.Lock()
-        self._server: _Server | None = None
+        self._server: LimitedServer | None = None
 
     @property
     def url(self) -> str:
@@ -113,7 +121,7 @@ class WebPanel:
         """Start the server and return the panel; raises `UsageError` where it cannot listen."""
         handler = type("Handler", (_Handler,), {"server_panel": self})
         try:
-            self._server = _Server((self._host, self._port), handler)
+            self._server = LimitedServer((self._host, self._port), handler)
         except OSError as error:
             raise UsageError(
                 f"cannot listen on {self._host}:{self._port}: {error.strerror}",
@@ -143,6 +151,8 @@ class WebPanel:
         drawing = draw(screen, *SIZE)
         with self.changed:
             self._screen = screen
+            if screen.folder:
+                self._result = Path(screen.folder)
             self.version += 1
             self._picture = png(drawing.pixels)
             self.changed.notify_all()
@@ -154,52 +164,32 @@ class WebPanel:
         except queue.Empty:
             return None
 
-    def wait_for(self, version: int) -> tuple[int, list[str], bytes]:
-        """Return (version, lines of text, PNG file) of the screen, once it is not `version`."""
+    def wait_for(self, version: int) -> dict[str, Any]:
+        """Return what the page shows, for JSON, once it is not `version`.
+
+        That is: version, lines of text and PNG file (base64) of the screen, and the name of the
+        capture whose result was shown last, with the names of its files.
+        """
         with self.changed:
             self.changed.wait_for(lambda: self.version != version or not self.is_open, _POLL_S)
             lines = [] if self._screen is None else list(grid(self._screen, 60, 16).lines)
-            return self.version, [line.rstrip() for line in lines], self._picture
+            return {
+                "version": self.version,
+                "lines": [line.rstrip() for line in lines],
+                "picture": b64encode(self._picture).decode(),
+                "result": "" if self._result is None else self._result.name,
+                "files": list(self.result_files()),
+            }
 
-
-class _Server(ThreadingHTTPServer):
-    """A thread for each connection, at most `_MOST_CONNECTIONS`."""
-
-    daemon_threads = True
-    request_queue_size = _MOST_CONNECTIONS
-
-    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
-        self._used: dict[Any, float] = {}  # socket: time of its last request
-        self._lock = threading.Lock()
-        super().__init__(address, handler)
-
-    def note_request(self, connection: Any) -> None:
-        """Count `connection` as the one used last."""
-        with self._lock:
-            if connection in self._used:
-                self._used[connection] = time.monotonic()
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a new connection, instead of the one unused for longest where there are many."""
-        with self._lock:
-            if len(self._used) >= _MOST_CONNECTIONS:
-                oldest = min(self._used, key=self._used.__getitem__)
-                del self._used[oldest]
-                with suppress(OSError):  # it has ended by itself
-                    oldest.shutdown(socket.SHUT_RDWR)
-            self._used[request] = time.monotonic()
-        super().process_request(request, client_address)
-
-    def shutdown_request(self, request: Any) -> None:
-        """Close a connection."""
-        with self._lock:
-            self._used.pop(request, None)
-        super().shutdown_request(request)
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore clients that have gone; everything else is a defect, and printed."""
-        if not isinstance(sys.exception(), OSError):
-            super().handle_error(request, client_address)
+    def result_files(self) -> dict[str, Path]:
+        """Return the pictures and the report of the result that was shown last, by name."""
+        if self._result is None:
+            return {}
+        try:
+            found = {path.name: path for path in self._result.iterdir() if path.is_file()}
+        except OSError:  # it was removed
+            return {}
+        return {name: found[name] for name in sorted(found) if Path(name).suffix in _KINDS}
 
 
 def _is_loopback(host: str) -> bool:
@@ -214,7 +204,7 @@ def _is_loopback(host: str) -> bool:
 class _Handler(BaseHTTPRequestHandler):
     """Answers one request; `server_panel` is the panel."""
 
-    server: _Server
+    server: LimitedServer
     server_panel: WebPanel
     url: SplitResult
     protocol_version = "HTTP/1.1"
@@ -234,13 +224,10 @@ class _Handler(BaseHTTPRequestHandler):
             case "/screen":
                 after = parse_qs(self.url.query).get("after", ["0"])[0]
                 known = int(after) if re.fullmatch(r"\d{1,18}", after, re.ASCII) else 0
-                version, lines, picture = self.server_panel.wait_for(known)
-                shown = {
-                    "version": version,
-                    "lines": lines,
-                    "picture": b64encode(picture).decode(),
-                }
+                shown = self.server_panel.wait_for(known)
                 self._answer(json.dumps(shown).encode(), "application/json")
+            case path if path.startswith("/result/"):
+                self._send_file(unquote(path.removeprefix("/result/")))
             case _:
                 self._refuse(HTTPStatus.NOT_FOUND, "there is no such page")
 
@@ -296,12 +283,35 @@ class _Handler(BaseHTTPRequestHandler):
             return ""
         return unquote(found.value) if found is not None else ""
 
+    def _send_file(self, name: str) -> None:
+        """Send a file of the result that was shown last."""
+        try:
+            file = self.server_panel.result_files()[name].open("rb")
+        except (KeyError, OSError):
+            self._refuse(HTTPStatus.NOT_FOUND, "the result has no such file")
+            return
+        with file:
+            size = os.fstat(file.fileno()).st_size
+            self._send_head(_KINDS[Path(name).suffix], size)
+            # A file that grows meanwhile must not be mixed with the next answer.
+            left = size
+            while left and (part := file.read(min(left, _PART_BYTES))):
+                self.wfile.write(part)
+                left -= len(part)
+            self.close_connection |= left > 0
+
     def _answer(
         self, data: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK, *, close: bool = False
     ) -> None:
+        self._send_head(kind, len(data), status, close=close)
+        self.wfile.write(data)
+
+    def _send_head(
+        self, kind: str, size: int, status: HTTPStatus = HTTPStatus.OK, *, close: bool = False
+    ) -> None:
         self.send_response(status)
         self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(data)))
+        self.send_header("Content-Length", str(size))
         for name, value in _HEADERS.items():
             self.send_header(name, value)
         if close:
@@ -311,7 +321,6 @@ class _Handler(BaseHTTPRequestHandler):
             cookie = f"{_COOKIE}={quote(token, safe='')}; HttpOnly; SameSite=Strict; Path=/"
             self.send_header("Set-Cookie", cookie)
         self.end_headers()
-        self.wfile.write(data)
 
     def _refuse(self, status: HTTPStatus, reason: str) -> None:
         # What else the client sends on this connection is not read.

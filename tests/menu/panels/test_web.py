@@ -9,6 +9,7 @@ import urllib.request
 from base64 import b64decode
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from urllib.parse import quote
 
 import pytest
@@ -202,3 +203,28 @@ def test_no_request_ends_in_a_traceback(token: str, capsys: pytest.CaptureFixtur
         headers = {"Cookie": f"camctl_token={token}"}
         assert ask(panel, "screen?after=0", headers=headers)[0] == 200
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_the_last_result_is_shown_and_handed_over(panel: WebPanel, tmp_path: Path) -> None:
+    large = bytes(range(256)) * 20_000  # several parts
+    for name, data in (("preview.png", b"png"), ("radiance.exr", large), ("notes.txt", b"no")):
+        (tmp_path / name).write_bytes(data)
+    (tmp_path / "frames").mkdir()
+    panel.show(Screen(Line(("Done",)), folder=str(tmp_path)))
+    panel.show(SCREEN)  # the result stays
+    shown = json.loads(ask(panel, "screen?after=0")[1])
+    assert (shown["result"], shown["files"]) == (tmp_path.name, ["preview.png", "radiance.exr"])
+    assert ask(panel, "result/radiance.exr") == (200, large)
+    assert ask(panel, "result/preview.png?of=1") == (200, b"png")
+    for other in ("notes.txt", "frames", "..%2Fpreview.png", "%2Fetc%2Fhostname", "", "sum.tiff"):
+        assert ask(panel, f"result/{other}")[0] == 404
+    (tmp_path / "preview.png").unlink()
+    assert ask(panel, "result/preview.png")[0] == 404
+
+
+def test_a_result_needs_the_token(tmp_path: Path) -> None:
+    (tmp_path / "preview.png").write_bytes(b"png")
+    with WebPanel("0", token="secret") as opened:
+        opened.show(Screen(Line(("Done",)), folder=str(tmp_path)))
+        assert ask(opened, "result/preview.png")[0] == 403
+        assert ask(opened, "result/preview.png?token=secret") == (200, b"png")
