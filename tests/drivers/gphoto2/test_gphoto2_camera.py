@@ -44,21 +44,33 @@ TIMES_S = (0.0012, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 1.0)
 PICTURE = np.tile(np.linspace(10, 200, 64).astype(np.uint8)[None, :, None], (48, 1, 3))
 
 
-@pytest.fixture(autouse=True)
-def virtual_camera(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """Give libgphoto2's virtual camera a card with one picture; return the card."""
-    card = tmp_path / "card"
-    folder = card / "DCIM" / "100NIKON"
+def set_up(monkeypatch: pytest.MonkeyPatch, place: Path) -> None:
+    """Give libgphoto2's virtual camera a card with one picture."""
+    folder = place / "card" / "DCIM" / "100NIKON"
     folder.mkdir(parents=True)
     assert cv2.imwrite(str(folder / "picture.jpg"), PICTURE)
-    monkeypatch.setenv("VCAMERADIR", str(card))
-    monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path / "profiles"))
-    return card
+    monkeypatch.setenv("VCAMERADIR", str(place / "card"))
+    monkeypatch.setenv("CAMCTL_PROFILES", str(place / "profiles"))
+
+
+@pytest.fixture(autouse=True)
+def virtual_camera(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    set_up(monkeypatch, tmp_path)
 
 
 @pytest.fixture
 def camera() -> Iterator[Gphoto2Camera]:
-    with Gphoto2Backend().open("", {"response": "linear"}) as opened:
+    with Gphoto2Backend().open(PORT, {"response": "linear"}) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gphoto2Camera]:
+    """One camera for the tests after which it works as before: its process takes a second."""
+    with pytest.MonkeyPatch.context() as patched:
+        set_up(patched, tmp_path_factory.mktemp("shared"))
+        opened = Gphoto2Backend().open(PORT, {"response": "linear"})
+    with opened:
         yield opened
 
 
@@ -79,23 +91,23 @@ class TestVirtualCamera:
         assert found == CameraInfo(f"gphoto2:{PORT}", "", "Nikon DSC D750", "", "gphoto2", remark)
         assert is_local(found.id, {})
 
-    def test_its_dials_have_true_values(self, camera: Gphoto2Camera) -> None:
+    def test_its_dials_have_true_values(self, shared: Gphoto2Camera) -> None:
         """Its label 0.0001s stands for anything from 0.05 to 0.15 ms, and is left out."""
-        controls = camera.controls
+        controls = shared.controls
         assert controls.time_s == Choices(TIMES_S)
         assert controls.f_number is not None
         assert (controls.f_number.minimum, controls.f_number.maximum) == (2.8, 22.0)
         assert controls.shape == (48, 64)
-        assert camera.info.serial == "0.1"
+        assert shared.info.serial == "0.1"
 
-    def test_a_time_between_two_labels_is_refused(self, camera: Gphoto2Camera) -> None:
+    def test_a_time_between_two_labels_is_refused(self, shared: Gphoto2Camera) -> None:
         with pytest.raises(RefusedSettingError) as caught:
-            camera.shoot(settings(0.01, 0.003))
+            shared.shoot(settings(0.01, 0.003))
         assert caught.value.nearest == 0.0025
 
-    def test_frames_are_its_files_and_state_what_was_read_back(self, camera: Gphoto2Camera) -> None:
+    def test_frames_are_its_files_and_state_what_was_read_back(self, shared: Gphoto2Camera) -> None:
         times_s = (0.0025, 1.0, 0.0012, 0.0025)
-        frames = list(camera.shoot(settings(*times_s)))
+        frames = list(shared.shoot(settings(*times_s)))
         assert [frame.applied for frame in frames] == settings(*times_s)
         assert [frame.index for frame in frames] == [0, 1, 2, 3]
         for frame in frames:
@@ -106,9 +118,9 @@ class TestVirtualCamera:
         times = [frame.timestamp_s for frame in frames]
         assert times == sorted(times)
 
-    def test_a_capture_finds_that_every_frame_is_the_same(self, camera: Gphoto2Camera) -> None:
+    def test_a_capture_finds_that_every_frame_is_the_same(self, shared: Gphoto2Camera) -> None:
         """The virtual camera shows one picture for all exposures; no such picture is trusted."""
-        report = capture(camera, CaptureRequest("linear", ratios=(1.0, 4.0, 20.0), base_s=0.0025))
+        report = capture(shared, CaptureRequest("linear", ratios=(1.0, 4.0, 20.0), base_s=0.0025))
         assert [frame.applied_s for frame in report.frames if frame] == [0.0025, 0.01, 0.05]
         assert not report.trustworthy
 
@@ -191,16 +203,16 @@ class TestVirtualCamera:
         assert not Path("/proc", str(number)).exists()
 
     def test_a_file_of_another_exposure_is_an_error(
-        self, camera: Gphoto2Camera, monkeypatch: pytest.MonkeyPatch
+        self, shared: Gphoto2Camera, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """What the file states decides, as with every still camera."""
-        list(camera.shoot(settings(0.01)))
+        list(shared.shoot(settings(0.01)))
         monkeypatch.setattr(
             "drivers.common.known_format.stated_exposure",
             lambda data: type("Stated", (), {"time_s": 0.5, "gain": None, "f_number": None}),
         )
         with pytest.raises(CameraProtocolError, match=r"states an exposure time of 0\.5 s, but"):
-            list(camera.shoot(settings(0.01)))
+            list(shared.shoot(settings(0.01)))
 
 
 class TestBadInput:
