@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -108,7 +109,9 @@ class CameraBackend(Protocol):
         """
 
 
+@cache
 def _entry_points(group: str) -> dict[str, EntryPoint]:
+    """Return what installed packages have in a group; what is installed later is not seen."""
     return {point.name: point for point in entry_points(group=group)}
 
 
