@@ -162,7 +162,13 @@ def test_every_command_is_tried() -> None:
     assert {case(*each) for each in CASES} >= RUN_BY_DEFAULT
 
 
-@pytest.mark.parametrize("name", sorted(set(BASES) - REFUSED))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name == "tradeoff capture" else name
+        for name in sorted(set(BASES) - REFUSED)
+    ],
+)
 def test_the_command_lines_without_hostile_values_work(run: Run, name: str) -> None:
     for base in BASES[name]:
         ran = run(*name.split(), *base.split())

@@ -126,7 +126,14 @@ def test_folder_and_memory_have_the_same_marks(sensor: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     ("sensor", "scene"),
-    [("ccd", "night-street"), ("ccd", "ball"), ("complete", "colour-chart"), ("complete", "room")],
+    [
+        ("ccd", "ball"),
+        ("complete", "room"),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in (("ccd", "night-street"), ("complete", "colour-chart"))
+        ),
+    ],
 )
 def test_light_that_spreads_from_saturated_pixels_is_no_movement(sensor: str, scene: str) -> None:
     report = shot(sensor, scene, seed=1, size="320x240")
@@ -158,7 +165,14 @@ def test_things_that_move_before_a_saturated_wall_are_reported(sensor: str) -> N
     assert report.movement.area > 0.04
 
 
-@pytest.mark.parametrize("sensor", ["consumer", "complete", "ccd", "webcam"])
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        "complete",
+        "webcam",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("consumer", "ccd")),
+    ],
+)
 def test_a_moving_target_is_found_by_sensors_whose_charge_spreads(sensor: str) -> None:
     share, stated = found(shot(sensor, "moving-target", seed=1, size="240x180"))
     assert share > 10 * stated
@@ -268,8 +282,17 @@ def test_a_thing_of_sixty_pixels_is_found_whether_noise_is_known_or_not(
     assert marks.mean() < FALSE_ALARMS
 
 
-@pytest.mark.parametrize("is_plain", [True, False])
-@pytest.mark.parametrize("moves", [(1,), (0, 1, 2)])
+@pytest.mark.parametrize(
+    ("is_plain", "moves"),
+    [
+        (True, (0, 1, 2)),
+        (False, (1,)),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in ((True, (1,)), (False, (0, 1, 2)))
+        ),
+    ],
+)
 def test_a_thing_that_covers_a_third_of_the_picture_is_not_taken_for_noise(
     is_plain: bool, moves: tuple[int, ...]
 ) -> None:
@@ -297,8 +320,14 @@ def test_a_thing_that_covers_a_third_of_the_picture_is_not_taken_for_noise(
     assert movement.found.false_alarms < 1.25 * FALSE_ALARMS
 
 
-@pytest.mark.parametrize("quality", [75, 92])
-@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.parametrize(
+    ("quality", "moves"),
+    [
+        (75, False),
+        (92, True),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((92, False), (75, True))),
+    ],
+)
 def test_noise_that_is_not_known_is_measured_in_the_frames(quality: int, moves: bool) -> None:
     """Photographs: neither the noise of the sensor nor the error of JPEG files is known."""
     cv2 = pytest.importorskip("cv2", reason="OpenCV is blocked")

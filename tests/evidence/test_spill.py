@@ -34,7 +34,7 @@ def sensor_without_blooming(tmp_path: Path) -> str:
 @pytest.mark.parametrize(
     ("scene", "count", "least"),
     [
-        ("room", None, 0.97),
+        pytest.param("room", None, 0.97, marks=pytest.mark.slow),
         pytest.param("night-street", None, 0.97, marks=pytest.mark.slow),
         pytest.param("ball", None, 0.97, marks=pytest.mark.slow),
         # Two frames are 270 times apart: the shorter one has noise of a quarter of its signal.
@@ -67,7 +67,9 @@ def test_samples_that_blooming_makes_wrong_are_marked(
     assert marked.mean() == pytest.approx(movement.share + movement.spread)
 
 
-@pytest.mark.parametrize(("sensor", "stops"), [("phone", -0.5), ("ccd", -1.0)])
+@pytest.mark.parametrize(
+    ("sensor", "stops"), [("phone", -0.5), pytest.param("ccd", -1.0, marks=pytest.mark.slow)]
+)
 def test_light_of_lamps_that_flicker_has_not_spread(sensor: str, stops: float) -> None:
     """Where the longest frame is not saturated, all of it is brighter by one factor."""
     request = camctl.CaptureRequest(dynamic_range=16.0, compensation_stops=stops)

@@ -75,7 +75,12 @@ def camera() -> Iterator[RecordingCamera]:
 
 
 @pytest.mark.parametrize(
-    ("response", "dynamic_range", "count"), [(0, 1, 3), (1, 2, 2), (2, 0, 4), (0, 0, 1)]
+    ("response", "dynamic_range", "count"),
+    [
+        (0, 1, 3),
+        (0, 0, 1),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1, 2, 2), (2, 0, 4))),
+    ],
 )
 def test_settings_reviewed_are_the_settings_shot(
     camera: RecordingCamera, tmp_path: Path, response: int, dynamic_range: int, count: int

@@ -51,6 +51,8 @@ def open_network_camera(server: NetworkCamera, **options: Any) -> OpencvCamera:
 
 
 class TestConformance(CameraConformance):
+    run_length = 30  # each frame takes real time
+
     @pytest.fixture(autouse=True)
     def _server(self, server: NetworkCamera, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(video, "SILENCE_MS", 2000)
