@@ -115,6 +115,8 @@ def is_next(later: CardPicture, earlier: CardPicture) -> bool:
     """
     if later.name == earlier.name and (later.name or later.number == earlier.number):
         return False
+    if earlier == CardPicture(0, "") and later.name:
+        return True  # the first one on the card, whose number may still be read as 0
     restarts = 1 == later.number < earlier.number
     return later.number == earlier.number + 1 or restarts or _follows(later.name, earlier.name)
 

@@ -11,9 +11,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError
+from camctl.interface.clock import cancelled_by
 from drivers.ptp.codes import DEVICE_BUSY, OK, Event, Op, Prop, response_error
 from drivers.ptp.datasets import Reader, StorageInfo
-from drivers.ptp.dialects import OPENING_TRANSACTION, Source, Step
+from drivers.ptp.dialects import OPENING_TRANSACTION, Hold, Source, Step
 from drivers.ptp.dials import Dial
 from drivers.ptp.maker_datasets import parse_nikon_events
 from drivers.ptp.makers import dialect_of
@@ -41,6 +42,9 @@ _ADDED = {
 }
 # How long a half-pressed button may take to focus, and the pause between two requests.
 _FOCUS_S, _FOCUS_POLL_S = 10.0, 0.05
+# A camera is told this often that it is in use: libgphoto2 tells Canon's bodies as often.
+_KEPT_ON_S = 10.0
+_NOT_SUPPORTED = 0x2005  # response: the operation is not supported
 # Property D215 counts waiting pictures; its top bit is set when the first can be fetched.
 _SONY_READY = 0x8000
 
@@ -82,6 +86,7 @@ class Body:
         self.properties = Properties(session, self.dialect, name)
         self._opening_transaction = self._way = 0
         self._has_control = False
+        self._kept_on_s = session.clock.now()
         session.after_reopening = self._enter_remote_mode
         self._enter_remote_mode()
         session.correct_info(frozenset(), frozenset(), self._hidden_properties())
@@ -141,6 +146,7 @@ class Body:
         clock = self.session.clock
         clock.sleep_until(max(clock.now(), self._ready_s))
         self.wait_ready()
+        self._keep_on()
         operations = self.session.info.operations
         ways = [
             steps
@@ -152,16 +158,17 @@ class Body:
                 f"{self._name} cannot take pictures over USB",
                 hint="choose remote control or PTP in its USB menu; else it is not supported",
             )
-        first_code = 0
+        first_code = code = 0
         for number, steps in enumerate(ways[self._way :], self._way):
-            if first_code and steps[0].operation != ways[number - 1][0].operation:
+            is_other = bool(number) and steps[0].operation != ways[number - 1][0].operation
+            if first_code and is_other and code != _NOT_SUPPORTED:
                 break
             code = self._run(steps, silence_s)
             if code in (OK, DEVICE_BUSY):
                 self._way = number
                 return code
             first_code = first_code or code
-            if code not in self.dialect.retries:
+            if code not in self.dialect.retries | {_NOT_SUPPORTED}:
                 break
         raise self._release_error(first_code)
 
@@ -210,13 +217,30 @@ class Body:
             self.session.call(ready, task="become ready")
 
     def _run(self, steps: Iterable[Step], silence_s: float) -> int:
-        """Perform steps; return the response code of the first that is not OK, else OK."""
+        """Perform steps; return the response code of the first that is not OK, else OK.
+
+        Where one fails, those before it are taken back: no button stays pressed.
+        """
+        done: list[Step] = []
+        code = -1
+        try:
+            code = self._perform(steps, silence_s, done)
+        finally:
+            if code != OK:
+                with suppress(CameraError), cancelled_by(None):
+                    for step in (undo for each in reversed(done) for undo in each.undo):
+                        self.session.attempt(step.operation, *step.parameters, data=step.data)
+        return code
+
+    def _perform(self, steps: Iterable[Step], silence_s: float, done: list[Step]) -> int:
+        """As `_run`, without taking steps back; those that were performed are added to `done`."""
         for step in steps:
             answer = self.session.attempt(
                 step.operation, *step.parameters, data=step.data, silence_s=silence_s
             )
             if answer.code != OK:
                 return answer.code
+            done.append(step)
             # Canon's bodies give a result number here; its meaning differs between models.
             if self.dialect.source is Source.EOS_EVENTS and any(answer.parameters[:1]):
                 raise CameraError(
@@ -228,7 +252,30 @@ class Body:
                     f"{self._name} did not take a picture: it cannot focus",
                     hint="set the lens to manual focus (MF), and take the lens cap off",
                 )
+            if step.polls:
+                self.properties.refresh()
+            if step.hold is not None:
+                self._hold(step.hold)
         return OK
+
+    def _hold(self, hold: Hold) -> None:
+        """Return as soon as the lens has focused, or after `longest_s`."""
+        clock, (mode, manual) = self.session.clock, hold.mode
+        deadline_s = clock.now() + hold.longest_s
+        if self.properties.number(mode) == manual:
+            return
+        while self.properties.number(hold.code) not in hold.found and clock.now() < deadline_s:
+            clock.sleep_until(clock.now() + _FOCUS_POLL_S)
+
+    def _keep_on(self) -> None:
+        """Tell the camera that it is in use, so that it does not switch itself off."""
+        operation, clock = self.dialect.kept_on, self.session.clock
+        if operation is None or clock.now() < self._kept_on_s + _KEPT_ON_S:
+            return
+        self._kept_on_s = clock.now()
+        if operation in self.session.info.operations:
+            with suppress(CameraProtocolError):
+                self.session.attempt(operation)
 
     def _wait_for(self, code: int, busy: int) -> int | None:
         """Return the value of a property as soon as it is not `busy`, or after 10 s."""
@@ -279,6 +326,14 @@ class Body:
                 added.append(parameter)
             complete |= event.code == Event.CAPTURE_COMPLETE
             full |= event.code == Event.STORE_FULL
+            for code, operation in self.dialect.acknowledged:
+                if event.code == code:
+                    with suppress(CameraProtocolError):
+                        self.session.attempt(operation, parameter)
+        self._keep_on()
+        if self.properties.description(Prop.SONY_OBJECT_IN_MEMORY) is not None:
+            # An event may be older than the fetching of its picture: only the property counts.
+            added = [handle for handle in added if handle != self.dialect.memory]
         try:
             added.extend(self._requested_handles())
         except CameraBusyError:
@@ -297,9 +352,15 @@ class Body:
             events = parse_nikon_events(answer.data)
             return [handle for event, handle in events if event in _ADDED["nikon"]]
         if self.dialect.source is Source.SONY_LIST and self.dialect.memory is not None:
-            waiting = self.properties.number(Prop.SONY_OBJECT_IN_MEMORY, busy_s=0)
-            return [self.dialect.memory] if waiting is not None and waiting >= _SONY_READY else []
+            self.properties.refresh(busy_s=0)
+            return [self.dialect.memory] if self._memory_requested() else []
         return []
+
+    def _memory_requested(self) -> bool:
+        """Return whether Sony's list, as read last, has a picture that can be fetched."""
+        waiting = self.properties.description(Prop.SONY_OBJECT_IN_MEMORY)
+        number = None if waiting is None else waiting.current
+        return isinstance(number, int) and number >= _SONY_READY
 
     # ---- cards
 

@@ -27,6 +27,23 @@ class Source(Enum):
 
 
 @dataclass(frozen=True)
+class Hold:
+    """How long a pressed button is held: until a property says that the lens has focused.
+
+    Attributes:
+        code: of this property
+        found: its numbers once the lens has focused
+        mode: the property of the focus mode, and its number for manual focus, which needs no wait
+        longest_s: the button is let go then at the latest, s
+    """
+
+    code: int
+    found: frozenset[int]
+    mode: tuple[int, int]
+    longest_s: float
+
+
+@dataclass(frozen=True)
 class Step:
     """One operation of a fixed sequence.
 
@@ -37,6 +54,9 @@ class Step:
         is_optional: left out where the camera does not list the operation; its refusal is ignored
         busy_at: (property, number): the step is over when the property has another number ..
         fails_at: .. and this number means that the camera cannot focus
+        hold: what is waited for after it
+        polls: the camera's events are asked for after it
+        undo: steps that take it back where a later step of the sequence fails
     """
 
     operation: int
@@ -45,6 +65,9 @@ class Step:
     is_optional: bool = False
     busy_at: tuple[int, int] | None = None
     fails_at: int | None = None
+    hold: Hold | None = None
+    polls: bool = False
+    undo: tuple[Step, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -90,7 +113,9 @@ class Dialect:
         releases: ways to take a picture, in order of preference; the camera must support all
             operations of the one used
         retries: response codes to a release after which the next way with the same operation is
-            used
+            used; after "operation not supported" it is the next way whatever its operation
+        kept_on: the operation that keeps the camera from switching itself off
+        acknowledged: events that are answered by an operation with the event's parameter
         bulb: number of the shutter property for bulb, if it must be set to that
         bulb_opens, bulb_closes: operations that open and close the shutter in a bulb exposure
         aborts: operations that end an exposure that the camera times
@@ -122,6 +147,8 @@ class Dialect:
     tried: frozenset[int] = frozenset()
     presets: tuple[Preset, ...] = ()
     retries: frozenset[int] = frozenset()
+    kept_on: int | None = None
+    acknowledged: tuple[tuple[int, int], ...] = ()
     bulb: int | None = None
     bulb_opens: tuple[Step, ...] = ()
     bulb_closes: tuple[Step, ...] = ()

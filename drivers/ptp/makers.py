@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from drivers.ptp.codes import NIKON_LENS, Op, Prop
+from drivers.ptp.codes import NIKON_LENS, Event, Op, Prop
 from drivers.ptp.dialects import (
     EXPOSURE_INDEX,
     EXPOSURE_TIME,
@@ -23,6 +23,7 @@ from drivers.ptp.dialects import (
     SINGLE_SHOTS,
     STANDARD,
     Dialect,
+    Hold,
     Preset,
     Source,
     Step,
@@ -82,6 +83,7 @@ NIKON = Dialect(
 )
 
 _EVENT_MODE = Step(Op.EOS_EVENT_MODE, (1,))
+_EOS_HALF_OFF, _EOS_FULL_OFF = (Step(Op.EOS_RELEASE_OFF, (1,)),), (Step(Op.EOS_RELEASE_OFF, (2,)),)
 
 CANON_EOS = Dialect(
     name="canon",
@@ -95,9 +97,16 @@ CANON_EOS = Dialect(
     opening=(Step(Op.EOS_REMOTE_MODE, (1,)), _EVENT_MODE),
     presets=(Preset(Prop.EOS_DESTINATION, 2),),  # pictures to the card
     releases=(
+        # Half press, which focuses, then full press; both are let go.
+        (
+            Step(Op.EOS_RELEASE_ON, (1, 0), polls=True, undo=_EOS_HALF_OFF),
+            Step(Op.EOS_RELEASE_ON, (2, 0), undo=_EOS_FULL_OFF),
+            *_EOS_FULL_OFF,
+            *_EOS_HALF_OFF,
+        ),
         (Step(Op.EOS_RELEASE),),
-        (Step(Op.EOS_RELEASE_ON, (3, 0)), Step(Op.EOS_RELEASE_OFF, (3,))),
     ),
+    kept_on=Op.EOS_KEEP_ON,
     bulb=0x0C,
     bulb_opens=(Step(Op.EOS_BULB_START),),
     bulb_closes=(Step(Op.EOS_BULB_END),),
@@ -111,14 +120,17 @@ def _u16(number: int) -> bytes:
 
 _PRESSED, _RELEASED = _u16(2), _u16(1)  # states of a button
 _FOCUS, _SHUTTER = (Prop.SONY_BUTTON_FOCUS,), (Prop.SONY_BUTTON_SHUTTER,)
-_PRESS_BUTTONS = (
-    Step(Op.SONY_CONTROL, _FOCUS, _PRESSED),
-    Step(Op.SONY_CONTROL, _SHUTTER, _PRESSED),
-)
-_RELEASE_BUTTONS = (
+_LET_GO = (
     Step(Op.SONY_CONTROL, _SHUTTER, _RELEASED),
     Step(Op.SONY_CONTROL, _FOCUS, _RELEASED),
 )
+_PRESS_BUTTONS = (
+    Step(Op.SONY_CONTROL, _FOCUS, _PRESSED, undo=_LET_GO[1:]),
+    Step(Op.SONY_CONTROL, _SHUTTER, _PRESSED, undo=_LET_GO[:1]),
+)
+# Let go before the lens has focused, they take no picture: libgphoto2 waits a second at most.
+_FOCUSED = Hold(Prop.SONY_FOCUS_STATE, frozenset({2, 3}), (Prop.FOCUS_MODE, 1), 1.0)
+_PRESS_AND_HOLD = (_PRESS_BUTTONS[0], replace(_PRESS_BUTTONS[1], hold=_FOCUSED))
 
 # Times in thirds of a stop: n/10 s from 0.4 s on, 1/n s below.
 _TENTHS = (300, 250, 200, 150, 130, 100, 80, 60, 50, 40, 32, 25, 20, 16, 13, 10, 8, 6, 5, 4)
@@ -144,16 +156,20 @@ SONY = Dialect(
         Step(Op.SONY_CONNECT, (3, 0, 0)),
     ),
     presets=(Preset(Prop.SONY_PRIORITY, 1),),
-    releases=((*_PRESS_BUTTONS, *_RELEASE_BUTTONS),),
+    releases=((*_PRESS_AND_HOLD, *_LET_GO),),
     bulb=0,
     bulb_opens=_PRESS_BUTTONS,
-    bulb_closes=_RELEASE_BUTTONS,
+    bulb_closes=_LET_GO,
     memory=0xFFFFC001,
     lists_objects=False,
     listed_times=(*(n << 16 | 10 for n in _TENTHS), *(1 << 16 | n for n in _PARTS)),
 )
 
 _FUJI_SHUTTER = (Prop.FUJI_BUTTON,)
+_FUJI_LET_GO = (
+    Step(Op.SET_PROPERTY, _FUJI_SHUTTER, _u16(0x0004)),
+    Step(Op.INITIATE_CAPTURE, (0, 0)),
+)
 
 FUJI = Dialect(
     name="fuji",
@@ -169,7 +185,7 @@ FUJI = Dialect(
     releases=(
         (
             # Half press, and wait for the focus; then full press.
-            Step(Op.SET_PROPERTY, _FUJI_SHUTTER, _u16(0x0200)),
+            Step(Op.SET_PROPERTY, _FUJI_SHUTTER, _u16(0x0200), undo=_FUJI_LET_GO),
             Step(Op.INITIATE_CAPTURE, (0, 0), busy_at=(Prop.FUJI_FOCUS_STATE, 1), fails_at=3),
             Step(Op.SET_PROPERTY, _FUJI_SHUTTER, _u16(0x0304)),
             Step(Op.INITIATE_CAPTURE, (0, 0)),
@@ -204,6 +220,7 @@ PANASONIC = Dialect(
     opening=(Step(Op.PANASONIC_OPEN, (0x0001_0001,)),),
     closing=(Step(Op.PANASONIC_CLOSE, is_optional=True),),
     releases=((Step(Op.PANASONIC_CAPTURE, (0x0300_0011,)),),),
+    acknowledged=((Event.PANASONIC_PROGRESS, Op.PANASONIC_ACKNOWLEDGE),),
     listed_times=(*(n * 100 | 1 << 31 for n in _TENTHS), *(n * 1000 for n in _PARTS)),
     is_stepped=False,
 )
@@ -232,9 +249,23 @@ _EXTENSIONS: Mapping[int, Dialect] = {
 _NIKON_1_LIVE_VIEW = Step(Op.NIKON_LIVE_VIEW, is_optional=True)
 _CONTROLLED = Step(Op.NIKON_CAMERA_MODE, (1,), is_optional=True)
 _NIKON_REMOTE = frozenset({Op.NIKON_EVENTS, Op.NIKON_READY, Op.NIKON_CAPTURE_TO})
-_CANON_COMPACT: dict[str, Any] = {"opening": (Step(Op.EOS_REMOTE_MODE, (0x15,)), _EVENT_MODE)}
+# One press for half and full.
+_CANON_WITHOUT_MIRROR: dict[str, Any] = {
+    "releases": (
+        (
+            Step(Op.EOS_RELEASE_ON, (3, 0), undo=(Step(Op.EOS_RELEASE_OFF, (3,)),)),
+            Step(Op.EOS_RELEASE_OFF, (3,)),
+        ),
+        (Step(Op.EOS_RELEASE),),
+    )
+}
+_CANON_COMPACT: dict[str, Any] = {
+    **_CANON_WITHOUT_MIRROR,
+    "opening": (Step(Op.EOS_REMOTE_MODE, (0x15,)), _EVENT_MODE),
+}
 # The live picture to the computer: without it EOS M bodies take no pictures.
 _CANON_M: dict[str, Any] = {
+    **_CANON_WITHOUT_MIRROR,
     "opening": (
         *_CANON_COMPACT["opening"],
         Step(Op.EOS_EVENT_MODE, (2,)),
@@ -270,13 +301,17 @@ _MODELS: tuple[tuple[Dialect, str, Mapping[str, Any]], ...] = (
         r"D3[345]\d\d|COOLPIX A",
         {"unlisted": _NIKON_REMOTE | {Op.NIKON_PROPERTY_CODES, Op.NIKON_TERMINATE_CAPTURE}},
     ),
-    (CANON_EOS, r"Canon EOS M6 Mark II", {}),  # as the EOS bodies with a mirror
+    (CANON_EOS, r"Canon EOS M6 Mark II", _CANON_WITHOUT_MIRROR),
     (
         CANON_EOS,
         r"Canon PowerShot (SX540 HS|G5 X)",
-        {"opening": (Step(Op.EOS_REMOTE_MODE, (0x11,)), _EVENT_MODE)},
+        {**_CANON_WITHOUT_MIRROR, "opening": (Step(Op.EOS_REMOTE_MODE, (0x11,)), _EVENT_MODE)},
     ),
-    (CANON_EOS, r"Canon PowerShot SX600 HS", {"opening": (_EVENT_MODE,)}),
+    (
+        CANON_EOS,
+        r"Canon PowerShot SX600 HS",
+        {**_CANON_WITHOUT_MIRROR, "opening": (_EVENT_MODE,)},
+    ),
     (CANON_EOS, r"Canon EOS M50m2", _CANON_COMPACT),
     (CANON_EOS, r"Canon (EOS M|PowerShot).*", _CANON_M),
     # They take no picture in the first seconds.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 from camctl.errors import (
     CameraBusyError,
@@ -221,6 +222,10 @@ class Properties:
             description = self._known.get(scale.code)
             if description is None:
                 continue
+            setter = None if scale.set_by is None else self._known.get(scale.set_by)
+            if setter is not None and setter.is_writable and not description.choices:
+                # What is set by another property is listed there, where it is listed at all.
+                description = replace(description, is_writable=True, choices=setter.choices)
             is_stepped = self._dialect.is_stepped
             dial = make_dial(name, scale, description, listed, is_stepped=is_stepped)
             if dial is not None and description.is_writable:

@@ -8,6 +8,7 @@ object handles are read, and each new object is asked for its description.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError, CameraTimeoutError
@@ -340,7 +341,8 @@ class Shooter:
         """Fetch the first picture in the camera's memory, which removes it from there."""
         memory = self._body.dialect.memory
         assert memory is not None
-        self._body.session.object(memory, UNKNOWN_SIZE)
+        with suppress(CameraProtocolError):  # it was fetched, and the camera states it still
+            self._body.session.object(memory, UNKNOWN_SIZE)
 
     def _have_pictures(self, handles: set[int]) -> bool:
         found: dict[int, ObjectInfo] = {}

@@ -39,6 +39,7 @@ _ONE_SECOND, _F1, _ISO_100 = 0x38, 0x08, 0x48  # codes
 _THIRDS = (0, 3, 5)
 SHUTTER_CODES = tuple(code for code in range(0x10, 0xA1) if code % _STEPS_A_STOP in _THIRDS)
 _TENTH_OF_SECOND = 0x53
+_HALF = 1  # button
 _OUTPUT_PC, _NOT_READY = 8, 1  # property D1B0; a result of the release
 
 
@@ -151,7 +152,7 @@ class CanonResponder(Responder):
             Operation.EOS_GET_PARTIAL_OBJECT: when_ready(self._get_part),
             Operation.EOS_GET_DEVICE_INFO: self._get_eos_info,
             Operation.EOS_RELEASE: self._release,
-            Operation.EOS_RELEASE_ON: self._release,
+            Operation.EOS_RELEASE_ON: self._press,
             Operation.EOS_RELEASE_OFF: self.accept,
             Operation.EOS_SET_PROPERTY: self._set_eos_property,
             Operation.EOS_SET_REMOTE_MODE: self._set_remote_mode,
@@ -260,6 +261,12 @@ class CanonResponder(Responder):
         code, value = struct.unpack("<II", data[4:])
         item = self.properties.get(code)
         return Reply(self.set_number(item, value) if item else Response.PROPERTY_NOT_SUPPORTED)
+
+    def _press(self, parameters: Sequence[int], data: bytes) -> Reply | None:
+        """Press the button: 1 half, which focuses; 2 full; 3 both."""
+        if tuple(parameters[:1]) == (_HALF,) and self._is_remote:
+            return Reply()
+        return self._release(parameters, data)
 
     def _release(self, parameters: Sequence[int], data: bytes) -> Reply | None:
         if not self._is_remote:

@@ -21,8 +21,10 @@ from sim.devices.ptp.store import FORMATS
 _AUTOMATIC_S = 1 / 60  # exposures of a camera without a shutter property
 AUTOMATIC_GAIN = 4.0  # of a camera that chooses its sensitivity itself
 
-# A dial with fewer choices was recorded while the camera chose the value itself.
-_FULL_DIAL = 12
+# A dial with fewer choices was recorded while the camera chose the value itself; of sensitivities
+# simple bodies have a few.
+_FULL_DIAL, _FULL_ISO_DIAL = 12, 3
+_ISO_DIALS = frozenset({0x500F, 0xD103, 0xD21E, 0xD007})
 
 
 def recorded_properties(
@@ -50,7 +52,8 @@ def recorded_properties(
                 found[item.code] = item
         elif is_dial and is_manual:
             recorded.is_writable = True
-            if len(recorded.choices) < _FULL_DIAL and not recorded.limits:
+            full = _FULL_ISO_DIAL if item.code in _ISO_DIALS else _FULL_DIAL
+            if len(recorded.choices) < full and not recorded.limits:
                 recorded.kind, recorded.choices = item.kind, item.choices
             if recorded.choices and recorded.value not in recorded.choices:
                 recorded.value = recorded.choices[len(recorded.choices) // 2]

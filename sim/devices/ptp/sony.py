@@ -40,6 +40,7 @@ _SET_BY: dict[int, int] = {
     Property.SONY_ISO_SET: Property.SONY_ISO,
 }
 _BY_DIALS, _BY_HOST = 0, 1  # property D25A: what sets the exposure
+_FULL_ISO_DIAL = 3  # fewer choices were recorded while the camera chose the sensitivity
 _HANDSHAKE = (1, 2, 3)  # parameters of SONY_CONNECT
 
 
@@ -94,6 +95,29 @@ class SonyResponder(Responder):
             items.append(
                 DeviceProperty(Property.SONY_ISO, Type.UINT32, config.isos[0], config.isos)
             )
+        return items
+
+    def all_properties(self) -> list[DeviceProperty]:
+        """Return the properties; a dial without a list has the numbers of its setting property.
+
+        Where those were recorded while the camera chose the value itself, they are few: then the
+        numbers are the usual ones.
+        """
+        items = super().all_properties()
+        by_code = {item.code: item for item in items}
+        full = {Property.SONY_SHUTTER: len(self.config.times), Property.SONY_ISO: _FULL_ISO_DIAL}
+        for setter, shown in _SET_BY.items():
+            fact = self.facts.properties.get(setter) if self.facts else None
+            before = self.facts.properties.get(shown) if self.facts else None
+            if fact is None or not fact.writable or before is None or len(before.choices) > 1:
+                continue
+            item, usual = by_code[shown], self._numbers(by_code[shown])
+            numbers = fact.choices if len(fact.choices) >= full[Property(shown)] else usual
+            by_code[setter].choices = numbers
+            self._dial_numbers[Property(shown)] = numbers
+            if item.choices:
+                item.choices = numbers
+                item.value = numbers[len(numbers) // 2]
         return items
 
     def _within_limits(self, times: Sequence[int]) -> tuple[int, ...]:

@@ -90,6 +90,9 @@ class TestNewPictures:
             (CardPicture(4, "D4"), CardPicture(3, "D3"), True),
             (CardPicture(4, ""), CardPicture(3, ""), True),
             (CardPicture(1, "D1"), CardPicture(0, ""), True),
+            (CardPicture(0, "DSCN0007.JPG"), CardPicture(0, ""), True),  # register 4 as written
+            (CardPicture(12, "DSCN0012.JPG"), CardPicture(0, ""), True),
+            (CardPicture(0, ""), CardPicture(0, ""), False),
             (CardPicture(1, "D1000"), CardPicture(999, "D999"), True),
             (CardPicture(3, "D3"), CardPicture(3, "D3"), False),
             (CardPicture(5, "D5"), CardPicture(3, "D3"), False),
