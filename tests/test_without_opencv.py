@@ -37,6 +37,13 @@ def test_device_requirements_are_the_dependencies_without_opencv() -> None:
     assert listed == _needed("camctl", set()) - {"camctl"}
 
 
+def test_the_command_beside_another_opencv_names_all_other_dependencies() -> None:
+    page = (ROOT / "docs/how-to/install.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^pip install (numpy .*)$", page, re.MULTILINE)
+    needed = {_name(each) for each in requires("camctl") or [] if ";" not in each}
+    assert {_name(word) for word in line.split()} == needed - {"opencv-contrib-python-headless"}
+
+
 def test_page_states_the_aarch64_wheels_of_all_compiled_dependencies() -> None:
     """Every dependency that is installed here with compiled code has its row."""
     needed = _needed("camctl", set(), without="") - {"camctl"}

@@ -52,7 +52,7 @@ def test_two_opencv_in_one_place_are_a_problem(run: Run, monkeypatch: pytest.Mon
     assert "opencv-contrib-python-headless 4.11.0, opencv-python 4.11.0" in found.found
     assert found.to_do == (
         "keep one: pip uninstall -y opencv-contrib-python-headless opencv-python && "
-        "pip install --no-deps opencv-contrib-python-headless"
+        "pip install --no-deps opencv-python"
     )
     ran = run("doctor")
     assert ran.status == 1

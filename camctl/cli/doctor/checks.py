@@ -99,7 +99,9 @@ def check_opencv() -> Check:
     installed = {name: version for name in OPENCV if (version := _version(name)) is not None}
     names = ", ".join(f"{name} {version}" for name, version in installed.items())
     if len(installed) > 1:
-        remove, keep = " ".join(installed), next(iter(installed))
+        # camctl works with any of them; windows are what other programs may need.
+        keep = next((name for name in installed if "headless" not in name), next(iter(installed)))
+        remove = " ".join(installed)
         return Check(
             name="OpenCV",
             state="problem",
@@ -121,8 +123,8 @@ def check_opencv() -> Check:
             name="OpenCV",
             state="problem" if installed else "missing",
             found=f"{names or 'not installed'}: {error}",
-            to_do=f"pip install {OPENCV[0]}; without it there are no JPEG and PNG files, no MJPG "
-            "streams and no camctl merge",
+            to_do=f"pip install {OPENCV[0]}; without it no JPEG and PNG files are read, and there are "
+            "no MJPG streams and no camctl merge",
         )
     gui = next(
         (line.split()[-1] for line in cv2.getBuildInformation().splitlines() if "GUI:" in line), ""
