@@ -123,8 +123,8 @@ def check_opencv() -> Check:
             name="OpenCV",
             state="problem" if installed else "missing",
             found=f"{names or 'not installed'}: {error}",
-            to_do=f"pip install {OPENCV[0]}; without it no JPEG and PNG files are read, and there are "
-            "no MJPG streams and no camctl merge",
+            to_do=f"pip install {OPENCV[0]}; without it no JPEG and PNG files are read, and there "
+            "are no MJPG streams and no camctl merge",
         )
     gui = next(
         (line.split()[-1] for line in cv2.getBuildInformation().splitlines() if "GUI:" in line), ""
