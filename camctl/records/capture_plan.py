@@ -14,6 +14,7 @@ from camctl.interface.controls import ExposureSetting
 from camctl.messages.plain import sentence
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
+from camctl.records.html import plan_html
 
 MUCH = 0.05
 """Share of the samples outside the range from which a capture has a finding."""
@@ -117,6 +118,10 @@ class CapturePlan:
     light: PlannedLight | None = None
     scene: Annotated[Any, Field(exclude=True)] = field(default=None, compare=False, repr=False)
     front: Annotated[Any, Field(exclude=True)] = field(default=None, compare=False, repr=False)
+
+    def _repr_html_(self) -> str:
+        """Return the plan for a notebook."""
+        return plan_html(self)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ from camctl.messages.plain import sentence
 from camctl.model.noise import MeasuredNoise, NoiseModel
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.frame import FrameRecord, StoredFrame
+from camctl.records.html import report_html
 from camctl.records.kept_light import KeptLight
 from camctl.records.simulation_summary import SimulationSummary
 
@@ -221,6 +222,10 @@ class CaptureReport(_CaptureData):
     movement: FoundMovement | None = None
     simulation: SimulationSummary | None = None
     _pictures: Pictures | None = PrivateAttr(default=None)
+
+    def _repr_html_(self) -> str:
+        """Return the report for a notebook, with the image."""
+        return report_html(self)
 
     def with_pictures(self, pictures: Pictures) -> Self:
         """Return the report itself, connected to its pictures."""
