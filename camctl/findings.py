@@ -64,6 +64,7 @@ CODES: Final[dict[str, str]] = {
     "label_unit": "nothing: the times are taken for labels of a dial",
     "label_wrong": "exposure in the pixels over the stated one",
     "labels_contradict": "ratio of the light of two photographs over the ratio of their exposures",
+    "labels_swapped": "nothing: `frames` are the two photographs",
     "light_differs": "light over the light of the others; nothing where the flash fired",
     "masked": "share of the pixels in `place` that a mask leaves out; `place` is what is used",
     "other_view": "share of the picture that agrees with the others",

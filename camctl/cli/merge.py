@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,7 +45,7 @@ class SourceOptions:
     """The photographs, and what is known of them beside their files."""
 
     files: tuple[Path, ...]
-    times: tuple[float, ...] | None
+    times: tuple[float | Fraction, ...] | None
     labels: str
     black: int | None
     white: int | None
@@ -56,13 +57,14 @@ _source_options = options.option_group(
     SourceOptions,
     "source",
     click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILES..."),
-    options.TIMES_OPTION,
+    options.DIAL_TIMES_OPTION,
     option(
-        "--labels auto|dial|exact",
-        "Whether the times are nominal shutter speeds (1/60 means 1/64 s); auto takes them "
-        "for nominal where all of them are usual ones.  Both are then corrected from the pixels; "
-        "exact times are not.",
-        Name("meaning of the times", ("auto", "dial", "exact")),
+        "--labels auto|dial|exact|pixels",
+        "What the times are: nominal shutter speeds (1/60 means 1/64 s), corrected from the "
+        "pixels; exact ones, which are not; or rough, and estimated from the pixels.  auto takes "
+        "numbers such as 0.02 for exact, and those of EXIF data or fractions such as 1/60 for "
+        "nominal where all of them are usual ones.",
+        Name("meaning of the times", ("auto", "dial", "exact", "pixels")),
         default="auto",
     ),
     options.BLACK_OPTION,
@@ -85,8 +87,7 @@ _source_options = options.option_group(
 
 _CHOICE = {
     "count": RequestOption(
-        "Number of photographs to use.  [default: as many as raise the effective levels by 5 % "
-        "each]",
+        "Number of photographs to use, the best ones for the picture.  [default: all]",
         "N",
         COUNT,
     ),
@@ -129,9 +130,9 @@ def merge(
     """Make a picture of high dynamic range from photographs already taken.
 
     FILES are photographs of one scene with different exposures, from a tripod: JPEG, PNG, TIFF,
-    camera raw or linear OpenEXR. Those that serve the desired picture are chosen as `camctl shoot`
-    chooses exposures, and summed; the others are named with the reason. The result is a
-    folder as from `camctl shoot`. Unless it is given, the range is the range of their light.
+    camera raw or linear OpenEXR. All are used unless one is proven wrong or fewer are asked for;
+    each one that is left out is named with the reason. The result is a folder as from `camctl
+    shoot`. Unless it is given, the range is the range of their light.
     """
     from camctl.photographs.merge import plan_merge
     from camctl.photographs.photograph_set import PhotographOptions

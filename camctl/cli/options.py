@@ -126,6 +126,12 @@ TIMES_OPTION = option(
     "Shutter time of each of FILES, such as 1/30,1/15,1/8.  [default: from their EXIF data]",
     ListOf(Seconds()),
 )
+DIAL_TIMES_OPTION = option(
+    "--times SECONDS,...",
+    "Shutter time of each of FILES: exact as numbers such as 0.033, labels of a dial as fractions "
+    "such as 1/30,1/15.  [default: from their EXIF data]",
+    ListOf(Seconds(fractions=True)),
+)
 BLACK_OPTION = option(
     "--black DN",
     "Black level of FILES.  [default: stated in raw files, else from the pixels]",

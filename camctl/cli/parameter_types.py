@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -211,19 +212,22 @@ class DynamicRange(_ValueType):
 
 
 class Seconds(_ValueType):
-    """A time in seconds, or a fraction such as 1/250; with `auto` also the word auto."""
+    """A time in seconds, or a fraction such as 1/250; with `auto` also the word auto.
+
+    With `fractions` a typed fraction is a `Fraction`: it is a label of a dial, and 0.004 is not.
+    """
 
     name = "seconds"
 
-    def __init__(self, *, auto: bool = False, least: float = 0) -> None:
-        self._auto, self._least = auto, least
+    def __init__(self, *, auto: bool = False, least: float = 0, fractions: bool = False) -> None:
+        self._auto, self._least, self._fractions = auto, least, fractions
         self.expected = (
             "a time in seconds such as 0.004 or 1/250"
             + (f", at least {least:g}" if least else "")
             + (", or auto" if auto else "")
         )
 
-    def parse(self, text: str, option: str) -> float | None:
+    def parse(self, text: str, option: str) -> float | Fraction | None:
         """Return the time in s; None for auto."""
         if self._auto and text.lower() == "auto":
             return None
@@ -232,7 +236,8 @@ class Seconds(_ValueType):
         if value > 0 and divisor > 0:
             seconds = value / divisor
             if 0 < seconds < math.inf and seconds >= self._least:
-                return seconds
+                is_fraction = slash and self._fractions
+                return Fraction(value) / Fraction(divisor) if is_fraction else seconds
         raise invalid_value(option, text, f"expected {self.expected}")
 
     def suggestions(self) -> Iterable[str]:
@@ -319,7 +324,7 @@ class Settings(_ValueType):
     def _value(self, text: str, option: str) -> float:
         value = self._unit.parse(text, option)
         assert value is not None
-        return value
+        return float(value)
 
     def _read(self, path: str) -> tuple[float, ...]:
         lines = read_input_text(path, "settings file").splitlines()

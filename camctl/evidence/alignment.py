@@ -23,7 +23,7 @@ from camctl.model.sensor import JPEG_ERROR
 from camctl.system.picture_operations import required_opencv
 
 #: Blocks along each side of a picture, and contour pixels of each that are compared at most.
-_BLOCKS, _POINTS = 8, 1000
+_BLOCKS, _POINTS = 8, 600
 #: Pixels from which on only every second row is searched for contours.
 _MANY = 300_000
 #: Longest side of the copies in which every shift is tried, and the largest share of a side.

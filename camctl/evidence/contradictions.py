@@ -7,7 +7,6 @@ patches show and the errors of JPEG files.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 from statistics import NormalDist
 
 import numpy as np
@@ -25,6 +24,8 @@ from camctl.system.picture_operations import AREA, HEIGHT, LEFT, TOP, WIDTH, con
 _MAJORITY = 0.7
 #: Other photographs that must be contradicted, and connected patches that make a place.
 _LEAST_OTHERS, _LEAST_PATCHES = 2, 4
+#: Each photograph is compared with so many of the next exposures.
+_NEXT = 3
 #: Largest share of the patches: where more differ, it is not a place.
 _MOST = 0.25
 
@@ -77,12 +78,16 @@ def _odd_ones(
 ) -> _Mask:
     """Return (photographs, patches): where one contradicts others that agree."""
     count, size = len(exposures), len(patches[0])
-    pairs = count * (count - 1) / 2
-    limit = -NormalDist().inv_cdf(SIGNIFICANCE / 2 / max(pairs, 1) / size)
+    order = sorted(range(count), key=exposures.__getitem__)
+    near = [
+        (short, long)
+        for place, short in enumerate(order)
+        for long in order[place + 1 : place + 1 + _NEXT]
+    ]
+    limit = -NormalDist().inv_cdf(SIGNIFICANCE / 2 / max(len(near), 1) / size)
     # Of each photograph and patch: how many others it is brighter than, darker than, and like.
     counts = np.zeros((3, count, size), np.int64)
-    order = sorted(range(count), key=exposures.__getitem__)
-    for short, long in combinations(order, 2):
+    for short, long in near:
         ratio = exposures[long] / exposures[short]
         residuals = _residuals(patches[short], patches[long], ratio, sensor, planes)
         for kind, marks in enumerate((residuals > limit, residuals < -limit)):

@@ -59,8 +59,9 @@ class Likeness(NamedTuple):
         correlation: median over the patches
         best: correlation that a quarter of them exceed
         contrast: quartiles of the contrast of patches over their contrast in the brighter one
-        deviating: share of the patches that have another brightness than most
-        agreeing: share of the parts of the picture in which no patch has
+        deviating: share of the patches that have another brightness than most; 0 where both show
+            the same
+        agreeing: share of the parts of the picture in which no patch has; likewise 1
     """
 
     correlation: float
@@ -188,15 +189,17 @@ def _likeness(
 ) -> Likeness | None:
     """Return how much two photographs are alike; None: they show no fine structure in common."""
     planes = [np.array_split(each, colours) for each in (dark, bright)]
-    found = [_compared(planes[0][k], planes[1][k], white) for k in range(colours)]
-    correlations, contrasts = np.concatenate(found, axis=1)
+    compared = [_compared(planes[0][k], planes[1][k], white) for k in range(colours)]
+    correlations, contrasts = np.concatenate(compared, axis=1)
     if correlations.size < _FEWEST:
         return None
     correlation, best = np.quantile(correlations, (0.5, 0.75)).tolist()
     low, middle, high = np.quantile(contrasts, (0.25, 0.5, 0.75)).tolist()
-    return Likeness(
-        correlation, best, (low, middle, high), *_deviations(dark, bright, colours, black, white)
-    )
+    alike = Likeness(correlation, best, (low, middle, high), 0.0, 1.0)
+    if alike.is_same and high >= _LESS_SHARP:
+        return alike  # nothing is asked of the brightness of such a pair
+    deviating, agreeing = _deviations(dark, bright, colours, black, white)
+    return alike._replace(deviating=deviating, agreeing=agreeing)
 
 
 def _deviations(

@@ -94,8 +94,11 @@ class Light:
         # Photographs already taken hold what they hold: clipping would gain no range and no time.
         clip = 0.0 if goal.clip is None and not controls.repeatable else goal.clip
         end = self.upper_end(clip, goal.given_range)
-        limit_s = min(whole_s / end, controls.time_s.maximum)
-        unit = whole_s / limit_s
+        return self.up_to(min(whole_s / end, controls.time_s.maximum))
+
+    def up_to(self, limit_s: float) -> Light:
+        """Return the same light in units of a shutter time of the shortest exposure."""
+        unit = self.metering.limit_s / limit_s
         return replace(
             self,
             metering=replace(self.metering, limit_s=limit_s),

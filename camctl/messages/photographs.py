@@ -101,6 +101,11 @@ def _label_wrong(finding: Finding) -> str:
     return f"{text}: {_use(finding)}; correct it (or the light was different in it)"
 
 
+def _labels_swapped(finding: Finding) -> str:
+    details = finding.details
+    return f"the exposures of {details['file']} and {details['other']} are swapped: {_use(finding)}"
+
+
 def _labels_contradict(finding: Finding) -> str:
     details: dict[str, Any] = finding.details
     if "why" not in details:
@@ -212,6 +217,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     ),
     "label_wrong": _label_wrong,
     "labels_contradict": _labels_contradict,
+    "labels_swapped": _labels_swapped,
     "light_differs": _light_differs,
     "masked": _masked,
     "other_view": _other_view,

@@ -18,7 +18,7 @@ from camctl.photographs.camera import Photograph
 from camctl.system.picture_operations import reduced_by_area, required_opencv
 
 #: Longest side of the grey copies in which alignment is measured, pixels.
-_SIDE = 1024
+_SIDE = 768
 #: A displacement counts from so many pixels of the photographs, and of their grey copies.
 _DISPLACED, _DISPLACED_IN_COPY = 1.3, 0.15
 #: Fine structure that is in the same place is displaced by less than this, pixels.

@@ -1,21 +1,18 @@
-"""Which photographs serve a picture, and why the others do not."""
+"""Which photographs make a picture: all, unless a number or their exposures are asked for."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
+from camctl.captures.metering import meter_light
 from camctl.captures.plan import plan_capture
-from camctl.errors import CaptureError, UsageError
 from camctl.evidence.patches import Patches
-from camctl.exposure.evaluation import evaluate
 from camctl.exposure.goal import CaptureRequest
-from camctl.exposure.objective import Objective
+from camctl.exposure.search.best import longest_base_s
 from camctl.exposure.search.settings import relative_exposures, search_choices
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import MAX_EXPOSURES, EffectiveCamera
@@ -25,8 +22,6 @@ from camctl.photographs.camera import PhotographCamera
 from camctl.pictures.render import DARK, sum_mask
 from camctl.records.capture_plan import CapturePlan
 
-#: Another photograph is used if it adds more than this share of effective levels.
-_WORTH = 0.05
 #: Share of the light of a scene that is below its range: the deepest dark.
 _SHADOWS = 0.005
 #: Dynamic ranges that a picture gets without being asked for.
@@ -63,13 +58,10 @@ def plan_photographs(
 ) -> tuple[CapturePlan, CaptureRequest]:
     """Return the plan of the photographs to use, and the request that it is made from.
 
-    Every set of photographs is compared, as for a camera with a list of shutter times.  Where the
-    request leaves their number open, it is the least from which another photograph raises the
-    effective levels by no more than 5 %.
-
     Args:
         camera: of the photographs
-        request: what the user asks for
+        request: what the user asks for; without a number or exposures all photographs are used,
+            and with a number those of the best set of so many
         darkest: light that the dynamic range is to reach, see `darkest_light`; None: the request
             says the range
 
@@ -78,46 +70,46 @@ def plan_photographs(
     """
     if request.ratios is not None and darkest is None:
         return plan_capture(camera, request), request
-    metering = plan_capture(camera, replace(request, count=1, ratios=None)).metering
-    assert metering is not None  # no base exposure is given
-    limit_s = metering.limit_s * 2.0**request.compensation_stops
-    if request.count is not None and request.base_s is None:
-        # So many were asked for: where too few are as long as the metered one, shorter ones serve.
-        limit_s = min(limit_s, sorted(camera.times_s)[-min(request.count, len(camera.times_s))])
+    light = meter_light(camera, request)
+    times = sorted(camera.times_s)
+    limit_s = longest_base_s(request, light)
+    is_all = request.ratios is None and request.count is None
+    if is_all:
+        base_s = times[0]
+    else:
+        if request.count is not None and request.base_s is None:
+            # Where too few are as long as the metered one, shorter ones serve.
+            limit_s = min(limit_s, times[-min(request.count, len(times))])
+        base_s = max((t for t in times if t <= limit_s), default=times[0])
     if darkest is not None:
-        # The shortest photograph of a set is the longest one up to the limit.
-        base_s = max((t for t in camera.times_s if t <= limit_s), default=min(camera.times_s))
         request = replace(request, dynamic_range=_rounded_range(1 / (base_s * darkest)))
         if request.ratios is not None:
             return plan_capture(camera, request), request
-    desired, controls = request.desired, camera.controls
-    assert desired is not None  # the range is a number, and no response is automatic
-    most = min(len(camera.photographs), MAX_EXPOSURES)
-    found: list[tuple[float, tuple[ExposureSetting, ...]]] = []
-    for count in range(1, most + 1) if request.count is None else (request.count,):
-        try:
-            settings = search_choices(controls, request, desired, count, limit_s)
-        except (CaptureError, UsageError):
-            if not found:
-                raise
-            break  # fewer photographs are as long as the metered one
-        exposures = relative_exposures(settings)
-        quality = evaluate(controls.levels, desired, exposures, objective=Objective())
-        found.append((quality.effective_levels, settings))
-    chosen = found[-1][1]
-    for (levels, settings), (more, _) in pairwise(found):
-        if more <= (1 + _WORTH) * levels:
-            chosen = settings
-            break
-    asked = replace(request, count=None, ratios=relative_exposures(chosen))
-    plan = None
-    with suppress(CaptureError):  # from the longest possible photograph on there are too few
-        plan = plan_capture(camera, asked)
-    if plan is None or plan.settings != chosen:  # the chosen set begins below that one
-        base_s = chosen[0].time_s
-        asked = replace(asked, base_s=base_s, compensation_stops=0.0, clip_percent=None)
-        plan = plan_capture(camera, asked)
-    return plan, asked
+    if is_all:
+        chosen = tuple(ExposureSetting(each, 1.0) for each in _most(times))
+    else:
+        assert request.desired is not None  # the range is a number, and no response is automatic
+        assert request.count is not None
+        chosen = search_choices(camera.controls, request, request.desired, request.count, limit_s)
+    asked = replace(
+        request,
+        count=None,
+        ratios=relative_exposures(chosen),
+        compensation_stops=0.0,
+        clip_percent=None,
+    )
+    if light is not None:
+        light = light.up_to(chosen[0].time_s)
+    return plan_capture(camera, asked, light=light), asked
+
+
+def _most(times_s: list[float]) -> list[float]:
+    """Return so many of ascending times as can be summed, without those next to each other."""
+    kept = list(times_s)
+    while len(kept) > MAX_EXPOSURES:
+        steps = np.diff(np.log(kept))
+        del kept[1 + int(np.argmin(steps[:-1] + steps[1:]))]
+    return kept
 
 
 def with_dark_share(
@@ -161,7 +153,7 @@ def _rounded_range(value: float) -> float:
 
 
 def why_unused(camera: PhotographCamera, plan: CapturePlan) -> dict[int, str]:
-    """Return, by position, why a photograph is not used."""
+    """Return, by position, why a photograph is not used, where fewer were asked for."""
     used = camera.chosen(plan.settings)
     exposures = {k: each.exposure for k, each in enumerate(camera.photographs)}
     first, last = (pick(used, key=exposures.__getitem__) for pick in (min, max))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -77,9 +78,10 @@ class PhotographFiles:
         UsageError: a file does not say its exposure time
     """
 
-    def __init__(self, paths: Sequence[Path], times: tuple[float, ...] | None) -> None:
+    def __init__(self, paths: Sequence[Path], times: Sequence[float | Fraction] | None) -> None:
         check_times(paths, times)
-        self._paths, self._times = tuple(paths), times
+        self._paths = tuple(paths)
+        self._times = None if times is None else tuple(map(float, times))
         self._kept: dict[int, Pixels] = {}
         self._full = _largest_of_exr(self._paths)
         self.photographs: list[Photograph] = []

@@ -8,7 +8,7 @@ with a response two are.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 
@@ -20,10 +20,9 @@ from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches
 from camctl.findings import Detail, Finding
-from camctl.messages.plain import sentence
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import SensorModel
-from camctl.photographs.camera import Photograph, at, detailed, named
+from camctl.photographs.camera import Photograph, at, detailed
 from camctl.photographs.ratios import MOST_CORRECTED, STEADY, exposure_runs, steady_errors
 
 #: Factor by which a label is wrong if exposures are not corrected from the pixels, and the response
@@ -35,9 +34,6 @@ _SUSPECT = 1.15
 _AGREE_WITHOUT, _AGREE_WITH = 3, 2
 #: Labels are swapped, and several photographs differ alike, up to this error of a logarithm.
 _ALIKE = 0.15
-#: A longer exposure is contradicted where patches are darker by this share of full scale, so many
-#: times more of them than are brighter by it, and this share of all: a thing that moved is less.
-_DARKER, _TIMES_MORE, _DARKER_SHARE = 0.02, 3, 0.03
 SAME_EXPOSURE = 1.05
 """Exposures that differ by less than this factor have no order."""
 
@@ -57,77 +53,31 @@ class LabelErrors:
     facts: list[Finding] = field(default_factory=list)
 
 
-def _refused(what: str) -> DataError:
-    return DataError(
-        what,
-        hint="correct the exposure times, one for each file, or leave a damaged file out",
-        remedies={"times": None},
-    )
-
-
-def _swapped(one: str, other: str) -> DataError:
-    """Return the error of two photographs, given by their names, with each other's exposure."""
-    return _refused(
-        f"the exposures of {one} and {other} are swapped: the photograph of the shorter exposure "
-        "is the brighter one"
-    )
-
-
-def check_order(photographs: Sequence[Photograph], patches: Sequence[Patches], white: int) -> None:
-    """Check that a longer exposure is brighter.
+def check_reversed(photographs: Sequence[Photograph], patches: Sequence[Patches]) -> None:
+    """Check that exposures and brightness are not in opposite orders: then no label is right.
 
     Raises:
-        DataError: it is not; names the photographs whose labels were swapped or do not fit
+        DataError: they are
     """
-    means = [each.mean(axis=1) / white for each in patches]
-
-    def is_reversed(short: int, long: int) -> bool:
-        change = means[long] - means[short]
-        darker, brighter = (float(np.mean(sign * change > _DARKER)) for sign in (-1, 1))
-        return darker > max(_DARKER_SHARE, _TIMES_MORE * brighter)
-
+    means = [float(each.mean()) for each in patches]
     by_label = sorted(range(len(photographs)), key=lambda k: photographs[k].exposure)
-    wrong = [
-        (short, long)
-        for short, long in combinations(by_label, 2)
-        if photographs[long].exposure >= SAME_EXPOSURE * photographs[short].exposure
-        and is_reversed(short, long)
-    ]
-    if not wrong:
-        return
-    by_light = sorted(by_label, key=lambda k: float(means[k].mean()))
-    names = [photographs[k].name for k in sorted({k for pair in wrong for k in pair})]
-    for one, other in wrong:
-        swapped = [other if k == one else one if k == other else k for k in by_label]
-        if not any(is_reversed(short, long) for short, long in pairwise(swapped)):
-            raise _swapped(photographs[one].name, photographs[other].name)
-    if by_light == by_label[::-1]:
-        raise _refused(
+    if len(by_label) > 2 and all(means[a] > means[b] for a, b in pairwise(by_label)):
+        raise DataError(
             "the exposures of the photographs are in the reverse order: the longer they are, the "
-            "darker is the picture"
+            "darker is the picture",
+            hint="correct the exposure times, one for each file",
+            remedies={"times": None},
         )
-    raise _refused(
-        f"the exposures do not fit the brightness of {', '.join(names[:4])}"
-        + (" and others" if len(names) > 4 else "")
-    )
 
 
 def doubted_labels(series: Series) -> dict[int, float]:
     """Return, by position, by which factors exposures are wrong; without a known response.
 
     Empty where all are right, or where it cannot be told which are not.
-
-    Raises:
-        DataError: the labels of two photographs are swapped
     """
-    return _doubted(series) or {}
-
-
-def _doubted(series: Series) -> dict[int, float] | None:
-    """Return the same; None where it cannot be told which are wrong."""
     shown = series.connected()
     if len(shown) <= _AGREE_WITHOUT:
-        return None
+        return {}
     free = series.part(shown)
     logs = np.log(free.exposures)
     is_seen = np.ones(logs.size, np.bool_)
@@ -137,51 +87,16 @@ def _doubted(series: Series) -> dict[int, float] | None:
         if np.abs(errors).max() < math.log(_SUSPECT):
             return {}
         free.exposures_are_stated = False
-        found = estimate_response(free, is_scene_checked=False).exposures
+        found = estimate_response(free, is_scene_checked=False, is_rough=True).exposures
     except DataError:
-        return None
+        return {}
     limit = math.log(MOST_CORRECTED)
     jumps = np.diff(label_errors(logs, np.log(found), is_seen))
     errors = steady_errors(jumps, [STEADY * limit] * jumps.size)
     wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
     if logs.size - len(wrong) < max(_AGREE_WITHOUT, len(wrong) + 1):
-        return None
-    _check_swapped(free.names, logs, errors, wrong)
+        return {}
     return {shown[k]: math.exp(errors[k]) for k in wrong}
-
-
-def check_doubted(
-    photographs: Sequence[Photograph], doubted: Mapping[int, float], series: Series
-) -> None:
-    """Check that no label is so wrong that a longer exposure would be the darker one.
-
-    Raises:
-        DataError: one is; names the photograph, what it states, and what its pixels say, or the
-            two whose labels are swapped
-    """
-    brightness = [float(np.mean(each)) for each in series.patches]
-    for k, factor in doubted.items():
-        reverse = [
-            other
-            for other, each in enumerate(photographs)
-            if other not in doubted
-            and (photographs[k].exposure - each.exposure) * (brightness[k] - brightness[other]) < 0
-        ]
-        if not reverse:
-            continue
-        if len(reverse) == 1 and _agree_when_swapped(series, k, reverse[0]):
-            raise _swapped(photographs[k].name, photographs[reverse[0]].name)
-        agree = len(photographs) - len(doubted)
-        wrong = _wrong_label(photographs, k, factor, agree)
-        raise _refused(sentence(named(wrong, photographs)))
-
-
-def _agree_when_swapped(series: Series, one: int, other: int) -> bool:
-    """Return whether all exposures are right if two photographs have each other's."""
-    swapped = series.part(range(len(series.exposures)))
-    exposures = swapped.exposures
-    exposures[one], exposures[other] = exposures[other], exposures[one]
-    return _doubted(swapped) == {}
 
 
 def wrong_labels(
@@ -202,9 +117,6 @@ def wrong_labels(
         is_exact: the exposures were not corrected from the pixels
         is_known: the response is, and not estimated from the photographs with their exposures
         is_assumed: nothing says that the response is the right one: no photograph is named
-
-    Raises:
-        DataError: the labels of two photographs are swapped
     """
     limit = math.log(_WRONG_EXACT if is_exact and is_known else MOST_CORRECTED)
     least_agree = _AGREE_WITH if is_known else _AGREE_WITHOUT
@@ -227,9 +139,6 @@ def wrong_labels(
             )
             continue
         members = [photographs[k] for k in run.members]
-        if is_known or agree >= least_agree:
-            names, stated = [each.name for each in members], [each.exposure for each in members]
-            _check_swapped(names, np.log(stated), errors, wrong)
         if agree < least_agree or agree <= len(wrong):
             why = _why_unknown(len(members), len(photographs), is_known=is_known)
             contradicting = _contradicting(members, run.jumps, limit, why)
@@ -255,7 +164,15 @@ def _named(
                 details={"left_out": is_exact},
             )
         ]
-    found = [_wrong_label(photographs, k, math.exp(errors[k]), count - len(wrong)) for k in wrong]
+    swapped = _swapped([each.exposure for each in photographs], errors, wrong)
+    found = [
+        Finding(code="labels_swapped", frames=pair, remedies={"times": None}) for pair in swapped
+    ]
+    found += [
+        _wrong_label(photographs, k, math.exp(errors[k]), count - len(wrong))
+        for k in wrong
+        if not any(k in pair for pair in swapped)
+    ]
     return [detailed(each, left_out=is_exact) for each in found]
 
 
@@ -284,16 +201,19 @@ def _wrong_label(
     )
 
 
-def _check_swapped(
-    names: Sequence[str], logs: FloatArray, errors: FloatArray, wrong: Sequence[int]
-) -> None:
+def _swapped(
+    stated: Sequence[float], errors: FloatArray, wrong: Sequence[int]
+) -> list[tuple[int, int]]:
+    """Return the pairs of photographs that have each other's exposure."""
+    logs = np.log(stated)
+    found = []
     for one, other in combinations(wrong, 2):
         apart = float(logs[other] - logs[one])
-        if abs(apart) < math.log(SAME_EXPOSURE):
-            continue
         off = max(abs(float(errors[one]) - apart), abs(float(errors[other]) + apart))
-        if off < _ALIKE * max(1.0, abs(apart)):
-            raise _swapped(names[one], names[other])
+        is_clear = abs(apart) >= math.log(SAME_EXPOSURE)
+        if is_clear and off < _ALIKE * max(1.0, abs(apart)):
+            found.append((one, other))
+    return found
 
 
 def _why_unknown(members: int, photographs: int, *, is_known: bool) -> str:

@@ -132,12 +132,12 @@ def merge(
 ) -> CaptureReport:
     """Make the picture that `request` asks for from photographs of one scene, as `camctl merge`.
 
-    Those that serve the picture are chosen as `capture` chooses exposures, and summed.
+    All are summed, but for those that are proven wrong, or as many as the request says.
 
     Args:
         files: photographs with different exposures: JPEG, PNG, TIFF, camera raw, linear OpenEXR
         request: the desired picture; None: response "log" over the range of the light in the
-            photographs, of which as many are used as raise the effective levels by 5 % each
+            photographs; without `count` and `ratios` all of these are used
         path: folder of the result, which is made; None: all is kept in memory
         options: what is known of the photographs beside their files
         overwrite: replace an earlier result in the folder

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from camctl.calibration.response.estimate import estimate_response
 from camctl.calibration.response.series import Series
 from camctl.errors import UsageError
 from camctl.evidence.contradictions import contradictions
@@ -26,7 +30,7 @@ from camctl.photographs.camera import (
     with_true_exposures,
 )
 from camctl.photographs.files import PhotographFiles
-from camctl.photographs.labels import check_doubted, check_order, doubted_labels, wrong_labels
+from camctl.photographs.labels import check_reversed, doubted_labels, wrong_labels
 from camctl.photographs.ratios import corrected_exposures, neighbours_differ
 from camctl.photographs.response import (
     ASSUMED,
@@ -47,11 +51,13 @@ class PhotographOptions:
     """What is known of photographs beside their files.
 
     Attributes:
-        times: shutter times of the files, s, in their order; None: as their EXIF data state them,
-            from which ISO and f-number are in any case
+        times: shutter times of the files, s, in their order, a `Fraction` as a person types it
+            from a dial; None: as their EXIF data state them, from which ISO and f-number are in
+            any case
         labels: "dial": the times are labels of a dial, whose 1/60 is 1/64 s; "exact": they are
-            not, and are not corrected from the pixels, either; "auto": they are labels where all
-            of them are usual ones
+            not, and are not corrected from the pixels, either; "pixels": they are rough, and
+            estimated from the pixels; "auto": numbers in `times` are exact, and fractions in it
+            or EXIF data are labels where all of them are usual ones
         black: black level, DN; None: stated in raw files, else from the pixels
         white: white level, DN; None: likewise
         curve: response of the camera: a file of two columns, irradiance and brightness, or
@@ -61,12 +67,19 @@ class PhotographOptions:
             of one pure colour is cut off
     """
 
-    times: tuple[float, ...] | None = None
+    times: tuple[float | Fraction, ...] | None = None
     labels: str = "auto"
     black: int | None = None
     white: int | None = None
     curve: str | None = None
     mask: str | None = None
+
+    @property
+    def are_exact(self) -> bool:
+        """Whether the times are neither labels nor corrected from the pixels."""
+        if self.labels != "auto" or self.times is None:
+            return self.labels == "exact"
+        return not any(isinstance(each, Fraction) for each in self.times)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +120,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     files = PhotographFiles(paths, source.times)
     given = files.photographs
     photographs, unstated = with_all_stated(given)
-    photographs, facts = _with_labels(photographs, source.labels)
+    photographs, facts = _with_labels(photographs, source)
     _, white = _levels(files, source)
     area = ValidArea.of(files, source.mask)
     facts += area.facts
@@ -121,11 +134,12 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     selection = _selection(files, photographs, kept, area, source)
     selection, displaced = of_one_view(selection, [sights[k] for k in kept], notes)
     series = selection.series
-    doubted = doubted_labels(series)
-    check_doubted(selection.photographs, doubted, series)
-    check_order(selection.photographs, series.patches, white)
-    for k, factor in doubted.items():  # a wrong label must not bend the response
-        series.exposures[k] *= factor
+    if source.labels == "pixels":
+        selection = _with_rough_exposures(selection)
+    else:
+        check_reversed(selection.photographs, series.patches)
+        for k, factor in doubted_labels(series).items():  # it must not bend the response
+            series.exposures[k] *= factor
     series.find_limits()
     facts += series.findings
     series.findings.clear()
@@ -169,7 +183,11 @@ def _with_exposures(
 
     Findings are added to `notes` and `facts`.
     """
-    photographs, is_exact = selection.photographs, source.labels == "exact"
+    photographs, is_exact = selection.photographs, source.are_exact
+    if source.labels == "pixels":
+        corrected, changed = corrected_exposures(photographs, patches, scale, math.inf)
+        facts += [at(each, selection.positions) for each in changed]
+        return corrected, list(range(len(corrected)))
     if not is_exact and response != ASSUMED:
         corrected, changed = corrected_exposures(photographs, patches, scale)
         # An estimated response has errors that the estimate of exposures takes for theirs.
@@ -198,6 +216,26 @@ def _with_exposures(
         replace(each, time_s=each.time_s * factors.get(k, 1.0))
         for k, each in enumerate(photographs)
     ], places
+
+
+def _with_rough_exposures(selection: Selection) -> Selection:
+    """Return photographs with exposures from their pixels, which show them up to an exponent.
+
+    Raises:
+        DataError: they do not show them
+    """
+    series = selection.series
+    free = series.part(range(len(series.names)))
+    free.exposures_are_stated = False
+    found = np.array(estimate_response(free, is_scene_checked=False, is_rough=True).exposures)
+    factors = found / np.array(series.exposures)
+    factors /= float(np.median(factors))
+    series.exposures[:] = (series.exposures * factors).tolist()
+    photographs = [
+        replace(each, time_s=each.time_s * factor)
+        for each, factor in zip(selection.photographs, factors.tolist(), strict=True)
+    ]
+    return replace(selection, photographs=photographs)
 
 
 def _levels(files: PhotographFiles, source: PhotographOptions) -> tuple[int, int]:
@@ -248,23 +286,27 @@ def _with_response(
     Findings are added to `notes` and `facts`.
     """
     found: tuple[list[Finding], list[Finding]] = ([], [])
-    controls, response = known_controls(files, source.curve, selection.series, *found)
+    known = partial(known_controls, files, source.curve, are_exact=source.are_exact)
+    controls, response = known(selection.series, *found)
     used = selection if response == ASSUMED else of_one_colour(selection, controls, notes)
     if used is not selection:  # other colours must not bend the response
         found = ([], [])
-        controls, response = known_controls(files, source.curve, used.series, *found)
+        controls, response = known(used.series, *found)
     notes += found[0]
     facts += found[1]
     return used, controls, response
 
 
 def _with_labels(
-    photographs: list[Photograph], labels: str
+    photographs: list[Photograph], source: PhotographOptions
 ) -> tuple[list[Photograph], list[Finding]]:
     """Return photographs with true exposures, and what was changed."""
-    changed = None if labels == "exact" else with_true_exposures(photographs)
+    is_dial = source.labels == "dial"
+    if not is_dial and (source.are_exact or source.labels == "pixels"):
+        return photographs, []
+    changed = with_true_exposures(photographs)
     if changed is None:
-        if labels == "dial":
+        if is_dial:
             raise UsageError(
                 "the times are not the labels of a dial",
                 hint="take them for exact",

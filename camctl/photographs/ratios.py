@@ -15,8 +15,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from camctl.calibration.limits import DARK
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratios import comparable_frames, estimate_ratios
@@ -25,11 +25,12 @@ from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph
 
-#: Brightness that a patch has at least in the darker photograph, as shares of full scale: the first
-#: one that leaves so large a share of the patches as one of the second numbers; and fewest patches.
-_BRIGHT, _SHARES, _LEAST = (1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 100), (0.1, 0.03, 0.005), 12
-#: Error of the mean brightness of a patch, levels of 8 bits: rounding, black level, JPEG.
-_ERROR = 0.5
+#: Standard deviations of the offset of a photograph and of the errors that patches of one
+#: brightness share beside it, levels of 255: JPEG files whose exposures are halved from one to the
+#: next differ by -4 to +2 levels (taipei).  Of another error, relative, lest one cell decides.
+_OFFSET, _OWN, _SCATTER = 2.0, 1.0, 0.02
+#: Width of a cell of brightness, stops; fewest patches; standard deviations of the largest error.
+_CELL, _LEAST, _SIGMAS = 0.5, 12, 2.0
 #: Patches agree within this logarithm of a ratio and their error; of those compared so many do.
 _ALIKE, _MAJORITY = 0.15, 0.6
 #: Exposures are corrected by up to this factor, and a correction above the second number is named.
@@ -38,9 +39,9 @@ STEADY = 0.6
 """Of the logarithm of the factor that counts, the share by which neighbours may differ."""
 #: Factor of one colour against green from which it is another white balance.
 _OTHER_COLOUR = 1.05
-#: Largest error of a ratio of colours, logarithm: darker ones do not count, and with more than the
-#: first one only a difference that is larger than the error does.
-_SURE, _MOST_UNSURE = 0.08, 0.2
+#: Error of a ratio of colours, logarithm, from which only a difference of so many times the error
+#: counts (3.5 standard deviations: one of 2,000 comparisons), and from which none does.
+_SURE, _CERTAIN, _MOST_UNSURE = 0.08, 1.75, 0.5
 #: Planes of the colours that are compared with green, and its plane.
 _COLOURS, _GREEN = {"red": 0, "blue": 2}, 1
 #: Photographs whose colours must agree for each one whose do not.
@@ -62,31 +63,47 @@ class PairRatio(NamedTuple):
 def pair_ratio(first: Patches, second: Patches, scale: SensorModel) -> PairRatio | None:
     """Return the ratio of the light in most patches of two photographs; None: they do not show it.
 
+    An offset b of the darker photograph changes the logarithm of the ratio of patches of one
+    brightness (a cell) by b g, g = d ln(light) / d(brightness): cells of several brightnesses
+    determine the ratio and b, and their scatter says how well.
+
     Args:
         first: patches of one photograph, see `sample_patches`
         second: of the other
         scale: irradiance of each brightness
     """
-    span = scale.white - scale.black
+    unit = (scale.white - scale.black) / 255
+    use = np.ones(len(first), np.bool_)
+    logs, slopes = np.zeros(len(first)), np.zeros(len(first))
     dim = np.full(len(first), np.inf)
-    logs: NDArray[np.float64] = np.zeros(len(first))
-    errors = np.zeros(len(first))
     for patches, sign in ((first, -1), (second, 1)):
-        is_whole = patches.max(axis=1) <= scale.highest(None)
         mean = patches.mean(axis=1)
-        dim = np.where(is_whole, np.minimum(dim, (mean - scale.black) / span), -1.0)
+        dim = np.minimum(dim, (mean - scale.black) / unit)
+        use &= patches.max(axis=1) <= scale.highest(None)
         light = np.maximum(scale.light[patches].mean(axis=1), scale.level / 1000)
         logs += sign * np.log(light)
-        slope = scale.gap[np.rint(mean).astype(np.intp)] * span / 255
-        errors += _ERROR * slope / light
-    sets = [dim >= least for least in _BRIGHT]
-    needed = [max(_LEAST, share * dim.size) for share in _SHARES]
-    found = [use for least in needed for use in sets if np.count_nonzero(use) >= least]
-    if not found:
+        slopes = np.hypot(slopes, scale.gap[np.rint(mean).astype(np.intp)] * unit / light)
+    use &= dim > 255 * DARK
+    if np.count_nonzero(use) < _LEAST:
         return None
-    use = found[0]
-    log, error = float(np.median(logs[use])), float(np.median(errors[use]))
-    is_one = np.mean(np.abs(logs[use] - log) < _ALIKE + error) >= _MAJORITY
+    logs, slopes = logs[use], slopes[use]
+    cell = np.log2(dim[use] / 255) // _CELL
+    cells = [cell == each for each in np.unique(cell)]
+    cells = [each for each in cells if np.count_nonzero(each) >= _LEAST / 2]
+    if not cells:
+        return None
+    means, g = (np.array([float(np.median(each[of])) for of in cells]) for each in (logs, slopes))
+    rows = np.stack([np.ones(g.size), g], axis=1)
+    weights = 1 / (np.square(_OWN * g) + _SCATTER**2)
+    prior = np.diag([0.0, _OFFSET**-2.0])
+    covariance = np.linalg.inv((rows.T * weights) @ rows + prior)
+    found = covariance @ (rows.T @ (weights * means))
+    residual = float(weights @ np.square(means - rows @ found))
+    # What the cells show of their own errors, beside what is expected, which counts as two cells.
+    shown = (2 + residual) / max(2, g.size)
+    covariance = np.linalg.inv((rows.T * weights / shown) @ rows + prior)
+    log, error = float(found[0]), _SIGMAS * math.sqrt(float(covariance[0, 0]))
+    is_one = np.mean(np.abs(logs - log) < _ALIKE + _SIGMAS * _OFFSET * slopes) >= _MAJORITY
     return PairRatio(log, error) if is_one else None
 
 
@@ -174,12 +191,15 @@ def steady_errors(jumps: Sequence[float] | FloatArray, least: Sequence[float]) -
 
 
 def corrected_exposures(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: SensorModel
+    photographs: Sequence[Photograph],
+    patches: Sequence[Patches],
+    scale: SensorModel,
+    most: float = MOST_CORRECTED,
 ) -> tuple[list[Photograph], list[Finding]]:
     """Return photographs with exposures estimated from their pixels, and what was changed.
 
     Shutters are not exact, and film is less sensitive in long exposures.  An exposure is changed
-    where the stated one lies outside the 95 % interval of the estimate, by `MOST_CORRECTED` at
+    where the stated one lies outside the 95 % interval of the estimate, by the factor `most` at
     most: what differs by more has a wrong label.  Arguments as of `exposure_runs`.
     """
     result, factors = list(photographs), dict[int, float]()
@@ -195,7 +215,7 @@ def corrected_exposures(
     for k, position in enumerate(shown):
         photograph, factor = photographs[position], float(changes[k]) / unit
         is_stated = found.low[k] <= stated[k] * unit <= found.high[k]
-        if is_stated or abs(math.log(factor)) > math.log(MOST_CORRECTED):
+        if is_stated or abs(math.log(factor)) > math.log(most):
             continue
         result[position] = replace(photograph, time_s=photograph.time_s * factor)
         if abs(factor - 1) > _NOTABLE:
@@ -238,6 +258,8 @@ def odd_colours(
                 for k in wrong:
                     odd.setdefault(run.members[k], {})[colour] = math.exp(float(errors[k]))
                 continue
+            if max(run.tolerances) > _SURE:
+                continue  # dark ones have the colours of JPEG's errors
             ends = run.members[0], run.members[-1]
             most = math.exp(float(np.ptp(errors)))
             notes.append(_other_white_balance(ends, {colour: most}))
@@ -269,10 +291,10 @@ def _colour_runs(
         )
         if of_colour is None or of_green is None:
             return None
-        error = of_colour.error + of_green.error
+        error = math.hypot(of_colour.error, of_green.error)
         if error > _MOST_UNSURE:
             return None
         difference = of_colour.log - of_green.log
-        return difference if error <= _SURE or abs(difference) > error else 0.0, error
+        return difference if error <= _SURE or abs(difference) > _CERTAIN * error else 0.0, error
 
     return _runs(patches, jump)

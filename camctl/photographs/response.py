@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from camctl.calibration.response.colours import AS_WELL, disagreement
+from camctl.calibration.response.colours import NUMBERS, PatchRatios, grey_scales, score
 from camctl.calibration.response.estimate import estimate_response
 from camctl.errors import DataError
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import Choices, ExposureControls, ResponseOrigin
-from camctl.model.response.camera import named_response, standard_response
+from camctl.model.response.camera import FloatArray, named_response, standard_response
 from camctl.model.response.measured import read_curve
 from camctl.model.sensor import SensorModel
 from camctl.profiles.calibrated import response_changes
@@ -27,15 +26,18 @@ if TYPE_CHECKING:
     from camctl.profiles.profile import Profile
     from camctl.profiles.response import ResponseRecord
 
-#: A standard response is used up to this median error of the light, or where it explains the
-#: photographs as well as an estimated one.
-_FITS = 0.01
+#: Standard responses and phases of the quantiser that are compared with an estimated one; programs
+#: truncate or round.
+_STANDARDS, _PHASES = ("srgb", "rec709", "linear"), (0.0, 0.5)
+#: Standard deviations of the logarithm of an exposure: a shutter's, a third of the tolerance of ISO
+#: 516 (a quarter of a stop); of one that is known exactly.
+_SHUTTER, _EXACT = 0.05, 0.002
 #: Origins of a response that was found in the photographs themselves.
-_FITTING, ASSUMED = "srgb, which fits the photographs", "srgb, assumed"
+_FITTING, ASSUMED = "{}, which fits the photographs", "srgb, assumed"
 _ESTIMATED = "estimated from the photographs"
 _ESTIMATED_COMMON = "estimated from the photographs, one for all colours"
 OF_THEIR_EXPOSURES = (ASSUMED, _ESTIMATED, _ESTIMATED_COMMON)
-FROM_PHOTOGRAPHS = (_FITTING, *OF_THEIR_EXPOSURES)
+FROM_PHOTOGRAPHS = (*map(_FITTING.format, _STANDARDS), *OF_THEIR_EXPOSURES)
 
 
 def known_controls(
@@ -44,6 +46,8 @@ def known_controls(
     series: Series,
     notes: list[Finding],
     facts: list[Finding],
+    *,
+    are_exact: bool = False,
 ) -> tuple[ExposureControls, str]:
     """Return what is known of the frames, and where the response is from.
 
@@ -53,6 +57,7 @@ def known_controls(
         series: histograms and patches of them, with black and white level
         notes: findings that are warnings, to which this adds
         facts: findings that are none, to which this adds
+        are_exact: the exposures are
     """
     rows, columns = series.shape[:2]
     controls = ExposureControls(
@@ -65,7 +70,6 @@ def known_controls(
         phase=series.phase,
         response_origin=ResponseOrigin.STATED,
     )
-    levels = series.white - series.black
     if curve is not None:
         return replace(controls, response=_named_curve(curve, series)), curve
     if files.format.is_raw:
@@ -90,30 +94,59 @@ def known_controls(
         details: dict[str, Detail] = {"profiles": names}
         unclear = Finding(code="profile_unclear", details=details, remedies={"curve": None})
         notes.append(unclear)
-    response = standard_response("srgb", series.bits, phase=series.phase, levels=levels)
-    standard = replace(controls, response=response, response_origin=ResponseOrigin.ASSUMED)
-    fitting_standard = replace(standard, response_origin=ResponseOrigin.MEASURED)
+    standards = _standards(controls)
+    ratios, error = PatchRatios.of(series), _EXACT if are_exact else _SHUTTER
+
+    def score_of(known: ExposureControls, numbers: int) -> float:
+        return score(*ratios.misfit(_lights(series, known), series.exposures, error), numbers)
+
+    scores = {key: score_of(each, 0) for key, each in standards.items()}
+    best = min(standards, key=lambda key: scores[key])
+    standard = replace(standards[best], response_origin=ResponseOrigin.MEASURED)
     try:
         estimate = estimate_response(series, is_scene_checked=False)
-    except DataError as error:
-        if _fit_error(series, standard) <= _FITS:
-            return fitting_standard, _FITTING
-        notes.append(
-            Finding(
-                code="response_unknown",
-                details={"why": error.what},
-                remedies={"curve": None},
-            )
-        )
-        return standard, ASSUMED
+    except DataError as problem:
+        if ratios.pairs and scores[best] == 0:
+            return standard, _FITTING.format(best[0])
+        why: dict[str, Detail] = {"why": problem.what}
+        notes.append(Finding(code="response_unknown", details=why, remedies={"curve": None}))
+        return standards["srgb", series.phase], ASSUMED
     estimated = _measured(controls, estimate.record)
-    # An estimate has errors of its own: where the standard explains the frames as well, it is used.
-    errors = [_fit_error(series, each) for each in (standard, estimated)]
-    if errors[0] <= _FITS or errors[0] <= AS_WELL * errors[1] < math.inf:
-        return fitting_standard, _FITTING
+    # An estimate has errors of its own: where a standard explains the frames as well, it is used.
+    if scores[best] <= score_of(estimated, NUMBERS * (len(estimated.responses) or 1)):
+        return standard, _FITTING.format(best[0])
     (notes if estimate.is_doubtful else facts).extend(estimate.findings)
-    is_common = len(series.channels) > 1 and not estimated.responses
+    if estimated.responses:
+        scales = grey_scales(series, _lights(series, estimated))
+        scaled = tuple(
+            replace(each, levels=scale * each.levels)
+            for each, scale in zip(estimated.responses, scales.tolist(), strict=True)
+        )
+        return replace(estimated, response=scaled[1], responses=scaled), _ESTIMATED
+    is_common = len(series.channels) > 1
     return estimated, _ESTIMATED_COMMON if is_common else _ESTIMATED
+
+
+def _standards(controls: ExposureControls) -> dict[tuple[str, float], ExposureControls]:
+    """Return controls with each standard response, by its name and the phase of the quantiser."""
+    levels = controls.white - controls.black
+    phases = (controls.phase,) if controls.black else _PHASES
+    return {
+        (name, phase): replace(
+            controls,
+            response=standard_response(name, controls.bits, phase=phase, levels=levels),
+            response_origin=ResponseOrigin.ASSUMED,
+            phase=phase,
+        )
+        for name in _STANDARDS
+        for phase in phases
+    }
+
+
+def _lights(series: Series, controls: ExposureControls) -> list[FloatArray]:
+    """Return the light of each brightness above black, of each channel or one for all."""
+    responses = controls.responses or (controls.levels,)
+    return [SensorModel(each, series.black).light[series.black :] for each in responses]
 
 
 def profiles_of(taken_by: tuple[str, str, str]) -> list[Profile]:
@@ -139,13 +172,6 @@ def profiles_of(taken_by: tuple[str, str, str]) -> list[Profile]:
 def _maker(make: str) -> str:
     first = re.search(r"\w+", make.casefold())
     return first[0] if first else ""
-
-
-def _fit_error(series: Series, controls: ExposureControls) -> float:
-    """Return the `disagreement` of the photographs by the exposures that are stated."""
-    responses = (controls.responses or (controls.levels,) * 3)[-len(series.channels) :]
-    lights = [SensorModel(each, series.black).light[series.black :] for each in responses]
-    return disagreement(series, lights, (series.exposures,) * len(lights))
 
 
 def _measured(controls: ExposureControls, record: ResponseRecord) -> ExposureControls:

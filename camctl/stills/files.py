@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 
 from camctl.errors import CameraProtocolError, DataError, UsageError
@@ -14,7 +15,7 @@ from camctl.system.input_files import read_input
 _MOST_BYTES = 1 << 30
 
 
-def check_times(files: Sequence[Path], times: tuple[float, ...] | None) -> None:
+def check_times(files: Sequence[Path], times: Sequence[float | Fraction] | None) -> None:
     """Raise `UsageError` unless there is one time for each file, or none at all."""
     if times is not None and len(times) != len(files):
         raise UsageError(

@@ -110,6 +110,12 @@ _PHOTOGRAPHS = (
         remedies={"times": None},
     ),
     Finding(
+        code="labels_swapped",
+        frames=(1, 2),
+        details={"file": "b.jpg", "other": "c.jpg", "left_out": False, "count": 2},
+        remedies={"times": None},
+    ),
+    Finding(
         code="light_differs",
         frames=(4, 5),
         value=0.4,

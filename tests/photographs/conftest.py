@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +28,16 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Opened:
     def open_series(
         times: tuple[float, ...],
         *,
-        labels: tuple[float, ...] | list[float] | None = None,
+        labels: Sequence[float | Fraction] | None = None,
         curve: str | None = "srgb",
         options: dict[str, Any] | None = None,
         **series: Any,
     ) -> OpenedPhotographs:
         files = list(map(Path, write_series(times, **series)))
-        known = PhotographOptions(times=tuple(labels or times), curve=curve, **(options or {}))
+        given = tuple(labels or times)
+        if "labels" not in (options or {}):  # fractions are corrected from the pixels
+            given = tuple(Fraction(each) for each in given)
+        known = PhotographOptions(times=given, curve=curve, **(options or {}))
         return open_photographs(files, known)
 
     return open_series

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.errors import DataError
 from camctl.model.response.camera import standard_response
 from camctl.photographs.alignment import Sight, misaligned
 from camctl.photographs.camera import Photograph, with_all_stated
-from camctl.photographs.labels import check_order
 
 Light = NDArray[np.float32]
 
@@ -176,13 +174,3 @@ def test_the_neighbours_of_a_turned_photograph_are_not_turned() -> None:
         return np.asarray(cv2.warpAffine(scene, matrix, scene.shape[::-1])) if k == 1 else scene
 
     assert list(misaligned(smooth_bracket(change))) == [1]
-
-
-def test_a_dark_thing_in_one_of_two_bright_photographs_does_not_swap_them() -> None:
-    patches = np.full((2, 1000, 64), 250, np.uint16)
-    patches[0, :200] = 200  # the darkest of the scene
-    patches[1, 850:] = 30  # a thing
-    photographs = [Photograph("a", 1.0), Photograph("b", 4.0)]
-    check_order(photographs, list(patches), 255)
-    with pytest.raises(DataError, match="swapped"):
-        check_order(photographs, [patches[1, :850], patches[0, :850]], 255)

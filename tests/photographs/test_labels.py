@@ -1,54 +1,73 @@
-"""Which exposures of photographs are doubted before the response is known."""
+"""Exposures that photographs state, against their pixels, by a known response."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from camctl.calibration.response.series import Series
 from camctl.errors import DataError
-from camctl.interface.controls import Layout
+from camctl.evidence.patches import Patches, sample_patches
+from camctl.findings import Finding
+from camctl.model.response.camera import standard_response
+from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph
-from camctl.photographs.labels import check_doubted
+from camctl.photographs.labels import check_reversed, wrong_labels
 
-TRUE_S = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
+TRUE_S = tuple(2.0**k for k in range(-6, -1))
+SCALE = SensorModel(standard_response("power", 8, phase=0.5), 0)
 
 
-def series(labels: tuple[float, ...]) -> Series:
-    """Return four photographs of a smooth scene with these exposures."""
+def photographs() -> list[Patches]:
+    """Return patches of photographs of a smooth scene, with offsets as JPEG files have them."""
     rng = np.random.default_rng(3)
     light = np.geomspace(0.02, 4, 240)[:, np.newaxis] * rng.uniform(0.7, 1.4, (240, 320))
-    found = Series(Layout.MONO, 8, 0, 255, phase=0.5, levels_are_stated=True)
-    for k, (time_s, label) in enumerate(zip(TRUE_S, labels, strict=True)):
+    found = []
+    for k, time_s in enumerate(TRUE_S):
         codes = 255 * np.clip(light * time_s * 4, 0, 1) ** (1 / 2.2)
-        noisy = np.clip(np.rint(codes + rng.normal(0, 1, light.shape)), 0, 255)
-        found.add(noisy.astype(np.uint8), label, f"p{k}")
+        noisy = codes + rng.normal(0, 1, light.shape) + (3, -2, 0, 2, -1)[k]
+        found.append(sample_patches([np.clip(np.rint(noisy), 0, 255).astype(np.uint8)], 255))
     return found
 
 
-def checked(
-    labels: tuple[float, ...], doubted: dict[int, float], iso: tuple[float, ...] = (100.0,) * 4
-) -> str:
-    photographs = [
+PATCHES = photographs()
+
+
+def found(labels: tuple[float, ...], iso: tuple[float, ...] = (100.0,) * 5) -> list[Finding]:
+    stated = [
         Photograph(f"p{k}", label, each / 100, iso=each)
         for k, (label, each) in enumerate(zip(labels, iso, strict=True))
     ]
-    with pytest.raises(DataError) as raised:
-        check_doubted(photographs, doubted, series(labels))
-    return raised.value.what
+    return wrong_labels(stated, PATCHES, SCALE, is_exact=False, is_known=True).notes
 
 
-def test_one_of_two_swapped_labels_is_doubted_and_both_are_named() -> None:
+def test_right_labels_are_not_accused_whatever_offset_a_dark_photograph_has() -> None:
+    assert found(TRUE_S) == []
+
+
+@pytest.mark.parametrize("place", range(5))
+@pytest.mark.parametrize("factor", [1.5, 2.0, 4.0, 8.0, 1 / 1.5, 1 / 8])
+def test_a_wrong_label_is_named_with_its_factor(place: int, factor: float) -> None:
+    labels = tuple(each * (factor if k == place else 1) for k, each in enumerate(TRUE_S))
+    (wrong,) = found(labels)
+    assert (wrong.code, wrong.frames) == ("label_wrong", (place,))
+    # Three levels of offset are 15 % of the light in the darkest photograph.
+    assert wrong.value == pytest.approx(1 / factor, rel=0.16)
+
+
+def test_swapped_labels_are_named_together_with_another_wrong_one() -> None:
     labels = (TRUE_S[1], TRUE_S[0], *TRUE_S[2:])
-    assert checked(labels, {1: 3.0}).startswith("the exposures of p1 and p0 are swapped")
-
-
-def test_a_wrong_label_is_not_called_swapped() -> None:
-    labels = (TRUE_S[0], TRUE_S[0] / 2.5, *TRUE_S[2:])
-    assert checked(labels, {1: 5.0}).startswith("the exposure of p1 is wrong")
+    (swapped,) = found(labels)
+    assert (swapped.code, swapped.frames) == ("labels_swapped", (0, 1))
 
 
 def test_an_iso_speed_that_explains_a_wrong_exposure_is_named() -> None:
-    what = checked(TRUE_S, {1: 0.25}, (100.0, 400.0, 100.0, 100.0))
-    assert what.endswith(", as with ISO 100, which the others state, in place of its ISO 400")
-    assert "ISO" not in checked(TRUE_S, {1: 0.5}, (100.0, 400.0, 100.0, 100.0))
+    (wrong,) = found(TRUE_S, (100.0, 400.0, 100.0, 100.0, 100.0))
+    assert (wrong.details["iso"], wrong.details["iso_of_others"]) == (400, 100)
+    (other,) = found((TRUE_S[0], TRUE_S[1] * 2, *TRUE_S[2:]))
+    assert "iso" not in other.details
+
+
+def test_exposures_in_reverse_order_are_refused() -> None:
+    stated = [Photograph(f"p{k}", label) for k, label in enumerate(TRUE_S[::-1])]
+    with pytest.raises(DataError, match="in the reverse order"):
+        check_reversed(stated, PATCHES)

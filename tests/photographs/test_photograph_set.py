@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -44,11 +45,11 @@ def test_swapped_labels_are_named(opened: Opened, pair: tuple[int, int]) -> None
     labels = list(times := TIMES[1:7])
     one, other = pair
     labels[one], labels[other] = labels[other], labels[one]
-    with pytest.raises(DataError, match=" are swapped") as raised:
-        opened(times, labels=labels, curve=None)
-    named = raised.value.what.split(" are swapped")[0]
-    assert all(f"p{k:02d}.png" in named for k in pair)
-    assert raised.value.remedies == {"times": None}
+    found = opened(times, labels=labels, curve=None)
+    (swapped,) = found.notes
+    assert (swapped.code, swapped.frames) == ("labels_swapped", pair)
+    assert swapped.remedies == {"times": None}
+    assert [each.time_s for each in found.camera.photographs] == pytest.approx(times, rel=0.1)
 
 
 def test_reversed_labels_are_named(opened: Opened) -> None:
@@ -108,11 +109,36 @@ def test_a_wrong_label_is_named_where_photographs_are_nearly_black(
     assert found.camera.photographs[place].time_s == pytest.approx(times[place], rel=0.1)
 
 
-def test_a_label_that_turns_the_order_is_named(opened: Opened) -> None:
-    labels = list(TIMES[1:7])
+def test_all_wrong_labels_are_named_also_those_that_turn_the_order(opened: Opened) -> None:
+    labels = list(TIMES[1:9])
     labels[1] *= 5
-    with pytest.raises(DataError, match=r"^the exposure of p01.png is wrong: it says "):
-        opened(TIMES[1:7], labels=labels, curve=None, change=lambda _, pixels: film(pixels))
+    labels[6] /= 3
+    found = opened(TIMES[1:9], labels=labels, curve=None, change=lambda _, pixels: film(pixels))
+    assert {(each.code, each.frames) for each in found.notes} == {
+        ("label_wrong", (1,)),
+        ("label_wrong", (6,)),
+    }
+    assert len(found.camera.photographs) == 8
+
+
+def test_numbers_are_exact_and_fractions_are_labels_of_a_dial(opened: Opened) -> None:
+    times = tuple(0.002 * 10**k for k in range(3))
+    exact = opened(times, options={"labels": "auto"})
+    assert tuple(each.time_s for each in exact.camera.photographs) == times
+    labels = (Fraction(1, 500), Fraction(1, 50), Fraction(1, 5))
+    dial = opened(times, labels=labels, options={"labels": "auto"})
+    assert [each.code for each in dial.facts if each.code == "label_unit"] == ["label_unit"]
+
+
+def test_times_are_estimated_from_the_pixels_where_that_is_asked_for(opened: Opened) -> None:
+    labels = [
+        each * factor
+        for each, factor in zip(TIMES, (1, 3, 0.3, 1, 2, 1, 0.5, 1, 4, 1, 1), strict=True)
+    ]
+    found = opened(TIMES, labels=labels, options={"labels": "pixels"})
+    assert found.notes == ()
+    used = np.array([each.time_s for each in found.camera.photographs])
+    assert np.ptp(np.log(used / TIMES)) < 0.05
 
 
 def test_three_photographs_without_a_response_do_not_show_which_label_is_wrong(

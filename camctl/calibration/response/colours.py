@@ -1,57 +1,149 @@
-"""Whether a curve for each colour explains an exposure series better than one for all colours.
+"""How well responses explain an exposure series: one for all colours, one for each, or a standard.
 
-Estimated colour by colour, curves of one camera differ where frames say little: in the dark parts,
-and where JPEG files keep less of the colours.  Grey would then change its colour with brightness.
+Patches of two frames of neighbouring exposure have a ratio of light that is the ratio of the
+exposures, whatever their brightness is.  Means over patches of one brightness and colour (cells)
+are compared with it.  A mean has the scatter of its patches and an error that they share: JPEG and
+rounding change a level by about half of one, whatever the number of pixels is.  Responses of more
+numbers must explain the cells better by more (Schwarz, "Estimating the dimension of a model",
+1978).  Colours that are estimated apart differ where frames say little, and a grey would change its
+colour with its brightness.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from camctl.calibration.response.series import Series
+from camctl.calibration.response.series import Neighbours, Series
 from camctl.model.response.camera import FloatArray
 
-AS_WELL = 1.2
-"""A simpler response explains frames as well up to this multiple of the other's disagreement."""
+#: Levels of a cell, of 256, fewest patches in one, and most of a pair of frames that are compared.
+_CELL, _FEWEST, _MOST = 16, 6, 500
+#: Error that the patches of a cell share: levels of 255 in each frame, 1 / sqrt(12) for rounding as
+#: JPEG does; and relative, as of a linear sensor (EMVA 1288).
+_SHARED_LEVELS, _SHARED = 0.3, 0.005
+#: Neighbouring cells share errors: so many count as one.
+_ALIKE = 2.0
+#: Numbers that describe an estimated curve: components of EMoR (Grossberg and Nayar, 2004) from
+#: which tests/bench/bench_response.py draws measured-like curves.
+NUMBERS = 5
+
+#: Brightness of well exposed patches, shares of full scale, and how far apart the colours of a grey
+#: one may be: 20 of 255, a white balance of about 10 %.
+_WELL_EXPOSED, _GREY = (0.2, 0.8), 0.08
 
 
-def disagreement(
-    series: Series, lights: Sequence[FloatArray], exposures: Sequence[Sequence[float]]
-) -> float:
-    """Return the median relative difference of the light of patches from frame to frame.
+@dataclass(frozen=True, eq=False)
+class PatchRatios:
+    """Patches of neighbouring frames, by which responses are compared.
 
-    Patches of neighbouring exposures are compared, colour by colour, that are well exposed in both;
-    infinite where there are none.
+    Attributes:
+        pairs: of neighbouring frames, for each channel
+        unit: levels of 1/255 of full scale
+    """
+
+    pairs: tuple[tuple[int, Neighbours], ...]
+    unit: float
+
+    @classmethod
+    def of(cls, series: Series) -> PatchRatios:
+        """Return the patches that two neighbouring frames expose well."""
+        found = [
+            (place, pair._replace(levels=pair.levels[:, :: 1 + pair.levels.shape[1] // _MOST]))
+            for place, name in enumerate(series.channels)
+            for pair in series.neighbours(name)
+            if pair.levels.shape[1] >= _FEWEST
+        ]
+        return cls(tuple(found), max(1.0, (series.white - series.black) / 255))
+
+    def misfit(
+        self, lights: Sequence[FloatArray], exposures: Sequence[float], exposure_error: float
+    ) -> tuple[float, int]:
+        """Return the sum of squared normalised errors of the cells, and their number.
+
+        Args:
+            lights: of each channel, or one for all, (M + 1,) light of each brightness above black
+            exposures: of the frames, in any unit
+            exposure_error: standard deviation of the logarithm of an exposure
+        """
+        total, cells = 0.0, 0
+        for short, long in sorted({(pair.short, pair.long) for _, pair in self.pairs}):
+            means, errors = [], []
+            for place, pair in self.pairs:
+                if (pair.short, pair.long) == (short, long):
+                    found = self._cells(pair, lights[place % len(lights)])
+                    means += found[0]
+                    errors += found[1]
+            if not means:
+                continue
+            residuals = np.array(means) - math.log(exposures[long] / exposures[short])
+            weights = np.array(errors) ** -2.0
+            square = float(weights @ residuals**2)
+            if exposure_error > 0:  # what the exposures may be wrong by
+                common = float(weights @ residuals)
+                square -= common**2 / (float(weights.sum()) + exposure_error**-2 / 2)
+            total += square
+            cells += len(means)
+        return total, cells
+
+    def _cells(self, pair: Neighbours, light: FloatArray) -> tuple[list[float], list[float]]:
+        """Return the mean logarithm of the ratio of light in each cell, and its error."""
+        found = np.maximum(light[pair.levels].mean(axis=2), 1e-12)
+        logs = np.log(found[1] / found[0])
+        level = pair.levels.mean(axis=2)
+        slope = np.gradient(np.log(np.maximum(light, 1e-12)))
+        block = self.unit * _SHARED_LEVELS
+        shared = np.hypot(*(block * slope[np.rint(each).astype(np.intp)] for each in level))
+        cell = (level[1] / (self.unit * _CELL)).astype(np.intp)
+        means, errors = [], []
+        for place in np.unique(cell):
+            use = cell == place
+            count = int(np.count_nonzero(use))
+            if count < _FEWEST:
+                continue
+            mean = float(np.median(logs[use]))
+            scatter = 1.48 * float(np.median(np.abs(logs[use] - mean)))
+            error = math.hypot(1.25 * scatter / math.sqrt(count), float(np.median(shared[use])))
+            means.append(mean)
+            errors.append(math.hypot(error, _SHARED))
+        return means, errors
+
+
+def score(misfit: float, cells: int, numbers: int) -> float:
+    """Return how badly responses of so many numbers explain the cells: the least is the best.
+
+    Real files have errors that no model here has, in all hypotheses: the mean square of the errors
+    is taken from the cells where it is more than 1.
+    """
+    count = cells / _ALIKE
+    return count * math.log(max(misfit / max(cells, 1), 1.0)) + numbers * math.log(max(count, 2))
+
+
+def grey_scales(series: Series, lights: Sequence[FloatArray]) -> NDArray[np.float64]:
+    """Return factors of the light of R, G and B, so that greys of the frames are grey, (3,).
+
+    The factors are at most 1, and one of them is.
 
     Args:
-        series: patches of the frames
-        lights: of each channel, (M + 1,) light of each brightness above black, in any unit
-        exposures: of the frames by each channel, in any unit
+        series: RGB frames
+        lights: of R, G and B, (M + 1,) light of each brightness above black
     """
-    errors = [np.zeros(0)]
-    for name, light, exposure in zip(series.channels, lights, exposures, strict=True):
-        for pair in series.neighbours(name):
-            found = light[pair.levels].mean(axis=2)
-            ratio = exposure[pair.short] / exposure[pair.long]
-            errors.append(np.abs(np.log(found[1] / found[0] * ratio)))
-    together = np.concatenate(errors)
-    return float(np.median(together)) if together.size else math.inf
-
-
-def green_explains_all(
-    series: Series, lights: Sequence[FloatArray], exposures: Sequence[Sequence[float]]
-) -> bool:
-    """Return whether the curve of green explains the frames as well as one of each colour.
-
-    Green is estimated best: most of a brightness is green, and JPEG files keep green best.
-
-    Args:
-        series: patches of the frames
-        lights: of R, G and B, as for `disagreement`
-        exposures: of R, G and B, as for `disagreement`
-    """
-    found = disagreement(series, (lights[1],) * 3, (exposures[1],) * 3)
-    return found < math.inf and found <= AS_WELL * disagreement(series, lights, exposures)
+    planes = [
+        np.concatenate([np.array_split(each, 3)[place].mean(axis=1) for each in series.patches])
+        - series.black
+        for place in range(3)
+    ]
+    span = series.white - series.black
+    levels = np.array(planes)
+    middle = levels.mean(axis=0)
+    low, high = (each * span for each in _WELL_EXPOSED)
+    use = (np.ptp(levels, axis=0) < _GREY * span) & (middle > low) & (middle < high)
+    grey = middle[use] if np.count_nonzero(use) >= _FEWEST else np.linspace(low, high, 61)
+    places = np.arange(span + 1)
+    logs = [float(np.median(np.log(np.interp(grey, places, each)))) for each in lights]
+    scales = np.exp(logs[1] - np.array(logs))
+    return np.asarray(scales / scales.max())

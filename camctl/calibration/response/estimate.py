@@ -6,6 +6,7 @@ channel is estimated by `camctl.calibration.response.fit`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ from camctl.calibration.response.checks import (
     check_range,
     shows_exposure,
 )
-from camctl.calibration.response.colours import green_explains_all
+from camctl.calibration.response.colours import NUMBERS, PatchRatios, score
 from camctl.calibration.response.exponent import (
     Exponent,
     common_exponent,
@@ -42,7 +43,7 @@ from camctl.calibration.response.fit import (
     fit_response,
 )
 from camctl.calibration.response.labels import LabelCheck, check_labels
-from camctl.calibration.response.matches import Matches, match_levels
+from camctl.calibration.response.matches import LEAST_PIXELS, Matches, all_matches, match_levels
 from camctl.calibration.response.noise import correct_matches
 from camctl.calibration.response.series import Series
 from camctl.calibration.response.spill import spills_over
@@ -98,10 +99,12 @@ def estimate_response(
     chart: Chart | None = None,
     is_scene_checked: bool = True,
     is_kept: bool = False,
+    is_rough: bool = False,
 ) -> ResponseEstimate:
     """Return the response of each channel from an exposure series, or from frames of a chart.
 
-    Where one curve explains the frames as well as one for each colour, all channels have it.
+    All channels have one curve, unless curves of their own explain the frames better by more than
+    their numbers would by chance.
 
     Args:
         series: frames of different exposure of one scene; with a chart, one is enough
@@ -111,6 +114,7 @@ def estimate_response(
         is_scene_checked: False: the caller checks exposures and movement itself
         is_kept: frames that seem to have moved, or to contradict their exposures, are not refused:
             a finding says so
+        is_rough: movement, spill and noise are not looked for: for exposures, not for a curve
 
     Raises:
         DataError: the frames are not suitable; says why and what to do
@@ -126,8 +130,12 @@ def estimate_response(
     if is_scene_checked:
         with noted():
             check_order_of_patches(series)
-    still, is_doubtful = _still_evidence(series, chart, findings)
-    channels = _without_spill(series, still, findings)
+    if is_rough:
+        channels = _together([_Evidence.of(series, each, chart) for each in series.channels])
+        is_doubtful = False
+    else:
+        channels, is_doubtful = _still_evidence(series, chart, findings)
+        channels = _without_spill(series, channels, findings)
     exponent = Exponent(1.0, 0.0)
     if estimate_ratios and exposures.size > 1 and not (series.exposures_are_stated and not chart):
         exponent = common_exponent([each.exponent(exposures) for each in channels])
@@ -136,10 +144,15 @@ def estimate_response(
             findings.append(
                 Finding(code="exponent_unknown", value=exponent.error, remedies={"times": None})
             )
-    saturating = {each.name: each.saturates for each in channels}
-    if exposures.size > 1:
+    saturating = {name: _saturates(series, name) for name in series.channels}
+    if exposures.size > 1 and not is_rough:
         start = ROUGH if estimate_ratios else STATED
-        channels = [each.without_noise(exposures, start) for each in channels]
+        together = _together(channels)
+        first = [each.fit(exposures, start) for each in together]
+        channels = [
+            each.without_noise(fit)
+            for each, fit in zip(channels, first * len(channels), strict=False)
+        ]
     channels, fits = _needed(channels, exposures)
     labels = LabelCheck(np.ones((len(channels), exposures.size)))
     if not estimate_ratios:
@@ -153,6 +166,8 @@ def estimate_response(
     for each, fit in zip(channels, fits, strict=True):
         if each.samples is not None:
             findings += chart_findings(each.samples, fit.patch_errors, each.name)
+    if not is_rough:
+        fits = _with_misfit(series, fits, estimates_ratios=estimate_ratios)
     fits = [with_exponent_error(fit, exponent.error + labels.exponent_error) for fit in fits]
     if estimate_ratios:
         exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0))
@@ -194,14 +209,47 @@ def _record(
 def _needed(
     channels: list[_Evidence], exposures: FloatArray
 ) -> tuple[list[_Evidence], list[ResponseFit]]:
-    """Return the evidence and the fit of each channel; of green alone where it explains all."""
-    fits = [each.fit(exposures, ROUGH) for each in channels]
-    if len(channels) == 1 or channels[0].samples is not None:  # a chart shows each colour
+    """Return the evidence and the fit of all channels together, or of each one if it is needed."""
+    together = _together(channels)
+    fits = [each.fit(exposures, ROUGH) for each in together]
+    if len(together) == len(channels):
         return channels, fits
-    exposures_of = [fit.exposures.tolist() for fit in fits]
-    if green_explains_all(channels[0].series, [fit.light for fit in fits], exposures_of):
-        return channels[1:2], fits[1:2]
-    return channels, fits
+    ratios = PatchRatios.of(channels[0].series)
+    misfit, cells = ratios.misfit([fits[0].light], fits[0].exposures.tolist(), 0.0)
+    is_enough = misfit <= cells
+    if is_enough or any(each.matches.low.size < LEAST_PIXELS for each in channels):
+        return together, fits
+    apart = [each.fit(exposures, ROUGH) for each in channels]
+    common = np.exp(np.mean([np.log(fit.exposures) for fit in apart], axis=0)).tolist()
+    better, _ = ratios.misfit([fit.light for fit in apart], common, 0.0)
+    is_better = score(better, cells, NUMBERS * len(channels)) < score(misfit, cells, NUMBERS)
+    return (channels, apart) if is_better else (together, fits)
+
+
+def _with_misfit(
+    series: Series, fits: list[ResponseFit], *, estimates_ratios: bool
+) -> list[ResponseFit]:
+    """Return fits whose deviations hold what patches show beyond the errors of the fit."""
+    exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0)).tolist()
+    error = ROUGH if estimates_ratios else STATED
+    lights = [fit.light for fit in fits]
+    misfit, cells = PatchRatios.of(series).misfit(lights, exposures, error)
+    factor = math.sqrt(max(1.0, misfit / max(cells, 1)))
+    return [replace(fit, deviation=factor * fit.deviation) for fit in fits]
+
+
+def _together(channels: list[_Evidence]) -> list[_Evidence]:
+    """Return one evidence of all channels; of a chart, which shows each colour, those given."""
+    if len(channels) == 1 or channels[0].samples is not None:
+        return channels
+    main = channels[len(channels) // 2]
+    return [replace(main, matches=all_matches([each.matches for each in channels]))]
+
+
+def _saturates(series: Series, name: str) -> bool:
+    """Return whether enough samples of a channel are saturated in one frame."""
+    counts = series.counts_between(name, series.black + series.edges)
+    return bool(counts[:, -1].max() > FEW * counts[0].sum())
 
 
 def _checked_scene(
@@ -251,21 +299,17 @@ class _Evidence:
 
     series: Series
     name: str
-    saturates: bool
     matches: Matches
     samples: ChartSamples | None
 
     @classmethod
     def of(cls, series: Series, name: str, chart: Chart | None) -> _Evidence:
-        """Return the evidence of a channel; raise `DataError` where it shows too little."""
-        counts = series.counts_between(name, series.black + series.edges)
+        """Return the evidence of a channel."""
         matches = _matches(series, name)
         samples = None
         if chart is not None:
             samples = chart_samples(chart.frames, series, chart.patches, name)
-        check_range(series, name, matches, samples)
-        saturates = bool(counts[:, -1].max() > FEW * counts[0].sum())
-        return cls(series, name, saturates, matches, samples)
+        return cls(series, name, matches, samples)
 
     def fit(self, exposures: FloatArray, exposure_error: float) -> ResponseFit:
         return fit_response(
@@ -277,9 +321,8 @@ class _Evidence:
             chart=self.samples,
         )
 
-    def without_noise(self, exposures: FloatArray, error: float) -> _Evidence:
-        """Return the evidence with its matches corrected for noise."""
-        first = self.fit(exposures, error)
+    def without_noise(self, first: ResponseFit) -> _Evidence:
+        """Return the evidence with its matches corrected for noise, by a first estimate."""
         return replace(self, matches=correct_matches(self.matches, self.series, self.name, first))
 
     def without_spill(self) -> _Evidence:
@@ -311,7 +354,7 @@ class _Evidence:
             name=self.name,
             black=series.black,
             white=series.white,
-            saturates=self.saturates,
+            saturates=False,
             irradiance=(0.0, *fit.irradiance[kept].tolist(), 1.0),
             brightness=(0.0, *brightness.tolist(), 1.0),
             deviation=(deviation[0], *deviation, deviation[-1]),
@@ -345,11 +388,20 @@ def _still_evidence(
         share = series.moved_share
         with suppress(DataError):
             found = [_Evidence.of(series, name, chart) for name in series.channels]
+            _check_ranges(series, found)
             findings.append(_left_out("movement", share))
             return found, False
         series.forget_moved()
         findings.append(_left_out("none", share))
-    return [_Evidence.of(series, name, chart) for name in series.channels], is_doubtful
+    found = [_Evidence.of(series, name, chart) for name in series.channels]
+    _check_ranges(series, found)
+    return found, is_doubtful
+
+
+def _check_ranges(series: Series, channels: list[_Evidence]) -> None:
+    """Check that all channels together show enough of the curve; raises `DataError`."""
+    for each in _together(channels):
+        check_range(series, each.name, each.matches, each.samples)
 
 
 def _without_spill(
@@ -364,8 +416,7 @@ def _without_spill(
     if not any(spills_over(before.matches, after.matches) for before, after in pairs):
         return channels
     with suppress(DataError):
-        for each in found:
-            check_range(series, each.name, each.matches, each.samples)
+        _check_ranges(series, found)
         findings.append(_left_out("saturation"))
         return found
     return channels

@@ -42,8 +42,8 @@ _BEND = 2.0
 #: In the last rounds: weight of a difference over the mean square of those around it, the width of
 #: "around" in ln E, and the least mean square.
 _ADAPTED, _AROUND, _LEAST_CURVED = 1.5, 0.3, 0.024
-#: Neighbouring nodes within the noise have the same pixels: so many count as one.
-_ALIKE = 3.0
+#: Standard deviations that an outlier counts as in the mean square of all.
+_MOST_MISFIT = 3.0
 #: Rounds with the same prior for the whole curve.
 _ROUNDS = 6
 #: Standard deviations come from a prior weaker by the first factor, times the second one: what
@@ -166,8 +166,10 @@ def fit_response(
             + sum(_slope(edges, log_E, at) ** 2 * spread for at, spread in system.spreads)
         )
         deviations = np.abs(residuals) / np.sqrt(variance)
-        robust = 1 / np.maximum(1.0, deviations / OUTLIER) if turn else 1.0
-        weights = robust / (variance * system.alike)
+        robust = 1 / np.maximum(1.0, deviations / OUTLIER)
+        # Errors beyond the variances must not outvote smoothness: they would bend the curve.
+        misfit = max(1.0, float(np.mean(np.minimum(deviations, _MOST_MISFIT) ** 2)))
+        weights = robust / (variance * system.alike * misfit)
         square = (system.rows * weights[:, None]).T @ system.rows + known
         if turn < _ROUNDS:
             expected = 1 / np.maximum(1.0, np.abs(bends) / _BEND)
@@ -186,8 +188,7 @@ def fit_response(
         square[:COEFFICIENTS, :COEFFICIENTS] -= (1 - _ROUGHER) * roughness.T @ smooth
     covariance = np.linalg.inv(square)
     relative = curve - system.curve(np.array([REFERENCE]))
-    misfit = max(1.0, float(np.average(np.minimum(deviations, 3.0) ** 2, weights=weights)))
-    spread = np.sum(relative @ covariance * relative, axis=1) * misfit
+    spread = np.sum(relative @ covariance * relative, axis=1)
     # Noise shifts a level by half its variance times the slope of ln(number of pixels), about 1/x.
     shift = (1 / NOISE_STEPS / np.maximum(x_known, 1 / NOISE_STEPS)) ** 2 / 2
     return ResponseFit(
@@ -236,8 +237,9 @@ class _System:
         wanted += matches.shift
         # What noise shifts is known to about a half.
         uncertain = np.square(matches.shift / 2)
-        # Of J frames there are J (J - 1) / 2 pairs, but only J - 1 of them are independent.
-        alike = np.full(wanted.size, _ALIKE * max(1.0, logs.size / 2))
+        # Of all pairs of J frames only J - 1 are independent.
+        pairs = np.unique(matches.pairs).size
+        alike = np.full(wanted.size, matches.alike * max(1.0, pairs / max(1, logs.size - 1)))
         spreads = [(matches.low, matches.low_variance), (matches.high, matches.high_variance)]
         if chart is not None:
             x = (chart.level - phase) / (edges[-1] + 1)

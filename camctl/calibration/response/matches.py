@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
-from itertools import pairwise, permutations
-from typing import TypeAlias
+from dataclasses import Field, dataclass, fields, replace
+from itertools import pairwise
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,14 @@ NOISE_STEPS = 256
 #: Pixels within that width that a match needs, and the share of full scale below which noise and
 #: clipping at black distort the histogram.
 LEAST_PIXELS, DARKEST = 20, 0.006
+#: Pixels of a frame that count as independent: neighbours share the blur of the lens, the block of
+#: a JPEG file and the errors of a response.  With 24 MP the curve follows these errors.
+INDEPENDENT = 1 << 19
 #: Frames whose exposures differ more are not matched: few pixels are in range in both.
 LARGEST_RATIO = 100.0
+#: Each frame is matched with so many of the next exposures: of all pairs of J frames J - 1 are
+#: independent.
+_NEXT = 3
 #: Brightness, share of full scale, between which unknown exposures are guessed, and the number of
 #: nodes that are needed.
 _GUESSED, LEAST_NODES = (0.03, 0.97), 5
@@ -51,6 +57,7 @@ class Matches:
         low_variance: (N,) variance of `low`, levels squared
         high_variance: (N,) variance of `high`
         shift: (N,) what noise adds to ln(irradiance at `high`) over that at `low`
+        alike: neighbouring matches have pixels in common: so many count as one
     """
 
     short: NDArray[np.intp]
@@ -60,6 +67,7 @@ class Matches:
     low_variance: FloatArray
     high_variance: FloatArray
     shift: FloatArray
+    alike: float = 3.0
 
     @property
     def pairs(self) -> NDArray[np.intp]:
@@ -68,7 +76,24 @@ class Matches:
 
     def part(self, rows: NDArray[np.bool_]) -> Matches:
         """Return some of the matches."""
-        return Matches(*(getattr(self, each.name)[rows] for each in fields(self)))
+        columns: dict[str, Any] = {each.name: getattr(self, each.name)[rows] for each in _columns()}
+        return replace(self, **columns)
+
+
+def _columns() -> list[Field[Any]]:
+    return [each for each in fields(Matches) if each.name != "alike"]
+
+
+def all_matches(parts: Sequence[Matches]) -> Matches:
+    """Return the matches of several channels as those of one, of each channel some in turn."""
+    count = len(parts)
+    columns: dict[str, Any] = {
+        name.name: np.concatenate(
+            [getattr(each, name.name)[place::count] for place, each in enumerate(parts)]
+        )
+        for name in _columns()
+    }
+    return replace(parts[0], **columns, alike=max(1.0, parts[0].alike / count))
 
 
 def match_levels(counts_of: PairCounts, exposures: Sequence[float], edges: FloatArray) -> Matches:
@@ -84,10 +109,9 @@ def match_levels(counts_of: PairCounts, exposures: Sequence[float], edges: Float
     lowest = max(1.0, DARKEST * edges[-1])
     nodes: FloatArray = np.unique(np.round(np.linspace(lowest + 1, edges[-1], _NODES)))
     found: list[tuple[FloatArray, ...]] = []
-    for short, long in permutations(range(len(exposures)), 2):
-        if not 1.0 + 1e-6 < exposures[long] / exposures[short] <= LARGEST_RATIO:
-            continue
-        counts = counts_of(short, long)
+    for short, long in matched_pairs(exposures):
+        pixels = counts_of(short, long)
+        counts = pixels * float(min(1.0, INDEPENDENT / max(1, int(pixels[0].sum()))))
         (below_short, below_long), places = _below(counts, edges)
         number = np.interp(nodes, places, below_long)
         low = np.interp(number, below_short, places)
@@ -99,9 +123,20 @@ def match_levels(counts_of: PairCounts, exposures: Sequence[float], edges: Float
         values = (low, nodes, low_variance, high_variance, np.zeros(low.size))
         found.append((*pair, *(each[used] for each in values)))
     if not found:
-        return Matches(*(np.zeros(0, np.intp),) * 2, *(np.zeros(0),) * 5)
-    short_, long_, *rest = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Matches(short_.astype(np.intp), long_.astype(np.intp), *rest)
+        found = [(np.zeros(0),) * 7]
+    columns = [np.concatenate(column) for column in zip(*found, strict=True)]
+    short_, long_ = (each.astype(np.intp) for each in columns[:2])
+    low_, high_, *variances, shift = columns[2:]
+    return Matches(short_, long_, low_, high_, variances[0], variances[1], shift)
+
+
+def matched_pairs(exposures: Sequence[float]) -> Iterator[tuple[int, int]]:
+    """Yield frames that are matched, the shorter exposure first: each with the next longer ones."""
+    order = sorted(range(len(exposures)), key=exposures.__getitem__)
+    for place, short in enumerate(order):
+        ratios = [(k, exposures[k] / exposures[short]) for k in order[place + 1 :]]
+        longer = [k for k, ratio in ratios if 1.0 + 1e-6 < ratio <= LARGEST_RATIO]
+        yield from ((short, long) for long in longer[:_NEXT])
 
 
 def _spread(
@@ -176,7 +211,7 @@ def neighbour_steps(
         yield dark, bright, float(np.median(steps))
 
 
-def _below(counts: NDArray[np.int64], edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _below(counts: NDArray[Any], edges: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the pixels of each frame below brightness levels, (J, K + 1), and these levels."""
     below = np.concatenate([np.zeros((len(counts), 1)), np.cumsum(counts[:, :-1], axis=1)], axis=1)
     return below, np.concatenate([[0.0], edges])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 
 from camctl.calibration.limits import DIM
 from camctl.calibration.refusals import check_size
-from camctl.calibration.response.matches import LARGEST_RATIO, guess_exposures, neighbour_steps
+from camctl.calibration.response.matches import (
+    guess_exposures,
+    matched_pairs,
+    neighbour_steps,
+)
 from camctl.calibration.response.spill import SampleGrid, grid_counts
 from camctl.errors import UsageError
 from camctl.evidence.patches import Patches, moved_samples, sample_patches
@@ -173,17 +177,18 @@ class Series:
         """Find what moved between frames, so that `counts_of_pair` leaves it out.
 
         What moved in one frame is found beside frames of neighbouring exposure; only then all pairs
-        are compared.  A frame of which samples contradict another one is not compared in them with
-        any: beside a third one the thing that moved may look as if it belonged to the scene.
+        that are matched are compared.  A frame of which samples contradict another one is not
+        compared in them with any: beside a third one the thing that moved may look as if it
+        belonged to the scene.
         """
         self._moved.clear()
         order = np.argsort(self.exposures, kind="stable").tolist()
-        if not any(self._moved_between(*pair) is not None for pair in pairwise(order)):
+        found = {pair: self._moved_between(*pair) for pair in pairwise(order)}
+        if all(each is None for each in found.values()):
             return
-        for pair in combinations(order, 2):
-            if self.exposures[pair[1]] > LARGEST_RATIO * self.exposures[pair[0]]:
-                continue  # they are not matched
-            if (moved := self._moved_between(*pair)) is not None:
+        for pair in matched_pairs(self.exposures):
+            moved = found[pair] if pair in found else self._moved_between(*pair)
+            if moved is not None:
                 for frame in pair:
                     self._moved[frame] = self._moved.get(frame, np.zeros_like(moved)) | moved
 
