@@ -14,7 +14,13 @@ from camctl.errors import CaptureError, UsageError
 from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.light import Light, Metering
-from camctl.interface.camera import Camera, Frame, PreviewingCamera
+from camctl.interface.camera import (
+    Camera,
+    Frame,
+    PreviewingCamera,
+    shoot_when_ready,
+    when_ready,
+)
 from camctl.interface.controls import ExposureSetting
 from camctl.model.response.camera import FloatArray
 from camctl.system.number_text import time_text
@@ -145,8 +151,9 @@ class MeteringFrames:
     def _shoot(self, setting: ExposureSetting) -> Frame:
         self.count += 1
         if isinstance(self.camera, PreviewingCamera):
-            return self.camera.preview(setting)
-        with closing(self.camera.shoot([setting])) as frames:
+            preview = self.camera.preview
+            return when_ready(self.camera.clock, lambda: preview(setting))
+        with closing(shoot_when_ready(self.camera, [setting])) as frames:
             return next(frames)
 
     def _not_following(

@@ -24,7 +24,7 @@ from camctl.captures.frame_checks import FrameChecks
 from camctl.captures.outputs import complete
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
 from camctl.exposure.search.wall_time import predicted_wall_s, wall_time_findings
-from camctl.interface.camera import Camera, Frame, Pixels
+from camctl.interface.camera import Camera, Frame, Pixels, shoot_when_ready
 from camctl.interface.clock import cancelled_by, check_cancelled
 from camctl.interface.controls import Layout
 from camctl.pictures.accumulator import Accumulator
@@ -172,7 +172,10 @@ class Sequence:
                 self._report_progress("shooting")
                 settings = [self._capture.plan.settings[position] for position in positions]
                 self._checks.begin(positions)
-                with closing(self._camera.shoot(settings)) as frames, cancelled_by(self._is_to_end):
+                with (
+                    closing(shoot_when_ready(self._camera, settings)) as frames,
+                    cancelled_by(self._is_to_end),
+                ):
                     for frame in frames:
                         arrived = self._camera.clock.now()
                         most = max(1, WAITING_BYTES // frame.pixels.nbytes)

@@ -142,10 +142,13 @@ def suspects(checks: Sequence[RatioCheck | None]) -> list[int]:
     """Return the positions of the frames whose exposure is probably wrong, ascending.
 
     `checks[k]` compares frame k with frame k - 1.  A frame that disagrees with both neighbours is
-    the wrong one; where only one pair disagrees, both frames of it are suspect.  Where only parts
-    of the picture disagree, something moved, and another frame would not be better.
+    the wrong one; where only one pair disagrees, both frames of it are suspect, however little of
+    them can be compared.  Where parts of that disagree, something moved, and another frame would
+    not be better.
     """
-    wrong = [k for k, check in enumerate(checks) if check and check.is_of_whole_picture]
+    wrong = [
+        k for k, check in enumerate(checks) if check and not check.agrees and check.is_one_ratio
+    ]
     between = {later for later in wrong if later + 1 in wrong}
     pairs = [
         (later - 1, later) for later in wrong if later not in between and later - 1 not in between

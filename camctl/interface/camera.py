@@ -8,18 +8,21 @@ seconds, linear gain, f-number; true times, never the labels on a dial.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import CameraBusyError, CameraDisconnectedError
-from camctl.interface.clock import Clock
+from camctl.interface.clock import Clock, check_cancelled
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.system.interrupts import entering, uninterrupted
+
+AnswerT = TypeVar("AnswerT")
 
 Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -289,3 +292,35 @@ class CameraBase(ABC):
 
     def _not_open(self) -> CameraDisconnectedError:
         return CameraDisconnectedError(f"{self._name} is not open", hint="open it first")
+
+
+_BUSY_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)
+"""Pauses before a busy camera is asked again: together longer than a raw file is being saved."""
+
+
+def shoot_when_ready(camera: Camera, settings: Sequence[ExposureSetting]) -> Generator[Frame]:
+    """Yield the frames of `camera.shoot(settings)`; a camera that is busy is asked again.
+
+    Raises:
+        CameraBusyError: it is still busy after 3 s
+    """
+    frames, first = when_ready(camera.clock, lambda: _begun(camera, settings))
+    with closing(frames):
+        yield first
+        yield from frames
+
+
+def when_ready(clock: Clock, ask: Callable[[], AnswerT]) -> AnswerT:
+    """Return what `ask` returns; it is called again for 3 s while it raises `CameraBusyError`."""
+    for pause_s in _BUSY_PAUSES_S:
+        try:
+            return ask()
+        except CameraBusyError:
+            check_cancelled()
+            clock.sleep_until(clock.now() + pause_s)
+    return ask()
+
+
+def _begun(camera: Camera, settings: Sequence[ExposureSetting]) -> tuple[FrameStream, Frame]:
+    frames = camera.shoot(settings)
+    return frames, next(frames)

@@ -12,6 +12,7 @@ from small_cameras import gradient, small_camera, sum_of_frames
 import camctl
 from camctl.captures.sequencer import capture
 from camctl.captures.verdict import suspects
+from camctl.errors import CameraBusyError
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.exposure.goal import CaptureRequest
 from camctl.findings import Finding
@@ -102,8 +103,10 @@ def test_untrustworthy_capture_has_all_its_files(tmp_path: Path) -> None:
     written = json.loads((tmp_path / "out" / "report.json").read_text())
     assert written["trustworthy"] is False
     assert "exposure is 2 times as long" in written["untrustworthy_because"]
-    assert [each["code"] for each in written["findings"]] == ["exposure_differs"] * 2
-    assert [each["frames"] for each in written["findings"]] == [[0, 1], [1, 2]]
+    codes = [each["code"] for each in written["findings"]]
+    assert codes.count("exposure_differs") == 2
+    assert set(codes) <= {"exposure_differs", "light_below_range"}
+    assert [each["frames"] for each in written["findings"] if each["frames"]] == [[0, 1], [1, 2]]
 
 
 @pytest.mark.parametrize(
@@ -256,7 +259,7 @@ def test_a_damaged_frame_is_shot_again(position: int) -> None:
     report = damaged(position)
     assert [frame.attempts for frame in report.frames] == [1 + (k == position) for k in range(3)]
     assert report.trustworthy
-    assert not report.findings
+    assert {each.code for each in report.findings} <= {"light_below_range"}
 
 
 def test_a_frame_damaged_twice_makes_a_capture_untrustworthy() -> None:
@@ -265,3 +268,23 @@ def test_a_frame_damaged_twice_makes_a_capture_untrustworthy() -> None:
     assert found.frames == (1,)
     assert 0.4 < (found.value or 0.0) < 0.6
     assert not report.trustworthy
+
+
+def test_what_can_be_compared_in_little_of_the_picture_is_shot_again() -> None:
+    """A stale frame before a wide bracket: 7 % of the samples are in range in two frames."""
+    faults = Faults(repeated_frames=(1,))
+    with small_camera("standard", gradient(120, 160), faults=faults) as camera:
+        report = capture(camera, CaptureRequest("log", 1000.0, ratios=(1.0, 30.0, 900.0)))
+    assert [frame.attempts for frame in report.frames][1] == 2
+    assert report.trustworthy
+
+
+@pytest.mark.parametrize(("calls", "is_taken"), [(3, True), (30, False)])
+def test_a_busy_camera_is_asked_again_for_a_while(calls: int, *, is_taken: bool) -> None:
+    with small_camera("standard", faults=Faults(busy_calls=calls)) as camera:
+        if is_taken:
+            assert capture(camera, WIDE).trustworthy
+        else:
+            with pytest.raises(CameraBusyError):
+                capture(camera, WIDE)
+        assert camera.clock.now() > 0.5
