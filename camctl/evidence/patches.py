@@ -261,8 +261,10 @@ def _ascending_path(counts: FloatArray) -> FloatArray:
 def _smoothed(values: FloatArray) -> FloatArray:
     """Return means over `_NEAR` places on each side along the first axis."""
     padded = np.pad(values, ((_NEAR, _NEAR), (0, 0)), mode="edge")
-    parts = [padded[k : k + len(values)] for k in range(2 * _NEAR + 1)]
-    return np.asarray(np.mean(parts, axis=0))
+    total = padded[: len(values)].copy()
+    for k in range(1, 2 * _NEAR + 1):
+        total += padded[k : k + len(values)]
+    return total / (2 * _NEAR + 1)
 
 
 def _neighbours(cells: NDArray[np.bool_]) -> NDArray[np.intp]:
