@@ -21,7 +21,7 @@ from small_cameras import gradient, small_camera
 import camctl
 
 MOST_RESIDENT_BYTES = 4 << 20
-"""Growth of the whole process: 7 kB in each of 600 captures."""
+"""Growth of the whole process: 14 kB in each of 300 captures."""
 
 MOST_PYTHON_BYTES = 50_000
 """Growth of the memory of Python and numpy: 250 bytes in each of 200 captures."""
@@ -115,7 +115,7 @@ def check_series(work: Callable[[int], object], count: int, *, exr_share: float 
 @pytest.mark.slow
 @pytest.mark.no_cover  # the tracing of coverage keeps something of each thread
 @pytest.mark.timeout(900)
-def test_a_thousand_captures_leave_nothing_behind(
+def test_hundreds_of_captures_leave_nothing_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two in memory, two into folders, and so on; every second one of a mosaic."""
@@ -134,13 +134,13 @@ def test_a_thousand_captures_leave_nothing_behind(
             assert camctl.read_report(folder).status == "complete"
             shutil.rmtree(folder)
 
-    check_series(shoot, 1000, exr_share=0.5)
+    check_series(shoot, 700, exr_share=0.5)
 
 
 @pytest.mark.slow
 @pytest.mark.no_cover  # the tracing of coverage keeps something of each thread
 @pytest.mark.timeout(900)
-def test_a_thousand_plans_leave_nothing_behind(
+def test_hundreds_of_plans_leave_nothing_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every second plan looks up a row that is solved and cached for it."""
@@ -155,8 +155,8 @@ def test_a_thousand_plans_leave_nothing_behind(
         with small_camera("ideal-6", light) as camera:
             assert camctl.plan_capture(camera, request).exposures
 
-    check_series(plan, 1000)
-    assert len(list((tmp_path / "exposure").iterdir())) == 501
+    check_series(plan, 700)
+    assert len(list((tmp_path / "exposure").iterdir())) == 351
 
 
 @pytest.mark.parametrize(

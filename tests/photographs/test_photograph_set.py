@@ -282,7 +282,7 @@ def test_different_sizes_and_formats_are_named(opened: Opened) -> None:
     opened(TIMES[:3])
     files = [Path(f"p{k:02d}.png") for k in range(3)]
     save(files[1], photograph(TIMES[1])[:-10])
-    with pytest.raises(DataError, match=r"^p01.png has 320 x 230 pixels and p00.png has 320"):
+    with pytest.raises(DataError, match=r"^p01.png has 240 x 170 pixels and p00.png has 240"):
         open_photographs(files, PhotographOptions(times=TIMES[:3]))
     save(files[1], photograph(TIMES[1])[..., 1])
     with pytest.raises(DataError, match=r"p01.png is mono, 8 bits"):
