@@ -25,6 +25,7 @@ from camctl.model.distribution import normal_cdf
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 from camctl.model.step_posterior import REACH, FrameSet, StepPosterior
+from camctl.model.step_scores import StepScores
 
 Floats32 = NDArray[np.float32]
 
@@ -37,8 +38,13 @@ _DROPPED = np.finfo(np.float32).nmant - _BIN_BITS
 #: of Widrow and Kollar (Quantization Noise, 2008) is exp(-2 (pi s)^2) / pi.
 _DITHERED = 0.5
 
-#: Shares of the information above which a frame decides the method, and enters a posterior.
-_DECISIVE, _NOTABLE = 0.05, 0.02
+#: Noise in steps below which the likelihood is nearly even within a step, so that its maximum is
+#: no better than any light there: with 0.25 of it, a step holds 4 standard deviations.
+_SHARP = 0.25
+
+#: Shares of the information above which a frame decides the method, and above which it is not
+#: left out: of all frames that are clipped, or, divided by the number of frames, of each.
+_DECISIVE, _NOTABLE = 0.05, 0.01
 
 #: A light of fewer standard deviations is truncated at 0: beyond it, 0.1 % of the probability is.
 _NEAR_ZERO = CLIPPING_SIGMAS
@@ -55,6 +61,7 @@ class _Weights:
         steps: that of noise alone in steps of the quantiser
         clipped, saturated: whether noise clips the sample at the lowest value, or saturates it
         deviation: standard deviation of the mean, pattern noise included
+        pattern: that of the pattern noise alone
         of_sum: that of the light that the sum of the samples shows, likewise: each of the frames
             that are not saturated adds its slope, levels / light, and its noise
     """
@@ -66,6 +73,7 @@ class _Weights:
     clipped: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
     deviation: FloatArray
+    pattern: FloatArray
     of_sum: FloatArray
 
     @classmethod
@@ -98,7 +106,8 @@ class _Weights:
         offsets = np.array([each.dsnu_levels * unit for each in frames.noise])[:, np.newaxis]
         pattern = (weight * offsets / exposures).sum(axis=0) ** 2
         prnu = max(each.prnu for each in frames.noise)
-        deviation = np.sqrt(1 / sums + pattern + (prnu * E) ** 2)
+        pattern = pattern + (prnu * E) ** 2
+        deviation = np.sqrt(1 / sums + pattern)
         counts = (x < sensor.full) | (exposures == exposures.min())
         slopes = np.where(counts, exposures / step, 0.0)
         of_sum = (slopes**2 * variance).sum(axis=0)
@@ -111,6 +120,7 @@ class _Weights:
             clipped,
             saturated,
             deviation,
+            np.sqrt(pattern),
             np.sqrt(of_sum / slopes.sum(axis=0) ** 2 + (prnu * E) ** 2),
         )
 
@@ -148,12 +158,22 @@ class LightTables:
         self.deviation: Floats32 = found.deviation.astype(np.float32)
         self.of_sum = found.of_sum
         near = found.saturated & (found.share > 0)
-        self._kept = (found.share > _NOTABLE) | near
+        self._kept = (found.share > _NOTABLE / len(exposures)) | near
         self._near = near & (found.weight == 0)
+        self._saturating = np.argmax(found.saturated, axis=1)
         self._spreads: Floats32 = found.spread.astype(np.float32)
-        lost = np.where(found.clipped, found.share, 0.0).sum(axis=0) > _DECISIVE
+        lost = np.where(found.clipped, found.share, 0.0).sum(axis=0) > _NOTABLE
         undithered = (found.share > _DECISIVE) & (found.steps < _DITHERED)
         self._exact = lost | undithered.any(axis=0)
+        sharp = (found.share > _DECISIVE) & (found.steps < _SHARP)
+        self._sharp = sharp.any(axis=0) & self._exact
+        self._scores: StepScores | None = None
+        exact = np.flatnonzero(self._exact & ~self._sharp)
+        if exact.size:
+            lights = self.lights[: exact[-1] + 1]
+            if StepScores.fits(frames, sensor, lights):
+                self._scores = StepScores(frames, sensor, lights)
+        self._pattern = found.pattern.astype(np.float32)
         # The light of each sum without noise: the levels of all frames, merged.
         edges = (frames.response.levels - dark[:, np.newaxis]) / exposures[:, np.newaxis]
         edges = np.concatenate(([0.0], np.sort(edges, axis=None), [np.inf]))
@@ -181,6 +201,10 @@ class LightTables:
         """
         samples = [table.take(each) for table, each in zip(self.irradiance, values, strict=True)]
         bins = self._first.take(total)
+        for each, lowest in zip(values, self._saturating, strict=True):
+            # The sum does not always show that noise saturated a sample.
+            white = np.flatnonzero(each >= self.sensor.white)
+            bins[white] = np.maximum(bins[white], lowest)
         E = self._weights[0].take(bins)
         E *= samples[0]
         for place in range(1, len(values)):
@@ -192,6 +216,13 @@ class LightTables:
         bins = self.bins(E)
         self._truncate(E, deviation)
         chosen = np.flatnonzero(self._exact.take(bins))
+        if chosen.size and self._scores is not None:
+            first = bins[chosen]
+            here = [each[chosen] for each in values]
+            light, error = self._scores.of(here, np.minimum(first, self._scores.size - 1))
+            E[chosen], deviation[chosen] = light, np.hypot(error, self._pattern.take(first))
+            bins[chosen] = self.bins(light)
+            chosen = chosen[(error * _NEAR_ZERO > light) | self._sharp.take(first)]
         if chosen.size:
             here = [each[chosen] for each in values]
             kept = [row.take(bins[chosen]) for row in self._kept]
