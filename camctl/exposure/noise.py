@@ -13,13 +13,19 @@ from camctl.model.distribution import check_noise
 from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.inverse import posterior_of
 from camctl.model.noise import FrameNoise
-from camctl.model.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray, every_nth_level
 from camctl.model.response.desired import DesiredResponse
 
 NOISE_KINDS: tuple[str, ...] = ("paper", "time", "aperture", "gain")
 
 MAX_SIGMA, MAX_WEIGHT = 1e3, 1e15
 """Largest sigma and weight of a noise term: far beyond use, and their product stays finite."""
+
+MOST_LEVELS = 1024
+"""Cameras of more levels are rated by fewer: the table of their sums would take seconds."""
+
+DITHERS = 0.5
+"""Noise in steps from which a coarser quantiser is as accurate within 0.05 % (12 to 16 bits)."""
 
 _NOISELESS = FrameNoise(math.inf, 0.0)
 
@@ -65,6 +71,41 @@ class NoiseTerm:
         return np.asarray(self.weight * self.sigma**2 * variance)
 
 
+def coarser(
+    camera: EffectiveCamera, noise: Sequence[FrameNoise], dithers: float = DITHERS
+) -> tuple[EffectiveCamera, tuple[FrameNoise, ...]]:
+    """Return a camera of fewer levels, and noise, with nearly the same distribution of errors.
+
+    A quantiser of step k has k^2 / 12 of variance, (k^2 - 1) / 12 more than one of step 1: as much
+    is taken from the read noise.  What is left must be `dithers` of a step, so that the quantiser
+    stays dithered.  A camera of few levels, or with less noise, is returned as it is.
+    """
+    step, full = 1, camera.response.M + 1
+    least = min(frame.read_noise_levels for frame in noise)
+    while full / step > MOST_LEVELS and _without_step(least, 2 * step) >= 2 * step * dithers:
+        step *= 2
+    if step == 1:
+        return camera, tuple(noise)
+    response = every_nth_level(camera.response, step)
+    finer = full / (response.M + 1)
+    frames = (
+        replace(
+            frame,
+            electrons_per_level=frame.electrons_per_level * finer,
+            read_noise_levels=_without_step(frame.read_noise_levels, step) / finer,
+            dark_levels=frame.dark_levels / finer,
+            dsnu_levels=frame.dsnu_levels / finer,
+            black=round(frame.black / finer),
+        )
+        for frame in noise
+    )
+    return EffectiveCamera.of(response, camera.exposures), tuple(frames)
+
+
+def _without_step(read_noise_levels: float, step: int) -> float:
+    return math.sqrt(max(0.0, read_noise_levels**2 - (step**2 - 1) / 12))
+
+
 def predicted_mse(
     camera: EffectiveCamera, desired: DesiredResponse, noise: Sequence[FrameNoise]
 ) -> float:
@@ -81,7 +122,9 @@ def predicted_mse(
     Raises:
         UsageError: there is not one noise for each exposure, or one is out of range
     """
-    return posterior_of(camera, desired, noise).mse
+    check_noise(noise, len(camera.exposures))
+    camera, frames = coarser(camera, noise)
+    return posterior_of(camera, desired, frames).mse
 
 
 def noisy_effective_levels(

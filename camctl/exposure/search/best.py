@@ -164,7 +164,7 @@ class Search:
         if self.objective == ACCURACY:
             front = self._front(controls, desired, limit_s, before)
             point = front.chosen
-            chosen = Chosen(desired, point.settings, point.ratios, front=front)
+            chosen = Chosen(desired, point.settings, point.ratios, point.levels, front=front)
         else:
             allowed = _shutter_budget(controls, request, limit_s, before)
             wall_s = partial(predicted_wall_s, controls, before=before)

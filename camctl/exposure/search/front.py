@@ -350,7 +350,7 @@ class Front:
         def find() -> tuple[FrontPoint, ...]:
             sets = self._sets
             if is_free and self._request.count is None:
-                return (self._point(sets.recommended(_FLOOR, polished=False)),)
+                return (self._point(sets.estimated_recommended(_FLOOR)),)
             limit = math.inf if budget_s is None else self._limit(budget_s)
             if sets.least_time(min(self._counts)) > limit:
                 return ()

@@ -46,6 +46,7 @@ class Chosen:
         desired: the desired response, with its range
         settings: in ascending order of exposure
         ratios: the exposures that were asked of the camera, relative to the shortest
+        levels: predicted effective levels, where the settings are a point of a front
         needed_levels: effective levels of a larger range that would hold the scene
         front: the front that the settings are a point of; None where they are chosen by xi
     """
@@ -53,6 +54,7 @@ class Chosen:
     desired: DesiredResponse
     settings: tuple[ExposureSetting, ...]
     ratios: tuple[float, ...]
+    levels: float | None = None
     needed_levels: float | None = None
     front: Front | None = None
 
@@ -96,6 +98,8 @@ def choose_range(
             chosen = choose(desired(place))
         except (UsageError, CaptureError):  # an accuracy or a range is beyond the camera
             return None, 0.0
+        if chosen.levels is not None:
+            return chosen, chosen.levels
         noise = None if controls.noise is None else controls.frame_noise(chosen.settings)
         exposures = relative_exposures(chosen.settings)
         quality = evaluate(controls.levels, chosen.desired, exposures, noise=noise)
