@@ -92,6 +92,9 @@ run in slow tests."""
 DIFFERENT = {kind(option): (name, option) for name, option in CASES}
 """A command and its option, for each option that is not like another one."""
 
+PARSED = {(*key[1:], each[1].callback): each for key, each in DIFFERENT.items()}
+"""Those of `DIFFERENT` whose values are parsed in different ways, whatever their names are."""
+
 
 def case(name: str, option: click.Parameter) -> str:
     return f"{name} {option.opts[-1]}"
@@ -209,8 +212,8 @@ def test_hostile_values_are_parsed_or_refused_in_one_line(
 ) -> None:
     for command in COMMANDS.values():
         monkeypatch.setattr(command, "callback", lambda **_: print("null"))
-    assert len(DIFFERENT) > 60
-    for name, option in DIFFERENT.values():
+    assert len(PARSED) > 30
+    for name, option in PARSED.values():
         assert problems(run, lines_with(name, option, places, tmp_path)) == []
 
 

@@ -38,6 +38,7 @@ def test_a_camera_with_unknown_properties_is_one_with_a_profile(run: Run) -> Non
     assert found["options"] == [["unknown", "yes"]]
 
 
+@pytest.mark.slow
 def test_the_table_and_the_plot(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")
     plot = tmp_path / "plot.svg"

@@ -80,7 +80,7 @@ def test_low_counts_are_the_exact_quantiles(mean: float) -> None:
 
 
 def test_higher_counts_are_the_exact_quantiles_but_for_few_that_differ_by_one() -> None:
-    uniform = np.random.default_rng(2).random(100_000)
+    uniform = np.random.default_rng(2).random(40_000)
     for mean in (24.0, 60.0, 1e3, 1e5):
         means = np.full(uniform.size, mean, dtype=np.float32)
         off = poisson_quantiles(means, uniform) - stats().poisson.ppf(uniform, mean)

@@ -29,28 +29,6 @@ from sim.sensors.sensor import load_sensor, sensor_names
 from sim.streaming_device import QUEUE
 
 
-class TestStandardConforms(CameraConformance):
-    def open_camera(self) -> Camera:
-        return SimulatedCamera(load_scene("ramp", (40, 60)), load_sensor("standard"), seed=3)
-
-    def middle_s(self, camera: Camera) -> float:
-        return camera.controls.time_s.nearest(0.02)
-
-
-class TestPhoneConforms(TestStandardConforms):
-    def open_camera(self) -> Camera:
-        return SimulatedCamera(load_scene("ball", (40, 60)), load_sensor("phone"), seed=3)
-
-
-class TestVaryingDelayConforms(TestStandardConforms):
-    def open_camera(self) -> Camera:
-        return SimulatedCamera(load_scene("ball", (40, 60)), load_sensor("consumer"), seed=3)
-
-    def test_constant_delay_costs_n_plus_d_frames(self, camera: Camera) -> None:
-        """The delay is not constant, and reported so; another test counts the frames."""
-        assert camera.controls.delay_frames is None
-
-
 class LatenessClock(RealClock):
     """Real time that measures how late its user was: all the time that it was not meant to sleep.
 
@@ -71,9 +49,11 @@ class LatenessClock(RealClock):
 
 
 @pytest.mark.serial
-class TestRealTimeConforms(TestStandardConforms):
+class TestRealTimeConforms(CameraConformance):
+    """In virtual time cameras of all kinds conform in `tests/testing/test_conformance.py`."""
+
     interval_s = 0.02
-    longest_s = 2.0  # longer ones are shot in virtual time, by the classes above
+    longest_s = 2.0  # longer ones are shot in virtual time, there
 
     def open_camera(self) -> Camera:
         sensor = load_sensor("machine-vision").model_copy(

@@ -58,7 +58,6 @@ def outcome(act: Callable[[], Act]) -> tuple[Act | None, CameraError | None]:
 
 
 class TestBadLines:
-    @settings(max_examples=300)
     @given(damages())
     def test_data_is_correct_or_a_typed_error(self, steps: list[Damage]) -> None:
         camera = Camera()

@@ -134,7 +134,6 @@ class TestReceiving:
         empty=st.lists(st.booleans(), min_size=8, max_size=8),
         merged=st.booleans(),
     )
-    @settings(max_examples=300)
     def test_data_is_complete_however_it_is_cut(
         self, payload: bytes, cuts: list[int], empty: list[bool], merged: bool
     ) -> None:
@@ -153,7 +152,6 @@ class TestReceiving:
         assert pipes.receive(3, limit=0).code == OK
 
     @given(transfers=st.lists(st.binary(max_size=100) | st.just(b""), max_size=20))
-    @settings(max_examples=300)
     def test_arbitrary_bytes_end_in_a_typed_error(self, transfers: list[bytes | int]) -> None:
         pipes, _ = transport(transfers)
         with suppress(CameraError):
@@ -165,7 +163,6 @@ class TestReceiving:
         head=st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 4), st.integers(0, 2**16 - 1)),
         tail=st.binary(max_size=80),
     )
-    @settings(max_examples=200)
     def test_a_wrong_length_costs_few_and_small_reads(
         self, head: tuple[int, int, int], tail: bytes
     ) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from v4l2_model import PATH, Model
 
@@ -196,7 +196,6 @@ def open_and_close(model: Model) -> None:
     assert model.descriptors == 0
 
 
-@settings(max_examples=300)
 @given(data=st.data())
 def test_random_responses_raise_no_other_errors(data: st.DataObject) -> None:
     open_and_close(RandomResponses(data.draw))
@@ -205,7 +204,6 @@ def test_random_responses_raise_no_other_errors(data: st.DataObject) -> None:
 register_values = st.integers(-(2**31), 2**31 - 1)
 
 
-@settings(max_examples=300)
 @given(
     control=st.sampled_from(sorted(ControlId)),
     minimum=register_values,
@@ -227,7 +225,6 @@ def format_with(code: str) -> PixelFormat:
     return next(each for each in FORMATS if each.code == code)
 
 
-@settings(max_examples=200)
 @given(
     format_=st.sampled_from(FORMATS),
     data=st.binary(min_size=1, max_size=200),
