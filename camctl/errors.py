@@ -38,7 +38,8 @@ def visible(text: object) -> str:
     >>> print(visible("red \x1b[31m, two\nlines, \u202edlo, a byte \udcff"))
     red \x1b[31m, two\nlines, \u202edlo, a byte \xff
     """
-    return "".join(map(_visible_character, str(text)))
+    line = str(text)
+    return line if line.isprintable() else "".join(map(_visible_character, line))
 
 
 def _visible_character(character: str) -> str:

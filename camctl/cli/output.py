@@ -170,14 +170,14 @@ def print_json(value: object) -> None:
     encoding = sys.stdout.encoding if sys.stdout is not None else "utf-8"
     is_unicode = encoding.lower() in ("utf-8", "utf8")
     text = json.dumps(to_json(value), indent=2, allow_nan=False, ensure_ascii=not is_unicode)
-    _write(
-        "".join(
-            character
-            if character.isprintable() or character == "\n"
-            else json.dumps(character)[1:-1]  # a lone surrogate, U+202E and others
-            for character in text
-        )
-    )
+    _write("\n".join(map(_visible_json, text.split("\n"))))
+
+
+def _visible_json(line: str) -> str:
+    """Return a line of JSON with escapes for a lone surrogate, U+202E and others."""
+    if line.isprintable():
+        return line
+    return "".join(each if each.isprintable() else json.dumps(each)[1:-1] for each in line)
 
 
 def to_json(value: Any) -> Any:
