@@ -19,10 +19,12 @@ class EmvaFigure:
     """One figure.
 
     Attributes:
-        name, symbol: as in the standard
+        name: in the standard
+        symbol: in the standard
         unit: of the values
         value: the estimate
-        low, high: its 95 % confidence interval
+        low: lower end of its 95 % confidence interval
+        high: upper end
     """
 
     name: str

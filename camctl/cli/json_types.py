@@ -31,6 +31,9 @@ from camctl.model.noise import NoiseModel
 from camctl.profiles.profile import Profile
 from camctl.records.journal import SeriesJournal
 from camctl.records.report_json import report_schema
+from camctl.studies.capture_study import CapturePoint, CaptureRun
+from camctl.studies.simulation_study import SimulationPoint, SimulationRun
+from camctl.studies.solver_study import SolverPoint, SolverRun
 from sim.render import Comparison
 
 _CLOSED = ConfigDict(extra="forbid")
@@ -322,14 +325,59 @@ BESIDE: Final[dict[str, dict[str, Any]]] = {
 }
 """Fields that the output of a command has beside those of its model."""
 
+ROWS: Final[dict[str, tuple[type, type, dict[str, Any]]]] = {
+    "tradeoff capture": (
+        CaptureRun,
+        CapturePoint,
+        {
+            "times_s": list[float],
+            "gains": list[float],
+            "effective_levels_measured": float | None,
+            "less_accurate_by": float | None,
+            "spread": list[float] | None,
+            "slower_by": float | None,
+        },
+    ),
+    "tradeoff simulation": (SimulationRun, SimulationPoint, {}),
+    "tradeoff solver": (SolverRun, SolverPoint, {"regret": float}),
+}
+"""Studies that print rows: what each needs to be run again, its results, and further fields."""
+
 REPORTS: Final = ("shoot", "resume", "merge")
 """Commands that print a report, of which ``report.json`` leaves out what follows from the rest."""
 
 
+def _rows(run: type, point: type, more: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of rows; a number that is not known is null."""
+    parts = [TypeAdapter(kind).json_schema(mode="serialization") for kind in (run, point)]
+    properties = parts[0]["properties"] | parts[1]["properties"]
+    properties |= {name: TypeAdapter(kind).json_schema() for name, kind in more.items()}
+    parts_of_rows = {name: kind for part in parts for name, kind in part.get("$defs", {}).items()}
+    for fields in (properties, *(each.get("properties", {}) for each in parts_of_rows.values())):
+        for name, kind in fields.items():
+            if kind.get("type") == "number":
+                fields[name] = {**kind, "type": ["number", "null"], "default": None}
+    return {
+        "$defs": parts_of_rows,
+        "type": "array",
+        "items": {"type": "object", "properties": properties, "additionalProperties": False},
+    }
+
+
+def _either(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of one of two; models that both have may lack what the first leaves out."""
+    models = second.pop("$defs") | first.pop("$defs")
+    return {"$defs": models, "anyOf": [first, second]}
+
+
 def schema(name: str) -> dict[str, Any]:
     """Return the JSON schema of what a command prints."""
-    if name in REPORTS:
+    if name == "resume":
+        found = _either(report_schema(), schema("series"))
+    elif name in REPORTS:
         found = report_schema()
+    elif name in ROWS:
+        found = _rows(*ROWS[name])
     else:
         found = TypeAdapter(TYPES[name]).json_schema(mode="serialization")
     of_object = found["$defs"]["Profile"] if name == "profile list" else found
@@ -341,3 +389,8 @@ def schema(name: str) -> dict[str, Any]:
         "title": f"camctl {name} --json",
         **{key: value for key, value in found.items() if key != "title"},
     }
+
+
+def schema_names() -> list[str]:
+    """Return the names of all schemas."""
+    return sorted({*TYPES, *REPORTS, *ROWS})

@@ -23,10 +23,10 @@ def schema(names: tuple[str, ...]) -> None:
     Objects have a format_version: it changes where a field goes or gets another meaning, and not
     where one is added.
     """
-    from camctl.cli.json_types import REPORTS, TYPES
     from camctl.cli.json_types import schema as schema_of
+    from camctl.cli.json_types import schema_names
 
-    known = sorted({*TYPES, *REPORTS})
+    known = schema_names()
     name = " ".join(names)
     if not name:
         print_text("\n".join(known))

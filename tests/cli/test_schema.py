@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 from bracketed_photographs import Series
 from command_line import Run
 
-from camctl.cli.json_types import REPORTS, TYPES, schema
+from camctl.cli import cli
+from camctl.cli.json_types import schema, schema_names
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 
@@ -48,6 +51,25 @@ LINES: dict[str, list[tuple[str, ...]]] = {
     "calibrate response": [("calibrate", "response", "--sensor", "consumer", "-O", "size=160x120")],
     "profile list": [("profile", "list")],
     "figures": [("figures", "--only", "7", "--dpi", "30", "--workers", "1")],
+    "tradeoff solver": [
+        (
+            *("tradeoff", "solver", "-n", "2", "--bits", "4", "--range", "low", "--responses"),
+            *("linear", "--methods", "camctl", "--seeds", "1", "--evaluations", "50"),
+            *("--limit", "0.1", "--workers", "1"),
+        )
+    ],
+    "tradeoff simulation": [
+        (
+            *("tradeoff", "simulation", "--scenes", "uniform", "--size", "16x12"),
+            *("--tolerances", "0,1", "--frames", "1", "--workers", "1"),
+        )
+    ],
+    "tradeoff capture": [
+        (
+            *("tradeoff", "capture", "--scene", "uniform", "--size", "16x12", "--sensor"),
+            *("ideal-6", "-n", "1,2", "--methods", "doubling", "--repeats", "1", "--workers", "1"),
+        )
+    ],
     "error": [("solve", "-n", "0"), ("calibrate", "noise", "none.png")],
 }
 
@@ -91,9 +113,30 @@ def test_a_report_and_a_merge_fit_their_schemas(run: Run, series: Series) -> Non
     check("shoot", json.loads(Path("out/report.json").read_text()))
 
 
+def test_what_is_resumed_fits_one_of_two(run: Run) -> None:
+    check("resume", run("shoot", *SIZE, "--ratios", "1,4", "-o", "a", "--json").json)
+    taken = run("series", *SIZE, "--ratios", "1,2", "--repeat", "1", "-o", "c", "--json")
+    check("resume", taken.json)
+
+
+def with_json(group: click.Group, path: str = "") -> Iterator[str]:
+    """Yield the commands that have --json."""
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        found = group.get_command(context, name)
+        if isinstance(found, click.Group):
+            yield from with_json(found, f"{path}{name} ")
+        elif found is not None and any("--json" in each.opts for each in found.params):
+            yield path + name
+
+
+def test_every_command_with_json_has_a_schema() -> None:
+    assert sorted([*with_json(cli), "error"]) == schema_names()
+
+
 def test_the_command_prints_them(run: Run) -> None:
     names = run("schema").out.splitlines()
-    assert names == sorted({*TYPES, *REPORTS})
+    assert names == schema_names()
     for name in names:
         shown = run("schema", *name.split()).json
         assert shown["title"] == f"camctl {name} --json"
