@@ -100,7 +100,8 @@ class BatchScore:
             return self._divided(edges)
         e_min = edges.dtype.type(self._desired.e_min)
         row = np.arange(rows)
-        above = np.maximum((edges <= e_min).sum(axis=1), 1)
+        # In float32 the e_min of a very narrow range is 1, as is the last edge.
+        above = np.clip((edges <= e_min).sum(axis=1), 1, edges.shape[1] - 1)
         high = edges[row, above].astype(np.float64)
         width = high - edges[row, above - 1].astype(np.float64)
         np.maximum(edges, e_min, out=edges)

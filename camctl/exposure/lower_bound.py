@@ -168,7 +168,8 @@ class _Boxes:
         self.lipschitz = _Lipschitz(problem, top)
         self.rounding = ROUNDING_ERROR * problem.levels_wanted
         dimensions = problem.n - 1
-        parts = {1: 1024, 2: 48}.get(dimensions, 4)
+        most = int(MAX_BOXES_AT_ONCE ** (1 / dimensions))
+        parts = {1: 1024, 2: 48}.get(dimensions, min(4, most))
         centres = (np.arange(parts) + 0.5) * top / parts
         mesh = np.meshgrid(*[centres] * dimensions, indexing="ij")
         self.start = np.stack([axis.ravel() for axis in mesh], axis=1)

@@ -157,6 +157,7 @@ class SensorModel:
         offset of a pixel is the same in both.  Without a known noise there is rounding alone.
         """
         mean = self.expected(ratio, short, long)
+        square = ratio * ratio  # a power of float would raise where this is infinite
         noise = np.zeros(mean.size), np.zeros(mean.size)
         own, third = np.zeros(mean.size), np.zeros(mean.size)
         if short is not None and long is not None:
@@ -166,16 +167,16 @@ class SensorModel:
             # It may be larger than its sample shows by its standard deviation.
             lit = lit + np.sqrt(self.variance(lit, long))
             noise = self.variance(lit / ratio, short), self.variance(lit, long)
-            own += noise[0] + noise[1] / ratio**2
+            own += noise[0] + noise[1] / square
             # A count that is too small has too small a variance, too.  The residual over its root
             # has mean 0 with this shift, half an electron where photon noise is all.
             light, first, each = np.unique(self.light, return_index=True, return_inverse=True)
             slope = np.gradient(own[first], light)[each]  # levels of a flat response coincide
             mean = mean + slope * noise[1] / ratio / (2 * np.maximum(own, 1e-300))
             own += ((short.dsnu_levels - long.dsnu_levels / ratio) * unit) ** 2
-            third += lit / ratio * electron[0] ** 2 + 2 * lit * electron[1] ** 2 / ratio**3
+            third += lit / ratio * electron[0] ** 2 + 2 * lit * electron[1] ** 2 / (square * ratio)
         roundings = self.rounding(mean, noise[0]), self.rounding(self.light, noise[1])
-        own += roundings[0][0] + roundings[1][0] / ratio**2
-        shared = roundings[0][1] + roundings[1][1] / ratio**2
+        own += roundings[0][0] + roundings[1][0] / square
+        shared = roundings[0][1] + roundings[1][1] / square
         shared += (BLACK_ERROR_LEVELS * self.level * (1 - 1 / ratio)) ** 2
         return Prediction(mean, own, shared, third / np.maximum(own + shared, 1e-200) ** 1.5)

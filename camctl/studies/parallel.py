@@ -6,18 +6,26 @@ results are the same on one process, on many, and on a cluster.
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence, Sized
+from concurrent.futures import (
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    as_completed,
+)
+from contextlib import AbstractContextManager, contextmanager
 from importlib import import_module
 from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
-from camctl.errors import UsageError
+from camctl.errors import ResourceError, UsageError
+from camctl.studies.kept_results import KeptResults
 
 ItemT = TypeVar("ItemT")
 ResultT = TypeVar("ResultT")
@@ -32,6 +40,7 @@ def run_all(
     *,
     workers: int | None = None,
     may_leave: bool = True,
+    kept: KeptResults[ItemT, ResultT] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[ResultT]:
     """Return `function` of each item, in the order of the items.
@@ -42,26 +51,54 @@ def run_all(
         workers: number of processes, in whose place is a cluster that is named; 1: this process;
             None: one for each processor
         may_leave: False where the work needs a device of this computer: no cluster does it
+        kept: results of an earlier call, which are not computed again; new ones are added
         progress: called with the completed share, 0 to 1
 
-    Raises what `function` raises; the items that have not begun are then left out.
+    Raises:
+        ResourceError: the cluster was lost; what was finished is kept where there is `kept`
+        UsageError, DataError, StorageError: as `cluster_executor` and `KeptResults`
+
+    Raises what `function` raises, too; the items that have not begun are then left out.
     """
-    count = min(workers or os.cpu_count() or 1, len(items))
-    address = os.environ.get(SCHEDULER) if items and may_leave else None
+    found = dict(kept.read(items)) if kept is not None else {}
+    places = [place for place in range(len(items)) if place not in found]
+    count = min(workers or os.cpu_count() or 1, len(places))
+    address = os.environ.get(SCHEDULER) if places and may_leave else None
+
+    def finish(place: int, result: ResultT) -> None:
+        found[place] = result
+        if kept is not None:
+            kept.add(items[place], result)
+        if progress is not None:
+            progress(len(found) / len(items))
+
     if count <= 1 and not address:
-        results = []
-        for place, item in enumerate(items, 1):
-            results.append(function(item))
-            if progress is not None:
-                progress(place / len(items))
-        return results
-    with cluster_executor(address) if address else processes(count) as executor:
-        futures = [executor.submit(function, item) for item in items]
-        for done, future in enumerate(as_completed(futures), 1):
-            future.result()
-            if progress is not None:
-                progress(done / len(items))
-        return [future.result() for future in futures]
+        for place in places:
+            finish(place, function(items[place]))
+    else:
+        with _losses(address, found, len(items)), _executor(address, count) as executor:
+            futures = {executor.submit(function, items[place]): place for place in places}
+            for future in as_completed(futures):
+                finish(futures[future], future.result())
+    return [found[place] for place in range(len(items))]
+
+
+def _executor(address: str | None, count: int) -> AbstractContextManager[Executor]:
+    return cluster_executor(address) if address else processes(count)
+
+
+@contextmanager
+def _losses(address: str | None, found: Sized, count: int) -> Iterator[None]:
+    """Raise `ResourceError` in place of what a lost cluster raises: its futures are cancelled."""
+    try:
+        yield
+    except (CancelledError, OSError) as error:
+        if not address:
+            raise
+        raise ResourceError(
+            f"the Dask cluster {address} was lost after {len(found)} of {count} runs",
+            hint="start it again, and repeat the command",
+        ) from error
 
 
 @contextmanager
@@ -132,6 +169,10 @@ def cluster_executor(address: str) -> Iterator[Executor]:
             f"{SCHEDULER} names a cluster, but dask.distributed is not installed",
             hint="pip install distributed, or unset the variable",
         ) from error
+    for name in ("asyncio", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("asyncio", "distributed", "tornado"):
+            # They print the tracebacks of lost connections, and have levels of their own.
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
         client = distributed.Client(address)
     except (OSError, ValueError) as error:

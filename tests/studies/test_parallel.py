@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+import subprocess
+import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from math import sqrt
+from dataclasses import dataclass
+from math import isnan, nan, sqrt
+from pathlib import Path
 
 import pytest
 
+from camctl.errors import DataError
 from camctl.studies import parallel
+from camctl.studies.kept_results import KeptResults
 
 
 def test_results_are_in_the_order_of_the_items_in_this_process() -> None:
@@ -56,6 +63,51 @@ def test_results_are_the_same_on_dask_and_on_processes(
         found = parallel.run_all(sqrt, numbers, workers=2, progress=shares.append)
     assert found == [sqrt(number) for number in numbers]
     assert shares == [(place + 1) / 8 for place in range(8)]
+
+
+@dataclass(frozen=True)
+class Numbered:
+    number: float
+
+
+def test_results_that_are_kept_are_not_computed_again(tmp_path: Path) -> None:
+    kept = KeptResults(tmp_path / "kept", Numbered, float)
+    items = [Numbered(4.0), Numbered(9.0), Numbered(-1.0)]
+    computed: list[float] = []
+
+    def root(item: Numbered) -> float:
+        computed.append(item.number)
+        return sqrt(item.number) if item.number >= 0 else nan
+
+    assert parallel.run_all(root, items[:2], workers=1, kept=kept) == [2.0, 3.0]
+    assert computed == [4.0, 9.0]
+    with kept._path.open("ab") as file:
+        file.write(b'[{"number": 16.0}, 4')  # a process was killed here
+    found = parallel.run_all(root, items, workers=1, kept=kept)
+    assert found[:2] == [2.0, 3.0]
+    assert isnan(found[2])
+    assert computed == [4.0, 9.0, -1.0]
+    assert isnan(dict(kept.read(items))[2])
+    kept._path.write_text("[1]\n")
+    with pytest.raises(DataError, match="kept, line 1: "):
+        parallel.run_all(root, items, workers=1, kept=kept)
+
+
+@pytest.mark.slow
+@pytest.mark.serial  # the cluster must start within 10 s
+def test_a_study_continues_after_its_cluster_was_killed() -> None:
+    pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    program = Path(__file__).parents[1] / "helpers" / "cluster_loss.py"
+    done = subprocess.run(
+        [sys.executable, str(program), "24"], capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    found = json.loads(done.stdout)
+    assert "was lost after" in found["error"]
+    assert 8 <= found["kept"] < 24
+    assert found["computed"] == 24 - found["kept"]
+    assert found["captures"] == 24
+    assert found["same"]
 
 
 def test_an_error_of_an_item_ends_the_work() -> None:

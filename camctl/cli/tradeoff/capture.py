@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -13,6 +14,7 @@ from camctl.cli.options import option
 from camctl.cli.output import progress_bar
 from camctl.cli.parameter_types import (
     CAMERA,
+    PATH,
     ListOf,
     Name,
     WholeNumber,
@@ -166,10 +168,22 @@ bracket_options = options.option_group(
     )
 )
 @bracket_options
+@option(
+    "--keep FILE",
+    "Keep the result of each bracket in FILE as soon as it is there; the same command continues "
+    "with those that it finds there.",
+    PATH,
+)
 @study_options
 @options.as_json
 @click.pass_context
-def capture(context: click.Context, brackets: Brackets, study: StudyOptions, as_json: bool) -> None:
+def capture(
+    context: click.Context,
+    brackets: Brackets,
+    keep: Path | None,
+    study: StudyOptions,
+    as_json: bool,
+) -> None:
     """Show what accuracy costs in time: the front, and how far other methods are from it.
 
     The front has the most accurate settings for each time, over all that the camera can set.
@@ -180,7 +194,8 @@ def capture(context: click.Context, brackets: Brackets, study: StudyOptions, as_
     study.check(context, set(vars(brackets)))
     from camctl.studies.capture_plot import draw_study
     from camctl.studies.capture_rows import CaptureStudy
-    from camctl.studies.capture_study import SIMULATED, CaptureRun, rate
+    from camctl.studies.capture_study import SIMULATED, CapturePoint, CaptureRun, rate
+    from camctl.studies.kept_results import KeptResults
     from camctl.studies.parallel import run_all
     from camctl.studies.rows import read_runs
 
@@ -194,6 +209,7 @@ def capture(context: click.Context, brackets: Brackets, study: StudyOptions, as_
             [runs[place] for place in order],
             workers=study.workers if is_simulated else 1,
             may_leave=is_simulated,
+            kept=None if keep is None else KeptResults(keep, CaptureRun, CapturePoint),
             progress=None if bar is None else lambda share: bar(share, f"{len(runs)} brackets"),
         )
     points = [point for _, point in sorted(zip(order, ranked, strict=True), key=lambda x: x[0])]

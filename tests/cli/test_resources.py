@@ -1,0 +1,51 @@
+"""Every command at the corners of its numeric options: bounded in memory and time, or refused.
+
+The command lines are made from the table of options, see `resource_contract`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_bases import COMMANDS
+from resource_contract import COSTLY, lines
+
+PROGRAM = Path(__file__).parents[1] / "helpers" / "resource_contract.py"
+
+
+def broken(*arguments: str) -> list[str]:
+    """Return the command lines that break the contract, with what is wrong."""
+    done = subprocess.run(
+        [sys.executable, str(PROGRAM), *arguments],
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    assert found
+    return [f"{each['line']}: {each['wrong']}" for each in found if each["wrong"]]
+
+
+def test_the_lines_come_from_the_options() -> None:
+    made = [name for name, _ in lines()]
+    assert len(made) > 500
+    assert {name.split(" -")[0] for name in made} <= set(COMMANDS)
+    assert set(COSTLY) <= set(made)
+
+
+def test_a_very_narrow_range_is_no_memory_bomb() -> None:
+    assert broken("--only", "evaluate --range", "--seconds", "10") == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", sorted({name.split()[0] for name, _ in lines()}, key=str))
+def test_every_corner_is_bounded_or_refused(command: str) -> None:
+    """Each fourth line; all of them are for the table in docs/reference/measured.md."""
+    assert broken("--only", f"{command} ", "--every", "4") == []
