@@ -89,6 +89,14 @@ def own_profiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.fixture(scope="class")
+def profiles_of_class(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """An empty folder of camera profiles for a class, whose first test learns a camera's format."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CAMCTL_PROFILES", str(tmp_path_factory.mktemp("profiles")))
+        yield
+
+
 @pytest.fixture
 def dask_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A Dask cluster of two workers in this process, named in the environment."""

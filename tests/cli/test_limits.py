@@ -60,8 +60,8 @@ STREAMS = [
 ]
 
 
-IN_SLOW_TESTS = {1, 4, 6, 8, 10, 11, 13, 14, 16}
-"""Places in `STREAMS` of lines that differ from another one in a stream or in --json alone."""
+IN_SLOW_TESTS = {0, 1, 4, 6, 8, 9, 10, 11, 13, 14, 16}
+"""Places in `STREAMS` of lines that differ from another one in a stream or the command alone."""
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,7 @@ class TestConformanceTiff(CameraConformance):
 
 class TestConformanceJpeg(TestConformanceTiff):
     format = "jpeg"
+    run_length = 30
 
 
 class TestPictures:

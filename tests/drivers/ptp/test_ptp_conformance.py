@@ -12,7 +12,7 @@ from camctl.interface.controls import ExposureSetting, Layout
 from camctl.testing.conformance import CameraConformance
 
 
-@pytest.mark.usefixtures("own_profiles")
+@pytest.mark.usefixtures("profiles_of_class")
 class PtpConformance(CameraConformance):
     """A camera of the standard that saves JPEG; subclasses change the configuration."""
 
