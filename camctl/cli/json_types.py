@@ -160,9 +160,6 @@ class ShownEntry(TypedDict):
     effective_levels: float
     effective_levels_noise_free: float
     total_exposure: float
-    accuracy: str | None
-    times: tuple[float, ...] | None
-    gains: tuple[float, ...] | None
     chosen_by: Literal["xi", "accuracy"]
     sensitivity: NotRequired[Sensitivity]
 

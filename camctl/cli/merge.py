@@ -17,7 +17,7 @@ from camctl.cli.capture_output import (
     show_capture,
 )
 from camctl.cli.commands import command
-from camctl.cli.options import option
+from camctl.cli.options import declare, declare_as
 from camctl.cli.output import (
     format_duration,
     format_table,
@@ -44,21 +44,11 @@ if TYPE_CHECKING:
 class SourceOptions:
     """The photographs, and what is known of them beside their files."""
 
-    files: tuple[Path, ...]
-    times: tuple[float | Fraction, ...] | None
-    labels: str
-    black: int | None
-    white: int | None
-    curve: str | None
-    mask: str | None
-
-
-_source_options = options.option_group(
-    SourceOptions,
-    "source",
-    click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILES..."),
-    options.DIAL_TIMES_OPTION,
-    option(
+    files: tuple[Path, ...] = declare_as(
+        click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILES...")
+    )
+    times: tuple[float | Fraction, ...] | None = declare_as(options.DIAL_TIMES_OPTION)
+    labels: str = declare(
         "--labels auto|dial|exact|pixels",
         "What the times are: nominal shutter speeds (1/60 means 1/64 s), corrected from the "
         "pixels; exact ones, which are not; or rough, and estimated from the pixels.  auto takes "
@@ -66,23 +56,25 @@ _source_options = options.option_group(
         "nominal where all of them are usual ones.",
         Name("meaning of the times", ("auto", "dial", "exact", "pixels")),
         default="auto",
-    ),
-    options.BLACK_OPTION,
-    options.WHITE_OPTION,
-    option(
+    )
+    black: int | None = declare_as(options.BLACK_OPTION)
+    white: int | None = declare_as(options.WHITE_OPTION)
+    curve: str | None = declare(
         "--curve FILE|NAME",
         "Response of the camera: a file of two columns, irradiance and brightness, or linear, "
         "srgb, rec709, power:GAMMA.  [default: linear for raw, else from the profile of the "
         "camera in the EXIF data, or estimated from the photographs]",
         Text(lambda: (*STANDARDS, "linear", "power:"), files=True),
-    ),
-    option(
+    )
+    mask: str | None = declare(
         "--mask FILE",
         "Picture of their size that is black where the photographs are not valid.  "
         "[default: a border of one pure colour is cut off]",
         FILE,
-    ),
-)
+    )
+
+
+_source_options = options.option_group(SourceOptions, "source")
 
 
 _CHOICE = {

@@ -67,14 +67,39 @@ def all_of(*decorators: Decorator) -> Decorator:
     return decorate
 
 
+class _Declared:
+    """An option as the default of a dataclass's field; `make` gets the name of the field."""
+
+    def __init__(self, make: Callable[[str], Decorator]) -> None:
+        self.make = make
+
+
+def declare(names: str, text: str, kind: AnyType | None = None, **more: Any) -> Any:
+    """Return the option of a field of a dataclass for `option_group`; arguments as of `option`."""
+    return _Declared(lambda field: option(names, text, kind, field=field, **more))
+
+
+def declare_as(decorator: Decorator) -> Any:
+    """Return the same for a decorator made by `click.option`, whose argument has the field's name.
+
+    The type is that of any field.
+    """
+    return _Declared(lambda _field: decorator)
+
+
 def option_group(model: type[Any], name: str, *options: Decorator) -> Decorator:
     """Return a decorator that adds options to a command and passes their values as one argument.
 
     Args:
-        model: a dataclass with one field for each option, of the same name
+        model: a dataclass whose fields are options, in the order of the help page: see `declare`
         name: of the command's argument that receives the instance
-        options: decorators made by `click.option`
+        options: decorators made by `click.option`, for fields without one
     """
+    declared = [
+        each.default.make(each.name)
+        for each in fields(model)
+        if isinstance(each.default, _Declared)
+    ]
 
     def decorate(function: Any) -> Any:
         @functools.wraps(function)
@@ -83,7 +108,7 @@ def option_group(model: type[Any], name: str, *options: Decorator) -> Decorator:
             group = model(**{each: values.pop(each) for each in names})
             return function(*arguments, **{name: group}, **values)
 
-        return all_of(*options)(call)
+        return all_of(*declared, *options)(call)
 
     return decorate
 

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from camctl.cli.options import camera_settings, given, option, option_group, refuse_together
+from camctl.cli.options import (
+    camera_settings,
+    declare,
+    declare_as,
+    given,
+    option_group,
+    refuse_together,
+)
 from camctl.cli.output import print_finding
 from camctl.cli.parameter_types import CAMERA, SENSOR, ListOf, Number, Text, WholeNumber
 from camctl.errors import DataError, UsageError
@@ -28,10 +35,28 @@ STANDARDS = ("srgb", "rec709")
 class RealCameraOptions:
     """A real camera by its number of bits, its quantiser's phase and its response curve."""
 
-    bits: int
-    phase: float
-    curve: str | None
-    coefficients: tuple[float, ...] | None
+    bits: int = declare(
+        "--bits B", "Bits per sample of the real camera.", WholeNumber(least=1, most=16), default=8
+    )
+    phase: float = declare(
+        "--phase PHI",
+        "Phase of its quantiser in levels, from 0 to below 1: 0 rounds down, 0.5 to nearest.",
+        Number("a phase of at least 0 and below 1", least=0, below=1),
+        default="0",
+    )
+    curve: str | None = declare(
+        "--curve FILE|NAME",
+        "Its response: a text file of two columns, irradiance and brightness, both 0 to 1; "
+        "srgb, rec709, or power:GAMMA for brightness = irradiance^(1/GAMMA); or with "
+        "--coefficients a response model such as emor.txt.  [default: linear]",
+        Text(lambda: (*STANDARDS, "power:"), files=True),
+    )
+    coefficients: tuple[float, ...] | None = declare(
+        "--coefficients A,B,...",
+        "Weights of the components that are added to the mean of --curve's response model; 0 "
+        "is the mean alone.",
+        ListOf(Number("numbers such as 1.5,-0.3")),
+    )
 
     def response(self) -> CameraResponse:
         """Return the camera's levels.
@@ -100,32 +125,7 @@ def _is_response_model(path: Path) -> bool:
     return any("=" in line.partition("#")[0] for line in lines)
 
 
-real_camera_options = option_group(
-    RealCameraOptions,
-    "real_camera",
-    option(
-        "--bits B", "Bits per sample of the real camera.", WholeNumber(least=1, most=16), default=8
-    ),
-    option(
-        "--phase PHI",
-        "Phase of its quantiser in levels, from 0 to below 1: 0 rounds down, 0.5 to nearest.",
-        Number("a phase of at least 0 and below 1", least=0, below=1),
-        default="0",
-    ),
-    option(
-        "--curve FILE|NAME",
-        "Its response: a text file of two columns, irradiance and brightness, both 0 to 1; "
-        "srgb, rec709, or power:GAMMA for brightness = irradiance^(1/GAMMA); or with "
-        "--coefficients a response model such as emor.txt.  [default: linear]",
-        Text(lambda: (*STANDARDS, "power:"), files=True),
-    ),
-    option(
-        "--coefficients A,B,...",
-        "Weights of the components that are added to the mean of --curve's response model; 0 "
-        "is the mean alone.",
-        ListOf(Number("numbers such as 1.5,-0.3")),
-    ),
-)
+real_camera_options = option_group(RealCameraOptions, "real_camera")
 
 
 _RESPONSE_OPTIONS = {"bits", "phase", "curve", "coefficients"}
@@ -179,11 +179,28 @@ class KnownCamera:
 class NoiseOptions:
     """Whose noise is counted: of a sensor preset, of a camera, or given by two numbers."""
 
-    sensor: str | None
-    camera_id: str | None
-    electrons: float | None
-    read_noise: float | None
-    camera_settings: tuple[tuple[str, str], ...]
+    sensor: str | None = declare(
+        "--sensor NAME|FILE.json",
+        "Take response and noise of this sensor.  [default: noise unknown]",
+        SENSOR,
+    )
+    camera_id: str | None = declare(
+        "--camera ID",
+        "Take response and noise of this camera, with what its profile knows of it.",
+        CAMERA,
+    )
+    camera_settings: tuple[tuple[str, str], ...] = declare_as(camera_settings)
+    electrons: float | None = declare(
+        "--electrons K",
+        "Count photon noise in: electrons per brightness level of the linear scale.  "
+        "[default: no photon noise]",
+        Number("a number of electrons of at least 0.001", least=1e-3),
+    )
+    read_noise: float | None = declare(
+        "--read-noise S",
+        "Count read noise in: standard deviation of each frame in brightness levels.  [default: 0]",
+        Number("a noise from 0 to 64", least=0, most=64),
+    )
 
     def camera(self, real_camera: RealCameraOptions) -> KnownCamera:
         """Return the camera that these options describe; raise what opening it raises.
@@ -231,30 +248,4 @@ class NoiseOptions:
         )
 
 
-noise_options = option_group(
-    NoiseOptions,
-    "noise",
-    option(
-        "--sensor NAME|FILE.json",
-        "Take response and noise of this sensor.  [default: noise unknown]",
-        SENSOR,
-    ),
-    option(
-        "--camera ID",
-        "Take response and noise of this camera, with what its profile knows of it.",
-        CAMERA,
-        field="camera_id",
-    ),
-    camera_settings,
-    option(
-        "--electrons K",
-        "Count photon noise in: electrons per brightness level of the linear scale.  "
-        "[default: no photon noise]",
-        Number("a number of electrons of at least 0.001", least=1e-3),
-    ),
-    option(
-        "--read-noise S",
-        "Count read noise in: standard deviation of each frame in brightness levels.  [default: 0]",
-        Number("a noise from 0 to 64", least=0, most=64),
-    ),
-)
+noise_options = option_group(NoiseOptions, "noise")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from camctl.cli import options
-from camctl.cli.options import option
+from camctl.cli.options import declare, declare_as
 from camctl.cli.parameter_types import Name, Number, Seconds, Settings
 from camctl.cli.request_options import RequestOptions
 from camctl.errors import UsageError
@@ -46,12 +46,37 @@ ONLY_FOR_XI = {
 class SearchLimits:
     """What the exposures are chosen from, and how long the search may take."""
 
-    total_limit: float | None
-    settings: tuple[float, ...] | None
-    gains: tuple[float, ...] | None
-    certificate: bool
-    time_limit: float | None
-    seed: int
+    total_limit: float | None = declare(
+        "--total-limit X",
+        "Limit the total exposure time to X times the shortest exposure, or with --settings "
+        "to X seconds.  [default: no limit]",
+        Number("a positive number", above=0),
+    )
+    settings: tuple[float, ...] | None = declare(
+        "--settings FILE|MIN:MAX:STEP",
+        "Choose among a camera's shutter times, for the shortest exposure too: a file with "
+        "true seconds, one per line, such as 0.004 or 1/32; or even steps.  [default: any times]",
+        Settings(
+            "a file of times, a list of times or MIN:MAX:STEP in seconds", unit=Seconds(), file=True
+        ),
+    )
+    gains: tuple[float, ...] | None = declare(
+        "--gains A,B,...|MIN:MAX:STEP",
+        "Gains, as factors, that can be combined with each of --settings.  [default: 1]",
+        Settings("gains such as 1,2,4, or MIN:MAX:STEP", unit=Number("a gain above 0", above=0)),
+    )
+    certificate: bool = declare(
+        "--certificate",
+        "Also compute how much better any other exposures could be: for two exposures of up "
+        "to 10 bits a proof that none are (takes seconds); for more, a lower bound.",
+    )
+    time_limit: float | None = declare(
+        "--time-limit SECONDS",
+        "Stop the search after this time; with --certificate, stop bounding after about this "
+        "time.  [default: no limit]",
+        Number("a time in seconds above 0", above=0),
+    )
+    seed: int = declare_as(options.seed)
 
     def check(self, request: RequestOptions) -> None:
         """Raise `UsageError` where options contradict each other or one that is needed lacks."""
@@ -95,52 +120,45 @@ TOLERANCE_HELP = (
     "then the largest number.  [default: as many as -n]"
 )
 
-search_limits = options.option_group(
-    SearchLimits,
-    "limits",
-    option(
-        "--total-limit X",
-        "Limit the total exposure time to X times the shortest exposure, or with --settings "
-        "to X seconds.  [default: no limit]",
-        Number("a positive number", above=0),
-    ),
-    option(
-        "--settings FILE|MIN:MAX:STEP",
-        "Choose among a camera's shutter times, for the shortest exposure too: a file with "
-        "true seconds, one per line, such as 0.004 or 1/32; or even steps.  [default: any times]",
-        Settings(
-            "a file of times, a list of times or MIN:MAX:STEP in seconds", unit=Seconds(), file=True
-        ),
-    ),
-    option(
-        "--gains A,B,...|MIN:MAX:STEP",
-        "Gains, as factors, that can be combined with each of --settings.  [default: 1]",
-        Settings("gains such as 1,2,4, or MIN:MAX:STEP", unit=Number("a gain above 0", above=0)),
-    ),
-    option(
-        "--certificate",
-        "Also compute how much better any other exposures could be: for two exposures of up "
-        "to 10 bits a proof that none are (takes seconds); for more, a lower bound.",
-    ),
-    option(
-        "--time-limit SECONDS",
-        "Stop the search after this time; with --certificate, stop bounding after about this "
-        "time.  [default: no limit]",
-        Number("a time in seconds above 0", above=0),
-    ),
-    options.seed,
-)
+search_limits = options.option_group(SearchLimits, "limits")
 
 
 @dataclass(frozen=True)
 class ObjectiveOptions:
     """The objective beyond the count of missing levels: its power, noise and exposure errors."""
 
-    p: float
-    noise: float | None
-    noise_weight: float
-    noise_kind: str
-    jitter: float
+    p: float = declare(
+        "--p P",
+        "Power of the objective, 1 to 16; only with 1 does it count missing levels.",
+        Number("a number from 1 to 16", least=1, most=16),
+        default="1",
+    )
+    noise: float | None = declare(
+        "--noise SIGMA",
+        "Add the cost of noise; SIGMA is its standard deviation at exposure 1 relative to "
+        "full scale.  [default: not added]",
+        Number("a number from 0 to 1000", least=0, most=1e3),
+    )
+    noise_weight: float = declare(
+        "--noise-weight C",
+        "Cost, in levels, of a noise variance of one squared full scale.",
+        Number("a number from 0 to 1e15", least=0, most=1e15),
+        default="1",
+    )
+    noise_kind: str = declare(
+        f"--noise-kind {'|'.join(NOISE_KINDS)}",
+        "How noise depends on exposure: as in the paper, or as read noise does where "
+        "exposures differ in shutter time, aperture or gain.",
+        Name("noise term", NOISE_KINDS),
+        default="paper",
+    )
+    jitter: float = declare(
+        "--jitter FRACTION",
+        "Average over exposures with random errors of this relative size, up to 0.2; for "
+        "example 0.01.",
+        Number("a fraction from 0 to 0.2", least=0, most=0.2),
+        default="0",
+    )
 
     @property
     def counts_levels(self) -> bool:
@@ -156,39 +174,4 @@ class ObjectiveOptions:
         return NoiseTerm(self.noise, self.noise_weight, self.noise_kind)
 
 
-objective_options = options.option_group(
-    ObjectiveOptions,
-    "objective",
-    option(
-        "--p P",
-        "Power of the objective, 1 to 16; only with 1 does it count missing levels.",
-        Number("a number from 1 to 16", least=1, most=16),
-        default="1",
-    ),
-    option(
-        "--noise SIGMA",
-        "Add the cost of noise; SIGMA is its standard deviation at exposure 1 relative to "
-        "full scale.  [default: not added]",
-        Number("a number from 0 to 1000", least=0, most=1e3),
-    ),
-    option(
-        "--noise-weight C",
-        "Cost, in levels, of a noise variance of one squared full scale.",
-        Number("a number from 0 to 1e15", least=0, most=1e15),
-        default="1",
-    ),
-    option(
-        f"--noise-kind {'|'.join(NOISE_KINDS)}",
-        "How noise depends on exposure: as in the paper, or as read noise does where "
-        "exposures differ in shutter time, aperture or gain.",
-        Name("noise term", NOISE_KINDS),
-        default="paper",
-    ),
-    option(
-        "--jitter FRACTION",
-        "Average over exposures with random errors of this relative size, up to 0.2; for "
-        "example 0.01.",
-        Number("a fraction from 0 to 0.2", least=0, most=0.2),
-        default="0",
-    ),
-)
+objective_options = options.option_group(ObjectiveOptions, "objective")

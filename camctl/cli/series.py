@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from camctl.cli import options
 from camctl.cli.capture_output import new_directory
 from camctl.cli.commands import command
-from camctl.cli.options import CameraOptions, option
+from camctl.cli.options import CameraOptions, declare, option
 from camctl.cli.parameter_types import PATH, Name, Seconds, Text, WholeNumber
 from camctl.cli.request_options import RequestOptions, request_options
 from camctl.cli.series_run import HookOptions, check_keys, hook_options, run_series
@@ -27,11 +27,34 @@ _LEAST_INTERVAL_S = 1e-9  # `camctl.records.journal.LEAST_INTERVAL_S`
 class SetOptions:
     """How the sets of a series follow each other."""
 
-    repeat: int | None
-    interval_s: float | None
-    on_key: bool
-    name: str | None
-    metering: str | None
+    repeat: int | None = declare(
+        "--repeat N",
+        "Number of sets.  In a terminal p pauses the series and q ends it.",
+        WholeNumber(least=1, most=_MOST_SETS),
+    )
+    interval_s: float | None = declare(
+        "--interval SECONDS",
+        "Time from the start of one set to the start of the next; a start that has passed "
+        "because the set before took longer is left out.  [default: one set after another]",
+        Seconds(least=_LEAST_INTERVAL_S),
+    )
+    on_key: bool = declare(
+        "--on-key", "Take a set whenever enter or space is pressed, until q is (or N are taken)."
+    )
+    name: str | None = declare(
+        "--name PATTERN",
+        "Names of the sets' folders, with {number}, {date} and {time}; a name that is taken "
+        "gets -{number} at its end.  [default: set-{number}]",
+        Text(),
+    )
+    metering: str | None = declare(
+        "--meter [once|each]",
+        "Meter with full exposures on a camera that has no preview: once for all sets (as "
+        "without --meter), or each of them.",
+        Name("time to meter", ("once", "each")),
+        is_flag=False,
+        flag_value="once",
+    )
 
     def options(self) -> SeriesOptions:
         """Return the options as the journal of a series keeps them.
@@ -58,40 +81,7 @@ class SetOptions:
         )
 
 
-_set_options = options.option_group(
-    SetOptions,
-    "sets",
-    option(
-        "--repeat N",
-        "Number of sets.  In a terminal p pauses the series and q ends it.",
-        WholeNumber(least=1, most=_MOST_SETS),
-    ),
-    option(
-        "--interval SECONDS",
-        "Time from the start of one set to the start of the next; a start that has passed "
-        "because the set before took longer is left out.  [default: one set after another]",
-        Seconds(least=_LEAST_INTERVAL_S),
-        field="interval_s",
-    ),
-    option(
-        "--on-key", "Take a set whenever enter or space is pressed, until q is (or N are taken)."
-    ),
-    option(
-        "--name PATTERN",
-        "Names of the sets' folders, with {number}, {date} and {time}; a name that is taken "
-        "gets -{number} at its end.  [default: set-{number}]",
-        Text(),
-    ),
-    option(
-        "--meter [once|each]",
-        "Meter with full exposures on a camera that has no preview: once for all sets (as "
-        "without --meter), or each of them.",
-        Name("time to meter", ("once", "each")),
-        field="metering",
-        is_flag=False,
-        flag_value="once",
-    ),
-)
+_set_options = options.option_group(SetOptions, "sets")
 
 
 @command(

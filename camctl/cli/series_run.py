@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import click
 
 from camctl.cli.capture_output import UNTRUSTWORTHY
-from camctl.cli.options import option, option_group
+from camctl.cli.options import declare, option_group
 from camctl.cli.output import (
     ProgressBar,
     format_duration,
@@ -48,8 +48,15 @@ _SHOWN = 200
 class HookOptions:
     """The command that is run after each set, and how long it may take."""
 
-    hook: str | None
-    hook_limit_s: float
+    hook: str | None = declare(
+        "--hook COMMAND",
+        "Shell command to run after each set; $CAMCTL_FOLDER is its folder, $CAMCTL_NUMBER "
+        "its number.",
+        Text(),
+    )
+    hook_limit_s: float = declare(
+        "--hook-limit SECONDS", "Longest time that the command may take.", Seconds(), default="60"
+    )
 
     def check(self) -> None:
         """Raise `UsageError` where the command is empty."""
@@ -57,23 +64,7 @@ class HookOptions:
             raise UsageError("--hook is empty", hint="give a command")
 
 
-hook_options = option_group(
-    HookOptions,
-    "hook",
-    option(
-        "--hook COMMAND",
-        "Shell command to run after each set; $CAMCTL_FOLDER is its folder, $CAMCTL_NUMBER "
-        "its number.",
-        Text(),
-    ),
-    option(
-        "--hook-limit SECONDS",
-        "Longest time that the command may take.",
-        Seconds(),
-        field="hook_limit_s",
-        default="60",
-    ),
-)
+hook_options = option_group(HookOptions, "hook")
 
 
 def run_series(

@@ -14,7 +14,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import option
+from camctl.cli.options import declare, declare_as, option
 from camctl.cli.output import (
     format_duration,
     format_fields,
@@ -53,11 +53,20 @@ DEFAULT_SENSOR = "complete"
 class SceneOptions:
     """What the simulated camera looks at, and with which sensor; None is the default."""
 
-    scene: str | None
-    sensor: str | None
-    size: str | None
-    seed: int | None
-    faults: str | None
+    scene: str | None = declare_as(options.scene_option())
+    sensor: str | None = declare_as(options.sensor_option(DEFAULT_SENSOR))
+    size: str | None = declare_as(named("size"))
+    seed: int | None = declare(
+        "--seed N",
+        "Seed of the simulated noise; the same seed gives the same frames.  [default: 0]",
+        WholeNumber(least=0),
+    )
+    faults: str | None = declare(
+        "--fault FAULT,...",
+        "Faults of the simulated camera, such as unplug@3 or wrong@1=0.5 (see "
+        "docs/how-to/ci.md).  [default: none]",
+        click.STRING,
+    )
 
     def camera_options(self) -> dict[str, Any]:
         """Return those that were given, by their names as options of the simulated camera."""
@@ -65,35 +74,35 @@ class SceneOptions:
         return {name: value for name, value in values.items() if value is not None}
 
 
-scene_options = options.option_group(
-    SceneOptions,
-    "scenery",
-    options.scene_option(),
-    options.sensor_option(DEFAULT_SENSOR),
-    named("size"),
-    option(
-        "--seed N",
-        "Seed of the simulated noise; the same seed gives the same frames.  [default: 0]",
-        WholeNumber(least=0),
-    ),
-    option(
-        "--fault FAULT,...",
-        "Faults of the simulated camera, such as unplug@3 or wrong@1=0.5 (see "
-        "docs/how-to/ci.md).  [default: none]",
-        click.STRING,
-        field="faults",
-    ),
-)
+scene_options = options.option_group(SceneOptions, "scenery")
 
 
 @dataclass(frozen=True)
 class FrameSettings:
     """The exposures of the frames: one time, several times, or a time and ratios."""
 
-    time_s: float
-    times_s: tuple[float, ...] | None
-    bracket: tuple[float, ...] | None
-    gain: float
+    time_s: float = declare(
+        "--time SECONDS",
+        "Shutter time, for example 0.01 or 1/100; the nearest that the sensor has is used.",
+        Seconds(),
+        default="1/100",
+    )
+    times_s: tuple[float, ...] | None = declare(
+        "--times S1,S2,...",
+        "A bracket of these shutter times, instead of --time.",
+        ListOf(Seconds()),
+    )
+    bracket: tuple[float, ...] | None = declare(
+        "--bracket R1,R2,...",
+        "A bracket of these exposures relative to the shortest, which has --time.",
+        Ratios(),
+    )
+    gain: float = declare(
+        "--gain X",
+        "Linear gain; the nearest that the sensor has is used.",
+        Number("a positive gain", above=0),
+        default="1",
+    )
 
     def requested_times(self) -> tuple[float, ...]:
         """Return the shutter times, s; raise `UsageError` for --times beside --bracket."""
@@ -103,34 +112,7 @@ class FrameSettings:
         return tuple(self.time_s * ratio for ratio in self.bracket or (1.0,))
 
 
-frame_settings = options.option_group(
-    FrameSettings,
-    "settings",
-    option(
-        "--time SECONDS",
-        "Shutter time, for example 0.01 or 1/100; the nearest that the sensor has is used.",
-        Seconds(),
-        field="time_s",
-        default="1/100",
-    ),
-    option(
-        "--times S1,S2,...",
-        "A bracket of these shutter times, instead of --time.",
-        ListOf(Seconds()),
-        field="times_s",
-    ),
-    option(
-        "--bracket R1,R2,...",
-        "A bracket of these exposures relative to the shortest, which has --time.",
-        Ratios(),
-    ),
-    option(
-        "--gain X",
-        "Linear gain; the nearest that the sensor has is used.",
-        Number("a positive gain", above=0),
-        default="1",
-    ),
-)
+frame_settings = options.option_group(FrameSettings, "settings")
 
 
 @command(

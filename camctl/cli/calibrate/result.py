@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from camctl.cli import options, output
-from camctl.cli.options import CameraOptions, option_group
+from camctl.cli.options import CameraOptions, declare_as, option_group
 from camctl.cli.parameter_types import PATH
 
 if TYPE_CHECKING:
@@ -25,10 +25,12 @@ Rows = Iterable[tuple[str, str]]
 class SeriesOptions:
     """Frames that were taken before, in place of a camera."""
 
-    files: tuple[Path, ...]
-    times: tuple[float, ...] | None
-    black: int | None
-    white: int | None
+    files: tuple[Path, ...] = declare_as(
+        click.argument("files", type=PATH, nargs=-1, metavar="[FILES]...")
+    )
+    times: tuple[float, ...] | None = declare_as(options.TIMES_OPTION)
+    black: int | None = declare_as(options.BLACK_OPTION)
+    white: int | None = declare_as(options.WHITE_OPTION)
 
     def check(self, alone: Collection[str]) -> None:
         """Raise `UsageError` where options of a camera are given beside FILES, or the reverse.
@@ -45,14 +47,7 @@ class SeriesOptions:
             options.refuse_together(context, "--camera", names & {"times", "black", "white"}, hint)
 
 
-series_options = option_group(
-    SeriesOptions,
-    "source",
-    click.argument("files", type=PATH, nargs=-1, metavar="[FILES]..."),
-    options.TIMES_OPTION,
-    options.BLACK_OPTION,
-    options.WHITE_OPTION,
-)
+series_options = option_group(SeriesOptions, "source")
 
 
 def measured(

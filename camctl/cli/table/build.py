@@ -10,7 +10,7 @@ from pathlib import Path
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import option
+from camctl.cli.options import declare, declare_as, option
 from camctl.cli.output import print_json, print_text, print_warning, progress_bar
 from camctl.cli.parameter_types import PATH, DynamicRange, ListOf
 from camctl.cli.real_camera import RealCameraOptions, real_camera_options
@@ -33,9 +33,14 @@ class InterruptedBuildError(CamctlError):
 class TableContent:
     """The rows to build: all responses, with all ranges, with 1 to `count` exposures."""
 
-    responses: tuple[str, ...]
-    ranges: tuple[float, ...]
-    count: int
+    responses: tuple[str, ...] = declare_as(named("responses", default=",".join(RESPONSES)))
+    ranges: tuple[float, ...] = declare(
+        "--ranges RANGE,...",
+        "Dynamic ranges, by name or number.",
+        ListOf(DynamicRange(), unique=True),
+        default="low,medium,high",
+    )
+    count: int = declare_as(named("count", "Numbers of exposures: 1 up to N.", default=6))
 
     @property
     def rows(self) -> int:
@@ -60,18 +65,7 @@ class TableContent:
         return done / (sum(work) * each)
 
 
-content_options = options.option_group(
-    TableContent,
-    "content",
-    named("responses", default=",".join(RESPONSES)),
-    option(
-        "--ranges RANGE,...",
-        "Dynamic ranges, by name or number.",
-        ListOf(DynamicRange(), unique=True),
-        default="low,medium,high",
-    ),
-    named("count", "Numbers of exposures: 1 up to N.", default=6),
-)
+content_options = options.option_group(TableContent, "content")
 
 
 @command(

@@ -10,7 +10,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import option
+from camctl.cli.options import declare, declare_as
 from camctl.cli.output import progress_bar
 from camctl.cli.parameter_types import (
     CAMERA,
@@ -36,21 +36,68 @@ SIZE = "320x240"
 class Brackets:
     """Which brackets are compared, for which camera and scene."""
 
-    camera: str
-    camera_settings: tuple[tuple[str, str], ...]
-    scene: str
-    sensor: str
-    size: str
-    lens: bool
-    response: str
-    gamma: float | None
-    dynamic_range: float
-    counts: tuple[int, ...] | None
-    methods: tuple[str, ...]
-    base_s: float | None
-    repeats: int
-    seed: int
-    no_profile: bool
+    camera: str = declare(
+        "--camera ID",
+        "Camera; only the pictures of the simulated one are measured, of others accuracy and "
+        "time are predicted.",
+        CAMERA,
+        default="sim",
+    )
+    camera_settings: tuple[tuple[str, str], ...] = declare_as(options.camera_settings)
+    scene: str = declare_as(named("scene", default="tile-floor"))
+    sensor: str = declare_as(named("sensor", default="standard"))
+    size: str = declare_as(named("size", "Size of a simulated frame in pixels.", default=SIZE))
+    lens: bool = declare(
+        "--lens/--no-lens",
+        "Simulate the lens, too: blur, vignetting and glare change the light itself, and no "
+        "choice of exposures corrects them.",
+        default=False,
+    )
+    response: str = declare(
+        "--response linear|gamma|log", "How brightness depends on light.", RESPONSE, default="log"
+    )
+    gamma: float | None = declare_as(named("gamma"))
+    dynamic_range: float = declare_as(
+        named(
+            "dynamic_range",
+            "Dynamic range of the picture: 256, 1,000, 16,000, or any NUMBER.",
+            default="medium",
+        )
+    )
+    counts: tuple[int, ...] | None = declare_as(
+        named(
+            "counts",
+            "Numbers of exposures of the other methods.  [default: 1 to 6, doubling to 7, and 3, "
+            "5, 7 of the brackets that cameras offer]",
+        )
+    )
+    methods: tuple[str, ...] = declare(
+        "--methods NAME,...",
+        "Methods to compare with the front: xi (least missing levels), paper (its printed "
+        "table), hasinoff (best worst-case signal-to-noise ratio, with gain), equal (averaging), "
+        "doubling (1, 2, 4, ..., also the 3, 5 or 7 frames that cameras offer), 2-stop and 3-stop "
+        "(cameras, too: so far apart).",
+        ListOf(Name("method", METHODS), unique=True),
+        default=",".join(METHODS),
+    )
+    base_s: float | None = declare_as(
+        named(
+            "base_s",
+            "Shutter time of the shortest exposure; auto meters it as camctl shoot does, so "
+            "that highlights are just below saturation.",
+            default="auto",
+        )
+    )
+    repeats: int = declare(
+        "--repeats N",
+        "Captures of each bracket, each with noise of its own.",
+        WholeNumber(least=1, most=1000),
+        default=3,
+    )
+    seed: int = declare_as(options.seed)
+    no_profile: bool = declare(
+        "--no-profile", "Leave out what calibrations of this camera have measured."
+    )
 
     def runs(self) -> tuple[CaptureRun, ...]:
         """Return the runs, with the base exposure metered where it is not given.
@@ -98,64 +145,7 @@ class Brackets:
         )
 
 
-bracket_options = options.option_group(
-    Brackets,
-    "brackets",
-    option(
-        "--camera ID",
-        "Camera; only the pictures of the simulated one are measured, of others accuracy and "
-        "time are predicted.",
-        CAMERA,
-        default="sim",
-    ),
-    options.camera_settings,
-    named("scene", default="tile-floor"),
-    named("sensor", default="standard"),
-    named("size", "Size of a simulated frame in pixels.", default=SIZE),
-    option(
-        "--lens/--no-lens",
-        "Simulate the lens, too: blur, vignetting and glare change the light itself, and no "
-        "choice of exposures corrects them.",
-        default=False,
-    ),
-    option(
-        "--response linear|gamma|log", "How brightness depends on light.", RESPONSE, default="log"
-    ),
-    named("gamma"),
-    named(
-        "dynamic_range",
-        "Dynamic range of the picture: 256, 1,000, 16,000, or any NUMBER.",
-        default="medium",
-    ),
-    named(
-        "counts",
-        "Numbers of exposures of the other methods.  [default: 1 to 6, doubling to 7, and 3, 5, 7 "
-        "of the brackets that cameras offer]",
-    ),
-    option(
-        "--methods NAME,...",
-        "Methods to compare with the front: xi (least missing levels), paper (its printed "
-        "table), hasinoff (best worst-case signal-to-noise ratio, with gain), equal (averaging), "
-        "doubling (1, 2, 4, ..., also the 3, 5 or 7 frames that cameras offer), 2-stop and 3-stop "
-        "(cameras, too: so far apart).",
-        ListOf(Name("method", METHODS), unique=True),
-        default=",".join(METHODS),
-    ),
-    named(
-        "base_s",
-        "Shutter time of the shortest exposure; auto meters it as camctl shoot does, so "
-        "that highlights are just below saturation.",
-        default="auto",
-    ),
-    option(
-        "--repeats N",
-        "Captures of each bracket, each with noise of its own.",
-        WholeNumber(least=1, most=1000),
-        default=3,
-    ),
-    options.seed,
-    option("--no-profile", "Leave out what calibrations of this camera have measured."),
-)
+bracket_options = options.option_group(Brackets, "brackets")
 
 
 @command(

@@ -9,7 +9,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import option
+from camctl.cli.options import declare, declare_as
 from camctl.cli.output import (
     format_duration,
     format_number,
@@ -31,48 +31,36 @@ SCENES = "ball,cloth,colour-chart,moving-target,night-street,ramp,room,stars,til
 class Frames:
     """Which frames are simulated, and at which tolerances."""
 
-    scenes: tuple[str, ...]
-    sensor: str
-    stops: tuple[float, ...]
-    size: str | None
-    tolerances_dn: tuple[float, ...]
-    repeats: int
-    seed: int
-
-
-frame_options = options.option_group(
-    Frames,
-    "frames",
-    option(
+    scenes: tuple[str, ...] = declare(
         "--scenes NAME|FILE,...",
         "Scenes: built-in ones, scene files or radiance maps.",
         ListOf(SCENE, unique=True),
         default=SCENES,
-    ),
-    named("sensor", default="complete"),
-    option(
+    )
+    sensor: str = declare_as(named("sensor", default="complete"))
+    stops: tuple[float, ...] = declare(
         "--stops STOPS,...",
         "Exposures, relative to the one at which the highlights are just below saturation.",
         ListOf(Number("stops from -64 to 64, such as 0,4", least=-64, most=64), unique=True),
         default="0",
-    ),
-    named("size"),
-    option(
+    )
+    size: str | None = declare_as(named("size"))
+    tolerances_dn: tuple[float, ...] = declare(
         "--tolerances DN,...",
         "Tolerances, see `camctl simulate --tolerance`.",
         ListOf(Number("tolerances of at least 0 DN", least=0), unique=True),
-        field="tolerances_dn",
         default="0,0.1,0.5,1,2,4,8",
-    ),
-    option(
+    )
+    repeats: int = declare(
         "--frames N",
         "Frames that are taken and compared at each tolerance.",
         WholeNumber(least=1, most=1000),
-        field="repeats",
         default=8,
-    ),
-    options.seed,
-)
+    )
+    seed: int = declare_as(options.seed)
+
+
+frame_options = options.option_group(Frames, "frames")
 
 
 @command(

@@ -10,7 +10,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import option
+from camctl.cli.options import declare, declare_as
 from camctl.cli.output import (
     format_duration,
     format_number,
@@ -39,62 +39,52 @@ TIMES_S = (0.03, 0.1, 0.3, 1.0, 3.0)
 class Problems:
     """What is searched for: every response with every number of exposures."""
 
-    responses: tuple[str, ...]
-    dynamic_range: float
-    counts: tuple[int, ...]
-    bits: int
+    responses: tuple[str, ...] = declare_as(named("responses", default=",".join(RESPONSES)))
+    dynamic_range: float = declare_as(
+        named("dynamic_range", "Dynamic range of the desired responses.", default="medium")
+    )
+    counts: tuple[int, ...] = declare_as(
+        named("counts", kind=ListOf(WholeNumber(least=2, most=8), unique=True), default="3,5")
+    )
+    bits: int = declare(
+        "--bits B", "Bits of the linear camera.", WholeNumber(least=4, most=12), default=8
+    )
 
 
-problem_options = options.option_group(
-    Problems,
-    "problems",
-    named("responses", default=",".join(RESPONSES)),
-    named("dynamic_range", "Dynamic range of the desired responses.", default="medium"),
-    named("counts", kind=ListOf(WholeNumber(least=2, most=8), unique=True), default="3,5"),
-    option("--bits B", "Bits of the linear camera.", WholeNumber(least=4, most=12), default=8),
-)
+problem_options = options.option_group(Problems, "problems")
 
 
 @dataclass(frozen=True)
 class Runs:
     """Which methods run, how often, and how long."""
 
-    methods: tuple[str, ...]
-    seeds: int
-    limit_s: float
-    max_evaluations: int | None
-
-
-run_options = options.option_group(
-    Runs,
-    "runs",
-    option(
+    methods: tuple[str, ...] = declare(
         "--methods NAME,...",
         "Methods to compare; differential-evolution and dual-annealing are scipy's.",
         ListOf(Name("method", METHODS), unique=True),
         default=",".join(METHODS),
-    ),
-    option(
+    )
+    seeds: int = declare(
         "--seeds N",
         "Runs of each method, with random numbers of their own; medians are shown.",
         WholeNumber(least=1, most=100),
         default=3,
-    ),
-    option(
+    )
+    limit_s: float = declare(
         "--limit SECONDS",
         "CPU time of a run.",
         Number("a positive time in seconds", above=0),
-        field="limit_s",
         default=2.0,
-    ),
-    option(
+    )
+    max_evaluations: int | None = declare(
         "--evaluations N",
         "End a run also after N sets of exposures: results that do not depend on the "
         "machine's speed.  [default: only the time ends a run]",
         WholeNumber(least=1),
-        field="max_evaluations",
-    ),
-)
+    )
+
+
+run_options = options.option_group(Runs, "runs")
 
 
 @command(

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 import click
 
 from camctl.cli import options
-from camctl.cli.options import option
+from camctl.cli.options import declare, declare_as
 from camctl.cli.output import print_json, print_text
 from camctl.cli.parameter_types import PATH
 from camctl.cli.request_options import named
@@ -30,10 +30,17 @@ StudyT = TypeVar("StudyT", bound=Study)
 class StudyOptions:
     """Where plots go, how many processes work, and the JSON rows whose runs are repeated."""
 
-    plots: tuple[Path, ...]
-    workers: int | None
-    again: Path | None
-    force: bool
+    plots: tuple[Path, ...] = declare(
+        "--plot FILE",
+        "Also draw the results: .svg or .png; may be given several times.",
+        PATH,
+        multiple=True,
+    )
+    workers: int | None = declare_as(named("workers"))
+    again: Path | None = declare(
+        "--again FILE", "Repeat the runs in the rows of a file that --json has written.", PATH
+    )
+    force: bool = declare_as(options.force)
 
     def check(self, context: click.Context, run_parameters: Collection[str]) -> None:
         """Check what can be checked before the work.
@@ -70,17 +77,4 @@ class StudyOptions:
             print_text(text(found))
 
 
-study_options = options.option_group(
-    StudyOptions,
-    "study",
-    option(
-        "--plot FILE",
-        "Also draw the results: .svg or .png; may be given several times.",
-        PATH,
-        field="plots",
-        multiple=True,
-    ),
-    named("workers"),
-    option("--again FILE", "Repeat the runs in the rows of a file that --json has written.", PATH),
-    options.force,
-)
+study_options = options.option_group(StudyOptions, "study")
