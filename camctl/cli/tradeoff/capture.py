@@ -10,7 +10,7 @@ import click
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import declare, declare_as
+from camctl.cli.options import declare, declare_as, option
 from camctl.cli.output import progress_bar
 from camctl.cli.parameter_types import (
     CAMERA,
