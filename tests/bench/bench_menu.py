@@ -35,7 +35,7 @@ RUNS = 7
 FIRST_SCREEN_LIMIT = 3.0
 """In units of the time of importing numpy."""
 LIMITS_S = {"text 20 x 4": 0.030, "picture 480 x 320": 0.060, "web 640 x 480": 0.100}
-CPU_LIMIT, MEMORY_LIMIT_MB = 0.02, 60
+CPU_LIMIT, MEMORY_LIMIT_MB = 0.02, 80
 SETTLED_S, WATCHED_S = 20.0, 30.0
 
 
