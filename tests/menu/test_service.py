@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
+import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from panel_fakes import FakeJob, ScriptedPanel, quit_from
 
+import menu
 from menu.app import run
 from menu.data import Settings
 from menu.service import ServiceNotifier
@@ -64,6 +67,17 @@ def test_watchdog_hears_twice_in_each_interval(
     other = ServiceNotifier(lambda: now[0])
     other.alive()
     assert received() == []
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
+def test_the_unit_has_few_rights(tmp_path: Path) -> None:
+    unit = tmp_path / "camctl-menu.service"
+    unit.write_bytes((Path(menu.__path__[0]) / unit.name).read_bytes())
+    for command in (("verify",), ("security", "--offline=true", "--threshold=30")):
+        ran = subprocess.run(
+            ["systemd-analyze", *command, str(unit)], capture_output=True, text=True, check=False
+        )
+        assert ran.returncode == 0, ran.stdout + ran.stderr
 
 
 def test_settings_survive_a_restart(tmp_path: Path) -> None:
