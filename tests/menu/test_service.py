@@ -69,8 +69,10 @@ def test_watchdog_hears_twice_in_each_interval(
     assert received() == []
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
 def test_the_unit_has_few_rights(tmp_path: Path) -> None:
+    program = shutil.which("systemd-analyze")
+    if program is None or "--offline" not in subprocess.getoutput(f"{program} --help"):
+        pytest.skip("needs systemd-analyze of systemd 250 or later")
     unit = tmp_path / "camctl-menu.service"
     unit.write_bytes((Path(menu.__path__[0]) / unit.name).read_bytes())
     for command in (("verify",), ("security", "--offline=true", "--threshold=30")):
