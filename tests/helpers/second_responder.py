@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from random import Random
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from PIL import Image
 
@@ -28,6 +28,8 @@ JPEG, FOLDER = 0x3801, 0x3001
 SHAPE = (8, 16)
 U8, U16, U32 = 2, 4, 6
 SIZES = {U8: "B", U16: "H", U32: "I"}
+#: Response code, data and parameters.
+Answer: TypeAlias = tuple[int, bytes | None, tuple[int, ...]]
 
 #: Event orders: what is announced, and when, relative to the moment the file can be read, s; "F"
 #: stands for the moment when the host has fetched the file, "R" for before the response.
@@ -175,9 +177,10 @@ class SecondCamera:
         self._wait(self.random.uniform(0.0005, 0.004))
         self.log.append(operation)
         known = operation in (0x1001, 0x1002, 0x1003) or operation in self.kind.operations
-        code, sent, answers = REFUSED, None, ()
-        if known:
-            code, sent, answers = self._execute(operation, tuple(parameters), data or b"")
+        refused: Answer = REFUSED, None, ()
+        code, sent, answers = (
+            self._execute(operation, tuple(parameters), data or b"") if known else refused
+        )
         self._reply = []
         if sent is not None:
             self._reply.append(Container(DATA, operation, transaction, sent))
@@ -301,7 +304,7 @@ class SecondCamera:
             return self._memory[0] if self._memory else None
         return self._files.get(handle)
 
-    def _fetch(self, handle: int) -> tuple[int, bytes | None, tuple[int, ...]]:
+    def _fetch(self, handle: int) -> Answer:
         entry = self._entry(handle)
         if entry is None:
             self.faults += ["fetched nothing"] if self.name == "sony" else []
@@ -317,9 +320,7 @@ class SecondCamera:
 
     # ---- operations
 
-    def _execute(
-        self, code: int, parameters: tuple[int, ...], data: bytes
-    ) -> tuple[int, bytes | None, tuple[int, ...]]:
+    def _execute(self, code: int, parameters: tuple[int, ...], data: bytes) -> Answer:
         first = parameters[0] if parameters else 0
         if code == 0x1001:
             return OK, self._device_info(), ()
@@ -336,7 +337,7 @@ class SecondCamera:
         if code in _EACH:
             return self._standard_property(code, first, data)
         handler = getattr(self, f"_{self.name}")
-        answer: tuple[int, bytes | None, tuple[int, ...]] = handler(code, parameters, data)
+        answer: Answer = handler(code, parameters, data)
         return answer
 
     def _device_info(self) -> bytes:
@@ -378,9 +379,7 @@ class SecondCamera:
             take_effect()
         return OK
 
-    def _standard_property(
-        self, code: int, which: int, data: bytes
-    ) -> tuple[int, bytes | None, tuple[int, ...]]:
+    def _standard_property(self, code: int, which: int, data: bytes) -> Answer:
         found = self._property(which)
         if found is None:
             return NO_PROPERTY, None, ()
