@@ -29,6 +29,8 @@ CODES: Final[dict[str, str]] = {
     "exposure_differs": "light over the light of the frame before, over the ratio of the"
     " exposures; null: no ratio could be measured",
     "part_contradicts": "share of the comparable samples that do not fit the exposures",
+    "delay_settled": "frames by which exposures took effect late at first; negative: early; then "
+    "the camera settled at each exposure, and all were shot again",
     "delay_contradicts": "frames by which exposures took effect late; negative: early",
     "frame_white": "share of the frame that is saturated, though the metered light is not",
     "frame_damaged": "share of the frame that shows no scene: its samples are any codes",

@@ -16,7 +16,7 @@ from camctl.errors import (
     UsageError,
 )
 from camctl.findings import note
-from camctl.interface.camera import CameraBase, CameraInfo, Frame, Pixels
+from camctl.interface.camera import CameraBase, CameraInfo, Frame, MeasuredDelay, Pixels
 from camctl.interface.clock import Clock, VirtualClock
 from camctl.interface.controls import ExposureControls, ExposureSetting, ResponseOrigin
 from camctl.profiles.profile import load_profile
@@ -29,6 +29,7 @@ from camctl.streaming import (
     Written,
     mean_brightness,
     resting_setting,
+    with_delay,
 )
 from sim.effects.budget import FramePlan
 from sim.effects.record import Shot as RenderedShot
@@ -173,12 +174,19 @@ class SimulatedCamera(CameraBase):
         shot = next(shooting)
         return self._frame(shot, setting, light=self._faults.light(-1, shot.applied.time_s))
 
-    def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
+    def use_delay(self, delay: MeasuredDelay | None) -> None:
+        """Use a measured control delay from now on; see `camctl.interface.camera.use_delay`."""
+        self._delay = ControlDelay.of(delay)
+        self._controls = with_delay(self.controls, self._delay, self.info.id)
+
+    def step(
+        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
+    ) -> list[Frame]:
         self._check_ready()
         for setting in (before, after):
             self.controls.check(setting)
         # All are taken before the first is rendered, which may take longer than a frame.
-        shots = self._pipeline(self._cause_faults).step(before, after, frames)
+        shots = self._pipeline(self._cause_faults).step(before, after, frames, early=early)
         self._tolerance_share = 1.0
         return [self._counted_frame(shot, after) for shot in shots]
 

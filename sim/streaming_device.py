@@ -6,7 +6,7 @@ the task of the driver (`sim.camera`).  Like a V4L2 camera it
 - streams one frame slot after another, each as long as the frame interval or the exposure,
   whichever is longer; exposures end with their slot;
 - accepts a setting at any time, clamps it silently to its limits, and applies it `delay_frames`
-  slots later, counted from the first slot that has not begun;
+  slots later, counted from the first slot that has not begun; with -1 the running exposure has it;
 - keeps the newest `QUEUE` finished frames for a late consumer and drops older ones.
 """
 
@@ -103,7 +103,9 @@ class SimulatedDevice:
     def upcoming(self) -> int:
         """Sequence number of the first slot that has not begun, as of frame-start events."""
         self._advance()
-        return self._running + (self._clock.now() > self._start_s)
+        # Where a setting acts on the running exposure, one that begins now has begun.
+        has_begun = self._clock.now() > self._start_s or self._sensor.delay_frames < 0
+        return self._running + has_begun
 
     def write(self, setting: ExposureSetting) -> tuple[int, ExposureSetting]:
         """Set the exposure; return `upcoming` at that moment and the setting read back."""

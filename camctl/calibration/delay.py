@@ -3,13 +3,18 @@
 The camera looks at a steady scene.  Its exposure is stepped between a dark and a bright setting, up
 and down, in shutter time and, where the camera has one, in gain.  The brightness of each frame
 after a step shows whether it has the old or the new exposure, compared with the brightness of both
-settings once they have settled.
+settings once they have settled.  A setting may even act on the frame that is being exposed: its
+delay is -1.
+
+What was measured is proved: settings in random order are shot with it, and each frame has to have
+the brightness of its own.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -22,7 +27,7 @@ from camctl.calibration.refusals import too_bright
 from camctl.calibration.timing import measure_stream_timing
 from camctl.errors import CameraProtocolError, CaptureError, DataError, UsageError
 from camctl.findings import Finding
-from camctl.interface.camera import Camera, Frame, StreamingCamera
+from camctl.interface.camera import Camera, Frame, StreamingCamera, use_delay
 from camctl.interface.controls import Control, ExposureSetting
 from camctl.profiles.profile import DelayRecord, FrameTiming
 
@@ -46,6 +51,10 @@ FIRST_FRAMES, MOST_FRAMES = 8, 64
 _SETTLED_AFTER = 2
 #: Frames of which the settled brightness of a setting is the mean.
 _SETTLED_FRAMES = 4
+#: Frames before the first whose exposure had not begun that may have a setting, too.
+_EARLY = 1
+#: Settings of each series that proves a delay: by chance 2^-16 of those with another delay fit.
+_PROOF = 16
 #: Longest exposure, s, where the camera does not report its frame interval: 15 frames a second
 #: are a usual lowest rate.
 _LONGEST_S = 1 / 15
@@ -74,7 +83,9 @@ class InvalidStep:
 _Pair = tuple[ExposureSetting, ExposureSetting]
 
 
-def find_step(light: Sequence[float], old: float, new: float) -> StepResponse | InvalidStep | None:
+def find_step(
+    light: Sequence[float], old: float, new: float, number: int = 0
+) -> StepResponse | InvalidStep | None:
     """Return where a step took effect; None: not within these frames.
 
     A frame with a brightness between the two belongs to the change.  All frames after the first
@@ -84,18 +95,21 @@ def find_step(light: Sequence[float], old: float, new: float) -> StepResponse | 
         light: brightness of the frames after the step
         old: settled brightness before the step, in the same unit
         new: settled brightness after it
+        number: of the first of these frames; -1: it was being exposed at the step
     """
     shares = [(each - old) / (new - old) for each in light]
     for index, share in enumerate(shares):
         if not -_TOLERANCE <= share <= 1 + _TOLERANCE:
-            return InvalidStep(f"frame {index} has the brightness of neither exposure")
+            return InvalidStep(f"frame {index + number} has the brightness of neither exposure")
     first = next((i for i, share in enumerate(shares) if share > _TOLERANCE), len(shares))
     full = next((i for i, share in enumerate(shares) if share >= 1 - _TOLERANCE), len(shares))
     for index in range(first, len(shares)):
         is_partial = index > full and shares[index] < 1 - _TOLERANCE
         if shares[index] <= _TOLERANCE or is_partial:
-            return InvalidStep(f"frame {index} returns to the earlier exposure")
-    return StepResponse(first, full) if full + _SETTLED_AFTER <= len(shares) else None
+            return InvalidStep(f"frame {index + number} returns to the earlier exposure")
+    if full + _SETTLED_AFTER > len(shares):
+        return None
+    return StepResponse(first + number, full + number)
 
 
 def measure_delay(
@@ -118,12 +132,14 @@ def measure_delay(
     Returns:
         The record for the camera's `mode`, with the timing of its stream.  A step with a frame
         that mixes both exposures takes effect at no single frame, so the delay is not constant.
+        The camera uses this delay from then on, where it can (`camctl.interface.camera.use_delay`).
 
     Raises:
         UsageError: the camera does not stream, or has no two settings far enough apart; fewer than
             2 trials
         CaptureError: the scene is too dark, too bright, or not steady
-        CameraProtocolError: an exposure does not take effect, or the one before it returns
+        CameraProtocolError: an exposure does not take effect, the one before it returns, or the
+            frames of a random series have not the exposures that follow from the delay
         CameraError: as `StreamingCamera.step` raises
     """
     if not isinstance(camera, StreamingCamera):
@@ -137,7 +153,7 @@ def measure_delay(
     order = [steps[index % len(steps)] for index in range(trials)]
     random.shuffle(order)
     interval_s = camera.controls.frame_interval_s
-    responses = []
+    responses, names = [], []
     for number, (pair, is_up) in enumerate(order):
         if progress is not None:
             progress(number / trials)
@@ -145,7 +161,46 @@ def measure_delay(
         camera.clock.sleep_until(camera.clock.now() + interval_s * float(random.uniform(0, 3)))
         before, after = pair if is_up else pair[::-1]
         responses.append(stepper.response(before, after))
-    return _record(responses, stepper.warn, measure_stream_timing(camera))
+        names.append("gain" if before.time_s == after.time_s else "time")
+    record = _record(responses, stepper.warn, None, names)
+    if use_delay(camera, record.bounds):
+        _prove(camera, record, stepper, pairs, random)
+    return record.model_copy(update={"timing": measure_stream_timing(camera)})
+
+
+def _prove(
+    camera: StreamingCamera,
+    record: DelayRecord,
+    stepper: _Stepper,
+    pairs: Sequence[_Pair],
+    random: np.random.Generator,
+) -> None:
+    """Shoot settings in random order with a delay, and compare each frame with its own setting.
+
+    Each pair has a series of its own, as the delays of time and gain may differ, and then all have
+    one together.
+
+    Raises:
+        CameraProtocolError: a frame has not the brightness of its setting; the camera settles at
+            each exposure from then on
+    """
+    together = [setting for pair in pairs for setting in pair]
+    series = [list(pair) for pair in pairs] + ([together] if len(pairs) > 1 else [])
+    for settings in series:
+        places = np.resize(np.arange(len(settings)), _PROOF)
+        random.shuffle(places)
+        shot = [settings[place] for place in places]
+        with closing(camera.shoot(shot)) as frames:
+            light = [_brightness(frame) for frame in frames]
+        for place, (setting, shown) in enumerate(zip(shot, light, strict=True)):
+            if stepper.is_of(setting, shown):
+                continue
+            use_delay(camera, None)
+            raise CameraProtocolError(
+                f"a delay of {record.smallest} to {record.largest} frames was measured, but frame "
+                f"{place} of a random series has not the exposure that follows from it",
+                hint="keep scene and light steady, and measure again",
+            )
 
 
 def delay_of_frames(
@@ -175,26 +230,34 @@ def delay_of_frames(
     light = [float(np.mean(each)) / np.iinfo(each.dtype).max for each in frames]
     responses = []
     for start, end in zip(starts, [*starts[1:], len(frames)], strict=True):
-        old, new = light[start - 1], light[end - 1]
+        # The last frames before a change may have the new exposure already.
+        begin = start - _EARLY if start - _EARLY > 0 else start
+        until = end if end == len(frames) else end - _EARLY
+        old, new = light[begin - 1], light[until - 1]
         if abs(new - old) < _LEAST_STEP:
             raise CaptureError(
                 f"the brightness hardly changes from frame {start - 1} to frame {end - 1}",
                 hint=f"set exposures a factor {_STEP_RATIO:g} apart that do not saturate",
             )
-        found = find_step(light[start:end], old, new)
+        found = find_step(light[begin:until], old, new)
         if not isinstance(found, StepResponse):
             why = "it is too late for" if found is None else f"{found.why} after"
             raise DataError(
                 f"{why} the change at frame {start}",
                 hint="keep scene and light steady, and let each exposure last more frames",
             )
-        responses.append(found)
+        early = start - begin
+        responses.append(StepResponse(found.first - early, found.full - early))
     return _record(responses, warn, None)
 
 
 def _record(
-    responses: Sequence[StepResponse], warn: Callable[[Finding], None], timing: FrameTiming | None
+    responses: Sequence[StepResponse],
+    warn: Callable[[Finding], None],
+    timing: FrameTiming | None,
+    names: Sequence[str] = (),
 ) -> DelayRecord:
+    """Return the record of steps; `names` says of each whether it was one of "time" or "gain"."""
     trials = len(responses)
     if mixed := sum(response.first < response.full for response in responses):
         warn(Finding(code="delay_irregular", value=mixed, details={"trials": trials}))
@@ -207,6 +270,11 @@ def _record(
         trials=trials,
         measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
         timing=timing,
+        **{
+            name: (min(each.first for each in steps), max(each.full for each in steps))
+            for name in ("time", "gain")
+            if (steps := [r for r, of in zip(responses, names, strict=False) if of == name])
+        },
     )
 
 
@@ -236,9 +304,9 @@ class _Stepper:
         """Return where one step took effect."""
         frames = FIRST_FRAMES
         while True:
-            shown = self._camera.step(before, after, frames)
+            shown = self._camera.step(before, after, frames, early=_EARLY)
             light = [_brightness(frame) for frame in shown]
-            found = find_step(light, self._light[before], self._light[after])
+            found = find_step(light, self._light[before], self._light[after], shown[0].index)
             if isinstance(found, StepResponse):
                 return found
             if isinstance(found, InvalidStep):
@@ -251,6 +319,15 @@ class _Stepper:
                     hint="turn the camera's automatic exposure off, or try another format",
                     remedies={"option:format": None},
                 )
+
+    def is_of(self, setting: ExposureSetting, light: float) -> bool:
+        """Return whether a brightness is the settled one of `setting`."""
+        step = min(
+            abs(self._light[bright] - self._light[dark])
+            for dark, bright in self._pairs
+            if setting in (dark, bright)
+        )
+        return abs(light - self._light[setting]) <= _TOLERANCE * step
 
     def _prepare_repeat(self, step: InvalidStep) -> None:
         self._invalid_steps += 1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from camctl.captures.true_exposures import choose_exposures, estimate_exposures
 from camctl.captures.verdict import judge, suspects
 from camctl.evidence.damage import damaged_share
-from camctl.evidence.delay import ShotLog
+from camctl.evidence.delay import DelayError, ShotLog
 from camctl.evidence.light_ratio import MOST_CHANGE, NeighbourCheck
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import RatioCheck
@@ -85,6 +85,17 @@ class FrameChecks:
         # What is wrong with the exposure of a damaged frame, and of those beside it, is not known.
         wrong = self._damaged() or suspects(checks)
         return [k for k in wrong if self._frame(k).attempts == 1]
+
+    def delay_error(self) -> DelayError | None:
+        """Return the error of the camera's known control delay that the frames show, or None."""
+        codes = [finding.code for finding in self._controls.findings]
+        if not self._controls.repeatable or "delay_unknown" in codes:
+            return None
+        return self._log.find([frame.ratio for frame in self._frames])
+
+    def settle(self) -> None:
+        """Record that the camera settles at each exposure from now on."""
+        self._log = ShotLog(self._capture.plan.settings, self._controls, settles=True)
 
     def judge(self) -> list[ExposureRatio]:
         """Write into the report what the frames say of their exposures; return those to use."""

@@ -24,7 +24,8 @@ from camctl.captures.frame_checks import FrameChecks
 from camctl.captures.outputs import complete
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
 from camctl.exposure.search.wall_time import predicted_wall_s, wall_time_findings
-from camctl.interface.camera import Camera, Frame, Pixels, shoot_when_ready
+from camctl.findings import Finding
+from camctl.interface.camera import Camera, Frame, Pixels, shoot_when_ready, use_delay
 from camctl.interface.clock import cancelled_by, check_cancelled
 from camctl.interface.controls import Layout
 from camctl.pictures.accumulator import Accumulator
@@ -77,6 +78,7 @@ class Sequence:
         self._on_progress, self._cancelled = on_progress, cancelled or (lambda: False)
         self._checks = FrameChecks(camera, capture)
         self._sum: Accumulator | None = None
+        self._has_settled = False
         self._arrived = {k for k, frame in enumerate(capture.frames) if frame is not None}
 
     def run(self) -> CaptureReport:
@@ -92,7 +94,9 @@ class Sequence:
             timing["planned_wall_s"] = self._planned_wall_s(missing)
             timing["actual_wall_s"] = self._shoot(missing)
             self._compare_times(missing)
+            self._settle_if_late(certain=True)
             self._shoot_suspects_again()
+            self._settle_if_late(certain=False)
             timing["shooting_s"] = self._camera.clock.now() - began
             timing["shooting_wall_s"] = time.perf_counter() - wall_began
             self._report_progress("writing")
@@ -266,6 +270,32 @@ class Sequence:
         again = self._checks.suspects()
         if not again or self._cancelled():
             return
+        self._shoot_again(again)
+
+    def _settle_if_late(self, *, certain: bool) -> None:
+        """Let the camera settle, and shoot all again, where its control delay is not the known one.
+
+        `certain`: only where the frames show by how much.
+        """
+        error = None if self._has_settled else self._checks.delay_error()
+        if error is None or (certain and not error.shift) or self._cancelled():
+            return
+        if not use_delay(self._camera, None):
+            return
+        self._has_settled = True
+        self._checks.settle()
+        self._capture.findings.append(
+            Finding(
+                code="delay_settled",
+                value=error.shift,
+                remedies={"calibrate_delay": self._camera.info.id},
+            )
+        )
+        self._shoot_again(range(len(self._capture.frames)))
+
+    def _shoot_again(self, again: Iterable[int]) -> None:
+        """Shoot frames that have arrived in place of themselves."""
+        again = list(again)
         assert self._sum is not None  # all frames were added
         for position in again:
             self._sum.withdraw(self._store.frame(position))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 from camctl.evidence.ratio_check import RatioCheck
@@ -52,6 +52,7 @@ class _Hypothesis:
         before: exposure in force before the capture, as the ratios show it
         explained: pairs of shots whose light has the ratio of the exposures set before them
         is_needed: whether one of these ratios does not fit the shots' own exposures
+        measured: pairs whose ratio has given `before`
     """
 
     shift: int
@@ -59,6 +60,7 @@ class _Hypothesis:
     before: float | None = None
     explained: set[tuple[_Place, _Place]] = field(default_factory=set)
     is_needed: bool = False
+    measured: set[tuple[_Place, _Place]] = field(default_factory=set)
 
 
 class ShotLog:
@@ -67,20 +69,29 @@ class ShotLog:
     Args:
         settings: of the frames of a capture
         controls: of the camera
+        settles: the camera settles at each exposure, whatever its controls say
 
     Attributes:
         has_delay: whether the camera is a stream, whose settings take effect late
     """
 
-    def __init__(self, settings: Sequence[ExposureSetting], controls: ExposureControls) -> None:
+    def __init__(
+        self,
+        settings: Sequence[ExposureSetting],
+        controls: ExposureControls,
+        *,
+        settles: bool = False,
+    ) -> None:
+        if settles:
+            controls = replace(controls, delay_frames=None)
         self._settings, self._controls = settings, controls
-        settles = controls.timing is not None and controls.timing.old_frames > 0
+        settles |= controls.timing is not None and controls.timing.old_frames > 0
         self.has_delay = controls.delay_frames is not None or settles
         self._sequences: list[tuple[int, ...]] = []
         delay = controls.delay_frames or 0
         self._possible = [
             _Hypothesis(shift, pause)
-            for shift, pause in product(range(-delay, _MOST_LATE + 1), _PAUSES)
+            for shift, pause in product(range(-delay - 1, _MOST_LATE + 1), _PAUSES)
             if shift
         ]
 
@@ -119,6 +130,8 @@ class ShotLog:
     def _is_possible(self, hypothesis: _Hypothesis, pairs: Sequence[_Pair]) -> bool:
         """Return whether no ratio contradicts it; record what it explains."""
         for first, second, check in pairs:
+            if (first, second) in hypothesis.measured:
+                continue
             one, other = (self._had(hypothesis, place) for place in (first, second))
             if one is None or other is None or check.measured is None:
                 continue
@@ -129,6 +142,7 @@ class ShotLog:
                     before, other = one * check.measured, hypothesis.before
                 if one is None or other is None:
                     hypothesis.before = before
+                    hypothesis.measured.add((first, second))
                     continue
             if not _fits(check, 1.0 if one == other else other / one):
                 return False

@@ -170,14 +170,47 @@ class StreamingCamera(Camera, Protocol):
     def mode(self) -> str:
         """Pixel format, size and frame rate in one word; each mode has its own control delay."""
 
-    def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> Sequence[Frame]:
+    def step(
+        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
+    ) -> Sequence[Frame]:
         """Settle at `before`, set `after`, and return the next `frames` frames of the stream.
 
         Frame 0 is the first whose exposure had not begun when `after` was set; with a control delay
-        of d frames, frame d is the first that has it.  The caller measures which exposure each
-        frame had: `requested` and `applied` are `after` in all of them, and `index` counts from 0.
-        Raises as `shoot` does.
+        of d frames, frame d is the first that has it.  With `early` = 1 the frame before it, which
+        was being exposed then, is returned before the others where it comes after the setting: a
+        camera with a delay of -1 applies the setting to it.  The caller measures which exposure
+        each frame had: `requested` and `applied` are `after` in all of them, and `index` is the
+        number of the frame.  Raises as `shoot` does.
         """
+
+
+@dataclass(frozen=True)
+class MeasuredDelay:
+    """Bounds of a measured control delay, counted as in `StreamingCamera.step`.
+
+    Attributes:
+        smallest, largest: of all controls, frames
+        time, gain: (smallest, largest) of a change of this control alone; None: not measured
+        readout_s: from the end of an exposure until its frame is here; 0: not measured
+    """
+
+    smallest: int
+    largest: int
+    time: tuple[int, int] | None = None
+    gain: tuple[int, int] | None = None
+    readout_s: float = 0.0
+
+
+def use_delay(camera: Camera, delay: MeasuredDelay | None) -> bool:
+    """Let a camera use a measured control delay from now on; return whether it can.
+
+    A driver has a method `use_delay` for this.  With None the delay counts as unknown: the stream
+    settles at each exposure.
+    """
+    use = getattr(camera, "use_delay", None)
+    if use is not None:
+        use(delay)
+    return use is not None
 
 
 class CameraBase(ABC):

@@ -54,6 +54,18 @@ def _part_contradicts(finding: Finding) -> str:
     )
 
 
+def _delay_settled(finding: Finding) -> str:
+    shift = finding.value
+    when = "at other frames than"
+    if shift:
+        plural = "" if abs(shift) == 1 else "s"
+        when = f"{abs(shift):g} frame{plural} {'later' if shift > 0 else 'earlier'} than"
+    return (
+        f"exposures took effect {when} the known control delay says: the camera settled at each "
+        "exposure, and all were shot again; measure its control delay again"
+    )
+
+
 def _delay_contradicts(finding: Finding) -> str:
     if not finding.value:
         return (
@@ -251,6 +263,7 @@ def _number(value: Detail) -> float:
 SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "exposure_differs": _exposure_differs,
     "part_contradicts": _part_contradicts,
+    "delay_settled": _delay_settled,
     "delay_contradicts": _delay_contradicts,
     "frame_white": _frame_white,
     "frame_damaged": _frame_damaged,

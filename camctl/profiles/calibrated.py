@@ -255,9 +255,11 @@ class _CalibratedStream(CalibratedCamera):
         """See `StreamingCamera.mode`."""
         return str(self._camera.mode)
 
-    def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> Sequence[Frame]:
+    def step(
+        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
+    ) -> Sequence[Frame]:
         """Return the frames after a change of exposure; see `StreamingCamera.step`."""
-        found: Sequence[Frame] = self._camera.step(before, after, frames)
+        found: Sequence[Frame] = self._camera.step(before, after, frames, early=early)
         return found
 
 

@@ -31,7 +31,7 @@ from pydantic import (
 )
 
 from camctl.errors import DataError, StorageError
-from camctl.interface.camera import CameraInfo
+from camctl.interface.camera import CameraInfo, MeasuredDelay
 from camctl.interface.clock import CaptureTiming
 from camctl.interface.controls import Layout
 from camctl.profiles.exposures import ExposureRecord
@@ -87,8 +87,12 @@ class DelayRecord(BaseModel):
     Attributes:
         frames: the delay in frames, counted as in `camctl.StreamingCamera.step`; None where
             it is not constant
-        smallest: the smallest delay of all trials, frames
+        smallest: the smallest delay of all trials, frames; -1 where a setting acts on the frame
+            that is being exposed
         largest: the largest delay of all trials, frames
+        time: (smallest, largest) of the trials in which the shutter time changed; None: none were
+            made, or a profile of an earlier version does not say
+        gain: the same of the gain
         trials: number of measurements
         measured_at: date and time, ISO 8601
         timing: of the stream; None where it was not measured
@@ -97,8 +101,10 @@ class DelayRecord(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     frames: int | None
-    smallest: int = Field(ge=0, le=_MOST_DELAY)
-    largest: int = Field(ge=0, le=_MOST_DELAY)
+    smallest: int = Field(ge=-1, le=_MOST_DELAY)
+    largest: int = Field(ge=-1, le=_MOST_DELAY)
+    time: tuple[int, int] | None = None
+    gain: tuple[int, int] | None = None
     trials: int = Field(ge=1, le=1_000_000)
     measured_at: str
     timing: FrameTiming | None = None
@@ -108,7 +114,16 @@ class DelayRecord(BaseModel):
         constant = self.smallest if self.smallest == self.largest else None
         if self.smallest > self.largest or self.frames != constant:
             raise ValueError("frames, smallest and largest contradict each other")
+        for low, high in filter(None, (self.time, self.gain)):
+            if not self.smallest <= low <= high <= self.largest:
+                raise ValueError("the delay of a control is beyond smallest and largest")
         return self
+
+    @property
+    def bounds(self) -> MeasuredDelay:
+        """The bounds of the delay, for a camera's stream."""
+        readout_s = self.timing.readout_s if self.timing else 0.0
+        return MeasuredDelay(self.smallest, self.largest, self.time, self.gain, readout_s)
 
 
 class StillRecord(BaseModel):

@@ -80,6 +80,9 @@ class ExposurePipeline(Generic[DataT]):
         delay: of its exposure control
         brightness: mean brightness of a frame as a share of full scale, such as `mean_brightness`;
             needed unless the delay is guaranteed, to see when an exposure has settled
+
+    Attributes:
+        delay: of all controls, from the next list of settings on
     """
 
     def __init__(
@@ -89,7 +92,8 @@ class ExposurePipeline(Generic[DataT]):
         brightness: Callable[[DataT], float] | None = None,
     ) -> None:
         self._source = source
-        self._delay = delay
+        self.delay = self._delay = delay
+        self._written: ExposureSetting | None = None  # the last setting
         self._brightness = brightness
         if brightness is None and delay.origin is not DelayOrigin.GUARANTEED:
             raise ValueError("brightness is needed unless the control delay is guaranteed")
@@ -112,22 +116,28 @@ class ExposurePipeline(Generic[DataT]):
             CameraProtocolError: too many frames are lost, or the brightness does not settle
             CameraError: as the source raises; frames of earlier settings are yielded before that
         """
+        self._delay = self.delay
+        if self._written is not None:
+            rests = () if rest is None else (rest,)
+            self._delay = self.delay.over([self._written, *settings, *rests])
         if self._delay.frames is not None:
             return self._pipelined(settings, rest)
         return self._settled_each(settings, rest)
 
     def step(
-        self, before: ExposureSetting, after: ExposureSetting, frames: int
+        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
     ) -> list[Shot[DataT]]:
         """Settle at `before`, write `after`, and return the next `frames` frames without a gap.
 
         Frame 0 is the first whose exposure had not begun at the write; `applied` is `after` as read
-        back, and `index` counts the frames.  `after` is written early and late in a slot in turn,
+        back, and `index` counts the frames.  With `early` = 1 the frame before it is returned, too,
+        where it comes after the write.  `after` is written early and late in a slot in turn,
         so that a delay which depends on that is not mistaken for a constant one.
 
         Raises:
             CameraProtocolError: frames are lost in every attempt
         """
+        self._delay = self.delay
         is_guaranteed = self._delay.origin is DelayOrigin.GUARANTEED
         settling = self._delay.largest if is_guaranteed else _STEP_SETTLING
         for attempt in range(_ATTEMPTS):
@@ -138,7 +148,8 @@ class ExposurePipeline(Generic[DataT]):
             if (self._steps + attempt) % 2:
                 self._source.upcoming(late=True)
             written = self._source.write(after)
-            shots = self._consecutive(written.applied, written.last, frames)
+            self._written = written.applied
+            shots = self._consecutive(written.applied, written.last, frames, early)
             # A write that may have ended in the next slot does not count.
             if written.first == written.last and shots is not None:
                 self._steps += 1
@@ -197,7 +208,7 @@ class ExposurePipeline(Generic[DataT]):
             shot = self._settled(self._write_now(index, setting))
             if rest is not None and index + 1 == len(settings):
                 with suppress(CameraError):  # what was asked for has been shot
-                    self._source.write(rest)
+                    self._written = self._source.write(rest).applied
             yield shot
 
     def _settled(self, written: _Pending) -> Shot[DataT]:
@@ -230,20 +241,22 @@ class ExposurePipeline(Generic[DataT]):
         )
 
     def _consecutive(
-        self, applied: ExposureSetting, first: int, frames: int
+        self, applied: ExposureSetting, first: int, frames: int, early: int
     ) -> list[Shot[DataT]] | None:
-        """Return the frames from slot `first` on; None where one is missing."""
+        """Return the frames from slot `first` on, up to `early` before it; None: one is missing."""
         shots: list[Shot[DataT]] = []
-        while len(shots) < frames:
+        while not shots or shots[-1].index + 1 < frames:
             stamp = self._source.next_frame()
             if not stamp.is_certain:
                 return None
-            if stamp.number < first:
+            index = stamp.number - first
+            if index < -early:
                 continue
             data = self._source.read()
-            if data is None or stamp.number != first + len(shots):
+            expected = shots[-1].index + 1 if shots else min(index, 0)
+            if data is None or index != expected:
                 return None
-            shots.append(Shot(len(shots), applied, stamp.time_s, data))
+            shots.append(Shot(index, applied, stamp.time_s, data))
         return shots
 
     def _drop_old_frames(self) -> None:
@@ -282,6 +295,7 @@ class ExposurePipeline(Generic[DataT]):
 
     def _write(self, index: int, setting: ExposureSetting) -> _Pending:
         written = self._source.write(setting)
+        self._written = written.applied
         return _Pending(
             index,
             written.applied,

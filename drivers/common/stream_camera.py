@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from camctl.interface.camera import CameraBase, Frame, Pixels
+from camctl.interface.camera import CameraBase, Frame, MeasuredDelay, Pixels
 from camctl.interface.controls import ExposureSetting
-from camctl.streaming import ExposurePipeline, Shot, resting_setting
+from camctl.streaming import ControlDelay, ExposurePipeline, Shot, resting_setting, with_delay
 
 
 class StreamCamera(CameraBase):
@@ -21,6 +21,13 @@ class StreamCamera(CameraBase):
             return next(frames)
         finally:
             frames.close()
+
+    def use_delay(self, delay: MeasuredDelay | None) -> None:
+        """Use a measured control delay from now on; see `camctl.interface.camera.use_delay`."""
+        self._check_open()
+        used = ControlDelay.of(delay)
+        self._pipeline.delay = used
+        self._controls = with_delay(self.controls, used, self.info.id)
 
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         rest = resting_setting(self.controls, settings)

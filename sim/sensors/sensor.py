@@ -84,7 +84,8 @@ class Sensor(FileModel):
         quantum_efficiency: electrons for one photon
         time_minimum_s, time_maximum_s, line_s: exposure times; all are whole numbers of lines
         gain_maximum, gain_step: linear gain from 1 up; step 0 is continuous
-        delay_frames: frames from setting an exposure to the frame that has it
+        delay_frames: frames from setting an exposure to the frame that has it; -1: the frame that
+            is being exposed has it already
         delay_jitter_frames: up to so many frames more, at random; 0 for a constant delay
         frame_interval_s: least time from frame to frame
         spectrum: three rows, the sensor's red, green and blue as weights of the scene's red, green
@@ -109,7 +110,7 @@ class Sensor(FileModel):
     line_s: Seconds = 1e-5
     gain_maximum: float = Field(default=1.0, ge=1, le=1e6, allow_inf_nan=False)
     gain_step: Annotated[NotNegative, NotTiny] = 0.0
-    delay_frames: int = Field(default=2, ge=0, le=30)
+    delay_frames: int = Field(default=2, ge=-1, le=30)
     delay_jitter_frames: int = Field(default=0, ge=0, le=30)
     frame_interval_s: Seconds = 1 / 30
     spectrum: tuple[Weights, Weights, Weights] | None = None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from itertools import product
 from random import Random
@@ -18,6 +20,7 @@ from camctl.calibration.delay import (
     MOST_FRAMES,
     InvalidStep,
     StepResponse,
+    delay_of_frames,
     find_step,
     measure_delay,
 )
@@ -25,9 +28,12 @@ from camctl.errors import CameraDisconnectedError, CameraProtocolError, CaptureE
 from camctl.findings import Detail, Finding
 from camctl.interface.camera import Frame
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
+from camctl.profiles.profile import change_profile, load_profile
+from camctl.streaming import ControlDelay
 from sim.camera import Faults, SimulatedCamera
 from sim.scenes.scene import Scene, load_scene
 from sim.sensors.sensor import Sensor, load_sensor
+from sim.streaming_device import Buffer, SimulatedDevice
 
 
 def camera(
@@ -120,7 +126,9 @@ def test_delay_of_the_gain_is_measured_too() -> None:
     class LateGain(SimulatedCamera):
         """Its gain takes a frame longer than its shutter time."""
 
-        def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
+        def step(
+            self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
+        ) -> list[Frame]:
             shown = super().step(before, after, frames + 1)
             late = before.gain != after.gain
             old = super().step(before, before, 1) if late else []
@@ -151,7 +159,9 @@ class ChangedFrames(SimulatedCamera):
     change: Change
     steps = 0
 
-    def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
+    def step(
+        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
+    ) -> list[Frame]:
         shown = super().step(before, after, frames)
         if before == after:
             return shown
@@ -216,7 +226,9 @@ def test_flickering_light_is_an_error() -> None:
     class Flickering(SimulatedCamera):
         number = 0
 
-        def step(self, before: ExposureSetting, after: ExposureSetting, frames: int) -> list[Frame]:
+        def step(
+            self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
+        ) -> list[Frame]:
             shown = []
             for frame in super().step(before, after, frames):
                 self.number += 1
@@ -320,3 +332,101 @@ def test_step_is_found_in_the_brightness(
     assert find_step(light[: first + mixed + 1], old, new) is None
     assert isinstance(find_step([*light, old, new], old, new), InvalidStep)
     assert isinstance(find_step([*light, 2 * new - old], old, new), InvalidStep)
+
+
+@pytest.mark.parametrize("sensor", ["standard", "webcam", "machine-vision"])
+def test_setting_that_acts_on_the_running_exposure_has_the_delay_minus_one(sensor: str) -> None:
+    with camera(-1, sensor=sensor, gain_maximum=8.0) as under_test:
+        record = measure_delay(under_test)
+    assert (record.frames, record.time, record.gain) == (-1, (-1, -1), (-1, -1))
+
+
+@pytest.mark.usefixtures("own_profiles")
+@pytest.mark.parametrize("delay", range(-1, 4))
+def test_measured_delay_is_stored_and_used(delay: int) -> None:
+    """The camera does not know its delay; each frame of a random bracket has its own exposure."""
+    scene = load_scene("tile-floor", (30, 40))
+    model = Sensor.model_validate({**load_sensor("standard").model_dump(), "delay_frames": delay})
+    with SimulatedCamera(scene, model, is_unknown=True) as unknown:
+        record, mode = measure_delay(unknown), unknown.mode
+        assert unknown.controls.delay_frames == delay  # used at once
+        change_profile(unknown.info, lambda profile: profile.delays.update({mode: record}))
+    assert load_profile(unknown.info).delays[mode] == record
+    with SimulatedCamera(scene, model, is_unknown=True) as known:
+        assert known.controls.delay_frames == delay
+        times = [known.controls.time_s.nearest(t) for t in (0.002, 0.02, 0.004, 0.01, 0.03, 0.005)]
+        before = known.device._running
+        with closing(known.shoot([ExposureSetting(t) for t in times])) as stream:
+            frames = list(stream)
+        assert known.device._running - before <= len(times) + delay + 2  # n + d, and at rest
+        true = [known.device.read_out(shot_buffer(known, t)) for t in times]
+    for frame, expected in zip(frames, true, strict=True):
+        assert float(frame.pixels.mean()) == pytest.approx(float(expected.mean()), rel=0.02)
+
+
+def shot_buffer(of: SimulatedCamera, time_s: float) -> Buffer:
+    setting = ExposureSetting(time_s)
+    return Buffer(0, of.clock.now(), setting, setting)
+
+
+def test_delay_that_a_random_series_contradicts_is_refused() -> None:
+    """It was measured between trials that were all alike: the proof has others."""
+
+    class Deceptive(SimulatedCamera):
+        def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+            self.device._sensor = self.device._sensor.model_copy(update={"delay_frames": 3})
+            return super()._frames(settings)
+
+    with (
+        camera(2, kind=Deceptive) as under_test,
+        pytest.raises(CameraProtocolError, match="a random series has not the exposure"),
+    ):
+        measure_delay(under_test)
+
+
+class LateGainDevice(SimulatedDevice):
+    """Its gain takes effect two frames after its shutter time."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._gains: deque[tuple[int, float]] = deque()
+        self._gain = 1.0
+
+    def write(self, setting: ExposureSetting) -> tuple[int, ExposureSetting]:
+        upcoming, applied = super().write(setting)
+        self._gains.append((upcoming + self._sensor.delay_frames + 2, applied.gain))
+        return upcoming, applied
+
+    def _slot_s(self) -> float:
+        length_s = super()._slot_s()
+        while self._gains and self._gains[0][0] <= self._running:
+            self._gain = self._gains.popleft()[1]
+        self._setting = replace(self._setting, gain=self._gain)
+        return length_s
+
+
+def test_delays_of_time_and_gain_are_measured_and_used_apart() -> None:
+    class Late(SimulatedCamera):
+        def _open(self) -> None:
+            super()._open()
+            self.device = LateGainDevice(self.sensor, self._render, self._clock)
+
+    model = {**load_sensor("standard").model_dump(), "delay_frames": 1, "gain_maximum": 8.0}
+    scene = load_scene("tile-floor", (30, 40))
+    with Late(scene, Sensor.model_validate(model), is_unknown=True) as under_test:
+        record = measure_delay(under_test)
+    assert (record.time, record.gain, record.frames) == ((1, 1), (3, 3), None)
+    delay = ControlDelay.from_record(record)
+    short, long = ExposureSetting(0.01), ExposureSetting(0.02)
+    assert delay.over([short, long, short]).frames == 1
+    assert delay.over([short, replace(short, gain=2.0)]).frames == 3
+    assert delay.over([short, replace(long, gain=2.0)]).frames is None
+
+
+@pytest.mark.parametrize("delay", range(-1, 5))
+def test_frames_without_a_camera_show_a_delay_of_any_sign(delay: int) -> None:
+    exposures = np.repeat([1.0, 4.0, 1.0, 4.0, 1.0], 10)
+    shown = [exposures[min(max(k - delay, 0), 49)] for k in range(50)]
+    frames = [np.full((4, 4), 50 * light, np.uint8) for light in shown]
+    record = delay_of_frames(frames, exposures.tolist(), lambda _: None)
+    assert record.frames == delay

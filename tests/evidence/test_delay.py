@@ -80,6 +80,28 @@ def test_one_wrong_frame_is_not_an_error_of_the_delay() -> None:
     assert log_of((0.01, 0.02, 0.05, 0.15)).find(checks) is None
 
 
+@pytest.fixture
+def keeps_its_delay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The camera cannot settle at each exposure."""
+    monkeypatch.setattr("camctl.captures.sequence.use_delay", lambda *_: False)
+
+
+@pytest.mark.parametrize("sensor", ["standard", "webcam", "machine-vision"])
+@pytest.mark.parametrize("late", [-3, -2, -1, 1, 2, 3])
+def test_stale_delay_is_settled_and_the_picture_finished(sensor: str, late: int) -> None:
+    if load_sensor(sensor).delay_frames + late < -1:
+        pytest.skip("no earlier than the frame that is being exposed")
+    report = shot(sensor, 4, late)
+    assert report.trustworthy
+    (found,) = [finding for finding in report.findings if finding.code == "delay_settled"]
+    assert found.value in (late, None)
+    assert found.remedies == ADVICE
+    assert [frame.attempts for frame in report.frames] == [2] * 4
+    ratios = [frame.ratio for frame in report.frames[1:]]
+    assert all(each is None or each.agrees for each in ratios)
+
+
+@pytest.mark.usefixtures("keeps_its_delay")
 @pytest.mark.parametrize(
     ("sensor", "count", "late", "is_numbered"),
     [
@@ -105,6 +127,7 @@ def test_report_names_the_frames_late_only_where_no_other_number_fits(
         assert found == [late]
 
 
+@pytest.mark.usefixtures("keeps_its_delay")
 @pytest.mark.parametrize(("count", "late"), [(3, 3), (4, 4)])
 def test_delay_that_varies_is_named_without_a_number(count: int, late: int) -> None:
     report = shot("consumer", count, late)

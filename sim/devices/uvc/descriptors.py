@@ -72,7 +72,7 @@ class UvcConfig(DeviceConfig):
         formats: names in `FORMATS`, the default first
         sizes: of frames, in addition to `size`, which is the default
         fps: frame rates, the default first
-        delay: control delay of exposure and gain, frames
+        delay: control delay of exposure and gain, frames; -1: the running exposure has it already
         jitter: up to so many frames are added to the delay at random
         luma: range of yuyv
     """
@@ -84,7 +84,7 @@ class UvcConfig(DeviceConfig):
     )
     sizes: Annotated[tuple[FrameShape, ...], BeforeValidator(as_tuple)] = ()
     fps: Annotated[tuple[_FrameRate, ...], BeforeValidator(as_tuple), Field(min_length=1)] = (10.0,)
-    delay: int = Field(default=2, ge=0, le=30)
+    delay: int = Field(default=2, ge=-1, le=30)
     jitter: int = Field(default=0, ge=0, le=30)
     luma: Literal["full", "limited"] = "limited"
 
