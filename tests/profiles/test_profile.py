@@ -166,7 +166,9 @@ def test_profile_of_another_camera_is_refused() -> None:
         {"frames": None},
         {"smallest": 1},
         {"smallest": 4, "frames": None},
-        {"smallest": -1, "frames": None},
+        {"smallest": -2, "frames": None},
+        {"time": (3, 2)},
+        {"gain": (0, 30), "frames": None},
         {"trials": 0},
     ],
 )

@@ -50,7 +50,7 @@ class TestConformance(TestConformanceUnknownDelay):
         return super().open_camera()
 
 
-@pytest.mark.parametrize("delay", range(6))
+@pytest.mark.parametrize("delay", range(-1, 6))
 def test_n_exposures_take_n_plus_d_frames(delay: int) -> None:
     save_delay(delay)
     for lateness_s in (0.002, 0.03, 0.065, 0.095, 0.13):
@@ -74,7 +74,7 @@ def test_applied_setting_is_the_one_read_back() -> None:
             assert frame.requested == frame.applied
 
 
-@pytest.mark.parametrize("delay", range(6))
+@pytest.mark.parametrize("delay", range(-1, 6))
 def test_late_consumer_gets_no_old_frame(delay: int) -> None:
     save_delay(delay)
     for pause_s in (0.04, 0.09, 0.35, 1.0, 7.77):
