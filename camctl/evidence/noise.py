@@ -37,6 +37,11 @@ _ROUNDS = 8
 #: Effective levels more uncertain than by this share are not stated: patches of nearly one
 #: brightness do not distinguish photon noise from read noise.
 _MOST_UNCERTAIN = 0.25
+#: Levels of files that may have been compressed with loss; others are kept as they are.
+_COMPRESSED = 255
+#: Share of the patches that may show something that moved, standard errors that are no chance, and
+#: the least excess of variance, levels squared: a third of that of the quantisers.
+_OUTLIERS, _CHANCE, _LEAST_EXCESS = 0.02, 5.0, 1 / 36
 #: Harmonics of the error of quantisation: noise of a tenth of a step leaves 0.16 of the third.
 _HARMONICS, _SMALLEST_STEP = 3, 1e-12
 
@@ -55,6 +60,7 @@ class _Patches:
         phases: (K, harmonics): means of exp(2 pi i k m) over the samples, where m is the light in
             steps of the shorter frame, k = 1, 2, ...
         freedom: degrees of freedom of the variance
+        is_even: whether a patch has so little contrast that its variance is noise
     """
 
     variance: _Floats
@@ -63,6 +69,7 @@ class _Patches:
     rounding: _Floats
     phases: NDArray[np.complexfloating[Any, Any]]
     freedom: _Floats
+    is_even: NDArray[np.bool_]
 
     @staticmethod
     def joined(parts: Sequence[_Patches]) -> _Patches:
@@ -71,6 +78,26 @@ class _Patches:
         return _Patches(
             *(np.concatenate([getattr(part, name) for part in parts]) for name in names)
         )
+
+    def where(self, chosen: NDArray[np.bool_]) -> _Patches:
+        """Return some of the patches."""
+        return _Patches(*(getattr(self, field.name)[chosen] for field in fields(_Patches)))
+
+    def compression(self, noise: _Floats) -> float:
+        """Return the standard deviation of the errors that compression adds, levels.
+
+        It is the root mean square of what noise and quantisers do not explain, in steps of the
+        quantisers, of all patches but the `_OUTLIERS` with most of it, which may show something
+        that moved; 0 where that is by chance.
+        """
+        expected = self.terms @ noise
+        expected = expected + self.quantisation(expected)
+        steps = np.maximum(self.step + 12 * self.rounding, _SMALLEST_STEP)
+        excess = (self.variance - expected) / steps
+        most = float(np.quantile(excess, 1 - _OUTLIERS))
+        excess = np.minimum(excess, most)
+        mean, error = float(excess.mean()), float(excess.std()) / math.sqrt(excess.size)
+        return math.sqrt(mean) if mean > max(_CHANCE * error, _LEAST_EXCESS) else 0.0
 
     def quantisation(self, noise: _Floats) -> _Floats:
         """Return what the quantisers add to the variance of a noise, as in the terms.
@@ -141,11 +168,14 @@ class NoiseFit(NamedTuple):
         noise: what fits best, (2,)
         neighbours: noises whose squared effects add up to the variance of the effect of `noise`
         freedom: number of independent differences of samples that were used
+        compression_levels: standard deviation of what compression adds to brightness where there
+            is contrast, levels of the response; even parts have next to none
     """
 
     noise: _Floats
     neighbours: list[_Floats]
     freedom: int
+    compression_levels: float
 
 
 def _least_squares(terms: _Floats, values: _Floats) -> tuple[_Floats, _Floats]:
@@ -244,14 +274,17 @@ def fit_noise(
         )
         for pair in zip(order[:-1].tolist(), order[1:].tolist(), strict=True)
     ]
-    patches = _Patches.joined(found)
+    everywhere = _Patches.joined(found)
+    patches = everywhere.where(everywhere.is_even)
     if patches.variance.size < _LEAST_PATCHES:
         return None
     try:
         fit = patches.fit()
-        return NoiseFit(fit.noise, fit.neighbours(), int(patches.freedom.sum()))
+        neighbours = fit.neighbours()
     except np.linalg.LinAlgError:
         return None
+    compression = everywhere.compression(fit.noise) if response.M <= _COMPRESSED else 0.0
+    return NoiseFit(fit.noise, neighbours, int(patches.freedom.sum()), compression)
 
 
 def electrons_per_level(inverse: float) -> float:
@@ -298,7 +331,7 @@ def _pair(
     # The covariance of the frames is the scene's contrast: their noise is independent.
     contrast = mean((long - middle[:, None]) * (short - mean(short)[:, None]))
     used = (count >= LEAST_USABLE * usable.shape[1]) & (mean(short) >= _LEAST_LEVEL)
-    used &= contrast <= (_MOST_CONTRAST * np.maximum(middle, 1.0)) ** 2
+    is_even = contrast <= (_MOST_CONTRAST * np.maximum(middle, 1.0)) ** 2
     photon = middle * (gains[0] + gains[1] / ratio)
     read = np.full(middle.size, gains[0] ** 2 + (gains[1] / ratio) ** 2)
     terms = np.stack([np.maximum(photon, 0.0), read], axis=1)
@@ -312,4 +345,5 @@ def _pair(
         mean(squared_step[samples[1]])[used] / 12 / ratio**2,
         phases,
         np.maximum(count[used] - 1.0, 1.0),
+        is_even[used],
     )

@@ -84,7 +84,7 @@ class _Weights:
         dark = np.array([each.dark_levels * unit for each in frames.noise])[:, np.newaxis]
         x = exposures * E + dark
         noise = np.stack(
-            [sensor.variance(row, each) for row, each in zip(x, frames.noise, strict=True)]
+            [sensor.spread(row, each) for row, each in zip(x, frames.noise, strict=True)]
         )
         step = np.maximum(sensor.step(x), 1e-12)
         reach = CLIPPING_SIGMAS * np.sqrt(noise)
@@ -160,7 +160,11 @@ class LightTables:
         near = found.saturated & (found.share > 0)
         self._kept = (found.share > _NOTABLE / len(exposures)) | near
         self._near = near & (found.weight == 0)
-        self._saturating = np.argmax(found.saturated, axis=1)
+        # Compression lowers saturated samples beside others: such a frame does not count.
+        is_compressed = any(each.compression_levels for each in frames.noise)
+        self._white = sensor.highest(None) + 1 if is_compressed else sensor.white
+        lost = found.saturated & (found.share == 0) if is_compressed else found.saturated
+        self._saturating = np.argmax(lost, axis=1)
         self._spreads: Floats32 = found.spread.astype(np.float32)
         lost = np.where(found.clipped, found.share, 0.0).sum(axis=0) > _NOTABLE
         undithered = (found.share > _DECISIVE) & (found.steps < _DITHERED)
@@ -203,7 +207,7 @@ class LightTables:
         bins = self._first.take(total)
         for each, lowest in zip(values, self._saturating, strict=True):
             # The sum does not always show that noise saturated a sample.
-            white = np.flatnonzero(each >= self.sensor.white)
+            white = np.flatnonzero(each >= self._white)
             bins[white] = np.maximum(bins[white], lowest)
         E = self._weights[0].take(bins)
         E *= samples[0]

@@ -23,6 +23,8 @@ class FrameNoise:
             frame, levels
         prnu: standard deviation of the sensitivity over the pixels, relative
         black: black level, DN: by so many levels noise can lower a sample below 0
+        compression_levels: standard deviation of what the compression of a file, such as JPEG, adds
+            to the brightness, levels of the response
     """
 
     electrons_per_level: float
@@ -31,6 +33,7 @@ class FrameNoise:
     dsnu_levels: float = 0.0
     prnu: float = 0.0
     black: int = 0
+    compression_levels: float = 0.0
 
 
 @dataclass(frozen=True)

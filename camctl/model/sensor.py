@@ -105,6 +105,13 @@ class SensorModel:
         photons = np.maximum(light, 0.0) * self.level / noise.electrons_per_level
         return np.asarray(photons + (noise.read_noise_levels * self.level) ** 2)
 
+    def spread(self, light: FloatArray, noise: FrameNoise) -> FloatArray:
+        """Return that variance with the errors of compression, which follow the response."""
+        variance = self.variance(light, noise)
+        if not noise.compression_levels:
+            return variance
+        return np.asarray(variance + (noise.compression_levels * self.step(light)) ** 2)
+
     def step(self, light: FloatArray) -> FloatArray:
         """Return the step of the quantiser at a light."""
         return np.asarray(np.interp(light, self.light, self.gap))

@@ -170,7 +170,7 @@ class StepPosterior:
     def _spread(self, light: FloatArray, noise: FrameNoise) -> FloatArray:
         """Return the standard deviation of a sample's light, differences of pixels included."""
         offset = noise.dsnu_levels * self.sensor.level
-        return np.sqrt(self.sensor.variance(light, noise) + offset**2)
+        return np.sqrt(self.sensor.spread(light, noise) + offset**2)
 
     def _moments(
         self, rows: NDArray[np.intp], low: FloatArray, high: FloatArray

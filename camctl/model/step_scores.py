@@ -67,7 +67,7 @@ class StepScores:
             x = (exposure * lights + noise.dark_levels * sensor.level)[:, np.newaxis]
             offset = noise.dsnu_levels * sensor.level
             least = (_LEAST_NOISE * sensor.step(x)) ** 2
-            variance = np.maximum(sensor.variance(x, noise) + offset**2, least)
+            variance = np.maximum(sensor.spread(x, noise) + offset**2, least)
             sigma = np.sqrt(variance)
             growth = exposure * sensor.level / noise.electrons_per_level / (2 * variance)
             thresholds = NoisyFrame.of(frames.response, 1.0, noise).thresholds
@@ -134,6 +134,6 @@ def _values(frames: FrameSet, sensor: SensorModel, lights: FloatArray) -> int:
     most = 0
     for exposure, noise in zip(frames.exposures, frames.noise, strict=True):
         x = np.array([exposure * lights[-1] + noise.dark_levels * sensor.level])
-        reach = float((x + NORMAL_REACH * np.sqrt(sensor.variance(x, noise)))[0])
+        reach = float((x + NORMAL_REACH * np.sqrt(sensor.spread(x, noise)))[0])
         most = max(most, int(np.searchsorted(sensor.light, reach)) + 2)
     return min(most, sensor.white + 1)

@@ -251,6 +251,7 @@ def is_noiseless(noise: Sequence[FrameNoise]) -> bool:
     return all(
         math.isinf(each.electrons_per_level)
         and not (each.read_noise_levels or each.dsnu_levels or each.prnu)
+        and not each.compression_levels
         for each in noise
     )
 
@@ -266,17 +267,24 @@ def _frame_set(
     """Return the frames with their noise; photon noise stands for one that is not known."""
     if known is None:
         stand_in = response.M / _STAND_IN_E, 0.0
-        known = _frame_noise(stand_in if fit is None else fit.noise.tolist(), black, gains)
+        compression = 0.0 if fit is None else fit.compression_levels
+        inverse_square = stand_in if fit is None else fit.noise.tolist()
+        known = _frame_noise(inverse_square, compression, black, gains)
     return FrameSet(response, black, tuple(exposures), tuple(known))
 
 
 def _frame_noise(
-    noise: Sequence[float], black: int, gains: Sequence[float]
+    noise: Sequence[float], compression: float, black: int, gains: Sequence[float]
 ) -> tuple[FrameNoise, ...]:
     inverse, square = noise
     electrons, read = electrons_per_level(inverse), math.sqrt(square)
     return tuple(
-        FrameNoise(electrons / gain, min(read * gain, MAX_READ_NOISE), black=black)
+        FrameNoise(
+            electrons / gain,
+            min(read * gain, MAX_READ_NOISE),
+            black=black,
+            compression_levels=compression,
+        )
         for gain in gains
     )
 
@@ -289,7 +297,10 @@ def _likelihood(
     certain = np.full(tables.deviation.shape, is_known)
     if fit is not None:
         others = [
-            replace(frames, noise=_frame_noise(each.tolist(), frames.black, gains))
+            replace(
+                frames,
+                noise=_frame_noise(each.tolist(), fit.compression_levels, frames.black, gains),
+            )
             for each in fit.neighbours
         ]
         certain = is_certain(frames, others, _MOST_UNCERTAIN)
