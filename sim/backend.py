@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, InstanceOf
 
 from camctl.errors import CameraNotFoundError
 from camctl.interface.backends import BackendOptions, FrameShape
@@ -13,15 +14,23 @@ from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import Clock, RealClock, VirtualClock
 from sim.camera import SimulatedCamera
 from sim.faults import Faults, fault_fields
-from sim.scenes.scene import DEFAULT_SCENE, load_scene
+from sim.scenes.scene import DEFAULT_SCENE, Scene, check_shape, load_scene, scene_of
 from sim.sensors.sensor import DEFAULT_SENSOR, load_sensor
+
+
+def _scene_value(value: object) -> object:
+    """Return names and scenes as they are, a path as a name, an array as a scene."""
+    if isinstance(value, str | Scene):
+        return value
+    return str(value) if isinstance(value, Path) else scene_of(value)  # type: ignore[arg-type]
 
 
 class SimulatedOptions(BackendOptions):
     """Options of the simulated camera.
 
     Attributes:
-        scene: a built-in scene, a scene file, or a radiance map
+        scene: a built-in scene, a scene file, a radiance map, or from Python relative irradiance as
+            an array, (rows, columns[, 3]), or a `Scene`
         sensor: a built-in sensor or a sensor file
         seed: of all noise
         size: of a frame; None: the scene's own, or else the sensor's
@@ -33,7 +42,7 @@ class SimulatedOptions(BackendOptions):
             unplug@3,wrong@1=0.5
     """
 
-    scene: str = DEFAULT_SCENE
+    scene: Annotated[str | InstanceOf[Scene], BeforeValidator(_scene_value)] = DEFAULT_SCENE
     sensor: str = DEFAULT_SENSOR
     seed: int = Field(default=0, ge=0, lt=2**64)
     size: FrameShape | None = None
@@ -58,7 +67,11 @@ class SimulatedBackend:
             raise CameraNotFoundError(f"no camera sim:{address} exists", hint="its id is sim")
         chosen = SimulatedOptions.parse(options)
         sensor = load_sensor(chosen.sensor)
-        scene = load_scene(chosen.scene, chosen.size, usual=sensor.shape)
+        scene = chosen.scene
+        if isinstance(scene, str):
+            scene = load_scene(scene, chosen.size, usual=sensor.shape)
+        else:
+            check_shape(scene.name, scene.irradiance.shape, chosen.size)
         clock: Clock = RealClock() if chosen.time == "real" else VirtualClock()
         return SimulatedCamera(
             scene,

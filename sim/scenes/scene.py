@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from camctl.errors import DataError, UsageError, unknown_name
@@ -235,11 +236,11 @@ def load_scene(
 
     Args:
         name_or_path: a name in `scene_names`, or a file
-        shape: (rows, columns) of a drawn scene; a radiance map has its own size
+        shape: (rows, columns) of a drawn scene; a radiance map has its own
         usual: (rows, columns) of a drawn scene where neither `shape` nor the scene file sets it
 
     Raises:
-        UsageError: no scene of that name; `shape` is given for a radiance map or is not positive
+        UsageError: no scene of that name; `shape` is not that of a radiance map, or is not positive
         DataError: a file that is missing, unreadable or too large, or has invalid irradiance
     """
     name = str(name_or_path)
@@ -297,14 +298,36 @@ def _from_file(
 
 
 def _from_map(path: Path, shape: tuple[int, int] | None) -> Scene:
-    if shape is not None and path.exists():
-        raise UsageError(f"{path}: a radiance map has its own size", hint="leave the size out")
-    _check_memory(str(path), read_shape(path), _READING_BYTES_PER_PIXEL)
+    found = read_shape(path)
+    check_shape(str(path), found, shape)
+    _check_memory(str(path), found, _READING_BYTES_PER_PIXEL)
     values, notes = read_map(path)
-    light = _checked(str(path), values)
+    return replace(scene_of(values, str(path)), name=path.name, notes=notes)
+
+
+def scene_of(values: ArrayLike, name: str = "array") -> Scene:
+    """Return the scene of relative irradiance in an array, as of a radiance map.
+
+    Args:
+        values: (rows, columns) or (rows, columns, 3), real numbers >= 0 in any unit; the highlight,
+            their 99.9 % quantile, has a luminance of `HIGHLIGHT_CD_M2`
+        name: of the scene
+
+    Raises:
+        DataError: they are no irradiance
+    """
+    light = _checked(name, np.asarray(values))
     channel = light if light.ndim == 2 else light.max(axis=2)
     highlight = float(np.quantile(channel[channel > 0], _HIGHLIGHT_QUANTILE))
-    return Scene(path.name, light, RELATIVE, HIGHLIGHT_CD_M2 / highlight, notes)
+    return Scene(name, light, RELATIVE, HIGHLIGHT_CD_M2 / highlight)
+
+
+def check_shape(name: str, found: Sequence[int], requested: tuple[int, int] | None) -> None:
+    """Raise `UsageError` where another size, (rows, columns), was requested than a scene has."""
+    if requested is not None and requested != tuple(found[:2]):
+        raise UsageError(
+            f"{name} has its own size, {found[1]}x{found[0]}", hint="leave the size out"
+        )
 
 
 def _check_memory(name: str, shape: tuple[int, ...], bytes_per_pixel: int) -> None:

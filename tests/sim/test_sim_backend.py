@@ -13,6 +13,7 @@ from camctl.interface.clock import RealClock, VirtualClock
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.profiles.calibrated import open_camera
 from sim.backend import SimulatedBackend, SimulatedOptions
+from sim.scenes.scene import scene_of
 
 
 def test_backend_is_found_through_its_entry_point() -> None:
@@ -106,3 +107,37 @@ def test_sizes_are_rows_and_columns() -> None:
     assert SimulatedOptions.parse({"size": "640x480"}).size == (480, 640)
     assert SimulatedOptions.parse({"size": " 12 X 7 "}).size == (7, 12)
     assert SimulatedOptions.parse({"size": (7, 12)}).size == (7, 12)
+
+
+@pytest.mark.parametrize("as_scene", [False, True])
+def test_an_array_is_a_scene(tmp_path: Path, *, as_scene: bool) -> None:
+    light = np.geomspace(0.01, 3, 48 * 64).reshape(48, 64)
+    np.save(tmp_path / "map.npy", light)
+    setting, frames = ExposureSetting(0.01), []
+    for scene in (
+        str(tmp_path / "map.npy"),
+        tmp_path / "map.npy",
+        scene_of(light) if as_scene else light,
+    ):
+        with open_camera("sim", scene=scene, size="64x48") as camera:
+            frames.append(next(camera.shoot([setting])).pixels)
+    assert frames[0].max() > frames[0].min()
+    assert np.array_equal(frames[0], frames[1])
+    assert np.array_equal(frames[0], frames[2])
+
+
+@pytest.mark.parametrize(
+    ("scene", "size", "error"),
+    [
+        (np.ones((4, 5)), "4x5", "array has its own size, 5x4; leave the size out"),
+        (-np.ones((4, 5)), None, "negative"),
+        (np.ones(5), None, "invalid array shape"),
+        (np.array([["a", "b"]]), None, "invalid data type"),
+        (np.full((4, 5), np.nan), None, "NaN"),
+        (np.zeros((4, 5)), None, "scene array"),
+    ],
+)
+def test_an_array_that_is_no_scene_is_one_line(scene: object, size: str | None, error: str) -> None:
+    with pytest.raises(CamctlError, match=error) as raised:
+        open_camera("sim", scene=scene, size=size)
+    assert "\n" not in str(raised.value)
