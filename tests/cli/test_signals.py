@@ -253,7 +253,7 @@ def run_until(run: Run, folder: Path, k: int) -> int:
     def count(frame: FrameType, event: str, _argument: object) -> None:
         nonlocal calls, inside
         if frame.f_code is run_interruptible.__code__:
-            inside = event == "call"
+            inside = (inside or event == "call") and event != "return"  # it calls C functions, too
         elif inside and event == "call":
             calls += 1
             if calls > k:
