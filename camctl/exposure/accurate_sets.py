@@ -19,7 +19,7 @@ from camctl.exposure.design import Design, DesignSearch
 from camctl.exposure.estimate import FrameAccuracy
 from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, bases
 from camctl.exposure.judge import Judge
-from camctl.exposure.least_quantisation import least_quantisation
+from camctl.exposure.least_quantisation import COUNTS, least_quantisation
 from camctl.exposure.listed_sets import ListedSets
 from camctl.exposure.random_sets import interleave_step
 from camctl.model.distribution import deviation
@@ -48,19 +48,18 @@ NEARLY = 0.98
 
 MOST_POLISHED = 25_000
 """Levels of the sums of sets that are rated exactly beside one, at most: 0.25 s for 8 bits.  With
-more levels the noise hides how they interleave."""
+more levels the noise hides how they interleave.  Where the pixels' offsets differ they count three
+times, as often as they are summed."""
 
 MOST_REGAINED = 4
-"""Sets of other gains that are judged, at least: the estimate errs most where it is dark."""
+"""Sets of other gains that are judged, at most, those of the best estimate: it errs most where it
+is dark."""
 
 SPREADS = (0.5, 1.0, 1.5)
 """Distances tried between equal exposures, in gaps between levels near full scale."""
 
 POLISHED_SHARES = (0.1, 0.05, 0.05, 0.03, 0.03, 0.02, 0.01)
 """Shares by which one exposure after the other is changed there."""
-
-UNPOLISHED = 0.15
-"""Share of the work of the search for the least quantisation error where a set is not polished."""
 
 FEW = 5
 """Frames up to which every set of a front is judged: the ratio of the exact levels to the estimate
@@ -138,11 +137,14 @@ class AccurateSets:
         fewest, limit = self.counts[0], limit * (1 + SAME)
         return [search for search in self.searches if search.least_time(fewest) <= limit]
 
-    def within(self, limit: float, *, polished: bool = True) -> Rated:
+    def within(
+        self, limit: float, *, polished: bool = True, counts: Sequence[int] = COUNTS
+    ) -> Rated:
         """Return the most accurate set that takes `limit` at most (>= the least time).
 
         With `polished` sets of few exposures, whose levels interleave in ways that the estimate
-        does not see, are improved by exact ratings of their neighbours.
+        does not see, are improved by exact ratings of their neighbours.  `counts` are numbers of
+        exposures that are tried where noise does not dither the quantiser.
         """
         listed = self._listed.most_accurate(limit) if self._listed.numbers else None
         found = [] if listed is None else [listed]
@@ -155,9 +157,8 @@ class AccurateSets:
             found.append(self.judge(search.shots(design)))
             if polished and not self.problem.noise.is_none:
                 found.append(self._polished(search, design, limit))
-            if not self.dithered and not search.is_list and design.n > 1:
-                share = 1.0 if polished else UNPOLISHED
-                sets = least_quantisation(search, design, limit, share=share)
+            if not self.dithered and not search.is_list:
+                sets = least_quantisation(search, design, limit, thorough=polished, counts=counts)
                 found += [self.judge(each) for each in sets]
         return max(found, key=lambda each: (each.levels, -each.time))
 
@@ -168,7 +169,12 @@ class AccurateSets:
         ratio of the exact levels to the estimate is interpolated between some of them.
         """
         if not self.dithered or self._listed.numbers:
-            return [self.within(limit, polished=False) for limit in limits]
+            rated: list[Rated] = []
+            for limit in limits:
+                last = len(rated[-1].shots) if rated else 1
+                counts = tuple(last + more for more in (0, 1, 3))
+                rated.append(self.within(limit, polished=False, counts=counts))
+            return rated
         both = [self._best_estimated(limit) for limit in limits]
         few = [place for place, (design, _) in enumerate(both) if design.n <= FEW]
         known = sorted({*few, (len(few) + len(both)) // 2, len(both) - 1} - {len(both)})
@@ -186,8 +192,10 @@ class AccurateSets:
 
     def _polished(self, search: DesignSearch, design: Design, limit: float) -> Rated:
         best = self.judge(search.shots(design))
-        remaining = MOST_POLISHED // (design.n * self.problem.response.M)
-        for trial in search.regained(design)[: max(remaining, MOST_REGAINED)]:
+        work = design.n * self.problem.response.M * (3 if search.frames.has_shift else 1)
+        remaining = MOST_POLISHED // work
+        regained = sorted(search.regained(design), key=lambda each: each.mse)
+        for trial in regained[:MOST_REGAINED]:
             rated = self.judge(search.shots(trial))
             if rated.levels > best.levels and rated.time <= limit * (1 + SAME):
                 best, design = rated, trial

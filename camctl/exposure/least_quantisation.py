@@ -7,6 +7,8 @@ Without noise the accuracy follows from the gaps between the levels, which the e
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,48 +20,90 @@ from camctl.exposure.random_sets import RandomSets
 from camctl.model.response.camera import FloatArray, every_nth_level
 
 STARTS, KEPT, MOVES, ROUNDS = 48, 8, 24, 12
-"""Random sets, sets that are improved, changes of each, and rounds, at most: the result is within
-about 1 % of a long search."""
+"""Random sets, sets that are improved, changes of each, and rounds, at most; half as many sets and
+changes where the search is quick."""
 
-MOST_SORTED = 12_000_000
-"""Levels that are sorted, at most: about 0.1 s."""
+MOST_SORTED = 6_000_000
+"""Levels that are sorted for a number of exposures, at most: about 0.1 s."""
 
-MAX_LEVELS = 511
-"""Cameras of more levels are searched by every second, fourth, ... of them; the distances between
-levels that interleave are then reduced as much."""
+COUNTS = (2, 3, 4, 6, 8, 11, 16)
+"""Numbers of exposures that are tried first."""
+
+QUICK, TRIED, EVEN = 0.1, 2, 6
+"""Share of that work for each of them; numbers that are then searched at length; and starts of
+equal factors."""
+
+MAX_LEVELS, QUICK_LEVELS = 511, 127
+"""Cameras of more levels (the second where the search is quick) are searched by every second,
+fourth, ... of them; the distances between levels that interleave are then reduced as much."""
 
 BEST = 2
 """Best sets that are returned."""
 
 
 def least_quantisation(
-    search: DesignSearch, design: Design, limit: float, *, share: float = 1.0
+    search: DesignSearch,
+    design: Design,
+    limit: float,
+    *,
+    thorough: bool,
+    counts: Sequence[int] = COUNTS,
 ) -> list[Shots]:
     """Return sets of little quantisation error that take `limit` at most, at the lowest gain.
 
+    The number of exposures is free: with noise in the quantiser's place, the estimate takes fewer.
+
     Args:
         search: for one shortest exposure, where any time can be set
-        design: a set that the estimate found; the result has as many exposures
+        design: a set that the estimate found
         limit: longest time of the sets, without their fixed time
-        share: of the work that it may be, see `MOST_SORTED`
+        thorough: whether the best numbers of exposures are searched at length
+        counts: numbers of exposures that are tried first
     """
+    fewest, most = search.counts
+
+    def best(numbers: Iterable[int], share: float) -> list[_Found]:
+        possible = [n for n in sorted(set(numbers)) if max(2, fewest) <= n <= most]
+        shorter = [n for n in possible if search.least_time(n) <= limit * (1 + SAME)]
+        found = [_best_of(search, n, design, limit, share) for n in shorter]
+        return sorted(found, key=lambda each: each.error)[:TRIED]
+
+    found = best([min(max(n, fewest), most) for n in counts], QUICK)
+    if thorough:
+        found = best([each.n for each in found], 1.0)
+    return [shots for each in found for shots in each.sets]
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The best sets of n exposures, and the least error among them."""
+
+    n: int
+    error: float
+    sets: list[Shots]
+
+
+def _best_of(search: DesignSearch, n: int, design: Design, limit: float, share: float) -> _Found:
+    """Return the best sets of n exposures; `share` is that of `MOST_SORTED`."""
     problem = search.problem
-    finer = 2 ** max(0, math.ceil(math.log2((problem.response.M + 1) / (MAX_LEVELS + 1))))
+    most, part = (MAX_LEVELS, 1.0) if share == 1 else (QUICK_LEVELS, 0.5)
+    finer = 2 ** max(0, math.ceil(math.log2((problem.response.M + 1) / (most + 1))))
     response = every_nth_level(problem.response, finer)
-    objective = Objective(kind="levels")
-    score = BatchScore(ExposureProblem(response, problem.desired, design.n, objective))
+    score = BatchScore(ExposureProblem(response, problem.desired, n, Objective(kind="levels")))
     reach = float(search.limits(np.zeros(1, dtype=np.intp))[1][0])
-    moves = RandomSets(np.random.default_rng(0), design.n, response, reach)
-    spread = moves.interleave * np.arange(design.n) * np.array([[0.0], [0.5], [1.0]])
-    starts = np.concatenate([moves.starts(STARTS), design.log_exposure + spread])
+    moves = RandomSets(np.random.default_rng(0), n, response, reach)
+    starts = np.concatenate([moves.starts(int(STARTS * part)), moves.even(EVEN)])
+    if n == design.n:
+        spread = moves.interleave * np.arange(n) * np.array([[0.0], [0.5], [1.0]])
+        starts = np.concatenate([starts, design.log_exposure + spread])
     sets = _in_time(search, moves.normalised(starts), limit)
     scores = score(np.exp(sets))
-    most = share * MOST_SORTED / (design.n * response.M)
+    evaluations = share * MOST_SORTED / (n * response.M)
     for _ in range(ROUNDS):
-        if score.evaluations > most:
+        if score.evaluations > evaluations:
             break
         best = np.argsort(scores, kind="stable")[:KEPT]
-        changed = moves.around(sets[best], MOVES).reshape(-1, design.n)
+        changed = moves.around(sets[best], int(MOVES * part)).reshape(-1, n)
         changed = _in_time(search, changed, limit)
         sets = np.concatenate([sets[best], changed])
         scores = np.concatenate([scores[best], score(np.exp(changed))])
@@ -73,7 +117,8 @@ def least_quantisation(
         tuple(Shot(e, e * search.base / gain, gain) for e in row) for row in np.exp(found).tolist()
     )
     costs = search.costs
-    return [s for s in shots if costs.total([shot.time for shot in s]) <= limit * (1 + SAME)]
+    fitting = [s for s in shots if costs.total([shot.time for shot in s]) <= limit * (1 + SAME)]
+    return _Found(n, float(scores.min()), fitting)
 
 
 def _in_time(search: DesignSearch, sets: FloatArray, limit: float) -> FloatArray:

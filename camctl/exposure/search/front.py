@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,6 +34,7 @@ from camctl.exposure.exposure_choices import (
     AvailableExposures,
     Rated,
     Shot,
+    Shots,
     TimeCosts,
 )
 from camctl.exposure.goal import DEFAULT_COUNT, CaptureRequest
@@ -66,6 +67,8 @@ _PERIODS = 200
 _MORE_LEVELS = (1.0, 1.002, 1.006, 1.02)
 #: Relative change of exposures, by rounding, that changes the effective levels by at most 0.1 %.
 _SAME_LEVELS = 2e-3
+#: Share of the levels that rounding down to the camera's steps may cost.
+_LOST = 1e-3
 #: Attempts to fit the camera's own steps into a time budget.
 _ATTEMPTS = 6
 #: Relative difference up to which two times are the same, in float64.
@@ -277,9 +280,12 @@ class Front:
             over_s = point.time_s - budget_s
             if over_s <= _SAME * budget_s:
                 return point
+            rounded = self._shortest_steps(point)
+            fits = rounded.time_s <= budget_s * (1 + _SAME)
+            if fits and rounded.levels > (1 - _LOST) * point.levels:
+                return rounded
             allowed_s = min(allowed_s - over_s, allowed_s * (1 - 1e-3))
-        rounded = self._shortest_steps(point)
-        if rounded.time_s <= budget_s * (1 + _SAME):
+        if fits:
             return rounded
         raise CaptureError(
             f"no settings of this camera were found that fit into {budget_s:.4g} s",
@@ -305,8 +311,20 @@ class Front:
                 self.controls.time_s.minimum, setting.time_s * (1 - _SAME), 1
             )
             shorter.append(setting if is_base or not below else replace(setting, time_s=below[0]))
+        levels, judge = point.levels, self._sets.judge
+        levels *= judge.estimated(self._shots(shorter)) / judge.estimated(
+            self._shots(point.settings)
+        )
         time_s = predicted_wall_s(self.controls, shorter, before=self._before)
-        return replace(point, settings=tuple(shorter), time_s=time_s)
+        return replace(point, settings=tuple(shorter), time_s=time_s, levels=levels)
+
+    def _shots(self, settings: Sequence[ExposureSetting]) -> Shots:
+        return tuple(
+            Shot(exposure, setting.time_s / self._unit_s, setting.gain)
+            for exposure, setting in zip(
+                self.controls.relative_exposures(settings), settings, strict=True
+            )
+        )
 
     def at_accuracy(self, levels: float, *, budget_s: float = math.inf) -> FrontPoint:
         """Return the settings that have so many effective levels in the least time.
@@ -381,11 +399,7 @@ class Front:
             camera = EffectiveCamera.of(controls.levels, exposures)
             levels = noisy_effective_levels(camera, self.desired, controls.frame_noise(settings))
         elif changed > _SAME_LEVELS:
-            sets, unit_s = self._sets, self._unit_s
-            shots = tuple(
-                Shot(exposure, setting.time_s / unit_s, setting.gain)
-                for exposure, setting in zip(exposures, settings, strict=True)
-            )
+            sets, shots = self._sets, self._shots(settings)
             levels *= sets.judge.estimated(shots) / sets.judge.estimated(rated.shots)
             if not sets.dithered:
                 levels = sets.judge(shots).levels
