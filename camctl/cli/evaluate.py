@@ -125,7 +125,7 @@ class _Result:
             "response": self.desired.name,
             "dynamic_range": self.desired.dynamic_range,
             "camera": self.camera.response.name,
-            "noise": self.camera.noise_json(),
+            "noise": self.camera.noise,
         }
         if self.camera.noise is not None:
             result["effective_levels_equal_exposures"] = self.of_equal_exposures()

@@ -6,6 +6,7 @@ Names in it come from files, cameras and arguments, and may hold characters that
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -165,11 +166,12 @@ def print_json(value: object) -> None:
 
     An object gets a version of its format where it has none.
     """
-    if isinstance(value, Mapping) and not {"format_version", "$schema"} & set(value):
+    value = to_json(value)
+    if isinstance(value, dict) and not {"format_version", "$schema"} & set(value):
         value = {"format_version": FORMAT_VERSION, **value}
     encoding = sys.stdout.encoding if sys.stdout is not None else "utf-8"
     is_unicode = encoding.lower() in ("utf-8", "utf8")
-    text = json.dumps(to_json(value), indent=2, allow_nan=False, ensure_ascii=not is_unicode)
+    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=not is_unicode)
     _write("\n".join(map(_visible_json, text.split("\n"))))
 
 
@@ -181,11 +183,18 @@ def _visible_json(line: str) -> str:
 
 
 def to_json(value: Any) -> Any:
-    """Return `value` as dicts, lists, strings, finite numbers, booleans and None."""
+    """Return `value` as dicts, lists, strings, finite numbers, booleans and None.
+
+    A dataclass is the dict of its fields, and so is a pydantic model.
+    """
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {each.name: to_json(getattr(value, each.name)) for each in dataclasses.fields(value)}
+    if hasattr(value, "model_dump"):
+        return to_json(value.model_dump(mode="json"))
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, Iterable):

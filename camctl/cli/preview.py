@@ -83,7 +83,7 @@ def preview(
 
 def _json(shown: ResponsePreview) -> dict[str, Any]:
     return {
-        "findings": [finding.model_dump(mode="json") for finding in shown.plan.findings],
+        "findings": shown.plan.findings,
         "warnings": shown.plan.warnings,
         "dynamic_range": shown.plan.dynamic_range,
         "preview_times_s": [setting.time_s for setting in shown.settings],

@@ -67,7 +67,7 @@ def list_(as_json: bool) -> None:
 
     found = list_profiles()
     if as_json:
-        print_json([{"name": each.name, **each.model_dump(mode="json")} for each in found])
+        print_json([{"name": each.name, **dict(each)} for each in found])
         return
     if not found:
         print_text(f"no profiles in {visible(profile_directory())}; camctl calibrate creates them")
@@ -127,7 +127,7 @@ def show(name: str, plot: Path | None, force: bool, as_json: bool) -> None:
         check_plots((plot,), overwrite=force)
         draw_profile(found, plot)
     if as_json:
-        print_json({"name": name, **found.model_dump(mode="json")})
+        print_json({"name": name, **dict(found)})
         return
     rows = [
         ("camera", f"{found.make} {found.model}"),

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -169,10 +169,6 @@ class KnownCamera:
 
         noise = self.frame_noise(gains or [1.0] * len(exposures), times_s)
         return evaluate(self.response, desired, exposures, noise=noise)
-
-    def noise_json(self) -> dict[str, Any] | None:
-        """Return the noise model for JSON output."""
-        return None if self.noise is None else asdict(self.noise)
 
 
 @dataclass(frozen=True)

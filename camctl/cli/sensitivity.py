@@ -10,7 +10,7 @@ from camctl.cli.output import format_number, format_table
 from camctl.system.number_text import range_text
 
 if TYPE_CHECKING:
-    from camctl.exposure.robustness import Robustness, Spread
+    from camctl.exposure.robustness import Robustness
     from camctl.exposure.table import TableEntry
 
 NOTABLE_LOSS = 0.05
@@ -29,9 +29,7 @@ INTERLEAVED_RATIO = 1.02
 def sensitivity_json(found: Robustness) -> dict[str, Any]:
     """Return the robustness for JSON output; keys are the sizes of the disturbances."""
     return {
-        "exposure_error": {
-            f"{size:g}": _spread_json(spread) for size, spread in found.exposure_errors.items()
-        },
+        "exposure_error": {f"{size:g}": spread for size, spread in found.exposure_errors.items()},
         "noise": {
             f"{sigma:g}": {
                 "effective_levels": found.noise[sigma],
@@ -39,16 +37,7 @@ def sensitivity_json(found: Robustness) -> dict[str, Any]:
             }
             for sigma in found.noise
         },
-        "phase": _spread_json(found.phase),
-    }
-
-
-def _spread_json(spread: Spread) -> dict[str, float]:
-    return {
-        "xi": spread.xi,
-        "xi_worst": spread.xi_worst,
-        "effective_levels": spread.effective_levels,
-        "effective_levels_worst": spread.effective_levels_worst,
+        "phase": found.phase,
     }
 
 

@@ -92,8 +92,8 @@ def run_series(
         )
         Series(directory, journal, CameraSets(camera, journal, date=tools.date), tools).run()
     if as_json:
-        described = journal.model_dump(mode="json")
-        print_json(described | {"completed": journal.completed, "failed": len(journal.failed)})
+        counts = {"completed": journal.completed, "failed": len(journal.failed)}
+        print_json(journal.model_dump(mode="json") | counts)
     else:
         print_text(_text(journal, directory))
     _exit_status(journal, directory)

@@ -6,7 +6,7 @@ import io
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -236,7 +236,7 @@ def _to_json(
     parts = [frame.properties | frame.plan.as_data() for frame in frames]
     for part, frame in zip(parts, frames, strict=True):
         if frame.comparison is not None:
-            part["compared_with_every_effect"] = asdict(frame.comparison)
+            part["compared_with_every_effect"] = frame.comparison
     whole = {"tolerance_dn": tolerance_dn, "seconds": seconds}
     if len(parts) == 1:
         return parts[0] | whole

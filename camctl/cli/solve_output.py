@@ -81,7 +81,7 @@ class SolveResult:
             **_attributes(self.best, (*keys, "seconds", "evaluations")),
             "effective_levels": self.quality.effective_levels,
             "effective_levels_noise_free": self.quality.effective_levels_noise_free,
-            "noise": self.camera.noise_json(),
+            "noise": self.camera.noise,
             "objective": self.objective,
             "response": self.desired.name,
             "dynamic_range": self.desired.dynamic_range,

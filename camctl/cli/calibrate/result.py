@@ -90,7 +90,7 @@ def show(result: Result, text: Callable[[], tuple[str, Rows]], *, as_json: bool)
     for finding in result.findings:
         output.print_finding(finding)
     if as_json:
-        output.print_json(result.model_dump(mode="json"))
+        output.print_json(result)
         return
     table, rows = text()
     info = result.camera

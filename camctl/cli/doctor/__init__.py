@@ -31,7 +31,7 @@ def doctor(context: click.Context, as_json: bool) -> None:
     found = diagnose()
     problems = [check.name for check in found.checks if check.state == "problem"]
     if as_json:
-        print_json(found.model_dump())
+        print_json(found)
     else:
         print_text(f"camctl {found.camctl}, Python {found.python}, {found.platform}\n")
         rows = [(each.name, each.state, each.found) for each in found.checks]

@@ -143,7 +143,7 @@ def build(
     table.save(output)
     discard_rows(jobs, finished_rows)
     if as_json:
-        print_json({"file": output, "entries": [entry.model_dump() for entry in table.entries]})
+        print_json({"file": output, "entries": table.entries})
     else:
         print_text(
             f"wrote {visible(output)}: {content.rows} rows for {visible(real.name)}\n"

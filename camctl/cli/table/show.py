@@ -122,7 +122,7 @@ def show(
         ]
         for row, each in zip(rows, robustness, strict=False):
             row["sensitivity"] = sensitivity_json(each)
-        print_json({"entries": rows, "noise": camera.noise_json()})
+        print_json({"entries": rows, "noise": camera.noise})
     else:
         noise_known = camera.noise is not None
         text = (
