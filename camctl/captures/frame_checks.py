@@ -91,7 +91,11 @@ class FrameChecks:
         codes = [finding.code for finding in self._controls.findings]
         if not self._controls.repeatable or "delay_unknown" in codes:
             return None
-        return self._log.find([frame.ratio for frame in self._frames])
+        checks = [frame.ratio for frame in self._frames]
+        error = self._log.find(checks)
+        # A single ratio that is a little off may fit other exposures by chance.
+        is_sure = any(check is not None and check.contradicts for check in checks)
+        return error if is_sure or (error is not None and error.shift) else None
 
     def settle(self) -> None:
         """Record that the camera settles at each exposure from now on."""

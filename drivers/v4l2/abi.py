@@ -13,6 +13,8 @@ _U8, _U32, _S32 = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_int32
 _U64, _S64 = ctypes.c_uint64, ctypes.c_int64
 
 CAPTURE_BUFFER = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
+PLANES_BUFFER = 9  # V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE
+MOST_PLANES = 8  # VIDEO_MAX_PLANES
 MAPPED_MEMORY = 1  # V4L2_MEMORY_MMAP
 
 
@@ -53,6 +55,39 @@ class Format(ctypes.Structure):
             " flags ycbcr_enc quantization xfer_func"
         ),
         ("_rest", _U8 * 152),
+    )
+
+
+class PlaneFormat(ctypes.Structure):
+    """Size of a plane: struct v4l2_plane_pix_format (packed)."""
+
+    _pack_ = 1
+    _fields_ = (*_words("sizeimage bytesperline"), ("_reserved", ctypes.c_uint16 * 6))
+
+
+class PlanesFormat(ctypes.Structure):
+    """Pixel format of a multi-planar node: struct v4l2_format with struct v4l2_pix_format_mplane.
+
+    Its fields after the planes have one byte each.
+    """
+
+    _pack_ = 1
+    _fields_ = (
+        *_words("type _alignment width height pixelformat field colorspace"),
+        ("planes", PlaneFormat * MOST_PLANES),
+        *((name, _U8) for name in ("num_planes", "flags", "ycbcr_enc", "quantization")),
+        ("_rest", _U8 * 16),
+    )
+
+
+class Plane(ctypes.Structure):
+    """A plane of a buffer: struct v4l2_plane."""
+
+    _fields_ = (
+        *_words("bytesused length"),
+        ("offset", _U64),
+        ("data_offset", _U32),
+        ("_reserved", _U32 * 11),
     )
 
 
@@ -204,6 +239,7 @@ class Caps(IntFlag):
     """Bits of `Capability.capabilities` and `device_caps`."""
 
     VIDEO_CAPTURE = 0x00000001
+    VIDEO_CAPTURE_PLANES = 0x00001000
     STREAMING = 0x04000000
     DEVICE_CAPS = 0x80000000
 
@@ -258,14 +294,21 @@ class ControlId(IntEnum):
     EXPOSURE = _USER + 17
     AUTOGAIN = _USER + 18
     GAIN = _USER + 19
+    POWER_LINE_FREQUENCY = _USER + 24
+    HUE_AUTO = _USER + 25
     BACKLIGHT_COMPENSATION = _USER + 28
+    CHROMA_AGC = _USER + 29
     AUTOBRIGHTNESS = _USER + 32
     EXPOSURE_AUTO = _CAMERA + 1
     EXPOSURE_ABSOLUTE = _CAMERA + 2
     EXPOSURE_AUTO_PRIORITY = _CAMERA + 3
+    FOCUS_ABSOLUTE = _CAMERA + 10
+    FOCUS_AUTO = _CAMERA + 12
     AUTO_N_PRESET_WHITE_BALANCE = _CAMERA + 20
     WIDE_DYNAMIC_RANGE = _CAMERA + 21
+    IMAGE_STABILIZATION = _CAMERA + 22
     ISO_SENSITIVITY_AUTO = _CAMERA + 24
+    SCENE_MODE = _CAMERA + 26
     HDR_SENSOR_MODE = _CAMERA + 36
     VBLANK = _SOURCE + 1
     HBLANK = _SOURCE + 2

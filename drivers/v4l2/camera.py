@@ -28,7 +28,7 @@ from camctl.streaming import (
     mean_brightness,
 )
 from drivers.common.stream_camera import StreamCamera
-from drivers.v4l2.capture import Capture, StreamMode, choose_interval, choose_size
+from drivers.v4l2.capture import Capture, StreamMode, choose_mode
 from drivers.v4l2.controls import ExposureControl, GainUnit, parse_gain
 from drivers.v4l2.formats import SampleScale, choose_format, sample_scale
 from drivers.v4l2.kernel import Kernel
@@ -49,9 +49,9 @@ class V4l2Options(BackendOptions):
     Attributes:
         format: a name of `drivers.v4l2.formats.FORMATS`, "bayer" for the Bayer format with the most
             bits, or "auto" for the format of highest fidelity
-        size: of a frame; None: the largest
-        fps: frames a second; None: the fewest that the camera offers, because no exposure is
-            longer than the interval between frames
+        size: of a frame; None: the largest with 15 frames a second or more
+        fps: frames a second; None: the fewest from 15 on that the camera offers, because no
+            exposure is longer than the interval between frames
         bits: bits that the samples of y16 or bayer16 use; None: all
         black: brightness without light, DN; None: 0, or 16 of limited luma
         gain: what the steps of the gain add; None: unknown, so that the gain is held
@@ -133,9 +133,9 @@ class V4l2Camera(StreamCamera):
         identity = node.capture_identity()
         info = camera_info(path, identity.driver, identity.card)
         format_ = choose_format(node.formats(), options.format, path)
-        shape = choose_size(node.sizes(format_.fourcc), options.size, path)
-        interval_s = choose_interval(node.intervals(format_.fourcc, shape), options.fps, path)
-        capture = Capture(node, StreamMode(format_, shape, interval_s))
+        mode = choose_mode(node, format_, options.size, options.fps)
+        shape = mode.shape
+        capture = Capture(node, mode)
         resources.callback(capture.close)
         self._mode = StreamMode(format_, shape, capture.interval_s)
         exposure = ExposureControl(node, shape[1], options.gain)

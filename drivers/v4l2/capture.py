@@ -21,7 +21,7 @@ from camctl.interface.camera import Pixels
 from drivers.v4l2 import abi
 from drivers.v4l2.formats import PixelFormat
 from drivers.v4l2.kernel import Memory
-from drivers.v4l2.node import Node, Shape, SizeGrid, size_text
+from drivers.v4l2.node import Node, Shape, SizeGrid, StreamBuffer, size_text
 from drivers.v4l2.packing import DamagedFrameError
 from drivers.v4l2.system import PLUG_IN
 
@@ -36,6 +36,8 @@ _SILENCE_S, _SILENCE_FRAMES = 10.0, 5
 _ATTEMPTS = 3
 #: Frame interval where the camera offers no list, s.
 _USUAL_INTERVAL_S = 1 / 30
+#: Frames a second of the default mode, at least.
+LEAST_FPS = 15.0
 #: Frame rates that differ by at most this share are the same: 29.97 is 30.
 _SAME_RATE = 0.01
 
@@ -55,6 +57,29 @@ class StreamMode:
         return f"{self.format.name}-{size_text(self.shape)}-{rate:g}"
 
 
+def choose_mode(
+    node: Node, format_: PixelFormat, size: Shape | None, fps: float | None
+) -> StreamMode:
+    """Return the requested mode; without a size the largest at `LEAST_FPS` frames a second or more.
+
+    Without a rate it is the lowest such rate, because no exposure may be longer than the interval.
+    Where no size has such a rate, it is the largest at its highest rate.
+
+    Raises:
+        UsageError: the camera does not offer that size or that rate
+    """
+    grid = node.sizes(format_.fourcc)
+    sizes = [choose_size(grid, size, node.path)]
+    if size is None:
+        largest_first = sorted(grid.listed, key=lambda each: (each[0] * each[1], each[1]))[::-1]
+        sizes = list(largest_first)
+    offered = {shape: node.intervals(format_.fourcc, shape) for shape in sizes}
+    wanted = 1 / (fps or LEAST_FPS) * (1 + _SAME_RATE)
+    fast = [each for each in sizes if not offered[each] or min(offered[each]) <= wanted]
+    shape = (fast or sizes)[0]
+    return StreamMode(format_, shape, choose_interval(offered[shape], fps, node.path))
+
+
 def choose_size(grid: SizeGrid, requested: Shape | None, path: str) -> Shape:
     """Return the requested size, or the largest; raise `UsageError` where it is not offered."""
     if requested is None:
@@ -68,9 +93,10 @@ def choose_size(grid: SizeGrid, requested: Shape | None, path: str) -> Shape:
 
 
 def choose_interval(offered: Sequence[float], fps: float | None, path: str) -> float:
-    """Return the frame interval, s, for `fps` frames a second, or the longest.
+    """Return the frame interval, s, for `fps` frames a second, or the longest usual one.
 
-    The longest is the default, because no exposure may be longer than the interval.
+    Without `fps` it is the longest with `LEAST_FPS` frames a second or more, else the shortest: no
+    exposure may be longer than the interval, and a slow stream is slow to meter.
 
     Raises:
         UsageError: the camera does not offer that rate
@@ -78,7 +104,8 @@ def choose_interval(offered: Sequence[float], fps: float | None, path: str) -> f
     if not offered:
         return 1 / fps if fps is not None else _USUAL_INTERVAL_S
     if fps is None:
-        return max(offered)
+        usual = [each for each in offered if each <= (1 + _SAME_RATE) / LEAST_FPS]
+        return max(usual) if usual else min(offered)
     nearest = min(offered, key=lambda interval_s: abs(math.log(interval_s * fps)))
     if abs(nearest * fps - 1) > _SAME_RATE:
         known = ", ".join(f"{1 / interval_s:.4g}" for interval_s in sorted(offered, reverse=True))
@@ -110,11 +137,11 @@ class Capture:
         self._mode = mode
         self._silence_s = max(_SILENCE_S, _SILENCE_FRAMES * mode.interval_s)
         self._memory: list[Memory] = []
-        self._held: abi.Buffer | None = None
+        self._held: StreamBuffer | None = None
         try:
             self._line_bytes = self._set_mode()
             self._allocate()
-            self._node.query(abi.Request.STREAMON, _all_buffers(), "start the stream of")
+            self._node.query(abi.Request.STREAMON, self._all_buffers(), "start the stream of")
         except BaseException:
             self.close()
             raise
@@ -124,8 +151,8 @@ class Capture:
         self._held = None
         self._memory.clear()
         for request, argument in (
-            (abi.Request.STREAMOFF, _all_buffers()),
-            (abi.Request.REQBUFS, _buffer_request(0)),
+            (abi.Request.STREAMOFF, self._all_buffers()),
+            (abi.Request.REQBUFS, self._buffer_request(0)),
         ):
             try:
                 self._node.query(request, argument, "stop the stream of")
@@ -156,9 +183,9 @@ class Capture:
     def retrieve(self) -> Pixels | None:
         """Return the samples of the frame grabbed last; None where it is damaged or incomplete."""
         held = self._held
-        if held is None or held.flags & abi.BufferFlag.ERROR:
+        if held is None or held.raw.flags & abi.BufferFlag.ERROR:
             return None
-        data = self._memory[held.index][: held.bytesused]
+        data = self._memory[held.raw.index][held.filled]
         try:
             return self._mode.format.packing.samples(data, self._mode.shape, self._line_bytes)
         except DamagedFrameError:
@@ -167,23 +194,23 @@ class Capture:
     def _next_frame(self) -> float:
         if self._held is not None:
             held, self._held = self._held, None
-            self._node.query(abi.Request.QBUF, held, "take a frame of")
+            self._node.query(abi.Request.QBUF, held.raw, "take a frame of")
         if not self._node.wait(self._silence_s):
             raise CameraTimeoutError(
                 f"no frame from {self._node.path} for {self._silence_s:.0f} s",
                 hint="unplug it, plug it in again and resume",
             )
-        held = self._node.query(abi.Request.DQBUF, _buffer(0), "take a frame of")
-        if held.index >= len(self._memory):
-            raise self._node.invalid("a frame in buffer", held.index)
-        self._held, self.sequence = held, int(held.sequence)
-        return float(held.seconds) + float(held.microseconds) / 1e6
+        held = self._node.buffer(0)
+        raw = self._node.query(abi.Request.DQBUF, held.raw, "take a frame of")
+        if raw.index >= len(self._memory):
+            raise self._node.invalid("a frame in buffer", raw.index)
+        self._held, self.sequence = held, int(raw.sequence)
+        return float(raw.seconds) + float(raw.microseconds) / 1e6
 
     def _set_mode(self) -> int:
         """Set pixel format, size and rate; return the bytes from line to line, 0 if unknown."""
         node, (rows, columns), code = self._node, self._mode.shape, self._mode.format.fourcc
-        request = abi.Format(type=abi.CAPTURE_BUFFER, width=columns, height=rows, pixelformat=code)
-        found = node.query(abi.Request.S_FMT, request, "set the format of")
+        found = node.set_format(code, self._mode.shape)
         if (found.pixelformat, found.height, found.width) != (code, rows, columns):
             raise CameraProtocolError(
                 f"{node.path} does not stream {self._mode.format.name} at "
@@ -197,7 +224,7 @@ class Capture:
     def _allocate(self) -> None:
         """Map the buffers and hand them to the kernel."""
         node = self._node
-        granted = node.query(abi.Request.REQBUFS, _buffer_request(BUFFERS), "stream from")
+        granted = node.query(abi.Request.REQBUFS, self._buffer_request(BUFFERS), "stream from")
         if granted.count < _FEWEST_BUFFERS:
             raise CameraProtocolError(
                 f"{node.path} has {granted.count} buffers for frames, and {_FEWEST_BUFFERS} are "
@@ -206,9 +233,10 @@ class Capture:
                 remedies={"option:size": None},
             )
         for index in range(granted.count):
-            buffer = node.query(abi.Request.QUERYBUF, _buffer(index), "stream from")
+            buffer = node.buffer(index)
+            node.query(abi.Request.QUERYBUF, buffer.raw, "stream from")
             self._memory.append(node.map(buffer))
-            node.query(abi.Request.QBUF, buffer, "stream from")
+            node.query(abi.Request.QBUF, buffer.raw, "stream from")
 
     def _check_plug(self) -> None:
         """Raise `CameraDisconnectedError` where the camera does not respond to the kernel."""
@@ -219,14 +247,9 @@ class Capture:
                 f"{self._node.path} was unplugged", hint=PLUG_IN
             ) from error
 
+    def _buffer_request(self, count: int) -> abi.BufferRequest:
+        kind = self._node.buffer_type
+        return abi.BufferRequest(count=count, type=kind, memory=abi.MAPPED_MEMORY)
 
-def _buffer(index: int) -> abi.Buffer:
-    return abi.Buffer(index=index, type=abi.CAPTURE_BUFFER, memory=abi.MAPPED_MEMORY)
-
-
-def _buffer_request(count: int) -> abi.BufferRequest:
-    return abi.BufferRequest(count=count, type=abi.CAPTURE_BUFFER, memory=abi.MAPPED_MEMORY)
-
-
-def _all_buffers() -> abi.BufferType:
-    return abi.BufferType(type=abi.CAPTURE_BUFFER)
+    def _all_buffers(self) -> abi.BufferType:
+        return abi.BufferType(type=self._node.buffer_type)

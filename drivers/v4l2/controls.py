@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 
 from camctl.errors import (
@@ -73,8 +74,8 @@ class Automatic:
     name: str
 
 
-#: Turned off in this order.  The power-line filter is not changed: its effect on the shutter
-#: depends on the lamps, which the user knows and the driver does not.
+#: Turned off in this order.  A power-line filter rounds the exposure to periods of the lamps: a
+#: request has an option for lamps instead.
 AUTOMATICS = (
     Automatic(ControlId.EXPOSURE_AUTO_PRIORITY, 0, "the dynamic frame rate"),
     Automatic(ControlId.AUTO_WHITE_BALANCE, 0, "automatic white balance"),
@@ -85,6 +86,12 @@ AUTOMATICS = (
     Automatic(ControlId.BACKLIGHT_COMPENSATION, 0, "backlight compensation"),
     Automatic(ControlId.WIDE_DYNAMIC_RANGE, 0, "the camera's wide dynamic range"),
     Automatic(ControlId.HDR_SENSOR_MODE, 0, "the sensor's HDR mode"),
+    Automatic(ControlId.POWER_LINE_FREQUENCY, 0, "the power-line filter"),
+    Automatic(ControlId.HUE_AUTO, 0, "automatic hue"),
+    Automatic(ControlId.CHROMA_AGC, 0, "automatic chroma gain"),
+    Automatic(ControlId.SCENE_MODE, 0, "the scene mode"),
+    Automatic(ControlId.IMAGE_STABILIZATION, 0, "image stabilisation"),
+    Automatic(ControlId.FOCUS_AUTO, 0, "continuous autofocus"),
 )
 
 
@@ -127,8 +134,12 @@ class ExposureControl:
         self._current_register: int | None = None
         self._unit = self._time_unit(columns)
         self._set_manual()
-        for automatic in AUTOMATICS:
-            self._turn_off(automatic)
+        focus = self._focus()
+        were_on = [each.name for each in AUTOMATICS if self._turn_off(each)]
+        if were_on:
+            self._note(f"turned off: {', '.join(dict.fromkeys(were_on))}")
+        if focus is not None and "continuous autofocus" in were_on:
+            self._hold_focus(focus)
         if gain is None:
             self._hold_gain()
         else:
@@ -293,16 +304,35 @@ class ExposureControl:
             "pixel_rate and horizontal_blanking",
         )
 
-    def _turn_off(self, automatic: Automatic) -> None:
-        """Turn an automatic function off, or note that this is not possible."""
+    def _focus(self) -> int | None:
+        """Return the place of the focus; None where the camera does not report it."""
+        with suppress(CameraProtocolError):
+            if self._node.control(ControlId.FOCUS_ABSOLUTE) is not None:
+                return self._node.get(ControlId.FOCUS_ABSOLUTE)
+        return None
+
+    def _hold_focus(self, place: int) -> None:
+        """Keep the focus where it was found: some cameras move it when the autofocus ends."""
+        with suppress(CameraProtocolError):
+            if self._node.set(ControlId.FOCUS_ABSOLUTE, place) == place:
+                self._note(f"the focus is fixed where it was, at {place}")
+                return
+        self._note("the focus may have moved when the autofocus was turned off")
+
+    def _turn_off(self, automatic: Automatic) -> bool:
+        """Turn an automatic function off, or note that this is not possible.
+
+        Returns whether it was on.
+        """
+        was_on = False
         try:
             control = self._node.control(automatic.control)
             if control is None:
-                return
+                return False
             off = control.nearest(automatic.off)
-            if control.is_read_only:
-                is_off = self._node.get(automatic.control) == off
-            else:
+            was_on = self._node.get(automatic.control) != off
+            is_off = not was_on
+            if was_on and not control.is_read_only:
                 is_off = self._node.set(automatic.control, off) == off
         except (CameraDisconnectedError, CameraTimeoutError):
             raise
@@ -312,6 +342,7 @@ class ExposureControl:
             self._note(
                 f"{automatic.name} cannot be turned off: frames with one exposure may differ"
             )
+        return was_on and is_off
 
 
 def _gain_registers(control: ControlRange, unit: GainUnit) -> dict[float, int]:

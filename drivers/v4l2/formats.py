@@ -24,6 +24,8 @@ from drivers.v4l2.packing import (
     MIPI_RAW12,
     MIPI_RAW14,
     SECOND_OF_TWO,
+    THREE_BYTES,
+    THREE_BYTES_REVERSED,
     WORDS,
     Packing,
 )
@@ -93,6 +95,10 @@ FORMATS: tuple[PixelFormat, ...] = (
     PixelFormat("yuyv", "YUYV", FIRST_OF_TWO, 8, is_raw=False, is_yuv=True),
     PixelFormat("uyvy", "UYVY", SECOND_OF_TWO, 8, is_raw=False, is_yuv=True),
     PixelFormat("nv12", "NV12", BYTES, 8, is_raw=False, is_yuv=True),
+    PixelFormat("yuv420", "YU12", BYTES, 8, is_raw=False, is_yuv=True),
+    PixelFormat("yuv420", "YV12", BYTES, 8, is_raw=False, is_yuv=True),
+    PixelFormat("rgb24", "RGB3", THREE_BYTES, 8, Layout.RGB, is_raw=False),
+    PixelFormat("bgr24", "BGR3", THREE_BYTES_REVERSED, 8, Layout.RGB, is_raw=False),
     PixelFormat("mjpg", "MJPG", JPEG, 8, is_raw=False, is_lossy=True),
 )
 

@@ -11,7 +11,7 @@ import errno
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Self, TypeAlias, TypeVar
 
 from camctl.errors import CameraError, CameraNotFoundError, CameraProtocolError
@@ -30,6 +30,7 @@ _INTERVALS_PER_S = 10_000_000
 #: Attempts at a system call that signals interrupt.
 _ATTEMPTS = 10
 _REPLUG = "unplug it, plug it in again and try again"
+_CAPTURES = abi.Caps.VIDEO_CAPTURE | abi.Caps.VIDEO_CAPTURE_PLANES
 
 _StructureT = TypeVar("_StructureT", bound=ctypes.Structure)
 
@@ -41,11 +42,18 @@ def size_text(shape: Shape) -> str:
 
 @dataclass(frozen=True)
 class Identity:
-    """What a node reports of itself: its driver, the name of its card, whether it captures."""
+    """What a node reports of itself.
+
+    Attributes:
+        driver, card: names of its driver and of its card
+        is_capture: it captures video
+        has_planes: its buffers are multi-planar alone
+    """
 
     driver: str
     card: str
     is_capture: bool
+    has_planes: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,6 +104,29 @@ class SizeGrid:
         )
 
 
+class StreamBuffer:
+    """A buffer of a stream with one plane, in the form that its node needs.
+
+    Attributes:
+        raw: as the kernel has it
+        place: has `offset`, `length` and `bytesused`: of the buffer, or of its only plane
+    """
+
+    def __init__(self, index: int, buffer_type: int) -> None:
+        self.raw = abi.Buffer(index=index, type=buffer_type, memory=abi.MAPPED_MEMORY)
+        self.place: abi.Buffer | abi.Plane = self.raw
+        if buffer_type == abi.PLANES_BUFFER:
+            self._planes = (abi.Plane * abi.MOST_PLANES)()  # kept: the kernel has its address
+            self.raw.offset, self.raw.length = ctypes.addressof(self._planes), abi.MOST_PLANES
+            self.place = self._planes[0]
+
+    @property
+    def filled(self) -> slice:
+        """The bytes of the frame in it; in a plane they may begin behind a header."""
+        begin = self.place.data_offset if isinstance(self.place, abi.Plane) else 0
+        return slice(begin, self.place.bytesused)
+
+
 class Node:
     """An open video node; a context manager.
 
@@ -131,12 +162,17 @@ class Node:
         found = self.query(abi.Request.QUERYCAP, abi.Capability(), "query")
         has_own = found.capabilities & abi.Caps.DEVICE_CAPS
         caps = found.device_caps if has_own else found.capabilities
-        needed = abi.Caps.VIDEO_CAPTURE | abi.Caps.STREAMING
         return Identity(
             driver=abi.text(found.driver),
             card=abi.text(found.card),
-            is_capture=caps & needed == needed,
+            is_capture=bool(caps & _CAPTURES and caps & abi.Caps.STREAMING),
+            has_planes=caps & _CAPTURES == abi.Caps.VIDEO_CAPTURE_PLANES,
         )
+
+    @cached_property
+    def buffer_type(self) -> int:
+        """The type of its buffers: of one plane, or multi-planar (Rockchip, i.MX8 and others)."""
+        return abi.PLANES_BUFFER if self.identity().has_planes else abi.CAPTURE_BUFFER
 
     def capture_identity(self) -> Identity:
         """Return what the node reports; raise `CameraNotFoundError` unless it captures video."""
@@ -153,7 +189,7 @@ class Node:
         """Return the numbers of the pixel formats offered, `MOST_FORMATS` at most."""
         entries = self._list(
             abi.Request.ENUM_FMT,
-            lambda index: abi.FormatDescription(index=index, type=abi.CAPTURE_BUFFER),
+            lambda index: abi.FormatDescription(index=index, type=self.buffer_type),
             MOST_FORMATS,
         )
         return tuple(dict.fromkeys(entry.pixelformat for entry in entries))
@@ -205,12 +241,52 @@ class Node:
 
     def current_format(self) -> abi.Format:
         """Return the pixel format and size that are set."""
-        return self.query(abi.Request.G_FMT, abi.Format(type=abi.CAPTURE_BUFFER), "query")
+        return self._format(abi.Request.G_FMT, abi.Format(), "query")
+
+    def set_format(self, pixelformat: int, shape: Shape) -> abi.Format:
+        """Set pixel format and size; return what the driver has set instead, or the same."""
+        rows, columns = shape
+        requested = abi.Format(width=columns, height=rows, pixelformat=pixelformat)
+        return self._format(abi.Request.S_FMT, requested, "set the format of")
+
+    def _format(self, request: abi.Request, format_: abi.Format, action: str) -> abi.Format:
+        """Get or set the format; of a multi-planar node in the form of a single plane."""
+        format_.type = self.buffer_type
+        if self.buffer_type == abi.CAPTURE_BUFFER:
+            return self.query(request, format_, action)
+        wanted = abi.PlanesFormat(
+            type=self.buffer_type,
+            width=format_.width,
+            height=format_.height,
+            pixelformat=format_.pixelformat,
+            num_planes=1,
+        )
+        found = self.query(request, wanted, action)
+        if found.num_planes > 1:
+            raise CameraProtocolError(
+                f"{self.path} sends its frames in {found.num_planes} planes apart",
+                hint="choose another pixel format",
+                remedies={"option:format": None},
+            )
+        return abi.Format(
+            type=found.type,
+            width=found.width,
+            height=found.height,
+            pixelformat=found.pixelformat,
+            bytesperline=found.planes[0].bytesperline,
+            sizeimage=found.planes[0].sizeimage,
+            colorspace=found.colorspace,
+            quantization=found.quantization,
+        )
+
+    def buffer(self, index: int) -> StreamBuffer:
+        """Return a buffer of the stream, for requests."""
+        return StreamBuffer(index, self.buffer_type)
 
     def set_interval(self, interval_s: float) -> float | None:
         """Set the frame interval; return the one that the driver chose, None where unknown."""
         rate = abi.StreamParameters(
-            type=abi.CAPTURE_BUFFER,
+            type=self.buffer_type,
             numerator=round(interval_s * _INTERVALS_PER_S),
             denominator=_INTERVALS_PER_S,
         )
@@ -316,12 +392,13 @@ class Node:
                 return None
             raise camera_error(error, self.path, action) from error
 
-    def map(self, buffer: abi.Buffer) -> Memory:
+    def map(self, buffer: StreamBuffer) -> Memory:
         """Return the memory of a buffer of the stream."""
+        place = buffer.place
         try:
-            return self._kernel.map(self._opened(), buffer.offset, buffer.length)
+            return self._kernel.map(self._opened(), place.offset, place.length)
         except (OSError, ValueError, OverflowError) as error:
-            reported = f"{buffer.length} bytes at {buffer.offset}"
+            reported = f"{place.length} bytes at {place.offset}"
             raise self.invalid("a buffer", reported) from error
 
     def wait(self, timeout_s: float) -> bool:

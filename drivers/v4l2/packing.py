@@ -38,14 +38,15 @@ class Packing:
     Attributes:
         bytes_per_line: bytes of a line with this number of columns; None where the length of a
             frame varies
-        unpack: from the bytes of all lines and the shape to samples, (rows, columns); a copy
+        unpack: from the bytes of all lines and the shape to samples, (rows, columns), of RGB with
+            3 more; a copy
     """
 
     bytes_per_line: Callable[[int], int] | None
     unpack: Callable[[Bytes, Shape], Pixels]
 
     def samples(self, data: Bytes, shape: Shape, line_bytes: int = 0) -> Pixels:
-        """Return the samples of a frame: (rows, columns).
+        """Return the samples of a frame: (rows, columns), of RGB (rows, columns, 3).
 
         Args:
             data: its bytes
@@ -65,7 +66,7 @@ class Packing:
             raise DamagedFrameError(
                 f"the frame has {data.size} bytes instead of {needed}", hint="try again"
             )
-        # The chroma plane of NV12 follows its luma; other formats may be padded at the end.
+        # The chroma of NV12 and YUV420 follows the luma; other formats may be padded at the end.
         lines = as_strided(data[:needed], (rows, used), (line_bytes, 1), writeable=False)
         return self.unpack(np.ascontiguousarray(lines).reshape(-1), shape)
 
@@ -77,6 +78,14 @@ def _words(data: Bytes, shape: Shape) -> Pixels:
 
 def _bytes(data: Bytes, shape: Shape) -> Pixels:
     return data.reshape(shape).copy()
+
+
+def _three(data: Bytes, shape: Shape) -> Pixels:
+    return data.reshape(*shape, 3).copy()
+
+
+def _three_reversed(data: Bytes, shape: Shape) -> Pixels:
+    return data.reshape(*shape, 3)[:, :, ::-1].copy()
 
 
 def _first_of_two(data: Bytes, shape: Shape) -> Pixels:
@@ -157,6 +166,8 @@ MIPI_RAW10 = Packing(lambda columns: -(-columns // 4) * 5, partial(_mipi, 10, 4)
 MIPI_RAW12 = Packing(lambda columns: -(-columns // 2) * 3, partial(_mipi, 12, 2))
 MIPI_RAW14 = Packing(lambda columns: -(-columns // 4) * 7, partial(_mipi, 14, 4))
 BITS_OF_10 = Packing(lambda columns: -(-columns // 4) * 5, _bits_of_10)
+THREE_BYTES = Packing(lambda columns: 3 * columns, _three)
+THREE_BYTES_REVERSED = Packing(lambda columns: 3 * columns, _three_reversed)
 FIRST_OF_TWO = Packing(lambda columns: 2 * columns, _first_of_two)
 SECOND_OF_TWO = Packing(lambda columns: 2 * columns, _second_of_two)
 JPEG = Packing(None, _jpeg)

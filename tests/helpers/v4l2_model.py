@@ -99,6 +99,9 @@ class Model:
         damage: slots whose frames have 5 bytes
         flag: slots whose frames the driver flags as erroneous, with all their bytes
         counts: whether frames have sequence numbers
+        planes: of a frame on a multi-planar node; 0: the node is none
+        header_bytes: before the samples of a plane
+        size_intervals: frame intervals of a size, where they differ from `intervals`
         errors: errno by the request that fails with it
         first_error: errno with which opening fails
     """
@@ -122,11 +125,16 @@ class Model:
     bytesperline: int = 0
     caps: int = abi.Caps.VIDEO_CAPTURE | abi.Caps.STREAMING
     streams: bool = True
+    planes: int = 0
+    header_bytes: int = 0
+    size_intervals: dict[tuple[int, int], tuple[tuple[int, int], ...]] = field(default_factory=dict)
     pixel_rate: int | None = None
     first_error: int | None = None
     errors: dict[abi.Request, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.planes:
+            self.caps = abi.Caps.VIDEO_CAPTURE_PLANES | abi.Caps.STREAMING
         self.clock = VirtualClock(1000.0)
         self.controls = registers()
         self.memory: list[NDArray[np.uint8]] = []
@@ -232,16 +240,35 @@ class Model:
         found.words[0], found.words[1] = self.sizes[found.index]
 
     def enum_frameintervals(self, found: abi.IntervalQuery) -> None:
-        if found.index >= len(self.intervals):
+        intervals = self.size_intervals.get((found.width, found.height), self.intervals)
+        if found.index >= len(intervals):
             self.fail()
         found.type = abi.Grid.DISCRETE
-        found.words[0], found.words[1] = self.intervals[found.index]
+        found.words[0], found.words[1] = intervals[found.index]
 
-    def g_fmt(self, found: abi.Format) -> None:
+    def g_fmt(self, found: abi.Format | abi.PlanesFormat) -> None:
         found.pixelformat, found.width, found.height = self.current
-        found.bytesperline, found.quantization = self.bytesperline, self.quantization
+        found.quantization = self.quantization
+        if isinstance(found, abi.PlanesFormat):
+            found.num_planes, found.planes[0].bytesperline = self.planes, self.bytesperline
+        else:
+            found.bytesperline = self.bytesperline
+        self.has_type(found)
 
-    def s_fmt(self, found: abi.Format) -> None:
+    def has_type(self, found: Any) -> None:
+        """Refuse a request that is not of this node's type of buffers, as the kernel does."""
+        if found.type != (abi.PLANES_BUFFER if self.planes else abi.CAPTURE_BUFFER):
+            self.fail()
+
+    def place(self, found: abi.Buffer) -> Any:
+        """Return what has length, offset and filled bytes of a buffer: itself, or its plane."""
+        self.has_type(found)
+        if not self.planes:
+            return found
+        assert found.length == abi.MOST_PLANES
+        return ctypes.cast(found.offset, ctypes.POINTER(abi.Plane))[0]
+
+    def s_fmt(self, found: abi.Format | abi.PlanesFormat) -> None:
         if not self.streams:
             found.width, found.height = 2, 2
         self.current = (found.pixelformat, found.width, found.height)
@@ -258,7 +285,8 @@ class Model:
         self.released += found.count == 0
 
     def querybuf(self, found: abi.Buffer) -> None:
-        found.offset, found.length = found.index * _BUFFER_BYTES, _BUFFER_BYTES
+        place = self.place(found)
+        place.offset, place.length = found.index * _BUFFER_BYTES, _BUFFER_BYTES
 
     def map(self, descriptor: int, offset: int, length: int) -> NDArray[np.uint8]:
         if length != _BUFFER_BYTES or not 0 <= offset < _BUFFER_BYTES * len(self.memory):
@@ -300,8 +328,11 @@ class Model:
         filled = self.waiting.popleft()
         self.used.append(filled.slot)
         data = b"\0" * 5 if filled.slot in self.damage else self.packed(filled.ticks)
-        self.memory[filled.index][: len(data)] = np.frombuffer(data, np.uint8)
-        found.index, found.bytesused = filled.index, len(data)
+        place, begin = self.place(found), self.header_bytes
+        self.memory[filled.index][begin : begin + len(data)] = np.frombuffer(data, np.uint8)
+        found.index, place.bytesused = filled.index, begin + len(data)
+        if self.planes:
+            place.data_offset = begin
         found.flags = abi.BufferFlag.ERROR if filled.slot in self.flag else 0
         found.sequence = filled.sequence % 2**32
         microseconds = round(self.stamp_s(filled.end_s) * 1e6)
@@ -362,6 +393,14 @@ def packed_lines(code: str, ticks: int) -> list[bytes]:
     if code == "YUYV":
         luma = brightness(ticks).astype(np.uint8)
         return [line.tobytes() for line in np.stack([luma, np.full_like(luma, 128)], axis=-1)]
+    if code in ("RGB3", "BGR3"):  # red, green and blue have the whole, half and a quarter
+        luma = brightness(ticks).astype(np.uint8)
+        colours = [luma, luma // 2, luma // 4]
+        pixels = np.stack(colours if code == "RGB3" else colours[::-1], axis=-1)
+        return [line.tobytes() for line in pixels]
+    if code in ("YU12", "YV12", "NV12"):  # luma, then chroma of half the lines
+        luma = brightness(ticks).astype(np.uint8)
+        return [line.tobytes() for line in luma] + [b"\x80" * COLUMNS] * (ROWS // 2)
     if code == "MJPG":
         import cv2
 

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from v4l2_bench import one_frame, open_model, opening_error
@@ -23,9 +24,17 @@ from camctl.errors import (
     RefusedSettingError,
 )
 from camctl.interface.camera import PreviewingCamera, StreamingCamera
-from camctl.interface.controls import Choices, ExposureSetting, Steps
+from camctl.interface.controls import Choices, ExposureSetting, Layout, Steps
 from camctl.messages.plain import sentence
-from drivers.v4l2.abi import Caps, ControlFlag, ControlId, ControlType, Request
+from drivers.v4l2.abi import (
+    Caps,
+    ControlFlag,
+    ControlId,
+    ControlType,
+    ControlValue,
+    Request,
+    StreamParameters,
+)
 from drivers.v4l2.camera import V4l2Camera
 from drivers.v4l2.system import camera_error, processes_using
 
@@ -98,12 +107,96 @@ class TestOpening:
             note = "automatic gain cannot be turned off: frames with one exposure may differ"
             assert note in camera.controls.notes
 
-    def test_power_line_filter_is_left_alone(self) -> None:
+    def test_all_that_changes_pixels_is_turned_off_and_stated(self) -> None:
         model = Model()
-        power_line = 0x00980900 + 24
-        model.controls[power_line] = Register("50 Hz", ControlType.MENU, 0, 2, 1, 1, 2)
-        with open_model(model):
-            assert model.controls[power_line].value == 2
+        added = {
+            ControlId.POWER_LINE_FREQUENCY: 2,
+            ControlId.HUE_AUTO: 1,
+            ControlId.SCENE_MODE: 3,
+            ControlId.IMAGE_STABILIZATION: 1,
+            ControlId.HDR_SENSOR_MODE: 1,
+            ControlId.FOCUS_AUTO: 1,
+        }
+        for control, value in added.items():
+            model.controls[control] = Register("x", ControlType.MENU, 0, 3, 1, 1, value)
+        with open_model(model) as camera:
+            assert {model.controls[control].value for control in added} == {0}
+            (stated,) = (each for each in camera.controls.notes if each.startswith("turned off: "))
+        for name in ("the power-line filter", "automatic hue", "continuous autofocus"):
+            assert name in stated
+
+    def test_focus_is_fixed_where_it_was(self) -> None:
+        class Jumping(Model):
+            """Its focus goes to its default when the autofocus ends."""
+
+            def s_ctrl(self, found: ControlValue) -> None:
+                super().s_ctrl(found)
+                if found.id == ControlId.FOCUS_AUTO and not found.value:
+                    self.controls[ControlId.FOCUS_ABSOLUTE].value = 0
+
+        model = Jumping()
+        model.controls[ControlId.FOCUS_AUTO] = Register("AF", ControlType.BOOLEAN, 0, 1, 1, 1, 1)
+        integer = ControlType.INTEGER
+        model.controls[ControlId.FOCUS_ABSOLUTE] = Register("F", integer, 0, 250, 5, 0, 120)
+        with open_model(model) as camera:
+            assert model.controls[ControlId.FOCUS_AUTO].value == 0
+            assert model.controls[ControlId.FOCUS_ABSOLUTE].value == 120
+            assert "the focus is fixed where it was, at 120" in camera.controls.notes
+
+    @pytest.mark.parametrize("header_bytes", [0, 64])
+    @pytest.mark.parametrize("code", ["YUYV", "NV12", "Y10 "])
+    def test_multi_planar_node_is_a_camera(self, code: str, header_bytes: int) -> None:
+        model = Model(planes=1, formats=(code,), header_bytes=header_bytes)
+        with open_model(model) as camera:
+            for ticks in (40, 160, 11):
+                bits = camera.controls.bits
+                assert ticks_of(one_frame(camera, ticks).pixels, bits) == ticks
+
+    def test_multi_planar_node_with_planes_apart_is_refused(self) -> None:
+        message = opening_error(CameraProtocolError, Model(planes=2))
+        assert "sends its frames in 2 planes apart" in message
+
+    @pytest.mark.parametrize("code", ["RGB3", "BGR3"])
+    def test_frames_of_three_colours(self, code: str) -> None:
+        with open_model(Model(formats=(code,))) as camera:
+            assert camera.controls.layout is Layout.RGB
+            pixels = one_frame(camera, 160).pixels
+            assert ticks_of(pixels[..., 0]) == 160
+            assert (pixels[..., 1] == pixels[..., 0] // 2).all()
+            assert (pixels[..., 2] == pixels[..., 0] // 4).all()
+
+    @pytest.mark.parametrize("code", ["YU12", "YV12", "NV12"])
+    def test_luma_of_planar_formats(self, code: str) -> None:
+        with open_model(Model(formats=(code,))) as camera:
+            assert ticks_of(one_frame(camera, 160).pixels) == 160
+
+    @pytest.mark.parametrize(
+        ("options", "mode"),
+        [
+            ({}, "yuyv-8x6-20"),  # the largest with 15 frames a second or more, at its lowest
+            ({"size": "32x24"}, "yuyv-32x24-10"),
+            ({"fps": 5.0}, "yuyv-64x48-5"),
+            ({"fps": 30.0}, "yuyv-8x6-30"),
+        ],
+    )
+    def test_default_mode_is_the_largest_that_is_fast_enough(
+        self, options: dict[str, Any], mode: str
+    ) -> None:
+        rates = {
+            (64, 48): ((1, 5),),
+            (32, 24): ((1, 5), (1, 10)),
+            (8, 6): ((1, 20), (1, 30)),
+            (4, 3): ((1, 60),),
+        }
+
+        class Obedient(Model):
+            def s_parm(self, found: StreamParameters) -> None:
+                """Leave the interval as it was requested."""
+
+        rate = float(mode.rpartition("-")[2])
+        model = Obedient(interval_s=1 / rate, sizes=tuple(rates), size_intervals=rates)
+        with open_model(model, **options) as camera:
+            assert camera.mode == mode
 
     @pytest.mark.parametrize("fault", ["stuck", "no menu entry", "no exposure time"])
     def test_camera_without_manual_exposure_is_refused(self, fault: str) -> None:
@@ -135,9 +228,9 @@ class TestOpening:
         with open_model(model) as camera:
             assert camera.controls.time_s.minimum == pytest.approx(first / 10_000)
 
-    @pytest.mark.parametrize(("fps", "mode"), [(None, "10"), (30.0, "30")])
-    def test_default_is_the_lowest_frame_rate(self, fps: float | None, mode: str) -> None:
-        interval_s = 1 / (fps or 10)
+    @pytest.mark.parametrize(("fps", "mode"), [(None, "30"), (10.0, "10")])
+    def test_longest_exposure_fits_into_the_interval(self, fps: float | None, mode: str) -> None:
+        interval_s = 1 / (fps or 30)
         model = Model(interval_s=interval_s)
         with open_model(model, fps=fps) as camera:
             assert camera.mode.endswith(f"-{mode}")
