@@ -13,7 +13,7 @@ defines a name, and numpy with it, is imported when the name is first used.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-__version__ = "0.2.0.dev0"
+__version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from camctl import calibrate as calibrate
