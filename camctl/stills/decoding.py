@@ -34,6 +34,7 @@ MAX_PIXELS = 1 << 29
 # the first coefficient of each block of 64 pixels: 512 pixels a byte at most.
 _MAX_PIXELS_PER_BYTE = 1040
 
+_LEAST_RAW_BYTES = 16  # a header and one directory entry of TIFF, the frame of most raw formats
 _JPEG = b"\xff\xd8\xff"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TIFF_SUFFIXES = (".tif", ".tiff")
@@ -103,6 +104,12 @@ def read_still(data: bytes, name: str) -> Still:
         return _read(data, name)
 
 
+def is_raw(data: bytes, name: str) -> bool:
+    """Return whether LibRaw is to read a file, whose format this module does not check itself."""
+    is_tiff = data.startswith(_TIFF) and PurePath(name).suffix.lower() in _TIFF_SUFFIXES
+    return len(data) >= _LEAST_RAW_BYTES and not (data.startswith((_JPEG, PNG)) or is_tiff)
+
+
 def _read(data: bytes, name: str) -> Still:
     suffix = PurePath(name).suffix.lower()
     if data.startswith(_JPEG):
@@ -111,7 +118,7 @@ def _read(data: bytes, name: str) -> Still:
         return _read_png(data, name)
     if data.startswith(_TIFF):
         return _read_tiff_family(data, name, is_plain=suffix in _TIFF_SUFFIXES)
-    if len(data) < 16:
+    if len(data) < _LEAST_RAW_BYTES:
         raise _damaged(name, f"it has only {len(data)} bytes")
     return _read_raw(data, name)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -197,14 +198,14 @@ def _tiff_shape(path: Path) -> Shape:
     import tifffile
 
     with tifffile.TiffFile(path) as file:
-        return tuple(file.series[0].shape)
+        return tuple(_series(path, file).shape)
 
 
 def _tiff(path: Path) -> Map:
     import tifffile
 
     with tifffile.TiffFile(path) as file:
-        series = file.series[0]
+        series = _series(path, file)
         values = np.asarray(series.asarray())
         axes = series.axes
     if values.ndim == 3 and axes[0] in "SC" and values.shape[0] in (1, 3):
@@ -212,6 +213,18 @@ def _tiff(path: Path) -> Map:
     if values.ndim == 3 and values.shape[2] == 4:
         return values[..., :3], ("the fourth channel was taken as opacity and ignored",)
     return values, ()
+
+
+def _series(path: Path, file: Any) -> Any:
+    """Return the first picture of a `tifffile.TiffFile`; raise `DataError` where strips lack.
+
+    tifffile would go through all that are missing, and a short file may state millions.
+    """
+    series = file.series[0]
+    page = series.keyframe
+    if len(page.dataoffsets) < math.prod(page.chunked):
+        raise DataError(f"{path}: most of its samples are missing", hint=_FETCH_AGAIN)
+    return series
 
 
 def _exr_shape(path: Path) -> Shape:

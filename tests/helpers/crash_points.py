@@ -381,8 +381,8 @@ def _apply(change: _Change, entries: dict[str, int | None]) -> None:
         entries.pop(operation.path, None)
     elif operation.name == "rename":
         assert operation.target is not None
-        entries.pop(operation.path, None)
-        entries[operation.target] = change.inode
+        if operation.path in entries:  # else the change that made the name is not on disk
+            entries[operation.target] = entries.pop(operation.path)
     elif operation.name == "link":
         assert operation.target is not None
         entries[operation.target] = change.inode

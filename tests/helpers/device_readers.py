@@ -76,7 +76,7 @@ def _dataset_reader(code: int, parse: Callable[[bytes], object]) -> Reader:
 
 
 @cache
-def _still_files() -> dict[str, bytes]:
+def still_files() -> dict[str, bytes]:
     rng = np.random.default_rng(1)
     mosaic = RawImage(rng.integers(60, 4000, (24, 32), np.uint16), Layout.RGGB, 12, 64, 4000, 0.5)
     picture = RawImage(rng.integers(0, 256, (24, 32, 3), np.uint8), Layout.RGB, 8, 0, 255, 0.5)
@@ -91,7 +91,7 @@ def _still_reader(name: str) -> Reader:
     def read(data: bytes, _folder: Path) -> object:
         return exposure_time_s(data), read_still(data, name)
 
-    return Reader(lambda: [_still_files()[name]], read)
+    return Reader(lambda: [still_files()[name]], read)
 
 
 DEVICES = {

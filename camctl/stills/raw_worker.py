@@ -1,0 +1,91 @@
+"""Decodes camera raw files in a process of its own, for `camctl.stills.separate`.
+
+LibRaw reads formats of all makers, in C++ and without limits of its own.  What a file makes of it
+stays here: memory and processor time are limited, and a crash ends this process alone.
+
+Requests and answers are a line of JSON, then as many bytes as it says: the file, and its samples.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from camctl.errors import CamctlError
+from camctl.stills.decoding import read_still
+
+MOST_SECONDS = 60
+"""Processor time for one file: the slowest of 100 megapixels takes 4 s on one core (2026-11)."""
+
+_MOST_BYTES = 4 << 30
+"""Memory beyond the libraries: 400 megapixels of 2 bytes (`MAX_PIXELS`), held five times."""
+
+
+def serve(requests: BinaryIO, answers: BinaryIO) -> None:
+    """Answer requests until there are no more."""
+    _limit_memory()
+    for line in requests:
+        request = json.loads(line)
+        data = requests.read(request["bytes"])
+        _limit_time()
+        head, samples = _answer(data, request["name"])
+        answers.write(json.dumps(head).encode() + b"\n")
+        answers.write(samples)
+        answers.flush()
+
+
+def _answer(data: bytes, name: str) -> tuple[dict[str, Any], bytes | memoryview]:
+    try:
+        still = read_still(data, name)
+    except CamctlError as error:
+        return {"error": type(error).__name__, "what": error.what, "hint": error.hint}, b""
+    except MemoryError:
+        what = f"{name} needs more than {_MOST_BYTES >> 30} GiB to be decoded"
+        return {"error": "CameraProtocolError", "what": what, "hint": "leave it out"}, b""
+    pixels = np.ascontiguousarray(still.pixels)
+    head = {
+        "shape": pixels.shape,
+        "dtype": pixels.dtype.name,
+        "layout": still.layout.value,
+        "bits": still.bits,
+        "black": still.black,
+        "white": still.white,
+        "notes": still.notes,
+    }
+    return head, pixels.reshape(-1).view(np.uint8).data
+
+
+def _limit_memory() -> None:
+    if os.name != "posix":
+        return
+    import resource
+    from pathlib import Path
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    sizes = Path("/proc/self/statm")  # Linux
+    if not sizes.exists():
+        return
+    used = int(sizes.read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limits = [each for each in (soft, used + _MOST_BYTES) if each != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+
+
+def _limit_time() -> None:
+    if os.name != "posix":
+        return
+    import resource
+
+    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + MOST_SECONDS, hard))
+
+
+if __name__ == "__main__":
+    own = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print must not disturb the answers
+    serve(sys.stdin.buffer, own)
