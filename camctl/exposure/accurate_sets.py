@@ -15,9 +15,10 @@ from functools import cached_property
 
 import numpy as np
 
-from camctl.exposure.design import Design, DesignSearch
+from camctl.exposure.design import DesignSearch
 from camctl.exposure.estimate import FrameAccuracy
 from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, bases
+from camctl.exposure.frame_sets import Design
 from camctl.exposure.judge import Judge
 from camctl.exposure.least_quantisation import COUNTS, least_quantisation
 from camctl.exposure.listed_sets import ListedSets

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from camctl.exposure.candidates import BatchScore
-from camctl.exposure.design import Design, DesignSearch
+from camctl.exposure.design import DesignSearch
 from camctl.exposure.exposure_choices import SAME, Shot, Shots
+from camctl.exposure.frame_sets import Design
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.random_sets import RandomSets
 from camctl.model.response.camera import FloatArray, every_nth_level

@@ -1,0 +1,257 @@
+"""Shutter times of a set of frames, tuned for accuracy: to a weight of time, or within a time.
+
+Newton's method with the derivatives of the estimate by ln(exposure), at the same gains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.exposure.exposure_choices import SAME
+from camctl.exposure.frame_sets import DELTA, Design, FrameSets
+from camctl.model.response.camera import FloatArray
+
+LEAST_WEIGHT = 1e-4
+"""Weight of time for the most accurate set: what takes twice the time for 0.003 % is left out."""
+
+LONGEST_STEP = 0.4
+"""Longest step of a time in ln(exposure): two steps of the lattice."""
+
+SHORTEST_STEP = 2e-3
+"""Step in ln(exposure) from which the times are tuned: the error then changes by some 1e-6."""
+
+MAX_STEPS = 12
+"""Newton steps of the times, at most: they converge in 3 to 6."""
+
+SAME_TIME = 1e-6
+"""Relative difference up to which a set takes the time that it may."""
+
+BETTER = 2e-6
+"""Gain in ln(mse) from which a set counts as better: 1e-6 of the effective levels."""
+
+
+class TunedSets(FrameSets):
+    """Sets of frames whose times are tuned."""
+
+    def tuned(self, design: Design, weight: float) -> Design:
+        """Return the set with its times tuned to the least merit, at the same gains."""
+
+        def step(current: Design) -> FloatArray:
+            error, time = self._derivatives(current)
+            return _newton(error[0] + weight * time[0], error[1] + weight * time[1])
+
+        def is_better(found: Design, best: Design) -> bool:
+            return self.merit(found, weight) < self.merit(best, weight) - BETTER
+
+        return self._descended(design, step, self._moved, is_better)
+
+    def refitted(self, design: Design, limit: float) -> Design:
+        """Return the set with its times tuned at the time that it takes, `limit` at most."""
+
+        def step(current: Design) -> FloatArray:
+            error, time = self._derivatives(current)
+            along = float(time[0] @ time[0])
+            weight = max(0.0, -float(error[0] @ time[0]) / along) if along > 0 else 0.0
+            return _newton(error[0] + weight * time[0], error[1] + weight * time[1])
+
+        def moved(current: Design, step: FloatArray) -> Design:
+            place = self._stepped(current, step)
+            fitting = self._scaled_to(place, current.gain, limit)
+            return (
+                self.fastest(current.n) if fitting is None else self.design(fitting, current.gain)
+            )
+
+        def is_better(found: Design, best: Design) -> bool:
+            return found.mse < best.mse * (1 - BETTER)
+
+        return self._descended(design, step, moved, is_better)
+
+    def _descended(
+        self,
+        design: Design,
+        step: Callable[[Design], FloatArray],
+        moved: Callable[[Design, FloatArray], Design],
+        is_better: Callable[[Design, Design], bool],
+    ) -> Design:
+        """Return the set after Newton steps of its times for as long as they make it better.
+
+        A step that does not is tried once more at 0.3 of its length.
+        """
+        if self.is_list or design.n == 1:
+            return design
+        best = design
+        for _ in range(MAX_STEPS):
+            change = step(best)
+            if np.abs(change).max() < SHORTEST_STEP:
+                break
+            found = moved(best, change)
+            if not is_better(found, best):
+                found = moved(best, 0.3 * change)
+                if not is_better(found, best):
+                    break
+            best = found
+        return best
+
+    def _moved(self, design: Design, step: FloatArray) -> Design:
+        return self.design(self._stepped(design, step), design.gain)
+
+    def _stepped(self, design: Design, step: FloatArray) -> FloatArray:
+        """Return ln(exposure) of a set after a step of all but the first, within the limits."""
+        low, high = self.limits(design.gain)
+        moved = np.clip(design.log_exposure + np.append(0.0, step), low, high)
+        moved[0] = 0.0  # the shortest exposure
+        return np.asarray(moved)
+
+    def _derivatives(
+        self, design: Design
+    ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """Return gradient and Hessian of ln(mse), and of ln(time), by ln(exposure) but the first.
+
+        What an exposure contributes has its derivatives by differences over `DELTA`; those of the
+        sum follow from them.
+        """
+        at, gain = design.log_exposure[1:], design.gain[1:]
+        low, high = (self._parts(at, gain, shift).astype(np.float64) for shift in (-1, 1))
+        one = (high - low) / (2 * DELTA)
+        two = (high + low - 2 * design.parts[:, 1:]) / DELTA**2
+        S, V, C = design.parts.sum(axis=1, dtype=np.float64)
+        V = V + C * C
+        S = np.maximum(S, 1e-30)
+        weight = self.frames.weight / S**2 / self.frames.log_E.size
+        weight = np.where(self.frames.weight * V / S**2 < self.frames.largest, weight, 0.0)
+        ds, dv = one[0] / S, one[1] + 2 * C * one[2]
+        gradient = (dv - 2 * V * ds) @ weight
+        cross = -2 * (dv * weight) @ ds.T
+        hessian = cross + cross.T + 6 * (ds * (V * weight)) @ ds.T
+        hessian[np.diag_indices(at.size)] += (two[1] - 2 * V * two[0] / S) @ weight
+        gradient, hessian = gradient / design.mse, hessian / design.mse
+        hessian -= np.outer(gradient, gradient)
+        times = self._times(at, gain)
+        total = design.time + self.costs.fixed
+        rate = np.where(times > self.costs.least, self.costs.factor * times / total, 0.0)
+        return (gradient, hessian), (rate, np.diag(rate) - np.outer(rate, rate))
+
+    def weight_of(self, design: Design) -> float:
+        """Return the w for which a set is the best of its kind, from scaling its times."""
+        longer = self.fitted(design, 1.02 * design.time)
+        change = math.log((longer.time + self.costs.fixed) / (design.time + self.costs.fixed))
+        if change < SAME:
+            return LEAST_WEIGHT
+        return max(LEAST_WEIGHT, math.log(design.mse / longer.mse) / change)
+
+    def time_of(self, design: Design, factor: float) -> float:
+        """Return about the time in which such a set has `factor` times the levels."""
+        power = 2 * math.log(factor) / self.weight_of(design)
+        scale = math.exp(min(max(power, -1.0), 1.0))
+        return (design.time + self.costs.fixed) * scale - self.costs.fixed
+
+    def scaled(self, design: Design, limit: float) -> Design:
+        """Return the set with other times, tuned for a time, at the same gains."""
+        return self.refitted(self.fitted(design, limit), limit)
+
+    def spread(self, design: Design, limit: float, step: float) -> Design:
+        """Return a set with its nearly equal exposures `step` apart, so that levels interleave."""
+        at, first, count = design.log_exposure.copy(), 0.0, 0
+        for place in range(1, design.n):
+            count += 1
+            if at[place] > first + 2 * step * count:
+                first, count = float(at[place]), 0
+            at[place] = first + step * count
+        return self.fitted(self._moved(design, at[1:] - design.log_exposure[1:]), limit)
+
+    def regained(self, design: Design) -> list[Design]:
+        """Return a set with the next gain up or down in all frames but the first, or in one."""
+        found = []
+        masks = [np.arange(design.n) > 0, *(np.arange(design.n) == k for k in range(1, design.n))]
+        for mask in masks if self.gains.size > 1 else []:
+            for step in (-1, 1):
+                gain = np.clip(design.gain + step * mask, 0, self.gains.size - 1)
+                moved = design.log_exposure + np.log(self.gains[gain] / self.gains[design.gain])
+                low, high = 0.0, math.log(self.problem.reach)
+                if np.any(gain != design.gain) and np.all((moved >= low) & (moved <= high)):
+                    found.append(self.design(moved, gain))
+        return found
+
+    def neighbours(self, design: Design, limit: float, share: float) -> list[Design]:
+        """Return a set with each time but the first `share` longer or shorter.
+
+        Where the set takes `limit`, they are scaled to it; none on a list of settings.
+        """
+        if self.is_list or design.n == 1:
+            return []
+        steps = np.eye(design.n - 1) * math.log1p(share)
+        moved = [self._moved(design, step) for step in (*steps, *-steps)]
+        is_bound = design.time > limit * (1 - SAME_TIME)
+        found = [self.fitted(each, limit) if is_bound else each for each in moved]
+        return [each for each in found if each.time <= limit * (1 + SAME)]
+
+    def fitted(self, design: Design, limit: float) -> Design:
+        """Return the set with its times scaled to `limit`, or as it is if that is better."""
+        if self.is_list:
+            return self._shortened(design, limit)
+        fitting = self._scaled_to(design.log_exposure, design.gain, limit)
+        if fitting is None:
+            return self.fastest(design.n)
+        found = self.design(fitting, design.gain)
+        fits = design.time <= limit * (1 + SAME)
+        return design if fits and design.mse <= found.mse else found
+
+    def _scaled_to(
+        self, log_exposure: FloatArray, gain: NDArray[np.intp], limit: float
+    ) -> FloatArray | None:
+        """Return ln(exposure) with the times scaled to `limit`; None: no scale is short enough."""
+        low, high = self.limits(gain)
+        # What is shorter than a frame does not take less time for being shorter.
+        idle = math.log(max(self.costs.least, 1e-300)) + np.log(self.gains[gain] / self.base)
+        floor = np.clip(np.minimum(idle, log_exposure), low, high)
+        low[0] = high[0] = floor[0] = 0.0  # the shortest exposure
+        time, bottom, top = (self._times(each, gain) for each in (log_exposure, floor, high))
+        bottom = np.maximum(bottom, self.costs.least)
+        left = (limit * (1 - SAME) - gain.size * self.costs.extra) / self.costs.factor
+        if bottom.sum() > left * (1 + 3 * SAME):
+            return None
+        change = math.log(_scale(time, bottom, np.maximum(bottom, top), left))
+        return np.clip(log_exposure + change, floor if change < 0 else low, high)
+
+    def _shortened(self, design: Design, limit: float) -> Design:
+        """Return a set on a list with its longest times replaced by shorter ones until it fits."""
+        current = design
+        while current.time > limit * (1 + SAME):
+            cost = self._cost(current.log_exposure, current.gain)
+            _, _, has_base = self.rests(current)
+            for place in np.argsort(-cost, kind="stable").tolist():
+                options = np.arange(self.gain.size) if has_base[place] else self.bases
+                shorter = options[self.cost[options] < cost[place] * (1 - SAME)]
+                if shorter.size:
+                    added = int(shorter[self.cost[shorter].argmax()])
+                    current = self.changed(current, [added], [place])
+                    break
+            else:
+                return self.fastest(design.n)
+        return current
+
+
+def _scale(time: FloatArray, bottom: FloatArray, top: FloatArray, total: float) -> float:
+    """Return x for which the sum of x * time, each clipped to [bottom, top], is `total`.
+
+    Between the points where one is clipped the sum is linear in x.
+    """
+    ends = np.sort(np.concatenate([bottom / time, top / time]))
+    sums = np.clip(ends[:, np.newaxis] * time, bottom, top).sum(axis=1)
+    place = int(np.searchsorted(sums, total))
+    if place == 0 or place == sums.size:
+        return float(ends[min(place, sums.size - 1)])
+    share = (total - sums[place - 1]) / (sums[place] - sums[place - 1])
+    return float(ends[place - 1] + share * (ends[place] - ends[place - 1]))
+
+
+def _newton(gradient: FloatArray, hessian: FloatArray) -> FloatArray:
+    """Return Newton's step downwards, each component at most `LONGEST_STEP`."""
+    values, vectors = np.linalg.eigh(hessian)
+    along = gradient @ vectors
+    values = np.maximum(np.abs(values), np.abs(along) / LONGEST_STEP + 1e-9)
+    return np.asarray(np.clip(vectors @ (-along / values), -LONGEST_STEP, LONGEST_STEP))
