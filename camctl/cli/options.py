@@ -87,28 +87,23 @@ def declare_as(decorator: Decorator) -> Any:
     return _Declared(lambda _field: decorator)
 
 
-def option_group(model: type[Any], name: str, *options: Decorator) -> Decorator:
+def option_group(model: type[Any], name: str) -> Decorator:
     """Return a decorator that adds options to a command and passes their values as one argument.
 
     Args:
         model: a dataclass whose fields are options, in the order of the help page: see `declare`
         name: of the command's argument that receives the instance
-        options: decorators made by `click.option`, for fields without one
     """
-    declared = [
-        each.default.make(each.name)
-        for each in fields(model)
-        if isinstance(each.default, _Declared)
-    ]
+    defaults: dict[str, Any] = {each.name: each.default for each in fields(model)}
+    declared = {field: default.make(field) for field, default in defaults.items()}
 
     def decorate(function: Any) -> Any:
         @functools.wraps(function)
         def call(*arguments: Any, **values: Any) -> Any:
-            names = [field.name for field in fields(model) if field.name in values]
-            group = model(**{each: values.pop(each) for each in names})
+            group = model(**{each: values.pop(each) for each in declared})
             return function(*arguments, **{name: group}, **values)
 
-        return all_of(*declared, *options)(call)
+        return all_of(*declared.values())(call)
 
     return decorate
 
@@ -221,14 +216,29 @@ camera_settings = option(
 )
 
 
+def _simulated_or(context: click.Context, parameter: click.Parameter, value: str) -> str:
+    """Return the camera: a scene or sensor on the command line asks for the simulated one."""
+    is_given = context.get_parameter_source(parameter.name or "") is ParameterSource.COMMANDLINE
+    asks = {"scene", "sensor"} & given(context)
+    return "sim" if asks and not is_given else value
+
+
 @dataclass(frozen=True)
 class CameraOptions:
     """Which camera to open, and the options to open it with."""
 
-    camera_id: str
-    camera_settings: tuple[tuple[str, str], ...]
-    scene: str | None = None
-    sensor: str | None = None
+    camera_id: str = declare(
+        "--camera ID",
+        "Camera; `camctl cameras` lists the ids.  [default: $CAMCTL_CAMERA, else sim]",
+        CAMERA,
+        default="sim",
+        envvar="CAMCTL_CAMERA",
+        show_default=False,
+        callback=_simulated_or,
+    )
+    camera_settings: tuple[tuple[str, str], ...] = declare_as(camera_settings)
+    scene: str | None = declare_as(scene_option())
+    sensor: str | None = declare_as(sensor_option())
 
     def camera_options(self) -> dict[str, str]:
         """Return the camera's options by name; raise `UsageError` where one is given twice."""
@@ -276,30 +286,7 @@ def _absolute(value: str) -> str:
     return str(path.resolve()) if (path.suffix or "/" in value) and path.exists() else value
 
 
-def _simulated_or(context: click.Context, parameter: click.Parameter, value: str) -> str:
-    """Return the camera: a scene or sensor on the command line asks for the simulated one."""
-    is_given = context.get_parameter_source(parameter.name or "") is ParameterSource.COMMANDLINE
-    asks = {"scene", "sensor"} & given(context)
-    return "sim" if asks and not is_given else value
-
-
-camera_options = option_group(
-    CameraOptions,
-    "camera",
-    option(
-        "--camera ID",
-        "Camera; `camctl cameras` lists the ids.  [default: $CAMCTL_CAMERA, else sim]",
-        CAMERA,
-        field="camera_id",
-        default="sim",
-        envvar="CAMCTL_CAMERA",
-        show_default=False,
-        callback=_simulated_or,
-    ),
-    camera_settings,
-    scene_option(),
-    sensor_option(),
-)
+camera_options = option_group(CameraOptions, "camera")
 
 CAMERA_PARAMETERS = {each.name for each in fields(CameraOptions)}
 """Names of the parameters that say which camera is opened, and how."""
