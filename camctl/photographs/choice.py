@@ -25,7 +25,7 @@ from camctl.records.capture_plan import CapturePlan
 #: Share of the light of a scene that is below its range: the deepest dark.
 _SHADOWS = 0.005
 #: Dynamic ranges that a picture gets without being asked for.
-_LEAST_RANGE, _MOST_RANGE = 16.0, 1e6
+_LEAST_RANGE, _MOST_RANGE = 16.0, 1e7
 
 
 def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float:

@@ -29,8 +29,9 @@ from camctl.photographs.camera import Photograph
 #: brightness share beside it, levels of 255: JPEG files whose exposures are halved from one to the
 #: next differ by -4 to +2 levels (taipei).  Of another error, relative, lest one cell decides.
 _OFFSET, _OWN, _SCATTER = 2.0, 1.0, 0.02
-#: Width of a cell of brightness, stops; fewest patches; standard deviations of the largest error.
-_CELL, _LEAST, _SIGMAS = 0.5, 12, 2.0
+#: Width of a cell of brightness, stops; fewest patches; standard deviations of the largest error,
+#: which one of 2,000 comparisons exceeds.
+_CELL, _LEAST, _SIGMAS = 0.5, 12, 3.5
 #: Patches agree within this logarithm of a ratio and their error; of those compared so many do.
 _ALIKE, _MAJORITY = 0.15, 0.6
 #: Exposures are corrected by up to this factor, and a correction above the second number is named.
@@ -39,9 +40,9 @@ STEADY = 0.6
 """Of the logarithm of the factor that counts, the share by which neighbours may differ."""
 #: Factor of one colour against green from which it is another white balance.
 _OTHER_COLOUR = 1.05
-#: Error of a ratio of colours, logarithm, from which only a difference of so many times the error
-#: counts (3.5 standard deviations: one of 2,000 comparisons), and from which none does.
-_SURE, _CERTAIN, _MOST_UNSURE = 0.08, 1.75, 0.5
+#: Largest error of a ratio of colours, logarithm, with which it says anything; and with which it
+#: says that colours change halfway.
+_MOST_UNSURE, _SURE = 0.875, 0.14
 #: Planes of the colours that are compared with green, and its plane.
 _COLOURS, _GREEN = {"red": 0, "blue": 2}, 1
 #: Photographs whose colours must agree for each one whose do not.
@@ -103,7 +104,7 @@ def pair_ratio(first: Patches, second: Patches, scale: SensorModel) -> PairRatio
     shown = (2 + residual) / max(2, g.size)
     covariance = np.linalg.inv((rows.T * weights / shown) @ rows + prior)
     log, error = float(found[0]), _SIGMAS * math.sqrt(float(covariance[0, 0]))
-    is_one = np.mean(np.abs(logs - log) < _ALIKE + _SIGMAS * _OFFSET * slopes) >= _MAJORITY
+    is_one = np.mean(np.abs(logs - log) < _ALIKE + 2 * _OFFSET * slopes) >= _MAJORITY
     return PairRatio(log, error) if is_one else None
 
 
@@ -295,6 +296,6 @@ def _colour_runs(
         if error > _MOST_UNSURE:
             return None
         difference = of_colour.log - of_green.log
-        return difference if error <= _SURE or abs(difference) > _CERTAIN * error else 0.0, error
+        return difference if abs(difference) > error else 0.0, error
 
     return _runs(patches, jump)

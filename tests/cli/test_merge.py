@@ -47,8 +47,8 @@ def test_the_choice_is_that_of_a_camera_with_these_settings(run: Run, series: Se
     assert details == [each["file"] for each in used]
     # The shortest one used saturates hardly anything, and the next longer one does.
     assert found["frames"][0]["saturated_fraction"] < 2e-3
-    few = run("merge", *line, "--range", "20", "-o", "few", "--json").json
-    assert len(few["frames"]) < len(run("merge", *line, "-o", "more", "--json").json["frames"])
+    every = run("merge", *line, "--range", "20", "-o", "every", "--json").json
+    assert all(each["used"] for each in every["photographs"])
 
 
 @pytest.mark.slow
@@ -113,7 +113,7 @@ def test_as_many_photographs_as_are_asked_for_are_used(run: Run, series: Series)
     ran = run("merge", *line, "-n", "4", "-o", "hall")
     assert ran.status == 0, ran.err
     assert len(read_report("hall").frames) == 4
-    assert "not needed: " in ran.out
+    assert "not needed: " not in ran.out
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
