@@ -29,6 +29,12 @@ from camctl.photographs.camera import Photograph
 #: brightness share beside it, levels of 255: JPEG files whose exposures are halved from one to the
 #: next differ by -4 to +2 levels (taipei).  Of another error, relative, lest one cell decides.
 _OFFSET, _OWN, _SCATTER = 2.0, 1.0, 0.02
+#: Brightness, share of full scale, from which on colours are compared: below, JPEG files of low
+#: quality change a colour by 3 to 4 levels (taipei, street2), a tenth of it.
+_DIM = 1 / 8
+#: Share of the expected variance that remains however well the cells agree: so large that the sky
+#: of taipei, whose red changes by 2 levels between photographs, is no other white balance.
+_LEAST_SHOWN = 0.2
 #: Width of a cell of brightness, stops; fewest patches; standard deviations of the largest error,
 #: which one of 2,000 comparisons exceeds.
 _CELL, _LEAST, _SIGMAS = 0.5, 12, 3.5
@@ -61,7 +67,9 @@ class PairRatio(NamedTuple):
     error: float
 
 
-def pair_ratio(first: Patches, second: Patches, scale: SensorModel) -> PairRatio | None:
+def pair_ratio(
+    first: Patches, second: Patches, scale: SensorModel, darkest: float = DARK
+) -> PairRatio | None:
     """Return the ratio of the light in most patches of two photographs; None: they do not show it.
 
     An offset b of the darker photograph changes the logarithm of the ratio of patches of one
@@ -72,6 +80,7 @@ def pair_ratio(first: Patches, second: Patches, scale: SensorModel) -> PairRatio
         first: patches of one photograph, see `sample_patches`
         second: of the other
         scale: irradiance of each brightness
+        darkest: brightness from which on patches count, share of full scale
     """
     unit = (scale.white - scale.black) / 255
     use = np.ones(len(first), np.bool_)
@@ -84,7 +93,7 @@ def pair_ratio(first: Patches, second: Patches, scale: SensorModel) -> PairRatio
         light = np.maximum(scale.light[patches].mean(axis=1), scale.level / 1000)
         logs += sign * np.log(light)
         slopes = np.hypot(slopes, scale.gap[np.rint(mean).astype(np.intp)] * unit / light)
-    use &= dim > 255 * DARK
+    use &= dim > 255 * darkest
     if np.count_nonzero(use) < _LEAST:
         return None
     logs, slopes = logs[use], slopes[use]
@@ -100,8 +109,9 @@ def pair_ratio(first: Patches, second: Patches, scale: SensorModel) -> PairRatio
     covariance = np.linalg.inv((rows.T * weights) @ rows + prior)
     found = covariance @ (rows.T @ (weights * means))
     residual = float(weights @ np.square(means - rows @ found))
-    # What the cells show of their own errors, beside what is expected, which counts as two cells.
-    shown = (2 + residual) / max(2, g.size)
+    # What the cells show of their own errors, beside what is expected, which counts as a cell; a
+    # sky of one colour has the same error in all of them.
+    shown = max(_LEAST_SHOWN, (1 + residual) / g.size)
     covariance = np.linalg.inv((rows.T * weights / shown) @ rows + prior)
     log, error = float(found[0]), _SIGMAS * math.sqrt(float(covariance[0, 0]))
     is_one = np.mean(np.abs(logs - log) < _ALIKE + 2 * _OFFSET * slopes) >= _MAJORITY
@@ -288,7 +298,7 @@ def _colour_runs(
     def jump(dark: int, bright: int) -> _Jump:
         both = [np.array_split(patches[k], len(scales)) for k in (dark, bright)]
         of_colour, of_green = (
-            pair_ratio(both[0][each], both[1][each], scales[each]) for each in (plane, _GREEN)
+            pair_ratio(both[0][each], both[1][each], scales[each], _DIM) for each in (plane, _GREEN)
         )
         if of_colour is None or of_green is None:
             return None

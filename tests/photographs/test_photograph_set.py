@@ -235,8 +235,8 @@ class TestWhiteBalance:
         assert len(found.camera.photographs) == 4
 
     def test_another_one_of_the_darkest_photograph_is_named(self) -> None:
-        """Rounding hides small differences in it, and not this one."""
-        times = tuple(each / 16 for each in TIMES[:8:2])
+        """JPEG hides small differences in it, and not this one."""
+        times = tuple(each / 4 for each in TIMES[:8:2])
         (other,) = with_colours(times, [(1.4, 1), (1, 1), (1, 1), (1, 1)], "srgb").notes
         assert (other.code, other.frames) == ("other_white_balance", (0,))
         assert {"red", "blue"} & other.details.keys() == {"red"}

@@ -13,11 +13,7 @@ from numpy.typing import NDArray
 
 from camctl.calibration.limits import DIM
 from camctl.calibration.refusals import check_size
-from camctl.calibration.response.matches import (
-    guess_exposures,
-    matched_pairs,
-    neighbour_steps,
-)
+from camctl.calibration.response.matches import guess_exposures, neighbour_steps
 from camctl.calibration.response.spill import SampleGrid, grid_counts
 from camctl.errors import UsageError
 from camctl.evidence.patches import Patches, moved_samples, sample_patches
@@ -176,19 +172,13 @@ class Series:
     def find_moved(self) -> None:
         """Find what moved between frames, so that `counts_of_pair` leaves it out.
 
-        What moved in one frame is found beside frames of neighbouring exposure; only then all pairs
-        that are matched are compared.  A frame of which samples contradict another one is not
-        compared in them with any: beside a third one the thing that moved may look as if it
-        belonged to the scene.
+        Frames of neighbouring exposure are compared.  A frame of which samples contradict another
+        one is not compared in them with any: beside a third one the thing that moved may look as if
+        it belonged to the scene.
         """
         self._moved.clear()
-        order = np.argsort(self.exposures, kind="stable").tolist()
-        found = {pair: self._moved_between(*pair) for pair in pairwise(order)}
-        if all(each is None for each in found.values()):
-            return
-        for pair in matched_pairs(self.exposures):
-            moved = found[pair] if pair in found else self._moved_between(*pair)
-            if moved is not None:
+        for pair in pairwise(np.argsort(self.exposures, kind="stable").tolist()):
+            if (moved := self._moved_between(*pair)) is not None:
                 for frame in pair:
                     self._moved[frame] = self._moved.get(frame, np.zeros_like(moved)) | moved
 
