@@ -160,6 +160,7 @@ class LightTables:
         near = found.saturated & (found.share > 0)
         self._kept = (found.share > _NOTABLE / len(exposures)) | near
         self._near = near & (found.weight == 0)
+        self._near_any = self._near.any(axis=0)
         # Compression lowers saturated samples beside others: such a frame does not count.
         is_compressed = any(each.compression_levels for each in frames.noise)
         self._white = sensor.highest(None) + 1 if is_compressed else sensor.white
@@ -207,8 +208,7 @@ class LightTables:
         bins = self._first.take(total)
         for each, lowest in zip(values, self._saturating, strict=True):
             # The sum does not always show that noise saturated a sample.
-            white = np.flatnonzero(each >= self._white)
-            bins[white] = np.maximum(bins[white], lowest)
+            bins[np.flatnonzero((each >= self._white) & (bins < lowest))] = lowest
         E = self._weights[0].take(bins)
         E *= samples[0]
         for place in range(1, len(values)):
@@ -244,8 +244,9 @@ class LightTables:
         deviation: Floats32,
     ) -> None:
         """Add what the frames say that noise may or may not saturate; they have no weight yet."""
+        some = np.flatnonzero(self._near_any.take(bins))
         for place, near in enumerate(self._near):
-            chosen = np.flatnonzero(near.take(bins))
+            chosen = some[near.take(bins[some])]
             if not chosen.size:
                 continue
             mean, spread = E[chosen].astype(np.float64), deviation[chosen].astype(np.float64)

@@ -28,8 +28,8 @@ from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.sensor import CLIPPING_SIGMAS, JPEG_ERROR
 from camctl.model.step_posterior import FrameSet
 
-#: Samples of a block: its arrays, some 20 of 4 bytes a sample, stay in a cache of some megabytes.
-_BLOCK = 1 << 17
+#: Samples of a block: its arrays, some 20 of 4 bytes a sample, stay in a cache of 2 MB.
+_BLOCK = 1 << 14
 
 #: Standard deviations that are more uncertain than by this share are not stated: their intervals
 #: of 95 % hold 92 to 97 % of the errors.
