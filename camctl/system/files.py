@@ -128,6 +128,10 @@ def atomic_file(path: Path) -> Iterator[Path]:
         raise storage_error(path, error) from error
 
 
+_PART = re.compile(r"\.(?P<name>.+)\.(?P<process>\d{1,10})\.part", re.ASCII | re.DOTALL)
+"""A file that a killed process leaves of an `atomic_file`."""
+
+
 def leftovers(names: Iterable[str]) -> re.Pattern[str]:
     """Return the pattern of the files that a killed process leaves of `atomic_file`s so named.
 
@@ -141,11 +145,12 @@ def leftovers(names: Iterable[str]) -> re.Pattern[str]:
 
 def remove_leftovers(path: Path) -> None:
     """Remove what killed processes have left of `atomic_file(path)`, where that can be removed."""
-    pattern = leftovers([path.name])
     with suppress(OSError):
         for entry in path.parent.iterdir():
-            found = pattern.fullmatch(entry.name)
-            if found is not None and not _is_another_process(int(found[1])):
+            found = _PART.fullmatch(entry.name)
+            if found is None or found["name"] != path.name:
+                continue
+            if not _is_another_process(int(found["process"])):
                 entry.unlink()
 
 
