@@ -297,9 +297,11 @@ class FolderStore:
         make_folder(folder.frames)
         self._removals = report.discarded
         for source, name in aside.items():
+            # A file beside one that has its name is of the next attempt, and not in the report.
             for before in (source, staged_name(source)):
                 if source not in named and folder.is_file(before):
                     self._renames[before] = name
+                    break
         for position, record in enumerate(report.frames):
             if record is None:
                 continue
