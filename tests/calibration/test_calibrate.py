@@ -181,7 +181,7 @@ def test_a_frame_with_two_exposures_is_a_finding() -> None:
     [
         ([40] * 8, [1.0] * 8, "0 changes of the exposure"),
         ([40] * 9, [1.0] * 3 + [4.0] * 3 + [1.0] * 3, "hardly changes"),
-        ([40] * 7 + [160] + [40] * 4, [1.0] * 4 + [4.0] * 4 + [1.0] * 4, "too late"),
+        ([40] * 8 + [160] + [40] * 6, [1.0] * 5 + [4.0] * 5 + [1.0] * 5, "too late"),
         ([40] * 8, [1.0] * 7, "invalid number of exposures"),
     ],
 )
