@@ -151,12 +151,13 @@ def import_all(commands: Iterable[str], folder: Path) -> None:
 
 def run_line(arguments: list[str], seconds: int, folder: Path) -> dict[str, Any]:
     """Run a command line in a child process; return how it ended."""
-    before = _resident()
     child = os.fork()
     if child == 0:
         _child(arguments, seconds, folder)
     _, status, used = os.wait4(child, 0)
     error = (folder / "err").read_text(errors="replace")
+    # A child begins without the pages of libraries, which count when it uses them.
+    before = int((folder / "resident").read_text())
     found = {
         "seconds": round(used.ru_utime + used.ru_stime, 1),
         "mb": max(0, round(used.ru_maxrss / 1024 - before / 2**20)),
@@ -173,6 +174,7 @@ def _resident() -> int:
 def _child(arguments: list[str], seconds: int, folder: Path) -> None:
     status = 99
     try:
+        (folder / "resident").write_text(str(_resident()))
         os.chdir(folder / "work")
         for descriptor, name in ((1, "out"), (2, "err")):
             file = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
