@@ -53,11 +53,11 @@ def relative_errors(record: ExposureRecord, offset_s: float) -> NDArray[np.float
 @pytest.mark.parametrize(
     ("scene", "sensor"),
     [
-        ("tile-floor", "standard"),  # 8 bits, linear
+        pytest.param("tile-floor", "standard", marks=pytest.mark.slow),  # 8 bits, linear
         ("tile-floor", "phone"),  # 10 bits, Bayer mosaic, black level
         pytest.param("tile-floor", "consumer", marks=pytest.mark.slow),  # 8 bits, non-linear
         ("colour-chart", "standard"),  # RGB
-        ("tile-floor", "machine-vision"),  # 12 bits
+        pytest.param("tile-floor", "machine-vision", marks=pytest.mark.slow),  # 12 bits
     ],
 )
 def test_true_times_are_measured_to_a_thousandth(scene: str, sensor: str) -> None:

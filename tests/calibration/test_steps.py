@@ -149,7 +149,7 @@ def test_a_camera_that_cannot_be_opened_ends_it(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.usefixtures("own_profiles")
-@pytest.mark.parametrize("is_covered", [True, False])
+@pytest.mark.parametrize("is_covered", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_covered_lens_shows_the_dark_signal(is_covered: bool) -> None:
     sensor = load_sensor("mobile")
     lit = np.geomspace(2e3, 2e5, 160 * 120, dtype=np.float32).reshape(120, 160)

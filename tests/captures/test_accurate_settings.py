@@ -134,6 +134,7 @@ def test_an_accuracy_out_of_reach_is_refused_with_the_best_and_its_time() -> Non
         plan_capture(camera, CaptureRequest("log", 1000.0, 2, accuracy=500.0))
 
 
+@pytest.mark.slow
 def test_a_list_of_shutter_times_is_searched() -> None:
     times = Choices(tuple(2.0 ** (np.arange(-36, 13) / 3)))
     with small_camera() as camera:

@@ -49,8 +49,15 @@ def test_metering_actuates_the_shutter_only_on_request() -> None:
         assert camera.actuations == 0
 
 
-@pytest.mark.parametrize("brightest", [1e-1, 1.0, 30.0, 1e3])
-@pytest.mark.parametrize("kind", [("srgb", 8, 0), ("linear", 10, 64)])
+@pytest.mark.parametrize(
+    ("brightest", "kind"),
+    [
+        (1e-1, ("srgb", 8, 0)),
+        (1.0, ("linear", 10, 64)),
+        (30.0, ("srgb", 8, 0)),
+        (1e3, ("linear", 10, 64)),
+    ],
+)
 def test_metering_costs_few_actuations_and_finds_the_highlights(
     brightest: float, kind: tuple[str, int, int]
 ) -> None:
