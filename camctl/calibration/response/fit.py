@@ -167,8 +167,10 @@ def fit_response(
         )
         deviations = np.abs(residuals) / np.sqrt(variance)
         robust = 1 / np.maximum(1.0, deviations / OUTLIER)
-        # Errors beyond the variances must not outvote smoothness: they would bend the curve.
+        # Errors beyond the variances must not outvote smoothness: they would bend the curve.  Where
+        # exposures are free, they and not the curve follow such errors.
         misfit = max(1.0, float(np.mean(np.minimum(deviations, _MOST_MISFIT) ** 2)))
+        misfit = misfit if exposure_error < ROUGH else 1.0
         weights = robust / (variance * system.alike * misfit)
         square = (system.rows * weights[:, None]).T @ system.rows + known
         if turn < _ROUNDS:

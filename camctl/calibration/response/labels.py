@@ -81,7 +81,10 @@ def check_labels(
     """
     logs = np.log(exposures)
     found = np.log([fit.exposures for fit in fits])
-    trend = _unusual_trend(exposures, fits, is_shot=is_shot)
+    # A frame that has nothing in common with others may have any exposure, and the curve any slope.
+    every = np.ones(logs.size, np.bool_)
+    is_proven = all(np.abs(label_errors(logs, each, every)).max() < _REFUSED for each in found)
+    trend = _unusual_trend(exposures, fits, is_shot=is_shot, is_proven=is_proven)
     errors = np.array([label_errors(logs, *each) for each in zip(found, judged, strict=True)])
     worst = np.abs(errors).argmax(axis=0)
     error = errors[worst, np.arange(logs.size)]
@@ -139,7 +142,7 @@ def _with_remedies(finding: Finding, *, is_shot: bool) -> Finding:
 
 
 def _unusual_trend(
-    exposures: FloatArray, fits: Sequence[ResponseFit], *, is_shot: bool
+    exposures: FloatArray, fits: Sequence[ResponseFit], *, is_shot: bool, is_proven: bool
 ) -> Finding | None:
     """Return what is wrong with the exposures if they make a response unusually flat or steep.
 
@@ -150,6 +153,8 @@ def _unusual_trend(
     if _USUAL[0] <= min(values) and max(values) <= _USUAL[1]:
         return None
     finding = _with_remedies(_contradiction(exposures, fits), is_shot=is_shot)
+    if not is_proven:
+        return finding
     for fit, flatness in zip(fits, values, strict=True):
         # Where frames have no brightness in common the curve is not known, nor is its flatness.
         ends = fit.deviation[-1], np.interp(STEEP * fit.edges[-1], fit.edges, fit.deviation)

@@ -34,7 +34,7 @@ INDEPENDENT = 1 << 19
 LARGEST_RATIO = 100.0
 #: Each frame is matched with so many of the next exposures: of all pairs of J frames J - 1 are
 #: independent.
-_NEXT = 3
+_NEXT = 5
 #: Brightness, share of full scale, between which unknown exposures are guessed, and the number of
 #: nodes that are needed.
 _GUESSED, LEAST_NODES = (0.03, 0.97), 5
