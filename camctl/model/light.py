@@ -175,7 +175,8 @@ class LightTables:
         self._scores: StepScores | None = None
         exact = np.flatnonzero(self._exact & ~self._sharp)
         if exact.size:
-            lights = self.lights[: exact[-1] + 1]
+            # An octave more: what begins near the last of them may be brighter.
+            lights = self.lights[: exact[-1] + 1 + (1 << _BIN_BITS)]
             if StepScores.fits(frames, sensor, lights):
                 self._scores = StepScores(frames, sensor, lights)
         self._pattern = found.pattern.astype(np.float32)
@@ -220,17 +221,21 @@ class LightTables:
         bins = self.bins(E)
         self._truncate(E, deviation)
         chosen = np.flatnonzero(self._exact.take(bins))
+        doubtful = np.zeros(chosen.size, np.bool_)
         if chosen.size and self._scores is not None:
             first = bins[chosen]
             here = [each[chosen] for each in values]
-            light, error = self._scores.of(here, np.minimum(first, self._scores.size - 1))
-            E[chosen], deviation[chosen] = light, np.hypot(error, self._pattern.take(first))
-            bins[chosen] = self.bins(light)
-            chosen = chosen[(error * _NEAR_ZERO > light) | self._sharp.take(first)]
+            light, error, meets = self._scores.of(here, first)
+            kept = chosen[meets]
+            E[kept] = light[meets]
+            deviation[kept] = np.hypot(error, self._pattern.take(first))[meets]
+            bins[kept] = self.bins(E[kept])
+            rest = ~meets | (error * _NEAR_ZERO > light) | self._sharp.take(first)
+            chosen, doubtful = chosen[rest], ~meets[rest]
         if chosen.size:
             here = [each[chosen] for each in values]
-            kept = [row.take(bins[chosen]) for row in self._kept]
-            mean, spread = self._posterior.of(here, kept)
+            counts = [row.take(bins[chosen]) | doubtful for row in self._kept]
+            mean, spread = self._posterior.of(here, counts)
             known = np.isfinite(mean)  # else all probabilities are 0
             E[chosen[known]], deviation[chosen[known]] = mean[known], spread[known]
         return E, deviation

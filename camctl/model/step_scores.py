@@ -107,8 +107,11 @@ class StepScores:
 
     def of(
         self, values: Sequence[NDArray[Any]], bins: NDArray[np.intp]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the light of samples and its standard deviation, without differences of pixels.
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+        """Return the light of samples, its standard deviation, and whether the rounds met.
+
+        The deviation has no differences of pixels.  Rounds do not meet where samples contradict the
+        first light, as beside saturation, or the light is beyond the last one.
 
         Args:
             values: samples of each frame, (S,), black included
@@ -125,8 +128,10 @@ class StepScores:
             E = light + score * self._inverse.take(bins)
             np.clip(E, light / np.float32(_FACTOR), light * np.float32(_FACTOR), out=E)
             bins = np.minimum(np.searchsorted(self._lights, E), size - 1)
+        deviation = self.deviation.take(bins)
+        meets = (np.abs(E - light) < deviation) & (bins < size - 1)
         E += self._shift.take(bins)
-        return E, self.deviation.take(bins)
+        return E, deviation, meets
 
 
 def _values(frames: FrameSet, sensor: SensorModel, lights: FloatArray) -> int:
