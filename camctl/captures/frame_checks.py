@@ -93,8 +93,9 @@ class FrameChecks:
             return None
         checks = [frame.ratio for frame in self._frames]
         error = self._log.find(checks)
-        # A single ratio that is a little off may fit other exposures by chance.
-        is_sure = any(check is not None and check.contradicts for check in checks)
+        # A single ratio fits some exposures before the capture, whatever is wrong with it.
+        certain = [check for check in checks if check is not None and check.is_certain]
+        is_sure = len(certain) > 1 and any(check.contradicts for check in certain)
         return error if is_sure or (error is not None and error.shift) else None
 
     def settle(self) -> None:
