@@ -22,11 +22,11 @@ from camctl.errors import CameraError, RefusedSettingError, UsageError
 from camctl.interface.camera import Camera, PreviewingCamera
 from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin
 from camctl.testing.fault_checks import FaultChecks
-from camctl.testing.light_checks import LightChecks
+from camctl.testing.sample_checks import SampleChecks
 from camctl.testing.suite import UNUSABLE
 
 
-class CameraConformance(LightChecks, FaultChecks):
+class CameraConformance(SampleChecks, FaultChecks):
     """Subclass it, override `open_camera`, and let pytest collect the subclass.
 
     `CameraSuite` lists what can be overridden beside it.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import Control, ExposureControls, ExposureSetting
-from camctl.testing.suite import UNUSABLE, CameraSuite
+from camctl.testing.suite import UNUSABLE, CameraSuite, is_lossy
 
 # Neighbouring settings of a check over a whole range differ by about this factor.
 _STEP = 2.0
@@ -86,7 +86,8 @@ class LightChecks(CameraSuite):
         light = np.where(self.usable(camera, known), self.irradiance(camera, known), 0.0)
         must = light * factor > _SURELY_WHITE
         if must.any():
-            least = other.white - _LOSS * (other.white - other.black)
+            loss = _LOSS if is_lossy(camera, other) else 0.0
+            least = other.white - loss * (other.white - other.black)
             white = float((other.pixels[must] >= least).mean())
             assert white >= _LEAST_WHITE_SHARE, (
                 f"{other.applied}: {1 - white:.1%} of the samples that should be white are not"
@@ -104,7 +105,8 @@ class LightChecks(CameraSuite):
             pytest.skip("the shutter times near the middle are too close to be distinguished")
         frames = self.shoot(camera, [replace(middle, time_s=t) for t in ladder])
         pairs = list(itertools.pairwise(frames))
-        compared = sum([self.check_light(camera, first, second) for first, second in pairs])
+        tolerance = self.exact_or_light_tolerance(camera, frames[0])
+        compared = sum([self.check_light(camera, *pair, tolerance) for pair in pairs])
         assert compared, UNUSABLE
 
     # ---- time
@@ -129,12 +131,12 @@ class LightChecks(CameraSuite):
         """Frames of a still scene agree in every part of the picture, whatever their exposure."""
         frames = self.shoot(camera, self.times(camera, [1, 1, 0.5, 1, 1, 0.5, 0.5, 1]))
         for index, frame in enumerate(frames[1:], 1):
-            worst = self._worst_block(camera, frames[0], frame)
+            worst = self.worst_block(camera, frames[0], frame)
             assert worst is None or worst <= 1, (
                 f"frame {index} shows another picture than frame 0: {worst:.1f} times the tolerance"
             )
 
-    def _worst_block(self, camera: Camera, first: Frame, second: Frame) -> float | None:
+    def worst_block(self, camera: Camera, first: Frame, second: Frame) -> float | None:
         """Return the largest difference of two frames in a block, in units of what is allowed."""
         compared = self.compare(camera, first, second)
         if compared is None:

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.interface.camera import Camera, Frame
-from camctl.interface.controls import ExposureSetting
+from camctl.interface.controls import ExposureSetting, ResponseOrigin
 
 #: Message of a check that could not compare anything.
 UNUSABLE = "no two frames could be compared: choose another scene or middle_s"
@@ -50,6 +50,7 @@ class CameraSuite:
 
     Attributes:
         light_tolerance: largest relative error of measured ratios of light
+        exact_tolerance: the same of frames without loss whose response is stated
         longest_s: longest exposure that the checks take, s
         run_length: frames of the long sequence
         range_length: most settings of a check over the whole range of a control
@@ -57,8 +58,9 @@ class CameraSuite:
     """
 
     light_tolerance = 0.04
+    exact_tolerance = 0.015
     longest_s = math.inf
-    run_length = 100
+    run_length = 300
     range_length = 25
     silence_s = 130.0
 
@@ -148,8 +150,20 @@ class CameraSuite:
         level = min(self.brightness(camera, frame)[both].mean() for frame in (first, second))
         return Comparison(light[1] / light[0], float(level))
 
-    def check_light(self, camera: Camera, known: Frame, other: Frame) -> bool:
-        """Check that the light of two frames differs as their exposures do.
+    def exact_or_light_tolerance(self, camera: Camera, frame: Frame) -> float:
+        """Return the tolerance of ratios at one gain: less where nothing is lost or assumed."""
+        controls = camera.controls
+        is_exact = (
+            controls.response_origin is ResponseOrigin.STATED
+            and controls.exposures_exact
+            and not is_lossy(camera, frame)
+        )
+        return self.exact_tolerance if is_exact else self.light_tolerance
+
+    def check_light(
+        self, camera: Camera, known: Frame, other: Frame, tolerance: float | None = None
+    ) -> bool:
+        """Check that the light of two frames differs as their exposures do, by `light_tolerance`.
 
         Returns False if too few samples are usable in both.
         """
@@ -157,12 +171,19 @@ class CameraSuite:
         found = self.compare(camera, known, other)
         if found is None:
             return False
-        tolerance = self.light_tolerance + _QUANTISATION / found.level
+        tolerance = self.light_tolerance if tolerance is None else tolerance
+        tolerance += _QUANTISATION / found.level
         assert abs(found.ratio / expected - 1) <= tolerance, (
             f"from {known.applied} to {other.applied} the light changes by {found.ratio:.4g}, "
             f"not by {expected:.4g}"
         )
         return True
+
+
+def is_lossy(camera: Camera, frame: Frame) -> bool:
+    """Return whether the samples of a frame were compressed with loss."""
+    suffix = "" if frame.original is None else frame.original.suffix
+    return camera.controls.pixel_format == "mjpg" or suffix in (".jpg", ".jpeg")
 
 
 def block_means(plane: NDArray[Any]) -> NDArray[np.float64]:

@@ -74,6 +74,18 @@ class HonestStill(CameraConformance):
         return in_force(self.pair.device)
 
 
+class HonestTiff(HonestStill):
+    """A still camera whose files lose nothing."""
+
+    def open_camera(self) -> Camera:
+        self.pair = bench(files=("tiff",))
+        return self.pair.camera()
+
+
+class TestHonestTiff(HonestTiff):
+    pass
+
+
 class TestHonest(Honest):
     pass
 
@@ -272,11 +284,75 @@ class StatesItsResponseInWords(Liar):
         return replace(self.camera.controls, response_origin="the response is assumed")  # type: ignore[arg-type]
 
 
+class HasAlternateThirdsWrong(Liar):
+    """Every other third of a stop lasts 3 % longer."""
+
+    def returned(self, frame: Frame) -> Frame:
+        if round(3 * np.log2(frame.applied.time_s)) % 2:
+            return frame
+        brighter = np.minimum(np.rint(1.03 * frame.pixels), frame.white)
+        return replace(frame, pixels=brighter.astype(frame.pixels.dtype))
+
+
+class RepeatsWhereTheSettingStays(Liar):
+    last: Frame | None = None
+
+    def returned(self, frame: Frame) -> Frame:
+        before, self.last = self.last, self.last
+        if before is not None and before.applied == frame.applied:
+            return replace(frame, pixels=before.pixels)
+        self.last = frame
+        return frame
+
+
+class IsNotQuiteWhiteAtHighGain(Liar):
+    def returned(self, frame: Frame) -> Frame:
+        if frame.applied.gain < 4:
+            return frame
+        return replace(frame, pixels=np.minimum(frame.pixels, frame.white - 1))
+
+
+class StampsFramesLate(Liar):
+    def returned(self, frame: Frame) -> Frame:
+        return replace(frame, timestamp_s=frame.timestamp_s + 0.02)
+
+
+class HasNoLowestBit(Liar):
+    def returned(self, frame: Frame) -> Frame:
+        return replace(frame, pixels=frame.pixels & ~np.ones((), frame.pixels.dtype))
+
+
+class IsStaleFromFrame120On(Liar):
+    def _frames(
+        self, frames: FrameStream, settings: Sequence[ExposureSetting]
+    ) -> Generator[Frame, None, None]:
+        kept = None
+        for frame in super()._frames(frames, settings):
+            if kept is not None and frame.index >= 120:
+                yield replace(frame, pixels=kept.pixels)
+            else:
+                yield frame
+            kept = frame
+
+
+class HasADarkBorderAtHighGain(Liar):
+    def returned(self, frame: Frame) -> Frame:
+        if frame.applied.gain < 4:
+            return frame
+        rows, columns = frame.pixels.shape[:2]
+        inside = np.zeros((rows, columns), bool)
+        inside[2:-2, 2:-2] = True
+        dark = (0.9 * (frame.pixels - float(frame.black)) + frame.black).astype(frame.pixels.dtype)
+        mask = inside if frame.pixels.ndim == 2 else inside[..., None]
+        return replace(frame, pixels=np.where(mask, frame.pixels, dark))
+
+
 Suite = type[Honest] | type[HonestStill]
 # What a check raises: its own assertion, pytest's if an error did not come, or the liar's error.
 _FOUND = (AssertionError, pytest.fail.Exception, RuntimeError)
 RANGE, CONTROL = "test_light_follows_the_control_over_its_whole_range", "control"
 
+EQUAL = "test_equal_settings_in_a_row_have_frames_of_their_own"
 ORIGIN = "test_the_response_is_known_or_said_to_be_assumed"
 
 LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
@@ -297,6 +373,13 @@ LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (HidesItsBlackLevel, Honest, RANGE, {CONTROL: "time_s"}),
     (RepeatsItsLastFrame, Honest, "test_unplugged_camera_raises_an_error_of_one_line", {}),
     (RepeatsItsLastFrame, Honest, "test_silent_camera_raises_an_error_after_a_limited_time", {}),
+    (HasAlternateThirdsWrong, HonestTiff, "test_neighbouring_times_differ_in_light", {}),
+    (RepeatsWhereTheSettingStays, Honest, EQUAL, {}),
+    (IsNotQuiteWhiteAtHighGain, HonestGain, "test_white_is_exact_at_every_gain", {}),
+    (StampsFramesLate, Honest, "test_time_stamps_are_not_later_than_the_frames", {}),
+    (HasNoLowestBit, Honest, "test_every_bit_of_the_samples_is_used", {}),
+    (IsStaleFromFrame120On, Honest, "test_long_sequences_have_the_right_frames", {}),
+    (HasADarkBorderAtHighGain, HonestGain, "test_gains_do_not_change_the_shading", {}),
     (AssumesTheResponseOfRawSamples, Honest, ORIGIN, {}),
     (StatesItsResponseInWords, Honest, ORIGIN, {}),
     (StatesTheRequestedTime, HonestStill, "test_applied_is_what_the_device_itself_states", {}),
