@@ -160,8 +160,9 @@ def most_accurate(
     best = search.within(limit)
     if not near_tie or (limit < search.longest_of_use and not search.enumerated):
         return best
-    near = search.reaching((1 - near_tie) * best.levels, best.time)
-    return best if near is None else min(best, near, key=_time_then_count)
+    levels = (1 - near_tie) * best.levels
+    near = search.reaching(levels, best.time) or search.shortened(best, levels)
+    return min(best, near, key=_time_then_count)
 
 
 def least_time(search: AccurateSets, limit: float, accuracy: float) -> Rated:

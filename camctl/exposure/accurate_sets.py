@@ -69,7 +69,7 @@ differs by some per cent between them; from there on it changes by less than 1 %
 CORRECTIONS = 6
 """Attempts to reach an accuracy by another time; each leaves about a tenth of what was missing."""
 
-JUDGEMENTS = 4
+JUDGEMENTS = 7
 """Sets with the same gains that are judged for an accuracy, at most; two are usually enough."""
 
 CLOSE = 1.001
@@ -232,14 +232,39 @@ class AccurateSets:
         goal = levels * design.levels / rated.levels  # as much as the estimate errs
         time = max(low, min(self._estimated_time(goal), limit))
         design, search = self._best_estimated(time, thorough=True)
+        fixed, missed, top = self.problem.available.costs.fixed, low, limit
         for _ in range(JUDGEMENTS):
             rated = self.judge(search.shots(design))
-            if rated.levels >= levels and (best is None or rated.time < best.time):
+            if rated.levels < levels:
+                missed = max(missed, rated.time)
+            elif best is None or rated.time < best.time:
                 best = rated
-            if levels <= rated.levels <= levels * CLOSE:
+                top = min(top, rated.time)
+            is_close = levels <= rated.levels <= levels * CLOSE
+            if is_close or top + fixed <= (missed + fixed) * NEAR_TIME:
                 break
-            time = max(low, min(search.time_of(design, levels * MIDDLE / rated.levels), limit))
-            design = search.scaled(design, time)
+            time = search.time_of(design, levels * MIDDLE / rated.levels)
+            if not missed < time < top:  # near the most accurate set time brings next to nothing
+                far = top if math.isfinite(top) else 2 * (time + fixed)
+                time = math.sqrt((missed + fixed) * (far + fixed)) - fixed
+            design = search.scaled(design, max(low, min(time, limit)))
+        return best
+
+    def shortened(self, best: Rated, levels: float) -> Rated:
+        """Return a set with its times reduced in proportion, as far as it keeps `levels`."""
+        search = self.searches[0]
+        if search.is_list or self.enumerated:
+            return best
+        log_exposure = np.log([shot.exposure for shot in best.shots])
+        gain = np.searchsorted(search.gains, [shot.gain for shot in best.shots])
+        design, missed = search.design(log_exposure, gain), search.least_time(len(best.shots))
+        for _ in range(JUDGEMENTS):
+            middle = math.sqrt(max(missed, SAME) * best.time)
+            found = self.judge(search.shots(search.fitted(design, middle)))
+            if found.levels >= levels and found.time < best.time:
+                best = found
+            else:
+                missed = middle
         return best
 
     def _shortest(
