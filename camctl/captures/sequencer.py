@@ -87,32 +87,44 @@ def capture(
                 )
         else:
             _check_plan(plan, request)
-        controls = camera.controls
-        sum_dtype(len(plan.settings), controls.white)
-        unfinished = UnfinishedCapture(
-            camera=camera.info,
-            source=dict(source or {}),
-            layout=controls.layout,
-            pixel_format=controls.pixel_format,
-            repeatable=controls.repeatable,
-            response_origin=controls.response_origin,
-            request=request,
-            plan=plan,
-            frames=[None] * len(plan.settings),
-            light=KeptLight.of(plan.scene),
-            white=controls.white,
-            black_total=controls.black * len(plan.settings),
-            timing={"planning_s": time.perf_counter() - started},
-            clock="virtual" if isinstance(camera.clock, VirtualClock) else "real",
-            versions={
-                "camctl": version("camctl"),
-                "numpy": np.__version__,
-                "python": platform.python_version(),
-            },
-            taken_at=(taken_at or datetime.now()).astimezone().replace(microsecond=0),
-        )
+        sum_dtype(len(plan.settings), camera.controls.white)
+        unfinished = _begun(camera, request, plan, source, taken_at)
+        unfinished.timing["planning_s"] = time.perf_counter() - started
         store.save_report(unfinished)
         return Sequence(camera, store, unfinished, report_progress, cancelled).run()
+
+
+def _begun(
+    camera: Camera,
+    request: CaptureRequest,
+    plan: CapturePlan,
+    source: Mapping[str, Any] | None,
+    taken_at: datetime | None,
+) -> UnfinishedCapture:
+    """Return the report of a capture without frames."""
+    controls = camera.controls
+    return UnfinishedCapture(
+        camera=camera.info,
+        source=dict(source or {}),
+        layout=controls.layout,
+        pixel_format=controls.pixel_format,
+        repeatable=controls.repeatable,
+        response_origin=controls.response_origin,
+        request=request,
+        plan=plan,
+        frames=[None] * len(plan.settings),
+        light=KeptLight.of(plan.scene),
+        white=controls.white,
+        black_total=controls.black * len(plan.settings),
+        timing={},
+        clock="virtual" if isinstance(camera.clock, VirtualClock) else "real",
+        versions={
+            "camctl": version("camctl"),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+        taken_at=(taken_at or datetime.now()).astimezone().replace(microsecond=0),
+    )
 
 
 def _check_plan(plan: CapturePlan, request: CaptureRequest) -> None:

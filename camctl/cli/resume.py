@@ -14,7 +14,7 @@ from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions
 from camctl.cli.output import print_warning
 from camctl.cli.parameter_types import PATH
-from camctl.cli.series_run import HookOptions, check_keys, hook_options, run_series
+from camctl.cli.series.run import HookOptions, check_keys, hook_options, run_series
 from camctl.errors import DataError, UsageError
 from camctl.messages.command_line import word
 from camctl.records import REPORT, SERIES

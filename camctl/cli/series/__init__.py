@@ -12,7 +12,7 @@ from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions, declare, option
 from camctl.cli.parameter_types import PATH, Name, Seconds, Text, WholeNumber
 from camctl.cli.request_options import RequestOptions, request_options
-from camctl.cli.series_run import HookOptions, check_keys, hook_options, run_series
+from camctl.cli.series.run import HookOptions, check_keys, hook_options, run_series
 from camctl.cli.shoot import PICTURE_OPTIONS
 from camctl.errors import UsageError
 
