@@ -94,7 +94,7 @@ def test_cameras_lists_the_example(python: Python) -> None:
 
 
 def test_shoot_takes_a_picture_with_the_example(python: Python, tmp_path: Path) -> None:
-    done = camctl(python, "shoot", "--camera", "example:bright", "--ratios", "1,4", "-o", "x")
+    done = camctl(python, "shoot", "--camera", "example:bright", "-n", "2", "-o", "x")
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     report = json.loads((tmp_path / "x" / "report.json").read_text())
