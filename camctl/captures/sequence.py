@@ -94,9 +94,8 @@ class Sequence:
             timing["planned_wall_s"] = self._planned_wall_s(missing)
             timing["actual_wall_s"] = self._shoot(missing)
             self._compare_times(missing)
-            self._settle_if_late(certain=True)
             self._shoot_suspects_again()
-            self._settle_if_late(certain=False)
+            self._settle_if_late()
             timing["shooting_s"] = self._camera.clock.now() - began
             timing["shooting_wall_s"] = time.perf_counter() - wall_began
             self._report_progress("writing")
@@ -272,13 +271,13 @@ class Sequence:
             return
         self._shoot_again(again)
 
-    def _settle_if_late(self, *, certain: bool) -> None:
+    def _settle_if_late(self) -> None:
         """Let the camera settle, and shoot all again, where its control delay is not the known one.
 
-        `certain`: only where the frames show by how much.
+        One wrong frame can look like that: it has been shot again before.
         """
         error = None if self._has_settled else self._checks.delay_error()
-        if error is None or (certain and not error.shift) or self._cancelled():
+        if error is None or self._cancelled():
             return
         if not use_delay(self._camera, None):
             return
