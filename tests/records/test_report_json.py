@@ -99,7 +99,7 @@ def test_an_incomplete_report_has_what_goes_on_with_it(tmp_path: Path) -> None:
     from camctl.records.folder_store import read_capture
 
     shot: list[int] = []
-    request = camctl.CaptureRequest(ratios=(1, 4), base_s=0.01, dynamic_range=256)
+    request = camctl.CaptureRequest(ratios=(1, 4, 16), base_s=0.01, dynamic_range=256)
     with small_camera() as camera, pytest.raises(InterruptedCaptureError):
         capture(
             camera,
