@@ -7,7 +7,8 @@ over the frames, and the mean square error of the sum in the desired response u 
     mse = integral over u of  (E du/dE)^2 [ sum of v_j + (sum of c_j)^2 ] / (sum of s_j)^2  du
 
 At one gain s, v and c depend on e E alone, the light times the exposure, so that one table for each
-gain serves for every exposure; what a dark current adds in a shutter time is added to it.  Samples
+gain serves for every exposure; the charge that a dark current adds in a shutter time is light to
+the quantiser, and shows nothing of E.  Samples
 are clipped normal variables with 1/12 of quantisation (EMVA 1288): noise dithers the quantiser.
 Where it does not, sums are up to some 10 % more or less accurate than this, and the exact
 distribution (`camctl.exposure.noise.predicted_mse`) has to judge.
@@ -41,13 +42,20 @@ _BEYOND = 8.0
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """One gain: rows (5, X) of s, v, c, and what a second of dark current adds to v and c, at x."""
+    """One gain: rows (4, X) of s, v, c, and what a second of DCNU adds to c, at x.
+
+    Attributes:
+        rows: three where nothing grows with time
+        first: ln(x) of the first column
+        dark: light that a second of dark current is to the quantiser, in the unit of x
+    """
 
     rows: NDArray[np.float32]
     first: float
+    dark: float
 
     def at(self, log_x: FloatArray) -> NDArray[np.float32]:
-        """Return the rows at ln(x), (5, ...)."""
+        """Return the rows at ln(x), (3 or 4, ...)."""
         place = np.clip((log_x - self.first) / _STEP, 0.0, self.rows.shape[1] - 1.001)
         index = place.astype(np.intp)
         share = (place - index).astype(np.float32)
@@ -96,15 +104,15 @@ class FrameAccuracy:
         inside = normal_cdf(high) - normal_cdf(low)
         variance = spread**2 * _clipped_variance(low, high)
         unit = slope / (response.M + 1) * inside  # levels of a sample for one of the linear scale
-        dark = noise.dark_current_e_s * (gain / noise.conversion_e_per_dn) ** 2
+        per_electron = gain / noise.conversion_e_per_dn
         rows = [
             slope * x * inside,
             variance,
             unit * frame.dsnu_levels,
-            unit**2 * dark,
-            unit * noise.dcnu_e_s * gain / noise.conversion_e_per_dn,
+            unit * noise.dcnu_e_s * per_electron,
         ]
-        return _Table(np.array(rows[: 5 if self.unit_s else 3], dtype=np.float32), first)
+        dark = noise.dark_current_e_s * per_electron / (response.M + 1)
+        return _Table(np.array(rows[: 4 if self.unit_s else 3], dtype=np.float32), first, dark)
 
     def parts(self, log_exposure: FloatArray, gain: float, time: FloatArray) -> NDArray[np.float32]:
         """Return s, v and c of frames at one gain, (3, F, NODES).
@@ -114,11 +122,17 @@ class FrameAccuracy:
             gain: their gain
             time: (F,) their shutter times, in the unit of the problem
         """
-        rows = self._tables[gain].at(log_exposure[:, np.newaxis] + self.log_E)
-        if self.unit_s:
-            time_s = (time * self.unit_s)[:, np.newaxis].astype(np.float32)
-            rows[1] += rows[3] * time_s
-            rows[2] = np.hypot(rows[2], rows[4] * time_s)
+        table, log_x = self._tables[gain], log_exposure[:, np.newaxis] + self.log_E
+        if not self.unit_s:
+            return table.at(log_x)
+        time_s = (time * self.unit_s)[:, np.newaxis]
+        if table.dark:
+            log_lit = np.logaddexp(log_x, np.log(np.maximum(table.dark * time_s, 1e-300)))
+            rows = table.at(log_lit)
+            rows[0] *= np.exp(log_x - log_lit)
+        else:
+            rows = table.at(log_x)
+        rows[2] = np.hypot(rows[2], rows[3] * time_s)
         return rows[:3]
 
     def mse(self, parts: NDArray[np.floating[Any]], step: int = 1) -> FloatArray:

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from camctl.errors import DataError, UsageError
 from camctl.exposure import judge
-from camctl.exposure.accuracy import NEAR_TIE, AccuracySolution, solve_accuracy
-from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
+from camctl.exposure.accuracy import NEAR_TIE, AccuracySolution, accurate_sets, solve_accuracy
+from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, Shot, TimeCosts
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise, NoiseModel
@@ -228,12 +228,22 @@ def test_few_sets_are_rated_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_dark_current_changes_the_exposures() -> None:
-    noisy = NoiseModel(39.0, ((1.0, 3.0),), dark_current_e_s=5000.0)
+    noisy = NoiseModel(39.0, ((1.0, 3.0),), dark_current_e_s=500.0)
     available = AvailableExposures(unit_s=0.1)
     dark = solve_accuracy(problem_of("log", noise=noisy, available=available), [2])
     none = solve_accuracy(problem_of("log"), [2])
     assert dark.exposures[1] != pytest.approx(none.exposures[1], rel=0.03)
     assert dark.effective_levels < none.effective_levels
+
+
+@pytest.mark.parametrize("dark", [500.0, 2000.0, 5000.0])
+def test_dark_current_that_fills_the_range_shortens_the_exposures(dark: float) -> None:
+    """At 2,000 e-/s a frame of 45 times the shortest exposure holds 230 of 255 levels of it."""
+    noisy = NoiseModel(39.0, ((1.0, 3.0),), dark_current_e_s=dark)
+    problem = problem_of("log", noise=noisy, available=AvailableExposures(unit_s=0.1))
+    rate = accurate_sets(problem, [2]).judge
+    best = max(rate((Shot(1.0, 1.0, 1.0), Shot(e, e, 1.0))).levels for e in np.geomspace(2, 60, 40))
+    assert solve_accuracy(problem, [2]).effective_levels >= 0.994 * best  # near ties are shorter
 
 
 def test_limits_of_the_camera_are_kept() -> None:
