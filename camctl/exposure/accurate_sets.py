@@ -244,6 +244,11 @@ class AccurateSets:
             if is_close or top + fixed <= (missed + fixed) * NEAR_TIME:
                 break
             time = search.time_of(design, levels * MIDDLE / rated.levels)
+            # One frame more is quicker where the frames there are gain little by more time.
+            quicker = self._traced(levels * design.levels / rated.levels)
+            if rated.levels < levels and quicker and quicker[0].time < min(time, top):
+                design, search = quicker
+                continue
             if not missed < time < top:  # near the most accurate set time brings next to nothing
                 far = top if math.isfinite(top) else 2 * (time + fixed)
                 time = math.sqrt((missed + fixed) * (far + fixed)) - fixed
@@ -304,6 +309,16 @@ class AccurateSets:
             if not math.isfinite(time):
                 time = 2 * (found.time + fixed) - fixed
         return best
+
+    def _traced(self, levels: float) -> tuple[Design, DesignSearch] | None:
+        """Return the shortest traced set that has `levels` by the estimate; None: none has."""
+        found = [
+            (design, search)
+            for search in self.searches
+            for design in search.trace(levels=TRACED * levels)
+            if design.levels >= levels
+        ]
+        return min(found, key=lambda pair: pair[0].time, default=None)
 
     def _estimated_time(self, levels: float) -> float:
         """Return about the time at which a set has `levels`, along the traced front."""

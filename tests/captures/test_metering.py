@@ -138,7 +138,8 @@ def test_a_stale_control_delay_is_said_to_be_the_possible_cause(
         record, mode = measure_delay(camera, trials=4), camera.mode
         assert record.frames is not None
         frames = record.frames + wrong_by
-        stale = record.model_copy(update=dict.fromkeys(("frames", "smallest", "largest"), frames))
+        bounds = {"frames": frames, "smallest": frames, "largest": frames}
+        stale = record.model_copy(update={**bounds, "time": None, "gain": None})
         change_profile(camera.info, lambda profile: profile.delays.update({mode: stale}))
     with open_camera("sim", options) as camera, pytest.raises(CaptureError) as found:
         histogram(MeteringFrames(camera))

@@ -53,7 +53,8 @@ def test_flat_field_and_lens_cap_complete_the_record(run: Run) -> None:
     sensor = ("--sensor", "mobile", *SIZE)
     flat = run("calibrate", "noise", *sensor, "--scene", "uniform", "--flat", "-n", "8")
     assert flat.status == 0, flat.err
-    assert "PRNU                     0.7" in flat.out or "PRNU                     0.6" in flat.out
+    (prnu,) = [line.split()[1] for line in flat.out.splitlines() if line.startswith("PRNU")]
+    assert 0.6 < float(prnu) < 1.1  # of 0.7; without a lens cap DSNU counts, too
     assert "put the lens cap on" in flat.out
     cap = {"name": "cap", "picture": "uniform", "photons_s": 1e-6, "what": "a lens cap"}
     Path("cap.json").write_text(json.dumps(cap))

@@ -284,9 +284,10 @@ def test_own_file_of_a_rejected_frame_is_kept(tmp_path: Path) -> None:
 
 
 def test_own_file_of_a_frame_whose_samples_are_missing_is_set_aside(tmp_path: Path) -> None:
-    folder, calls = tmp_path / "out", iter((False, True))
+    folder = tmp_path / "out"
     with small_camera(light=LIGHT) as simulated, pytest.raises(InterruptedCaptureError):
-        capture(WithFiles(simulated, ".raw"), REQUEST, folder, cancelled=lambda: next(calls, True))
+        request = replace(REQUEST, ratios=(1.0, 4.0, 16.0))
+        capture(WithFiles(simulated, ".raw"), request, folder, cancelled=(folder / FIRST).exists)
     own = (folder / "frames" / "frame-01.raw").read_bytes()
     (folder / FIRST).unlink()
     complete(folder)

@@ -120,7 +120,7 @@ def test_the_error_for_an_unknown_name_suggests_a_similar_one() -> None:
         ({"time_minimum_s": 1.5e-5}, "time_minimum_s must be a whole number of line_s"),
         ({"time_minimum_s": 1e-6}, "time_minimum_s must be a whole number of line_s"),
         ({"gain_maximum": 0.5}, "gain_maximum: input should be greater than or equal to 1"),
-        ({"delay_frames": -1}, "delay_frames: input should be greater than or equal to 0"),
+        ({"delay_frames": -2}, "delay_frames: input should be greater than or equal to -1"),
         ({"curve": [], "electrons_per_dn": 30.0}, "curve of x: expected two or more rows"),
         ({"curve": "cubic"}, "curve: input should be 'linear' or 'srgb'"),
         (

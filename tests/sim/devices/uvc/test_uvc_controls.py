@@ -242,7 +242,7 @@ def test_any_request_has_a_reply_or_is_refused(
         ),
         ({"formats": ["grey"], "sensor": "machine-vision"}, "grey cannot .* sensor of 12 bits"),
         ({"fps": 0}, "invalid camera option fps=0"),
-        ({"delay": -1}, "invalid camera option delay=-1"),
+        ({"delay": -2}, "invalid camera option delay=-2"),
         ({"sizes": ["big"]}, "write WIDTHxHEIGHT"),
         ({"colour": "red"}, "unknown camera option 'colour'"),
     ],
