@@ -284,10 +284,15 @@ def test_own_file_of_a_rejected_frame_is_kept(tmp_path: Path) -> None:
 
 
 def test_own_file_of_a_frame_whose_samples_are_missing_is_set_aside(tmp_path: Path) -> None:
-    folder = tmp_path / "out"
+    folder, request, done = tmp_path / "out", replace(REQUEST, ratios=(1.0, 4.0, 16.0)), [0]
     with small_camera(light=LIGHT) as simulated, pytest.raises(InterruptedCaptureError):
-        request = replace(REQUEST, ratios=(1.0, 4.0, 16.0))
-        capture(WithFiles(simulated, ".raw"), request, folder, cancelled=(folder / FIRST).exists)
+        capture(
+            WithFiles(simulated, ".raw"),
+            request,
+            folder,
+            progress=lambda each: done.append(each.done),
+            cancelled=lambda: done[-1] > 0,
+        )
     own = (folder / "frames" / "frame-01.raw").read_bytes()
     (folder / FIRST).unlink()
     complete(folder)
