@@ -31,7 +31,7 @@ def test_man_pages_of_all_commands_are_valid(tmp_path: Path) -> None:
     assert "camctl\\-shoot \\- Take a picture of high dynamic range" in shoot
     assert ".B \\-n, \\-\\-exposures N" in shoot
     if shutil.which("groff") is None:
-        pytest.skip("groff is not installed")
+        pytest.skip("groff is missing: apt-get install groff-base")
     command = ["groff", "-man", "-Tutf8", "-ww", "-z", *sorted(map(str, tmp_path.glob("*.1")))]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")

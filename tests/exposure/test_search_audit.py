@@ -37,7 +37,7 @@ CURVES = Path(os.environ.get("CAMCTL_DATA", "")) / "dorf/curves.npz"
 def measured(place: int, bits: int) -> CameraResponse:
     """Return a curve of the database as a camera of so many bits."""
     if not os.environ.get("CAMCTL_DATA") or not CURVES.exists():
-        pytest.skip("no measured curves: CAMCTL_DATA is not set")
+        pytest.skip("real data not present: set CAMCTL_DATA to its folder")
     with np.load(CURVES) as data:
         row = data["index"].tolist().index(place)
         irradiance, brightness = (data[name][row] for name in ("irradiance", "brightness"))
