@@ -175,10 +175,10 @@ def _light(camera: Camera, settings: tuple[ExposureSetting, ...]) -> tuple[Light
     responses = controls.responses or (controls.levels,)
     least = _LEAST_LEVEL * float(controls.levels.levels[0]) / max(exposures)
     desired = desired_response("log", 1 / least)
-    tables = tuple(
-        Tables.of(posterior_of(EffectiveCamera.of(each, exposures), desired, noise))
-        for each in responses
-    )
+    posteriors = [
+        posterior_of(EffectiveCamera.of(each, exposures), desired, noise) for each in responses
+    ]
+    tables = tuple(map(Tables.of, posteriors))
     light = frame_light(
         parts_of(controls.layout, responses),
         exposures,
@@ -202,7 +202,11 @@ def _light(camera: Camera, settings: tuple[ExposureSetting, ...]) -> tuple[Light
     reducer = LightReducer(rows, columns, rendering.full, 2 * PANEL_WIDTH)
     for render in rendering.strips(total.total):
         reducer.add(render())
-    return reducer.light(), min(setting.exposure for setting in settings)
+    found = reducer.light()
+    # What no preview frame shows is as bright as it probably is: the planned exposures are longer.
+    unseen = min(float(each.inverse.E[each.sum.black]) for each in posteriors)
+    shown = replace(found, irradiance=np.maximum(found.irradiance, np.float32(unseen)))
+    return shown, min(setting.exposure for setting in settings)
 
 
 def _frames(camera: Camera, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:

