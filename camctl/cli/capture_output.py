@@ -344,12 +344,7 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
     """Return how much moved or changed between the frames, and where most of it is."""
     if movement is None:
         return []
-    shares = (
-        f"{format_percent(movement.share)} of the samples differ between frames, "
-        f"at most {format_percent(movement.false_alarms)} by noise"
-    )
-    by_noise = f"{format_percent(movement.share)} of the samples differ, as by noise"
-    spread = []
+    share, spread = format_percent(movement.share), []
     if movement.spread:
         bright = f"{format_percent(movement.spread)} of the picture is too bright"
         spread = [("", f"light that spread from saturated samples, or a thing there: {bright}")]
@@ -359,12 +354,16 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
         )
         return [("movement", f"not known: {compared} in range")]
     if not movement.places:
-        return [("movement", f"none ({by_noise})"), *spread]
+        return [("movement", f"none ({share} of the samples differ, as by noise)"), *spread]
     area = format_percent(movement.area)
     first = movement.places[0]
     place = f"columns {first.left}-{first.right - 1}, rows {first.top}-{first.bottom - 1}"
     blocks = f"blocks of {movement.block} x {movement.block} pixels with more than noise"
     moved = f"{blocks}: {area} of the picture, most in {place}"
+    shares = (
+        f"{share} of the samples differ between frames, "
+        f"at most {format_percent(movement.false_alarms)} by noise"
+    )
     return [("movement", shares), ("", moved), *spread]
 
 

@@ -244,11 +244,12 @@ class AccurateSets:
             if is_close or top + fixed <= (missed + fixed) * NEAR_TIME:
                 break
             time = search.time_of(design, levels * MIDDLE / rated.levels)
-            # One frame more is quicker where the frames there are gain little by more time.
-            quicker = self._traced(levels * design.levels / rated.levels)
-            if rated.levels < levels and quicker and quicker[0].time < min(time, top):
-                design, search = quicker
-                continue
+            if rated.levels < levels:
+                # One frame more is quicker where the frames there are gain little by more time.
+                quicker = self._traced(levels * design.levels / rated.levels)
+                if quicker is not None and quicker[0].time < min(time, top):
+                    design, search = quicker
+                    continue
             if not missed < time < top:  # near the most accurate set time brings next to nothing
                 far = top if math.isfinite(top) else 2 * (time + fixed)
                 time = math.sqrt((missed + fixed) * (far + fixed)) - fixed

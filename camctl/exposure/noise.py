@@ -77,7 +77,7 @@ def coarser(
     """Return a camera of fewer levels, and noise, with nearly the same distribution of errors.
 
     A quantiser of step k has k^2 / 12 of variance, (k^2 - 1) / 12 more than one of step 1: as much
-    is taken from the read noise.  What is left must be `dithers` of a step, so that the quantiser
+    is taken from the read noise.  The rest must be `dithers` of a step, so that the quantiser
     stays dithered.  A camera of few levels, or with less noise, is returned as it is.
     """
     step, full = 1, camera.response.M + 1

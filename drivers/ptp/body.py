@@ -42,7 +42,7 @@ _ADDED = {
 }
 # How long a half-pressed button may take to focus, and the pause between two requests.
 _FOCUS_S, _FOCUS_POLL_S = 10.0, 0.05
-# A camera is told this often that it is in use: libgphoto2 tells Canon's bodies as often.
+# The message that a camera is in use is sent this often, as libgphoto2 sends it to Canon bodies.
 _KEPT_ON_S = 10.0
 _NOT_SUPPORTED = 0x2005  # response: the operation is not supported
 # Property D215 counts waiting pictures; its top bit is set when the first can be fetched.

@@ -291,10 +291,8 @@ class Bounds:
         if any(change.is_noise for change in gone):
             noise = _largest_photon_noise(self._largest_mean_e, self._noise_limit)
             return charge + noise + self._count_error_e
-        before = [
-            self.changes[name] for name in left_out if name in _BEFORE_NOISE & set(self.changes)
-        ]
-        if all(change.nothing for change in before):
+        before = _BEFORE_NOISE.intersection(left_out, self.changes)
+        if before <= self.changes_nothing:
             return charge
         if self._has_photon_noise:
             least = self._smallest_light_e + sum(change.least_e for change in stay)

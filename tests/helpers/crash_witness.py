@@ -369,7 +369,7 @@ SCENARIOS: dict[str, tuple[Act, Act, Callable[[Path, Acknowledged], list[str]]]]
     "table": (_nothing, make_table, check_table),
     "row": (_nothing, keep_row, check_row),
 }
-"""What is in the folder before, what is killed, and what is wrong with what is left."""
+"""The folder before, the program that is killed, and what is wrong with the files afterwards."""
 
 
 class Sweep:
